@@ -1,0 +1,37 @@
+# fluxbench: everything a newcomer needs is `make demo` and `make test`.
+PYTHON ?= python3.11
+VENV := .venv
+BIN := $(VENV)/bin
+STAMP := $(VENV)/.installed
+
+.PHONY: demo test test-all bench lint lock clean
+
+demo: $(STAMP)
+	$(BIN)/fluxbench run demo
+
+test: $(STAMP) lint
+	$(BIN)/pytest -q
+
+test-all: $(STAMP) lint
+	$(BIN)/pytest -q -m "slow or not slow"
+
+bench: $(STAMP)
+	$(BIN)/python -m tests.benchmarks
+
+lint: $(STAMP)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/lint-imports
+	$(BIN)/mypy
+
+# Written anew only on purpose: the versions that the tests are known to pass with.
+lock: $(STAMP)
+	$(BIN)/pip freeze --exclude-editable --exclude fluxbench > constraints.txt
+
+clean:
+	rm -rf $(VENV) runs .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+
+$(STAMP): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
+	touch $@

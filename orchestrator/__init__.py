@@ -1,0 +1,1 @@
+"""Who decides: procedures, the state machine, runs, recordings and what is read out of them."""

@@ -1,0 +1,1 @@
+"""Built-in drives, one file or folder each."""

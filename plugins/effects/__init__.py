@@ -1,0 +1,1 @@
+"""Built-in effects, one file or folder each."""

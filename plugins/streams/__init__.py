@@ -1,0 +1,1 @@
+"""Built-in streams, one file or folder each."""

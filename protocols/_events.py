@@ -1,0 +1,160 @@
+"""What the engine says while it works: the validated messages that journal and streams receive."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from protocols._base import ArrayModel, Strict
+from protocols._drive import Limits
+from protocols._estimates import FluxMapEstimate, ResistanceEstimate
+from protocols._motor import Motor
+from protocols._recording import Capture, Segment
+
+
+class RunStarted(Strict):
+    """First message of a run, or of a resumption."""
+
+    kind: Literal["run_started"] = "run_started"
+    run: str
+    """The run directory."""
+    name: str
+    motor: Motor
+    limits: Limits
+    drive: str
+    points: int
+    points_done: int
+    seconds: float
+    """Planned time on the drive's clock of what is still to be done."""
+
+
+class StateChanged(Strict):
+    kind: Literal["state_changed"] = "state_changed"
+    source: str
+    target: str
+    reason: str = ""
+
+
+class StageStarted(Strict):
+    kind: Literal["stage_started"] = "stage_started"
+    index: int
+    """Place of the stage in the procedure."""
+    stage: str
+    points: int
+
+
+class PointStarted(Strict):
+    kind: Literal["point_started"] = "point_started"
+    id: str
+    stage_index: int
+    target_d_a: float | None
+    target_q_a: float | None
+    seconds: float
+
+
+class PointDone(Strict):
+    """A point is measured and on disk."""
+
+    kind: Literal["point_done"] = "point_done"
+    id: str
+    stage_index: int
+    segment: Segment
+    achieved_d_a: float
+    achieved_q_a: float
+    """Mean current over the segment in the believed frame."""
+    points_done: int
+    points: int
+    seconds_left: float
+    """Planned time of the rest, on the drive's clock."""
+
+
+class SamplesCaptured(ArrayModel):
+    """A block of waveforms, by reference."""
+
+    kind: Literal["samples_captured"] = "samples_captured"
+    segment: str
+    rotor_angle_rad: float
+    capture: Capture
+
+
+class OperatorAsked(Strict):
+    kind: Literal["operator_asked"] = "operator_asked"
+    prompt: str
+
+
+class OperatorAnswered(Strict):
+    kind: Literal["operator_answered"] = "operator_answered"
+    answer: str
+    by: Literal["operator", "procedure"]
+
+
+class LockChecked(Strict):
+    """Verdict of the lock check."""
+
+    kind: Literal["lock_checked"] = "lock_checked"
+    locked: bool
+    confidence: float
+    """Probability that the lasting rotation is within the tolerance."""
+    moved_rad: float
+    moved_std_rad: float
+    twist_rad: float
+    """Rotation of the saliency while the torque acts, half the difference between its signs."""
+    summary: str
+
+
+class ResistanceEstimated(Strict):
+    kind: Literal["resistance_estimated"] = "resistance_estimated"
+    estimate: ResistanceEstimate
+
+
+class MapEstimated(ArrayModel):
+    kind: Literal["map_estimated"] = "map_estimated"
+    estimate: FluxMapEstimate
+
+
+class Note(Strict):
+    kind: Literal["note"] = "note"
+    level: Literal["info", "warning", "error"]
+    text: str
+
+
+class RunEnded(Strict):
+    kind: Literal["run_ended"] = "run_ended"
+    outcome: Literal["finished", "faulted", "aborted"]
+    reason: str
+    files: dict[str, str] = Field(default_factory=dict)
+    summary: dict[str, Any] = Field(default_factory=dict)
+
+
+Message = (
+    RunStarted
+    | StateChanged
+    | StageStarted
+    | PointStarted
+    | PointDone
+    | SamplesCaptured
+    | OperatorAsked
+    | OperatorAnswered
+    | LockChecked
+    | ResistanceEstimated
+    | MapEstimated
+    | Note
+    | RunEnded
+)
+
+JournalledMessage = Annotated[
+    RunStarted
+    | StateChanged
+    | StageStarted
+    | PointStarted
+    | PointDone
+    | OperatorAsked
+    | OperatorAnswered
+    | LockChecked
+    | ResistanceEstimated
+    | Note
+    | RunEnded,
+    Field(discriminator="kind"),
+]
+"""The messages without arrays, as the journal keeps them."""
