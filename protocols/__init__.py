@@ -36,6 +36,8 @@ from protocols._effects import (
     Effect,
     EffectLayer,
     EffectParameter,
+    LossHistory,
+    ParameterRole,
     Signals,
 )
 from protocols._errors import (
@@ -170,6 +172,7 @@ __all__ = [
     "Limits",
     "LockCheckStage",
     "LockChecked",
+    "LossHistory",
     "Manifest",
     "MapChecks",
     "MapEstimated",
@@ -182,6 +185,7 @@ __all__ = [
     "OperatorAnswered",
     "OperatorAsked",
     "OperatorStage",
+    "ParameterRole",
     "PluginError",
     "Point",
     "PointDone",

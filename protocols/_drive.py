@@ -217,7 +217,8 @@ class Drive(Protocol):
     def execute(self, excitation: Excitation) -> Iterator[Capture]:
         """Run one excitation to its end and yield what was captured, block by block, gap-free.
 
-        A block lasts half a second at most, so that a stop is never far away. After the last
+        A block lasts half a second at most, so that a stop is never far away; a drive that is
+        quiet for longer (settling) yields blocks without rows as a sign of life. After the last
         block the drive goes on holding the operating point (gates off after `GatesOff`). Leaving
         the iterator early leaves the drive energised: `ramp_down` follows.
 

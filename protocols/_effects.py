@@ -8,10 +8,14 @@ function of a recording's signals; entry point group ``fluxbench.effects``.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from enum import IntEnum
-from typing import ClassVar, Protocol, runtime_checkable
+from enum import IntEnum, StrEnum
+from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
 
-from protocols._base import ArrayModel, Samples, Strict, Vectors
+import numpy as np
+
+from protocols._base import ArrayModel, Samples, Shape, Strict, Vectors
+from protocols._motor import Motor
+from protocols._recording import DriveRecord
 
 
 class EffectLayer(IntEnum):
@@ -24,6 +28,17 @@ class EffectLayer(IntEnum):
     RESISTANCE = 5
     FRAME = 6
     IRON = 7
+
+
+class ParameterRole(StrEnum):
+    """What a parameter does in its effect; the diagnosis frees them in this order."""
+
+    AMPLITUDE = "amplitude"
+    """Alone decides whether the effect is there: nothing happens while all amplitudes are neutral."""
+    SHAPE = "shape"
+    """Says how the amplitude acts; has no effect of its own, and is positive (fitted on a log scale)."""
+    REFINEMENT = "refinement"
+    """Makes the effect's form more flexible; neutral is the simple form."""
 
 
 class EffectParameter(Strict):
@@ -41,6 +56,19 @@ class EffectParameter(Strict):
     """The value at which the effect is absent (may be infinite in principle; then the bound)."""
     strong_when_small: bool = False
     """Relative size is typical / value instead of value / typical."""
+    role: ParameterRole = ParameterRole.AMPLITUDE
+
+
+Curve = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("m",))]
+
+
+class LossHistory(ArrayModel):
+    """Copper loss over the whole experiment, coarsely sampled; what was not captured is estimated."""
+
+    time_s: Curve
+    """Since the start of the experiment, increasing, shape (m,)."""
+    power_w: Curve
+    """Mean loss from this instant to the next, shape (m,)."""
 
 
 class Signals(ArrayModel):
@@ -64,6 +92,14 @@ class Signals(ArrayModel):
     """The part of the stator current that magnetises [A]."""
     heat_j: Samples
     """Copper loss since the start of the experiment."""
+    psi_ab: Vectors | None = None
+    """Flux linkage by the model as it stands, magnet included [Wb]; None where there is no model."""
+    losses: LossHistory | None = None
+    motor: Motor | None = None
+    """The nameplate."""
+    drive: DriveRecord | None = None
+    bridge_on: bool = True
+    """False while all gates are off: then no voltage is commanded and none is impressed."""
 
 
 @runtime_checkable

@@ -23,6 +23,7 @@ class RunStarted(Strict):
     motor: Motor
     limits: Limits
     drive: str
+    stages: int
     points: int
     points_done: int
     seconds: float
@@ -123,8 +124,10 @@ class RunEnded(Strict):
     kind: Literal["run_ended"] = "run_ended"
     outcome: Literal["finished", "faulted", "aborted"]
     reason: str
-    files: dict[str, str] = Field(default_factory=dict)
-    summary: dict[str, Any] = Field(default_factory=dict)
+    run: str
+    """The run directory."""
+    estimates: dict[str, Any] = Field(default_factory=dict)
+    """What `fluxbench estimate --json` prints of the recording; empty where nothing was estimated."""
 
 
 Message = (

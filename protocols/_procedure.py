@@ -115,7 +115,9 @@ class InjectionStage(_EnergisedStage):
     held_a: tuple[float, ...] | None = None
     step_a: Positive | None = None
     amplitudes_v: tuple[Positive, ...] | None = None
-    """One sweep for each. None: the one that swings the flux by a fifth of L_d times the rated current."""
+    """One sweep for each. None: `amplitude_ratios` of what swings the flux by a fifth of L_d I_rated."""
+    amplitude_ratios: tuple[Positive, ...] = (1.0,)
+    """One sweep for each, where `amplitudes_v` is left out."""
     frequency_hz: Positive | None = None
     rotation_hz: Positive | None = None
     waveform: Literal["square", "sine"] = "square"

@@ -1,0 +1,150 @@
+"""Say in one line what pydantic found wrong: where, what, and which valid key is nearest; validates nothing itself."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, Literal, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+
+KeyPath = tuple[str | int, ...]
+
+_UNITS = {
+    "a": "A", "v": "V", "s": "s", "hz": "Hz", "rad": "rad", "wb": "Wb", "h": "H", "ohm": "ohm",
+    "w": "W", "nm": "Nm", "rpm": "rpm", "j": "J", "c": "°C",
+}  # fmt: skip
+_EXPECTED = {
+    "model_type": "keys and values",
+    "model_attributes_type": "keys and values",
+    "dict_type": "keys and values",
+    "tuple_type": "a list",
+    "list_type": "a list",
+    "string_type": "text",
+    "bool_type": "true or false",
+    "bool_parsing": "true or false",
+}
+_NUMBER_ERRORS = {"float_parsing", "float_type", "int_parsing", "int_type", "int_from_float"}
+
+
+@dataclass(frozen=True)
+class Problem:
+    """The first thing wrong in a document, as a person wants to hear it."""
+
+    path: KeyPath
+    text: str
+
+    @property
+    def field(self) -> str:
+        """The key path, dotted."""
+        return ".".join(map(str, self.path))
+
+
+def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: object) -> Problem:
+    """The first error of a validation of `raw` against `model`.
+
+    Parameters
+    ----------
+    model : type of BaseModel, optional
+        What was validated against; its fields are the candidates for the nearest valid key.
+    raw : object
+        The document that was validated: nested dicts and lists. It tells the keys in an error's
+        location from the tags of unions.
+    """
+    errors = error.errors(include_url=False)
+    # A misspelt key is unknown and missing at once: the first says more.
+    found = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
+    path = _path_in(raw, found["loc"], missing=found["type"] == "missing")
+    if found["type"] == "union_tag_invalid":
+        path = (*path, _discriminator(found))
+    return Problem(path, _text(found, path, model))
+
+
+def nearest(name: str, candidates: Iterable[str]) -> str | None:
+    """The candidate most like `name`, where one is near enough to be meant."""
+    close = difflib.get_close_matches(name, list(candidates), n=1, cutoff=0.6)
+    return close[0] if close else None
+
+
+def suggestion(name: str, candidates: Iterable[str]) -> str:
+    """What to write instead of an unknown `name`: the nearest candidate, or all of them where none is near."""
+    names = sorted(candidates)
+    near = nearest(name, names)
+    if near is not None:
+        return f"did you mean {near!r}?"
+    return f"valid: {', '.join(names)}" if names else "none is valid here"
+
+
+def _path_in(raw: object, location: Sequence[str | int], *, missing: bool) -> KeyPath:
+    path: list[str | int] = []
+    for place, key in enumerate(location):
+        is_last = place == len(location) - 1
+        in_dict = isinstance(raw, dict) and key in raw
+        in_list = isinstance(raw, list) and isinstance(key, int) and key < len(raw)
+        if in_dict or in_list:
+            raw = raw[key]  # type: ignore[index]
+        elif not (missing and is_last):
+            continue  # the tag of a union: not a key that anybody wrote
+        path.append(key)
+    return tuple(path)
+
+
+def _text(found: Any, path: KeyPath, model: type[BaseModel] | None) -> str:
+    kind, context = found["type"], found.get("ctx", {})
+    key = str(path[-1]) if path else ""
+    if kind == "extra_forbidden":
+        return f"unknown key; {suggestion(key, _valid_keys(model, found['loc'][:-1]))}"
+    if kind == "missing":
+        return "missing"
+    if kind == "union_tag_invalid":
+        tags = [tag.strip().strip("'") for tag in context["expected_tags"].split(",")]
+        return f"unknown {_discriminator(found)} {context['tag']!r}; {suggestion(context['tag'], tags)}"
+    if kind == "union_tag_not_found":
+        return f"{_discriminator(found)} is missing"
+    if kind in _NUMBER_ERRORS:
+        whole = "whole number" if kind.startswith("int") else "number"
+        return f"expected a {whole}{_unit(path)}, got {_shown(found['input'])}"
+    if kind == "literal_error":
+        return f"expected {context['expected']}, got {_shown(found['input'])}"
+    if kind in _EXPECTED:
+        return f"expected {_EXPECTED[kind]}, got {_shown(found['input'])}"
+    message = str(found["msg"]).removeprefix("Value error, ").removeprefix("Input ")
+    message = message[:1].lower() + message[1:]
+    return message if kind in ("value_error", "array") else f"{message}, got {_shown(found['input'])}"
+
+
+def _discriminator(found: Any) -> str:
+    return str(found["ctx"]["discriminator"]).strip("'")
+
+
+def _unit(path: KeyPath) -> str:
+    name = next((key for key in reversed(path) if isinstance(key, str)), "")
+    suffix = name.rsplit("_", 1)[-1] if "_" in name else ""
+    return f" in {_UNITS[suffix]}" if suffix in _UNITS else ""
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}..."
+
+
+def _valid_keys(model: type[BaseModel] | None, location: Sequence[str | int]) -> set[str]:
+    here = [model] if model is not None else []
+    for key in location:
+        if isinstance(key, str):
+            deeper = [m for outer in here if key in outer.model_fields for m in _models_in(outer.model_fields[key])]
+            here = deeper or [m for m in here if _is_tagged(m, key)]
+    return {name for m in here for name in m.model_fields}
+
+
+def _models_in(annotation: Any) -> list[type[BaseModel]]:
+    annotation = getattr(annotation, "annotation", annotation)
+    if isinstance(annotation, type) and get_origin(annotation) is None:
+        return [annotation] if issubclass(annotation, BaseModel) else []
+    return [model for argument in get_args(annotation) for model in _models_in(argument)]
+
+
+def _is_tagged(model: type[BaseModel], tag: str) -> bool:
+    fields = model.model_fields.values()
+    return any(get_origin(f.annotation) is Literal and tag in get_args(f.annotation) for f in fields)

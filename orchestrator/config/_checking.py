@@ -1,0 +1,171 @@
+"""The dry run: a plan's points, time and loads, held against the limits and what the drive says of itself."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from orchestrator.config._loads import Load, load_of, start_of
+from orchestrator.config._planning import Plan
+from orchestrator.config._requirements import Requirements
+from protocols import Capabilities, CapabilityError, Point, Strict
+
+_COPPER = 3 / 2
+_OVERLOAD = 1.25
+_BYTES_PER_ROW = 11.0
+"""Of a capture with a sensor's noise in it: measured 8 to 14."""
+
+
+class StageRow(Strict):
+    """What one stage comes to."""
+
+    index: int
+    stage: str
+    points: int
+    duration_s: float
+    captured_s: float
+    peak_current_a: float
+    peak_voltage_v: float | None
+    energy_j: float | None
+
+
+class PlanSummary(Strict):
+    """What a procedure would do. None: the nameplate has no R_s."""
+
+    points: int
+    duration_s: float
+    """On the drive's clock."""
+    captured_s: float
+    rows: int | None
+    """None: the sampling frequency is not known without the drive."""
+    bytes: int | None
+    """About, on disk."""
+    peak_current_a: float
+    """The longest vector asked for and the injection's ripple on it."""
+    peak_voltage_v: float | None
+    """R_s i, injection, ramps, and the current control's way from point to point, within the limit."""
+    energy_j: float | None
+    """Copper loss at the nameplate's R_s, settling included."""
+    rms_current_a: float
+    """Over the whole duration, peak-valued: compare with the rated current as the length of its vector."""
+    stages: tuple[StageRow, ...]
+    notes: tuple[str, ...]
+
+
+def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
+    """Hold a plan against its limits and the drive, and add up what it comes to; nothing is energised.
+
+    Parameters
+    ----------
+    plan : Plan
+    capabilities : Capabilities, optional
+        What the drive said of itself; without it only the procedure's own limits are checked.
+
+    Raises
+    ------
+    CapabilityError
+        In one line: the stage and the field that ask for more than limits or drive allow.
+    """
+    loads = _loads(plan)
+    requirements = Requirements(plan, capabilities)
+    requirements.check_drive()
+    for point, load in zip(plan.points, loads, strict=True):
+        requirements.check_point(point, load)
+    summary = _summary(plan, loads, capabilities)
+    _check_totals(plan, summary)
+    return summary
+
+
+def _loads(plan: Plan) -> list[Load]:
+    loads = []
+    before: Point = (0.0, 0.0)
+    for point in plan.points:
+        loads.append(load_of(point, before, plan.procedure.motor))
+        before = start_of(point.excitation)
+    return loads
+
+
+def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | None) -> PlanSummary:
+    rows = [_row(plan, index, loads) for index in sorted({point.stage_index for point in plan.points})]
+    duration = sum(row.duration_s for row in rows)
+    captured = sum(row.captured_s for row in rows)
+    samples = round(captured * capabilities.sampling_frequency_hz) if capabilities else None
+    rms = math.sqrt(sum(load.current_square_a2_s for load in loads) / duration) if duration else 0.0
+    return PlanSummary(
+        points=len(plan.points),
+        duration_s=duration,
+        captured_s=captured,
+        rows=samples,
+        bytes=round(samples * _BYTES_PER_ROW) if samples is not None else None,
+        peak_current_a=max((row.peak_current_a for row in rows), default=0.0),
+        peak_voltage_v=_greatest([row.peak_voltage_v for row in rows]),
+        energy_j=_total([row.energy_j for row in rows]),
+        rms_current_a=rms,
+        stages=tuple(rows),
+        notes=(*plan.notes, *_heat_notes(plan, rms)),
+    )
+
+
+def _row(plan: Plan, index: int, loads: Sequence[Load]) -> StageRow:
+    here = [(point, load) for point, load in zip(plan.points, loads, strict=True) if point.stage_index == index]
+    resistance = plan.procedure.motor.stator_resistance_ohm
+    squared = sum(load.current_square_a2_s for _, load in here)
+    limit = plan.procedure.limits.voltage_v
+    return StageRow(
+        index=index,
+        stage=plan.stages[index].kind,
+        points=len(here),
+        duration_s=sum(point.seconds for point, _ in here),
+        captured_s=sum(point.captured_s for point, _ in here),
+        peak_current_a=max(load.peak_current_a for _, load in here),
+        peak_voltage_v=_greatest([_peak_voltage(load, limit) for _, load in here]),
+        energy_j=None if resistance is None else _COPPER * resistance * squared,
+    )
+
+
+def _peak_voltage(load: Load, limit: float) -> float | None:
+    if load.steady_voltage_v is None or load.control_voltage_v is None:
+        return None
+    # The control's step saturates at the limit and does no harm there.
+    return max(load.steady_voltage_v, min(load.control_voltage_v, limit))
+
+
+def _check_totals(plan: Plan, summary: PlanSummary) -> None:
+    limits, name = plan.procedure.limits, plan.procedure.name
+    if limits.duration_s is not None and summary.duration_s > limits.duration_s:
+        longest = max(summary.stages, key=lambda row: row.duration_s)
+        raise CapabilityError(
+            name,
+            "limits.duration_s",
+            f"the plan takes {summary.duration_s:.0f} s, {limits.duration_s:g} s are allowed; "
+            f"stages.{longest.index} ({longest.stage}) takes {longest.duration_s:.0f} s of it",
+        )
+    if limits.energy_j is None:
+        return
+    if summary.energy_j is None:
+        raise CapabilityError(name, "limits.energy_j", "cannot be checked: motor.stator_resistance_ohm is missing")
+    if summary.energy_j > limits.energy_j:
+        hottest = max(summary.stages, key=lambda row: row.energy_j or 0.0)
+        raise CapabilityError(
+            name,
+            "limits.energy_j",
+            f"the plan dissipates {summary.energy_j:.0f} J, {limits.energy_j:g} J are allowed; "
+            f"stages.{hottest.index} ({hottest.stage}) dissipates {hottest.energy_j:.0f} J of it",
+        )
+
+
+def _heat_notes(plan: Plan, rms: float) -> list[str]:
+    rated = plan.procedure.motor.rated_current_a
+    if rated is None or rms <= _OVERLOAD * rated:
+        return []
+    return [f"the rms current is {rms / rated:.2f} times the rated one: the winding gets hotter than it is rated for"]
+
+
+def _greatest(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return max(known) if known and len(known) == len(values) else None
+
+
+def _total(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) if len(known) == len(values) else None

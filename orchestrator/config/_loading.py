@@ -1,0 +1,129 @@
+"""From words to a `Procedure`: a shipped name or a file, a motor laid over it, overrides; nothing is planned here."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from orchestrator._validation import KeyPath, first_problem, suggestion
+from orchestrator.config._document import Document, apply_override, parse_document
+from orchestrator.registry import PluginKind, installed
+from protocols import Procedure, ProcedureError, shipped_procedure, shipped_procedures
+
+_OVERLAY_SECTIONS = ("motor", "limits", "drive")
+
+
+def load_procedure(
+    source: str, *, overrides: Sequence[str] = (), drive: str | None = None, motor: Path | None = None
+) -> Procedure:
+    """Read a procedure and everything that is laid over it, in this order: motor, drive, overrides.
+
+    Parameters
+    ----------
+    source : str
+        Name of a shipped procedure, or path of a YAML file.
+    overrides : sequence of str
+        ``key.path=value`` each; list items by index, values written as in YAML.
+    drive : str, optional
+        A drive plugin's name instead of the procedure's; the options of another drive are dropped.
+    motor : Path, optional
+        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` go whole instead
+        of the procedure's.
+
+    Raises
+    ------
+    ProcedureError
+        One line: file and line, key path, what is wrong, the nearest valid name.
+    """
+    document = _read(source)
+    if motor is not None:
+        _lay_over(document, parse_document(_text_of(motor), str(motor)))
+    if drive is not None:
+        _choose_drive(document, drive)
+    for override in overrides:
+        apply_override(document, override)
+    procedure = _validated(document)
+    _check_plugins(document, procedure)
+    return procedure
+
+
+def _read(source: str) -> Document:
+    if source in shipped_procedures():
+        return parse_document(shipped_procedure(source), f"{source}.yaml (shipped)")
+    path = Path(source)
+    if path.suffix in (".yaml", ".yml") or path.name != source or _is_file(path):
+        return parse_document(_text_of(path), str(path))
+    names = shipped_procedures()
+    problem = f"neither a file nor a shipped procedure ({', '.join(names)}); {suggestion(source, names)}"
+    raise ProcedureError(source, "", problem)
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:  # a name that cannot be one, such as a very long one
+        return False
+
+
+def _text_of(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise ProcedureError(str(path), "", f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise ProcedureError(str(path), "", f"not UTF-8 at byte {error.start}") from None
+    except ValueError as error:
+        raise ProcedureError(repr(str(path)), "", f"cannot be read: {error}") from None
+
+
+def _lay_over(document: Document, overlay: Document) -> None:
+    if "motor" not in overlay.data:
+        raise ProcedureError(overlay.name, "motor", "missing")
+    for key, section in overlay.data.items():
+        if key not in _OVERLAY_SECTIONS:
+            problem = f"unknown section of a motor file; {suggestion(key, _OVERLAY_SECTIONS)}"
+            raise ProcedureError(overlay.place((key,)), key, problem)
+        places = {path: place for path, place in overlay.places.items() if path[0] == key}
+        document.replace((key,), section, places)
+
+
+def _choose_drive(document: Document, name: str) -> None:
+    written = document.data.get("drive")
+    if isinstance(written, dict) and written.get("name") == name:
+        return
+    where = f"--drive {name}"
+    document.replace(("drive",), {"name": name}, {("drive",): where, ("drive", "name"): where})
+
+
+def _validated(document: Document) -> Procedure:
+    try:
+        # JSON mode is strict about types ("5" and true are no numbers) and still takes lists for tuples.
+        return Procedure.model_validate_json(json.dumps(document.data), strict=True)
+    except ValidationError as error:
+        problem = first_problem(error, Procedure, document.data)
+    # A check of the whole procedure starts its message with the place that it is about.
+    path, text = problem.path, problem.text
+    if not path:
+        named, colon, rest = text.partition(": ")
+        keys: KeyPath = tuple(int(key) if key.isdecimal() else key for key in named.split("."))
+        if colon and keys in document.places:
+            path, text = keys, rest
+    raise ProcedureError(document.place(path), ".".join(map(str, path)), text)
+
+
+def _check_plugins(document: Document, procedure: Procedure) -> None:
+    _check_plugin(document, ("drive", "name"), PluginKind.DRIVES, procedure.drive.name)
+    for index, stage in enumerate(procedure.stages):
+        if stage.kind == "estimate":
+            for place, name in enumerate(stage.estimators or ()):
+                _check_plugin(document, ("stages", index, "estimators", place), PluginKind.ESTIMATORS, name)
+
+
+def _check_plugin(document: Document, path: KeyPath, kind: PluginKind, name: str) -> None:
+    names = {info.name for info in installed(kind)}
+    if name not in names:
+        what = f"no {kind.value.removesuffix('s')} plugin {name!r} is installed; {suggestion(name, names)}"
+        raise ProcedureError(document.place(path), ".".join(map(str, path)), what)

@@ -1,0 +1,108 @@
+"""What one excitation asks of motor and drive by the nameplate: current, voltage, copper loss. No limit is known here.
+
+Copper loss is 3/2 R_s |i|^2 (peak-valued, amplitude-invariant vectors). The trapezoid's mean
+square is 2/3 of its amplitude's: half the period at the amplitude, half on ramps (1/3).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from orchestrator.config._planning import PlannedPoint, settling_s
+from protocols import Excitation, Hold, Injection, Motor, Point, Trapezoid
+
+_TRAPEZOID_MEAN_SQUARE = 2 / 3
+_TRIANGLE_MEAN_SQUARE = 1 / 3
+_SQUARE_SWING = 1 / 4
+_SINE_SWING = 1 / (2 * math.pi)
+
+
+@dataclass(frozen=True)
+class Load:
+    """What one point asks for; what would need a nameplate value that is not there is None."""
+
+    longest_current_a: float
+    """Longest current vector of what was asked for [A]."""
+    ripple_a: float
+    """Peak of the injection's ripple on top of it; 0 where no inductance is known."""
+    current_square_a2_s: float
+    """Time integral of |i|^2, settling included."""
+    steady_voltage_v: float | None
+    """Longest voltage that the point cannot do without: R_s i, ramps, injection."""
+    control_voltage_v: float | None
+    """Longest voltage while the current control goes there from the point before, if nothing limits it."""
+
+    @property
+    def peak_current_a(self) -> float:
+        """Current and ripple [A]."""
+        return self.longest_current_a + self.ripple_a
+
+
+def load_of(point: PlannedPoint, before: Point, motor: Motor) -> Load:
+    """The load of a point that is approached from the current `before` (i_d, i_q)."""
+    excitation = point.excitation
+    longest = _longest_current(excitation)
+    ripple = _ripple(excitation, motor)
+    resistance = motor.stator_resistance_ohm
+    steady = control = None
+    if resistance is not None:
+        steady = resistance * longest + _driving_voltage(excitation, motor)
+        control = resistance * longest + _proportional_gain(excitation, motor) * math.dist(start_of(excitation), before)
+    squared = _current_square(excitation, point) + _TRIANGLE_MEAN_SQUARE * ripple**2 * point.captured_s
+    return Load(longest, ripple, squared, steady, control)
+
+
+def start_of(excitation: Excitation) -> Point:
+    """Where the current control goes first (i_d, i_q) [A]; a trapezoid ends there as well."""
+    match excitation:
+        case Hold():
+            return (excitation.current_d_a, excitation.current_q_a)
+        case Injection():
+            return (excitation.target_d_a, excitation.target_q_a)
+        case Trapezoid(swept_axis="q"):
+            return (excitation.held_a, 0.0)
+        case Trapezoid(swept_axis="d"):
+            return (0.0, excitation.held_a)
+        case _:
+            return (0.0, 0.0)
+
+
+def _longest_current(excitation: Excitation) -> float:
+    start = math.hypot(*start_of(excitation))
+    return math.hypot(start, excitation.amplitude_a) if isinstance(excitation, Trapezoid) else start
+
+
+def _ripple(excitation: Excitation, motor: Motor) -> float:
+    known = [value for value in (motor.d_inductance_h, motor.q_inductance_h) if value is not None]
+    if not isinstance(excitation, Injection) or not known:
+        return 0.0
+    swing = _SQUARE_SWING if excitation.waveform == "square" else _SINE_SWING
+    return swing * excitation.amplitude_v / excitation.frequency_hz / min(known)
+
+
+def _driving_voltage(excitation: Excitation, motor: Motor) -> float:
+    """What is needed on top of R_s i: the injection's amplitude, or L di/dt on a ramp."""
+    if isinstance(excitation, Injection):
+        return excitation.amplitude_v
+    if isinstance(excitation, Trapezoid):
+        return _inductance(motor) * excitation.amplitude_a / (excitation.period_s / 8)
+    return 0.0
+
+
+def _proportional_gain(excitation: Excitation, motor: Motor) -> float:
+    """Of the PI control of an R-L axis with the bandwidth and damping asked for [V/A]."""
+    control = excitation.control
+    gain = 2 * control.damping * 2 * math.pi * control.bandwidth_hz * _inductance(motor)
+    return max(0.0, gain - (motor.stator_resistance_ohm or 0.0))
+
+
+def _current_square(excitation: Excitation, point: PlannedPoint) -> float:
+    squared = math.hypot(*start_of(excitation)) ** 2 * (settling_s(excitation) + point.captured_s)
+    if isinstance(excitation, Trapezoid):
+        squared += _TRAPEZOID_MEAN_SQUARE * excitation.amplitude_a**2 * point.captured_s
+    return squared
+
+
+def _inductance(motor: Motor) -> float:
+    return max(motor.d_inductance_h or 0.0, motor.q_inductance_h or 0.0)

@@ -1,0 +1,176 @@
+"""What the limits and the drive allow, rule by rule; the first rule that is broken is said with its stage and field."""
+
+from __future__ import annotations
+
+import math
+
+from orchestrator.config._loads import Load
+from orchestrator.config._planning import Plan, PlannedPoint
+from protocols import (
+    Capabilities,
+    CapabilityError,
+    CurrentControl,
+    GatesOff,
+    Injection,
+    OperatorStage,
+    Trapezoid,
+)
+
+INVERTER_ERROR = 0.02
+"""Of the bus voltage: what dead time and drops may take away from what is commanded."""
+_LEAST_PER_PERIOD = 4
+_LEAST_PER_TRAPEZOID = 1000
+_LEAST_PER_CONTROL_PERIOD = 20
+
+_CURRENT_FIELDS = {
+    "alignment": "current_a",
+    "lock_check": "torque_current_a",
+    "resistance": "points_a",
+    "classical": "amplitude_a",
+}
+
+
+class Requirements:
+    """The rules that a plan has to keep.
+
+    Parameters
+    ----------
+    plan : Plan
+    capabilities : Capabilities, optional
+        None: the drive's own rules are left out.
+    """
+
+    def __init__(self, plan: Plan, capabilities: Capabilities | None) -> None:
+        self._plan, self._drive = plan, capabilities
+        self._procedure, self._limits = plan.procedure, plan.procedure.limits
+        self._released = _stages_with_released_brake(plan)
+
+    def check_drive(self) -> None:
+        """Motor, limits and dead man; raises `CapabilityError`."""
+        if self._drive is None:
+            return
+        drive, motor, limits = self._drive, self._procedure.motor, self._limits
+        if drive.motor_name is not None and drive.motor_name != motor.name:
+            raise self._error("motor.name", f"{motor.name!r}, but the drive is set up for {drive.motor_name!r}")
+        if limits.current_a > drive.max_current_a:
+            raise self._error("limits.current_a", f"{limits.current_a:g} A, the drive takes {drive.max_current_a:g} A")
+        if limits.voltage_v > drive.max_voltage_v:
+            raise self._error("limits.voltage_v", f"{limits.voltage_v:g} V, the drive gives {drive.max_voltage_v:g} V")
+        if self._procedure.accept_no_watchdog is None:
+            self._check_watchdog(drive)
+
+    def check_point(self, point: PlannedPoint, load: Load) -> None:
+        """One point; raises `CapabilityError` naming its stage."""
+        self._check_current(point, load)
+        self._check_voltage(point, load)
+        if point.stage_index in self._released and point.target is not None and point.target[1] != 0:
+            raise self._at(point, self._current_field(point), "torque current while the brake is released")
+        if self._drive is None:
+            return
+        self._check_offered(point, self._drive)
+        self._check_sampling(point, self._drive.sampling_frequency_hz)
+
+    def _check_watchdog(self, drive: Capabilities) -> None:
+        advice = "write accept_no_watchdog with its sentence to do without"
+        if drive.watchdog_s is None:
+            raise self._error("drive.name", f"{drive.name!r} has no dead man: its power would stay on; {advice}")
+        energised = {p.excitation.kind for p in self._plan.points if not isinstance(p.excitation, GatesOff)}
+        uncovered = sorted(energised - drive.watchdog_covers)
+        if uncovered:
+            kinds = ", ".join(uncovered)
+            raise self._error("drive.name", f"the dead man of {drive.name!r} does not work during {kinds}; {advice}")
+
+    def _check_current(self, point: PlannedPoint, load: Load) -> None:
+        if load.peak_current_a <= self._limits.current_a * (1 + 1e-9):
+            return
+        where = "" if point.target is None else f" at ({point.target[0]:g}, {point.target[1]:g}) A"
+        ripple = f", {load.ripple_a:.3g} A of it ripple" if load.ripple_a else ""
+        reaches = f"reaches {load.peak_current_a:.4g} A{where}{ripple}"
+        raise self._at(
+            point, self._current_field(point), f"{reaches}; limits.current_a is {self._limits.current_a:g} A"
+        )
+
+    def _check_voltage(self, point: PlannedPoint, load: Load) -> None:
+        needed = load.steady_voltage_v
+        if needed is None:
+            needed = point.excitation.amplitude_v if isinstance(point.excitation, Injection) else 0.0
+        field = "amplitudes_v" if isinstance(point.excitation, Injection) else self._current_field(point)
+        if needed > self._limits.voltage_v:
+            raise self._at(point, field, f"needs {needed:.4g} V, limits.voltage_v is {self._limits.voltage_v:g} V")
+        if self._drive is None:
+            return
+        bus = self._drive.dc_bus_voltage_v
+        available = bus / math.sqrt(3) - INVERTER_ERROR * bus
+        if needed > available:
+            problem = f"needs {needed:.4g} V, a bus of {bus:g} V gives {available:.4g} V in every direction"
+            raise self._at(point, field, problem)
+
+    def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
+        e = point.excitation
+        if e.kind not in drive.excitations:
+            raise self._at(point, "", f"the drive {drive.name!r} has no {e.kind}; it has {_listed(drive.excitations)}")
+        if e.pwm_frequency_hz is not None and e.pwm_frequency_hz not in drive.pwm_frequencies_hz:
+            offered = ", ".join(f"{f:g}" for f in drive.pwm_frequencies_hz)
+            problem = f"{e.pwm_frequency_hz:g} Hz is not offered by the drive ({offered} Hz)"
+            raise self._at(point, "pwm_frequencies_hz", problem)
+        if drive.longest_capture_s is not None and point.captured_s > drive.longest_capture_s:
+            field = "periods" if isinstance(e, Trapezoid) else "duration_s"
+            longest = f"the drive's longest capture is {drive.longest_capture_s:g} s"
+            raise self._at(point, field, f"captures {point.captured_s:g} s; {longest}")
+
+    def _check_sampling(self, point: PlannedPoint, sampling_hz: float) -> None:
+        e = point.excitation
+        if isinstance(e, GatesOff):
+            return
+        self._check_control(point, e.control, sampling_hz)
+        if isinstance(e, Injection):
+            self._check_injection(point, e, sampling_hz)
+        if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _LEAST_PER_TRAPEZOID:
+            least = _LEAST_PER_TRAPEZOID / sampling_hz
+            problem = f"{e.period_s:g} s is too short at {sampling_hz:g} Hz sampling: at least {least:g} s"
+            raise self._at(point, "period_s", problem)
+
+    def _check_control(self, point: PlannedPoint, control: CurrentControl, sampling_hz: float) -> None:
+        highest = sampling_hz / _LEAST_PER_CONTROL_PERIOD
+        if control.bandwidth_hz > highest:
+            problem = f"{control.bandwidth_hz:g} Hz is too fast at {sampling_hz:g} Hz sampling: at most {highest:g} Hz"
+            raise self._at(point, "control.bandwidth_hz", problem)
+
+    def _check_injection(self, point: PlannedPoint, injection: Injection, sampling_hz: float) -> None:
+        # A square wave with an odd number of samples a period has a mean, and drives a direct current.
+        unit = 2 if injection.waveform == "square" else 1
+        per_period = sampling_hz / injection.frequency_hz
+        fitting = max(_LEAST_PER_PERIOD, unit * round(per_period / unit))
+        if abs(per_period - fitting) > 1e-6 * fitting:
+            kind = "an even number" if unit == 2 else "a whole number"
+            found = f"{injection.frequency_hz:g} Hz gives {per_period:.4g} samples a period at {sampling_hz:g} Hz"
+            needed = f"{kind} of at least {_LEAST_PER_PERIOD} is needed"
+            nearest = f"the nearest is {sampling_hz / fitting:.10g} Hz"
+            raise self._at(point, "frequency_hz", f"{found}; {needed}: {nearest}")
+
+    def _current_field(self, point: PlannedPoint) -> str:
+        if point.stage.value in _CURRENT_FIELDS:
+            return _CURRENT_FIELDS[point.stage.value]
+        written = self._procedure.stages[point.stage_index].model_dump()
+        return "points_a" if written.get("points_a") is not None else "range_a"
+
+    def _at(self, point: PlannedPoint, field: str, problem: str) -> CapabilityError:
+        path = f"stages.{point.stage_index}" + (f".{field}" if field else "")
+        return self._error(path, f"{point.stage.value} {problem}")
+
+    def _error(self, field: str, problem: str) -> CapabilityError:
+        return CapabilityError(self._procedure.name, field, problem)
+
+
+def _stages_with_released_brake(plan: Plan) -> set[int]:
+    released, found = False, set()
+    for index, stage in enumerate(plan.stages):
+        if isinstance(stage, OperatorStage) and stage.brake is not None:
+            released = stage.brake == "release"
+        if released:
+            found.add(index)
+    return found
+
+
+def _listed(names: frozenset[str]) -> str:
+    return ", ".join(sorted(names))

@@ -1,0 +1,53 @@
+"""Files that are either whole or not there, also after a power cut. What is in them is not this module's business."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+from protocols import StorageError
+
+PARTIAL_SUFFIX = ".partial"
+
+
+def replace_file(path: Path, content: bytes) -> None:
+    """Write `content` to `path` so that a reader sees the old file or the new one, never a part.
+
+    Raises `StorageError` where the disk is full or the folder gone; the old file is then untouched.
+    """
+    partial = partial_path(path)
+    try:
+        with partial.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        partial.replace(path)
+        sync_folder(path.parent)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        raise storage_error(path, error) from error
+
+
+def remove_partial_files(folder: Path) -> None:
+    """Remove what a killed process left half written in `folder`; only the folder's owner may call it."""
+    for leftover in folder.glob(f".*{PARTIAL_SUFFIX}"):
+        leftover.unlink(missing_ok=True)
+
+
+def partial_path(path: Path) -> Path:
+    """The hidden temporary name beside `path`."""
+    return path.with_name(f".{path.name}{PARTIAL_SUFFIX}")
+
+
+def sync_folder(folder: Path) -> None:
+    """Make a rename in `folder` survive a power cut."""
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+def storage_error(path: Path, error: OSError) -> StorageError:
+    """The project's error for a write that the operating system refused."""
+    return StorageError(f"{path}: cannot be written: {error.strerror or error}")

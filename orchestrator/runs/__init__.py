@@ -1,0 +1,18 @@
+"""Runs on disk: directory, lock, journal and provenance. What is done in a run is the engine's business."""
+
+from orchestrator.runs._directory import RunDirectory, is_run, private_directory
+from orchestrator.runs._journal import Journal, JournalRecord
+from orchestrator.runs._provenance import GitState, Provenance, provenance
+from orchestrator.runs._record import RunRecord
+
+__all__ = [
+    "GitState",
+    "Journal",
+    "JournalRecord",
+    "Provenance",
+    "RunDirectory",
+    "RunRecord",
+    "is_run",
+    "private_directory",
+    "provenance",
+]

@@ -1,0 +1,227 @@
+"""A run directory: a recording plus run.json and the journal, made once, locked while worked on.
+
+    <run>/run.json, journal.jsonl, recording.json, captures/, results/
+    <run>.sealed/   beside it: what no analysis may see
+
+What is measured, and in which order, is the engine's business.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import os
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Self
+
+from pydantic import ValidationError
+
+from orchestrator._validation import first_problem
+from orchestrator.recording import capture_path, remove_partial_files, replace_file, write_manifest
+from orchestrator.registry import PluginInfo, PluginKind, installed
+from orchestrator.runs._journal import Journal
+from orchestrator.runs._provenance import provenance
+from orchestrator.runs._record import RunRecord, make_record, sealed_options_of, unsealed
+from protocols import Capabilities, Manifest, PointDone, Procedure, RecordingError, Segment, StorageError
+
+_RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".lock", "captures", "options.json"
+
+
+def private_directory(path: Path) -> Path:
+    """Where a run keeps what no analysis may see: a sibling of the run directory."""
+    return path.with_name(f"{path.name}.sealed")
+
+
+def is_run(path: Path) -> bool:
+    """Whether a directory is a run's, and not only a recording."""
+    return (path / _RECORD).is_file()
+
+
+class RunDirectory:
+    """One run on disk.
+
+    Attributes
+    ----------
+    path : Path
+        The directory; a recording as well.
+    record : RunRecord
+        What `run.json` holds.
+    journal : Journal
+        Readable always; appended to while the run is locked.
+    private_directory : Path
+        Sibling ``<name>.sealed``.
+    """
+
+    def __init__(self, path: Path, record: RunRecord) -> None:
+        self.path = path
+        self.record = record
+        self.journal = Journal(path / _JOURNAL)
+        self.private_directory = private_directory(path)
+
+    @classmethod
+    def create(
+        cls, path: Path, procedure: Procedure, capabilities: Capabilities, *, sealed: Iterable[str] = ()
+    ) -> Self:
+        """Make a new run directory.
+
+        Parameters
+        ----------
+        path : Path
+            Must not exist, or be empty.
+        procedure : Procedure
+            As it is run.
+        capabilities : Capabilities
+            What the connected drive said of itself.
+        sealed : iterable of str
+            Names of the drive options that no analysis may see: `run.json` has their hashes, the
+            private directory has them in clear, so that the run can be resumed.
+
+        Raises
+        ------
+        RecordingError
+            Where something is at `path` already, or another run's secrets are beside it.
+        StorageError
+            Where it cannot be made.
+        """
+        _refuse_non_empty(path)
+        hidden = sealed_options_of(procedure, sealed)
+        record = make_record(procedure, capabilities, provenance(_plugins_of(procedure)), hidden)
+        run = cls(path.resolve(), record)
+        secrets = run.private_directory / _OPTIONS
+        if secrets.exists():
+            raise RecordingError(str(secrets), "", "is another run's; nothing is overwritten: choose another directory")
+        try:
+            (run.path / _CAPTURES).mkdir(parents=True, exist_ok=True)
+            run.private_directory.mkdir(exist_ok=True)
+            run.private_directory.chmod(0o700)
+        except OSError as error:
+            raise StorageError(f"{run.path}: cannot be made: {error.strerror or error}") from error
+        replace_file(secrets, (json.dumps(hidden, indent=1) + "\n").encode())
+        replace_file(run.path / _RECORD, (record.model_dump_json(indent=1) + "\n").encode())
+        return run
+
+    @staticmethod
+    def refuse_occupied(path: Path) -> None:
+        """Raise `RecordingError` where a new run cannot go to `path`: nothing is ever overwritten."""
+        _refuse_non_empty(path)
+        _refuse_non_empty(private_directory(path.resolve()))
+
+    @classmethod
+    def open(cls, path: Path) -> Self:
+        """Open an existing run; raises `RecordingError` where there is none or `run.json` is damaged."""
+        file = path / _RECORD
+        if not file.is_file():
+            raise RecordingError(str(path), _RECORD, "missing: not a run directory")
+        raw = _read_json(file)
+        try:
+            record = RunRecord.model_validate(raw)
+        except ValidationError as error:
+            problem = first_problem(error, RunRecord, raw)
+            raise RecordingError(str(file), problem.field, problem.text) from None
+        return cls(path.resolve(), record)
+
+    @contextmanager
+    def lock(self) -> Iterator[None]:
+        """Hold the run for this process, its journal open for appending.
+
+        The lock goes with the process, however that ends. What a killed one left half written is
+        removed. Raises `RecordingError` where another process holds it.
+        """
+        with _flock(self.path), self.journal:
+            for folder in (self.path, self.path / _CAPTURES, self.private_directory):
+                remove_partial_files(folder)
+            yield
+
+    def procedure(self) -> Procedure:
+        """The procedure as it was run, sealed options included; raises `RecordingError` where they are gone."""
+        if not self.record.sealed:
+            return self.record.procedure
+        file = self.private_directory / _OPTIONS
+        options = _read_json(file)
+        if not isinstance(options, dict):
+            raise RecordingError(str(file), "", "expected a JSON object")
+        return unsealed(self.record, options, str(file))
+
+    def completed(self) -> dict[str, Segment]:
+        """The segments of the points that are done, by point id, in order of the journal."""
+        done = (entry.message for entry in self.journal.read())
+        return {message.id: message.segment for message in done if isinstance(message, PointDone)}
+
+    def end_s(self) -> float:
+        """Where the experiment's clock stands: the end of what was captured last [s]; 0 before anything was."""
+        segments = self.completed().values()
+        rate = self.record.capabilities.sampling_frequency_hz
+        return max((segment.start_s + segment.samples / rate for segment in segments), default=0.0)
+
+    def write_manifest(self) -> Manifest:
+        """Write `recording.json` from the journal: what it calls done is in it, and nothing else.
+
+        Raises
+        ------
+        RecordingError
+            Where a capture that the journal calls done is gone.
+        StorageError
+            Where it cannot be written.
+        """
+        segments = tuple(self.completed().values())
+        for segment in segments:
+            file = capture_path(self.path, segment.id)
+            if not file.is_file():
+                raise RecordingError(str(file), "", f"missing, though {_JOURNAL} calls it done")
+        manifest = Manifest(
+            format="fluxbench-recording",
+            version=1,
+            name=self.record.name,
+            created=self.record.created,
+            motor=self.record.procedure.motor,
+            drive=self.record.drive,
+            segments=segments,
+        )
+        write_manifest(self.path, manifest)
+        return manifest
+
+
+@contextmanager
+def _flock(path: Path) -> Iterator[None]:
+    try:
+        descriptor = os.open(path / _LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        raise StorageError(f"{path / _LOCK}: cannot be opened: {error.strerror or error}") from error
+    try:
+        try:
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = os.pread(descriptor, 32, 0).decode(errors="replace").strip()
+            raise RecordingError(
+                str(path), "", f"another fluxbench process ({holder}) is at work on this run"
+            ) from None
+        os.ftruncate(descriptor, 0)
+        os.pwrite(descriptor, f"pid {os.getpid()}\n".encode(), 0)
+        yield
+    finally:
+        os.close(descriptor)
+
+
+def _refuse_non_empty(folder: Path) -> None:
+    """Raise `RecordingError` unless `folder` is empty or not there."""
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise RecordingError(str(folder), "", "exists and is not empty; nothing is overwritten: choose another")
+
+
+def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
+    stages = [stage for stage in procedure.stages if stage.kind == "estimate"]
+    takes_all = any(stage.estimators is None for stage in stages)
+    named = {name for stage in stages for name in stage.estimators or ()}
+    drives = [info for info in installed(PluginKind.DRIVES) if info.name == procedure.drive.name]
+    return drives + [info for info in installed(PluginKind.ESTIMATORS) if takes_all or info.name in named]
+
+
+def _read_json(file: Path) -> Any:
+    try:
+        return json.loads(file.read_bytes())
+    except OSError as error:
+        raise RecordingError(str(file), "", f"cannot be read: {error.strerror or error}") from None
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(str(file), "", f"broken JSON: {error}") from None

@@ -1,0 +1,85 @@
+"""Where a run comes from: versions, interpreter, host, and the state of the source. Asks; changes nothing."""
+
+from __future__ import annotations
+
+import platform
+import re
+import subprocess
+from collections.abc import Iterable
+from importlib.metadata import PackageNotFoundError, requires, version
+from pathlib import Path
+
+from orchestrator.registry import PluginInfo
+from protocols import Strict
+
+_DISTRIBUTION = "fluxbench"
+
+
+class GitState(Strict):
+    """The checkout that the code runs from."""
+
+    sha: str
+    dirty: bool
+    """Whether tracked files differ from that commit."""
+
+
+class Provenance(Strict):
+    """Enough to find the code again that made a run."""
+
+    fluxbench: str
+    python: str
+    platform: str
+    host: str
+    packages: dict[str, str]
+    """Versions of what fluxbench depends on."""
+    plugins: tuple[PluginInfo, ...] = ()
+    """Those that took part."""
+    git: GitState | None = None
+    """None: installed from a wheel, or git is not there."""
+
+
+def provenance(plugins: Iterable[PluginInfo] = ()) -> Provenance:
+    """The provenance of a run made now, by this process, with these plugins."""
+    return Provenance(
+        fluxbench=_version(_DISTRIBUTION) or "?",
+        python=platform.python_version(),
+        platform=platform.platform(),
+        host=platform.node(),
+        packages=_packages(),
+        plugins=tuple(plugins),
+        git=_git_state(Path(__file__).resolve().parents[2]),
+    )
+
+
+def _packages() -> dict[str, str]:
+    try:
+        needed = requires(_DISTRIBUTION) or []
+    except PackageNotFoundError:
+        return {}
+    names = (re.split(r"[^A-Za-z0-9_.-]", line, maxsplit=1)[0] for line in needed if "extra ==" not in line)
+    return {name: found for name in names if (found := _version(name)) is not None}
+
+
+def _version(distribution: str) -> str | None:
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return None
+
+
+def _git_state(source: Path) -> GitState | None:
+    # An installed wheel may lie inside somebody else's checkout; only the checkout's own top counts.
+    if not (source / ".git").exists():
+        return None
+    sha = _git(source, "rev-parse", "HEAD")
+    changes = _git(source, "status", "--porcelain", "--untracked-files=no")
+    return None if sha is None or changes is None else GitState(sha=sha, dirty=bool(changes))
+
+
+def _git(source: Path, *arguments: str) -> str | None:
+    command = ["git", "-C", str(source), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=10, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

@@ -1,0 +1,206 @@
+"""Plans: which points, in which order, under which names and with which settings."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from typing import Any
+
+import pytest
+
+from orchestrator.config import Plan, load_procedure, make_plan
+from protocols import GatesOff, Hold, Injection, ProcedureError, Segment, SegmentStage, Trapezoid, shipped_procedures
+from tests.orchestrator.config.benches import Bench
+
+
+def targets(plan: Plan) -> list[tuple[float, float]]:
+    return [point.target for point in plan.points if point.target is not None]
+
+
+def plan_of(bench: Bench, *stages: dict[str, Any]) -> Plan:
+    return make_plan(bench.procedure(*stages), bench.capabilities())
+
+
+@pytest.mark.parametrize("name", shipped_procedures())
+def test_ids_count_each_stage_over_the_whole_procedure(name: str) -> None:
+    plan = make_plan(load_procedure(name), None)
+    for stage in SegmentStage:
+        ids = [point.id for point in plan.points if point.stage is stage]
+        assert ids == [f"{stage.value}-{k:03d}" for k in range(len(ids))]
+    for point in plan.points:
+        Segment(id=point.id, stage=point.stage, start_s=0.0, samples=1, settings=point.settings)
+
+
+@pytest.mark.parametrize("name", shipped_procedures())
+def test_points_are_in_the_order_of_their_stages(name: str) -> None:
+    plan = make_plan(load_procedure(name), None)
+    indices = [point.stage_index for point in plan.points]
+    assert indices == sorted(indices)
+    by_stage = [point for index in range(len(plan.stages)) for point in plan.points_of(index)]
+    assert by_stage == list(plan.points)
+    assert all(plan.stages[point.stage_index].kind == point.stage.value for point in plan.points)
+
+
+def test_the_papers_sweeps_are_the_papers() -> None:
+    plan = make_plan(load_procedure("paper"), None)
+    sweeps = [p.excitation for p in plan.points if isinstance(p.excitation, Trapezoid)]
+    held = [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
+    assert [(t.swept_axis, t.held_a) for t in sweeps] == [
+        *(("q", h) for h in held),
+        *(("d", h) for h in held),
+        ("dq", 0),
+    ]
+    assert {(t.amplitude_a, t.period_s, t.periods) for t in sweeps} == {(3.0, 2.0, 10)}
+    assert {(t.control.bandwidth_hz, round(t.control.damping, 6)) for t in sweeps} == {(25.0, 0.707107)}
+    assert sum(t.period_s * t.periods for t in sweeps) == 300.0
+
+
+def test_the_papers_injection_steps_along_the_same_paths() -> None:
+    plan = make_plan(load_procedure("paper"), None)
+    points = [p.excitation for p in plan.points if p.stage is SegmentStage.INJECTION]
+    assert len(points) == 15 * 61
+    for point in points:
+        assert isinstance(point, Injection)
+        assert (point.amplitude_v, point.frequency_hz, point.rotation_hz, point.duration_s) == (40.0, 500.0, 1.0, 5.0)
+        assert (point.waveform, point.settle_s) == ("square", 0.25)
+    reached = [p.target for p in plan.points if p.stage is SegmentStage.INJECTION and p.target is not None]
+    for k in range(15):
+        path = reached[61 * k : 61 * (k + 1)]
+        lengths = [math.dist(a, b) for a, b in pairwise(path)]
+        assert lengths == pytest.approx([0.1] * 60, abs=1e-6)
+        assert (0.0 in path[30]) or path[30] == (0.0, 0.0)
+    assert max(math.hypot(*target) for target in reached) == pytest.approx(math.hypot(3, 3))
+
+
+def test_a_grid_goes_back_and_forth(pm400: Bench) -> None:
+    plan = plan_of(pm400, {"kind": "injection", "range_a": 2.0, "step_a": 1.0})
+    reached = targets(plan)
+    assert len(reached) == len(set(reached)) == 25
+    assert reached[:6] == [(-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2), (-1, 2)]
+    assert all(math.dist(a, b) == pytest.approx(1.0) for a, b in pairwise(reached))
+
+
+def test_no_current_is_a_negative_zero(pm400: Bench) -> None:
+    plan = plan_of(pm400, {"kind": "lock_check"}, {"kind": "injection"}, {"kind": "resistance"})
+    zeros = [value for target in targets(plan) for value in target if value == 0]
+    assert zeros
+    assert all(math.copysign(1.0, value) > 0 for value in zeros)
+
+
+def test_held_currents_are_the_grids_rows(pm400: Bench) -> None:
+    plan = plan_of(pm400, {"kind": "injection", "held_a": [0.0, 1.0], "range_a": 2.0, "step_a": 1.0})
+    assert {d for d, _ in targets(plan)} == {0.0, 1.0}
+    assert len(plan.points) == 10
+
+
+def test_a_second_amplitude_is_a_second_sweep_backwards(pm400: Bench) -> None:
+    points = [[1.0, 0.0], [0.0, 1.0]]
+    plan = plan_of(pm400, {"kind": "injection", "points_a": points, "amplitudes_v": [40.0, 20.0]})
+    assert [(p.target, p.settings["amplitude_v"]) for p in plan.points] == [
+        ((1.0, 0.0), 40.0),
+        ((0.0, 1.0), 40.0),
+        ((0.0, 1.0), 20.0),
+        ((1.0, 0.0), 20.0),
+    ]
+
+
+def test_resistance_points_repeat_at_each_pwm_frequency_and_only_another_than_the_drives_is_said(pm400: Bench) -> None:
+    stage = {"kind": "resistance", "points_a": [[1.0, 0.0]], "pwm_frequencies_hz": [10_000.0, 20_000.0]}
+    own, other = plan_of(pm400, stage).points
+    assert own.settings == {"current_d_a": 1.0, "current_q_a": 0.0}
+    assert other.settings == {"current_d_a": 1.0, "current_q_a": 0.0, "pwm_frequency_hz": 20_000.0}
+    assert [p.excitation.pwm_frequency_hz for p in (own, other)] == [10_000.0, 20_000.0]
+
+
+def test_default_resistance_points_are_denser_near_zero(pm400: Bench) -> None:
+    on_d = sorted(d for d, q in targets(plan_of(pm400, {"kind": "resistance"})) if q == 0 and d > 0)
+    gaps = [b - a for a, b in pairwise(on_d)]
+    assert gaps == sorted(gaps)
+    assert on_d[0] < 0.05 * on_d[-1]
+
+
+def test_an_anchor_is_one_point_and_marked(pm400: Bench) -> None:
+    stages: list[dict[str, Any]] = [
+        {"kind": kind, "anchor": True} for kind in ("resistance", "injection", "resistance")
+    ]
+    plan = plan_of(pm400, *stages)
+    assert len(plan.points) == 3
+    assert all(point.settings["anchor"] is True for point in plan.points)
+    assert plan.points[0].excitation == plan.points[2].excitation
+
+
+def test_the_lock_check_goes_from_nothing_to_both_torques_and_back(pm400: Bench) -> None:
+    plan = plan_of(pm400, {"kind": "lock_check", "torque_current_a": 2.0})
+    assert targets(plan) == [(0, 0), (0, 2), (0, 0), (0, -2), (0, 0)]
+    assert [p.settings["torque"] for p in plan.points] == [0, 1, 0, -1, 0]
+    assert all(isinstance(p.excitation, Injection) for p in plan.points)
+
+
+def test_the_believed_angle_is_that_of_the_last_alignment(pm400: Bench) -> None:
+    stages: list[dict[str, Any]] = [
+        {"kind": "resistance", "anchor": True},
+        {"kind": "alignment", "angle_rad": 0.5},
+        {"kind": "gates_off"},
+        {"kind": "resistance", "anchor": True},
+        {"kind": "alignment", "angle_rad": -1.0},
+        {"kind": "injection", "anchor": True},
+    ]
+    assert [p.excitation.rotor_angle_rad for p in plan_of(pm400, *stages).points] == [0.0, 0.5, 0.5, 0.5, -1.0, -1.0]
+
+
+def test_settings_say_what_was_asked_for_as_the_recording_format_has_them(pm400: Bench) -> None:
+    stages = [
+        {"kind": "gates_off", "duration_s": 2.0},
+        {"kind": "alignment", "current_a": 2.0},
+        {"kind": "classical", "axes": ["q", "dq"], "amplitude_a": 3.0, "held_a": [-3.0], "periods": 3},
+        {"kind": "injection", "points_a": [[0.0, 1.0]], "amplitudes_v": [40.0], "rotation_hz": 2.0},
+    ]
+    gates_off, alignment, on_q, on_both, injection = plan_of(pm400, *stages).points
+    sweep = {"amplitude_a": 3.0, "period_s": 2.0, "periods": 3}
+    assert gates_off.settings == {}
+    assert alignment.settings == {"current_d_a": 2.0, "current_q_a": 0.0}
+    assert on_q.settings == {"swept_axis": "q", "held_a": -3.0, **sweep}
+    assert on_both.settings == {"swept_axis": "dq", **sweep}
+    assert injection.settings == {
+        "target_d_a": 0.0,
+        "target_q_a": 1.0,
+        "amplitude_v": 40.0,
+        "frequency_hz": 500.0,
+        "rotation_hz": 2.0,
+        "waveform": "square",
+    }
+    assert isinstance(gates_off.excitation, GatesOff)
+    assert isinstance(alignment.excitation, Hold)
+    assert [p.target for p in (gates_off, alignment, on_q, injection)] == [None, (2.0, 0.0), None, (0.0, 1.0)]
+
+
+def test_seconds_hold_the_settling_and_captured_seconds_do_not(pm400: Bench) -> None:
+    stages = [
+        {"kind": "gates_off", "duration_s": 2.0},
+        {"kind": "resistance", "points_a": [[1.0, 0.0]], "settle_s": 0.5, "duration_s": 1.0},
+        {"kind": "classical", "axes": ["dq"], "periods": 3, "settle_s": 0.5},
+        {"kind": "injection", "points_a": [[1.0, 0.0]], "settle_s": 0.5, "discard_s": 0.25, "duration_s": 1.0},
+    ]
+    plan = plan_of(pm400, *stages)
+    assert [point.captured_s for point in plan.points] == [2.0, 1.0, 6.0, 1.0]
+    assert [point.seconds for point in plan.points] == [2.0, 1.5, 6.5, 1.75]
+
+
+@pytest.mark.parametrize(
+    "stage",
+    [
+        {"kind": "classical", "axes": []},
+        {"kind": "classical", "axes": ["q"], "held_a": []},
+        {"kind": "injection", "points_a": []},
+        {"kind": "resistance", "points_a": []},
+    ],
+)
+def test_a_stage_without_a_point_is_refused(pm400: Bench, stage: dict[str, Any]) -> None:
+    with pytest.raises(ProcedureError, match=r"stages\.0: .*without a point"):
+        plan_of(pm400, stage)
+
+
+@pytest.mark.parametrize("pattern", ["grid", "paths"])
+def test_a_slip_of_the_decimal_point_does_not_fill_the_memory(pm400: Bench, pattern: str) -> None:
+    with pytest.raises(ProcedureError, match=r"stages\.0\.step_a: .*more than"):
+        plan_of(pm400, {"kind": "injection", "pattern": pattern, "step_a": 1e-9})
