@@ -1,0 +1,48 @@
+"""The test bench: the brake, where the rotor rests, and what engaging the brake does to its angle."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from plugins.drives.simulated._plant import THETA, PlantParameters
+from plugins.drives.simulated._simulator import Simulator
+from plugins.drives.simulated.options import Plant
+
+
+class Bench:
+    """Brake and rotor of one plant."""
+
+    def __init__(self, plant: Plant, seed: int) -> None:
+        self._plant, self._seed = plant, seed % 2**64
+        self.braked = plant.brake.start == "engaged" and plant.brake.works
+
+    @property
+    def _misalignment(self) -> float:
+        effect = self._plant.effects.rotor_misalignment
+        return 0.0 if effect is None else effect.angle_rad
+
+    def rest_angle(self) -> float:
+        """Where the rotor stands at the start: at 0 with the brake engaged, anywhere where it is free."""
+        rest = self._plant.rotor.rest_angle_rad
+        if self.braked:
+            return (rest or 0.0) + self._misalignment
+        if rest is not None:
+            return rest
+        return float(np.random.default_rng([self._seed, 4]).uniform(-math.pi, math.pi))
+
+    def mechanics(self, simulator: Simulator) -> PlantParameters:
+        """The plant's parameters with the brake as it is."""
+        plant = simulator.plant
+        return plant.locked(self._plant.brake.slip_torque_nm) if self.braked else plant.parameters
+
+    def set_brake(self, engaged: bool, simulator: Simulator) -> None:
+        """Move the brake; as it engages, it turns the shaft by the misalignment."""
+        engaged = engaged and self._plant.brake.works
+        if engaged == self.braked:
+            return
+        self.braked = engaged
+        if engaged:
+            simulator.turn_to(float(simulator.memory.state[THETA]) + self._misalignment)
+        simulator.hold_rotor(self.mechanics(simulator))

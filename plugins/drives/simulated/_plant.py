@@ -1,0 +1,377 @@
+"""The plant, compiled: inverter, resistance, iron, frame and rotor over one step.
+
+    dpsi/dt = R(-theta) v_ab - R_s i_dq - omega J psi,     i = grad H(psi) + what the effects add,
+
+psi in the rotor's true frame, the voltage held, Heun's Runge-Kutta scheme of third order. Currents
+and voltages are vectors of the stator frame (amplitude-invariant Clarke). Neither sensors nor
+control are here.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from plugins.drives.simulated._energy import Array, Energy, current
+from plugins.drives.simulated._numba import inlined
+
+SQRT3 = math.sqrt(3.0)
+
+# The state, one vector of floats so that it can be saved and taken up again as it is.
+PSI_D, PSI_Q, THETA, OMEGA, SKIN_ALPHA, SKIN_BETA = range(6)
+INTEGRATED = 6
+"""So many of them are integrated; the others are moved once a step."""
+STOPS = 6  # three stops, (d, q) each
+HEAT, MAGNET_A, ANCHOR, MOVING, COS, SIN = range(12, 18)
+I_ALPHA, I_BETA, TORQUE, READING_A, READING_B = range(18, 23)
+VOLTAGES = 24  # commanded voltages (alpha, beta) of the last four samples, newest first
+DELAYED = 5
+INTEGRAL_D, INTEGRAL_Q, COMMAND_D, COMMAND_Q, SPENT, BUS, SHOWN_D, SHOWN_Q, IRON_D, IRON_Q = range(34, 44)
+LENGTH = 44
+
+
+class PlantParameters(NamedTuple):
+    """All numbers of the plant but its energy, in SI."""
+
+    sample_s: float
+    substeps: int
+    pole_pairs: float
+    resistance_ohm: float
+    extra_a_ohm: float
+    extra_b_ohm: float
+    on_resistance_ohm: float
+    dead_time_v: float
+    dead_time_per_a: float
+    drop_v: float
+    drop_per_a: float
+    bias_alpha_v: float
+    bias_beta_v: float
+    dc_bus_v: float
+    sag_per_watt: float
+    delay_samples: float
+    skin_ohm: float
+    skin_rate: float
+    eddy_siemens: float
+    inverter_slope_ohm: float
+    """Largest of the inverter's dv/di."""
+    stop_slope: float
+    """Of each of the three stops [A/Wb]."""
+    stop_limit_a: float
+    """Of the first; the others' are twice and three times that."""
+    has_stops: bool
+    slot_per_h: float
+    slot_order: float
+    slot_phase: float
+    magnet_final_a: float
+    magnet_step: float
+    """1 - exp(-h / tau)."""
+    heat_per_watt: float
+    heat_step: float
+    """1 - exp(-h / tau)."""
+    twist_rad_per_nm: float
+    twist_lag_s: float
+    backlash_rad: float
+    backlash_nm: float
+    inertia: float
+    viscous: float
+    friction_nm: float
+    """Torque that sets the rotor moving, and that brakes it then; infinite where it is locked."""
+    filter_s: float
+    uneven: bool
+    """Whether the phases lose voltage each on its own."""
+    twists: bool
+    off_ohm: float
+    """What the blocked bridge looks like: drains the current within a few samples."""
+
+
+class _Held(NamedTuple):
+    """What stands still during a step of the integration."""
+
+    v_alpha: float
+    v_beta: float
+    off: bool
+    resistance_ohm: float
+    magnet_a: float
+    moving: bool
+    anchor: float
+    cos: float
+    sin: float
+    psi_d: float
+    """At the start of the step, with the stops as they were then."""
+    psi_q: float
+    stop1_d: float
+    stop1_q: float
+    stop2_d: float
+    stop2_q: float
+    stop3_d: float
+    stop3_q: float
+
+
+class _Stage(NamedTuple):
+    """The integrated states."""
+
+    psi_d: float
+    psi_q: float
+    theta: float
+    omega: float
+    skin_alpha: float
+    skin_beta: float
+
+
+@inlined
+def _step(x: float) -> float:
+    """Odd step from -1 to 1, smooth between: what a phase current does to its own dead time."""
+    if x >= 1.0:
+        return 1.0
+    if x <= -1.0:
+        return -1.0
+    return x * (1.5 - 0.5 * x * x)
+
+
+@inlined
+def _impressed(p: PlantParameters, f: _Held, y: _Stage, i_alpha: float, i_beta: float) -> tuple[float, float]:
+    """Voltage that moves the flux: the commanded one less all that inverter and copper take."""
+    if f.off:
+        return -(f.resistance_ohm + p.off_ohm) * i_alpha, -(f.resistance_ohm + p.off_ohm) * i_beta
+    bus = 1.0 - p.sag_per_watt * 1.5 * (f.v_alpha * i_alpha + f.v_beta * i_beta)
+    u_alpha = bus * f.v_alpha - p.bias_alpha_v - f.resistance_ohm * i_alpha
+    u_beta = bus * f.v_beta - p.bias_beta_v - f.resistance_ohm * i_beta
+    if p.uneven:
+        i_a, i_b = i_alpha, -0.5 * i_alpha + 0.5 * SQRT3 * i_beta
+        i_c = -i_a - i_b
+        lost_a = (p.on_resistance_ohm + p.extra_a_ohm) * i_a
+        lost_b = (p.on_resistance_ohm + p.extra_b_ohm) * i_b
+        lost_c = p.on_resistance_ohm * i_c
+        if p.dead_time_v != 0.0:
+            lost_a += p.dead_time_v * _step(i_a * p.dead_time_per_a)
+            lost_b += p.dead_time_v * _step(i_b * p.dead_time_per_a)
+            lost_c += p.dead_time_v * _step(i_c * p.dead_time_per_a)
+        if p.drop_v != 0.0:
+            lost_a += p.drop_v * _step(i_a * p.drop_per_a)
+            lost_b += p.drop_v * _step(i_b * p.drop_per_a)
+            lost_c += p.drop_v * _step(i_c * p.drop_per_a)
+        u_alpha -= (2.0 * lost_a - lost_b - lost_c) * (1.0 / 3.0)
+        u_beta -= (lost_b - lost_c) * (1.0 / SQRT3)
+    if p.skin_ohm != 0.0:
+        u_alpha -= p.skin_ohm * (i_alpha - y.skin_alpha)
+        u_beta -= p.skin_ohm * (i_beta - y.skin_beta)
+    return u_alpha, u_beta
+
+
+@inlined
+def _stop(slope: float, limit: float, stop_d: float, stop_q: float, d: float, q: float) -> tuple[float, float]:
+    """Vector stop operator after the flux has moved by (d, q): follows elastically, slides at its limit."""
+    stop_d += slope * d
+    stop_q += slope * q
+    square = stop_d * stop_d + stop_q * stop_q
+    if square > limit * limit:
+        scale = limit / math.sqrt(square)
+        return scale * stop_d, scale * stop_q
+    return stop_d, stop_q
+
+
+@inlined
+def _magnetising(p: PlantParameters, e: Energy, spline: Array, f: _Held, y: _Stage) -> tuple[float, float, float]:
+    """(i_d, i_q) that the iron asks for, and the torque 3/2 n (psi_d i_q - psi_q i_d) [Nm]."""
+    i_d, i_q = current(e, spline, y.psi_d, y.psi_q)
+    i_d -= f.magnet_a
+    slot_torque = 0.0
+    if p.slot_per_h != 0.0:
+        angle = p.slot_order * y.theta + p.slot_phase
+        c, s = p.slot_per_h * math.cos(angle), p.slot_per_h * math.sin(angle)
+        z = y.psi_d - e.psi_m
+        i_d += c * z + s * y.psi_q
+        i_q += s * z - c * y.psi_q
+        slot_torque = -p.slot_order * (0.5 * s * (y.psi_q * y.psi_q - z * z) + c * z * y.psi_q)
+    torque = 1.5 * p.pole_pairs * (y.psi_d * i_q - y.psi_q * i_d + slot_torque)
+    if p.has_stops:
+        d, q = y.psi_d - f.psi_d, y.psi_q - f.psi_q
+        limit = p.stop_limit_a
+        s1_d, s1_q = _stop(p.stop_slope, limit, f.stop1_d, f.stop1_q, d, q)
+        s2_d, s2_q = _stop(p.stop_slope, 2 * limit, f.stop2_d, f.stop2_q, d, q)
+        s3_d, s3_q = _stop(p.stop_slope, 3 * limit, f.stop3_d, f.stop3_q, d, q)
+        i_d += s1_d + s2_d + s3_d
+        i_q += s1_q + s2_q + s3_q
+    return i_d, i_q, torque
+
+
+@inlined
+def _twist(p: PlantParameters, torque: float) -> float:
+    """Electrical angle by which the engaged brake gives way [rad]."""
+    twist = p.twist_rad_per_nm * torque
+    if p.backlash_rad != 0.0:
+        twist += 0.5 * p.backlash_rad * math.tanh(torque / p.backlash_nm)
+    return twist
+
+
+@inlined
+def _with_eddies(
+    p: PlantParameters, f: _Held, y: _Stage, m_alpha: float, m_beta: float, u_alpha: float, u_beta: float
+) -> tuple[float, float]:
+    """Solve u = v - e(i_m + u / R_c): a damped fixed point, contracting whatever the inverter's slope."""
+    g = p.eddy_siemens
+    damping = 1.0 / (1.0 + g * p.inverter_slope_ohm)
+    for _ in range(60):
+        next_alpha, next_beta = _impressed(p, f, y, m_alpha + g * u_alpha, m_beta + g * u_beta)
+        error_alpha, error_beta = damping * (next_alpha - u_alpha), damping * (next_beta - u_beta)
+        u_alpha += error_alpha
+        u_beta += error_beta
+        if error_alpha * error_alpha + error_beta * error_beta < 1e-18 * p.dc_bus_v * p.dc_bus_v:
+            break
+    return u_alpha, u_beta
+
+
+@inlined
+def _slope(
+    p: PlantParameters, f: _Held, y: _Stage, i_d: float, i_q: float, torque: float
+) -> tuple[_Stage, float, float]:
+    """dy/dt and the stator current (alpha, beta) at a stage whose magnetising current is (i_d, i_q)."""
+    c, s, speed, acceleration = f.cos, f.sin, 0.0, 0.0
+    if f.moving:
+        c, s, speed = math.cos(y.theta), math.sin(y.theta), y.omega
+        friction = p.viscous * speed / p.pole_pairs + math.copysign(p.friction_nm, speed if speed != 0.0 else torque)
+        acceleration = p.pole_pairs * (torque - friction) / p.inertia
+    elif p.twists:
+        c, s = math.cos(y.theta), math.sin(y.theta)
+        speed = (f.anchor + _twist(p, torque) - y.theta) / p.twist_lag_s
+    i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q
+    u_alpha, u_beta = _impressed(p, f, y, i_alpha, i_beta)
+    if p.eddy_siemens != 0.0 and not f.off:
+        u_alpha, u_beta = _with_eddies(p, f, y, i_alpha, i_beta, u_alpha, u_beta)
+        i_alpha += p.eddy_siemens * u_alpha
+        i_beta += p.eddy_siemens * u_beta
+    slope = _Stage(
+        c * u_alpha + s * u_beta + speed * y.psi_q,
+        -s * u_alpha + c * u_beta - speed * y.psi_d,
+        speed,
+        acceleration,
+        p.skin_rate * (i_alpha - y.skin_alpha),
+        p.skin_rate * (i_beta - y.skin_beta),
+    )
+    return slope, i_alpha, i_beta
+
+
+@inlined
+def _along(y: _Stage, h: float, k: _Stage) -> _Stage:
+    """y + h k."""
+    return _Stage(
+        y.psi_d + h * k.psi_d,
+        y.psi_q + h * k.psi_q,
+        y.theta + h * k.theta,
+        y.omega + h * k.omega,
+        y.skin_alpha + h * k.skin_alpha,
+        y.skin_beta + h * k.skin_beta,
+    )
+
+
+@inlined
+def _integrate(
+    p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, h: float, off: bool
+) -> None:
+    """One Runge-Kutta step of `h` under a constant voltage; the stator current at its end is left in the state."""
+    f = _Held(
+        v_alpha,
+        v_beta,
+        off,
+        p.resistance_ohm * (1.0 + x[HEAT]),
+        x[MAGNET_A],
+        x[MOVING] != 0.0,
+        x[ANCHOR],
+        x[COS],
+        x[SIN],
+        x[PSI_D],
+        x[PSI_Q],
+        x[STOPS],
+        x[STOPS + 1],
+        x[STOPS + 2],
+        x[STOPS + 3],
+        x[STOPS + 4],
+        x[STOPS + 5],
+    )
+    start = _Stage(x[PSI_D], x[PSI_Q], x[THETA], x[OMEGA], x[SKIN_ALPHA], x[SKIN_BETA])
+    # The magnetising current of the first stage is that of the last step's end.
+    i_d, i_q, torque = x[IRON_D], x[IRON_Q], x[TORQUE]
+    k1, from_alpha, from_beta = _slope(p, f, start, i_d, i_q, torque)
+    y = _along(start, h / 3.0, k1)
+    i_d, i_q, torque = _magnetising(p, e, spline, f, y)
+    k2, _, _ = _slope(p, f, y, i_d, i_q, torque)
+    y = _along(start, h * (2.0 / 3.0), k2)
+    i_d, i_q, torque = _magnetising(p, e, spline, f, y)
+    k3, _, _ = _slope(p, f, y, i_d, i_q, torque)
+    y = _along(_along(start, 0.25 * h, k1), 0.75 * h, k3)
+    i_d, i_q, torque = _magnetising(p, e, spline, f, y)
+    x[IRON_D], x[IRON_Q], x[TORQUE] = i_d, i_q, torque
+    if p.has_stops:
+        _move_stops(p, f, x, y.psi_d - f.psi_d, y.psi_q - f.psi_q)
+    x[PSI_D], x[PSI_Q] = y.psi_d, y.psi_q
+    x[THETA], x[OMEGA] = y.theta, y.omega
+    x[SKIN_ALPHA], x[SKIN_BETA] = y.skin_alpha, y.skin_beta
+    if f.moving or p.twists:
+        x[COS], x[SIN] = math.cos(y.theta), math.sin(y.theta)
+    if p.eddy_siemens != 0.0:
+        _, x[I_ALPHA], x[I_BETA] = _slope(p, f, y, i_d, i_q, torque)
+    else:
+        x[I_ALPHA], x[I_BETA] = x[COS] * i_d - x[SIN] * i_q, x[SIN] * i_d + x[COS] * i_q
+    _lag(p, x, from_alpha, from_beta, h)
+    if p.friction_nm < math.inf:
+        _stick_or_slip(p, x, start.omega)
+
+
+@inlined
+def _move_stops(p: PlantParameters, f: _Held, x: Array, d: float, q: float) -> None:
+    """Leave the stops where the step has brought them."""
+    limit = p.stop_limit_a
+    x[STOPS], x[STOPS + 1] = _stop(p.stop_slope, limit, f.stop1_d, f.stop1_q, d, q)
+    x[STOPS + 2], x[STOPS + 3] = _stop(p.stop_slope, 2 * limit, f.stop2_d, f.stop2_q, d, q)
+    x[STOPS + 4], x[STOPS + 5] = _stop(p.stop_slope, 3 * limit, f.stop3_d, f.stop3_q, d, q)
+
+
+@inlined
+def _lag(p: PlantParameters, x: Array, from_alpha: float, from_beta: float, h: float) -> None:
+    """First-order lag of the sensors of phases a and b, exact for a current that is linear over the step."""
+    a, b = x[I_ALPHA], -0.5 * x[I_ALPHA] + 0.5 * SQRT3 * x[I_BETA]
+    if p.filter_s == 0.0:
+        x[READING_A], x[READING_B] = a, b
+        return
+    from_a, from_b = from_alpha, -0.5 * from_alpha + 0.5 * SQRT3 * from_beta
+    decay = math.exp(-h / p.filter_s)
+    behind_a, behind_b = p.filter_s * (a - from_a) / h, p.filter_s * (b - from_b) / h
+    x[READING_A] = a - behind_a + (x[READING_A] - from_a + behind_a) * decay
+    x[READING_B] = b - behind_b + (x[READING_B] - from_b + behind_b) * decay
+
+
+@inlined
+def _stick_or_slip(p: PlantParameters, x: Array, omega_before: float) -> None:
+    """Coulomb friction: the rotor stops where its speed changes sign and the torque cannot move it."""
+    if x[MOVING] == 0.0:
+        if abs(x[TORQUE]) > p.friction_nm:
+            x[MOVING] = 1.0
+            x[OMEGA] = 0.0
+    elif omega_before * x[OMEGA] <= 0.0 and abs(x[TORQUE]) <= p.friction_nm:
+        x[MOVING] = 0.0
+        x[OMEGA] = 0.0
+        x[ANCHOR] = x[THETA] - _twist(p, x[TORQUE])
+
+
+@inlined
+def advance(p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, off: bool) -> None:
+    """One sample: the voltage as it reaches the bridge, the fast states, then heat and magnets."""
+    loss = x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]
+    whole = int(p.delay_samples)
+    late = p.delay_samples - whole
+    if p.delay_samples > 0.0:
+        for j in range(VOLTAGES + 2 * DELAYED - 1, VOLTAGES + 1, -1):
+            x[j] = x[j - 2]
+    x[VOLTAGES], x[VOLTAGES + 1] = v_alpha, v_beta
+    newest = VOLTAGES + 2 * whole
+    n = p.substeps
+    for step in range(0 if late > 0.0 else n, 2 * n):
+        at, share = (newest + 2, late) if step < n else (newest, 1.0 - late)
+        _integrate(p, e, spline, x, x[at], x[at + 1], share * p.sample_s / n, off)
+    loss = 0.5 * (loss + x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA])
+    watts = 1.5 * p.resistance_ohm * (1.0 + x[HEAT]) * loss
+    x[HEAT] += p.heat_step * (p.heat_per_watt * watts - x[HEAT])
+    drift = p.magnet_step * (p.magnet_final_a - x[MAGNET_A])
+    x[MAGNET_A] += drift
+    x[IRON_D] -= drift
+    x[BUS] = p.dc_bus_v * (1.0 - p.sag_per_watt * 1.5 * (v_alpha * x[I_ALPHA] + v_beta * x[I_BETA]))

@@ -1,0 +1,187 @@
+"""From an excitation to the pieces that the step loop runs; decides nothing about permission."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from plugins.drives.simulated._derive import Nameplate
+from plugins.drives.simulated._run import CONTROL, OFF, OPEN, ControlParameters, Piece
+from protocols import CurrentControl, Excitation, GatesOff, Hold, Injection, Trapezoid
+
+DRAIN_S = 0.02
+"""Time for the bridge's diodes to bring a residual current to zero."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """A piece and what becomes of its rows."""
+
+    piece: Piece
+    captured: bool = False
+    averaged: bool = False
+    """The mean voltage over it becomes the base voltage of the stretches that follow."""
+    on_base: bool = False
+    """Its voltages are relative to the base voltage."""
+
+
+@dataclass(frozen=True)
+class Program:
+    """Stretches in order of time."""
+
+    stretches: tuple[Stretch, ...]
+
+    @property
+    def samples(self) -> int:
+        return sum(s.piece.samples for s in self.stretches)
+
+    @property
+    def captured(self) -> int:
+        return sum(s.piece.samples for s in self.stretches if s.captured)
+
+
+@dataclass(frozen=True)
+class Planner:
+    """Makes programs; knows the sampling frequency and how fast a current may be moved."""
+
+    sampling_frequency_hz: float
+    nameplate: Nameplate
+    max_v: float
+
+    def samples(self, seconds: float) -> int:
+        """Whole samples in a duration."""
+        return round(seconds * self.sampling_frequency_hz)
+
+    def program(self, excitation: Excitation, start: tuple[float, float]) -> Program:
+        """The excitation from the present set-point `start` (believed dq frame) on."""
+        match excitation:
+            case GatesOff():
+                down = self.to_zero(excitation.control, start).stretches
+                drain = Stretch(Piece(OFF, self.samples(DRAIN_S)))
+                rows = Stretch(Piece(OFF, self.samples(excitation.duration_s)), captured=True)
+                return Program((*down, drain, rows))
+            case Hold():
+                target = (excitation.current_d_a, excitation.current_q_a)
+                settle = self._settle(excitation.control, start, target, self.samples(excitation.settle_s))
+                return Program((*settle, Stretch(self._still(target, excitation.duration_s), captured=True)))
+            case Trapezoid():
+                return Program(tuple(self._trapezoid(excitation, start)))
+            case Injection():
+                return Program(tuple(self._injection(excitation, start)))
+
+    def to_zero(self, control: CurrentControl, start: tuple[float, float]) -> Program:
+        """Current to zero under control, and four periods of the control's bandwidth there."""
+        ramp = self._ramp(start, (0.0, 0.0), self._ramp_samples(control, start, (0.0, 0.0)))
+        return Program((Stretch(ramp), Stretch(self._still((0.0, 0.0), 4.0 / control.bandwidth_hz))))
+
+    def wait(self, start: tuple[float, float], seconds: float) -> Program:
+        """Hold the set-point."""
+        return Program((Stretch(self._still(start, seconds)),))
+
+    def _still(self, at: tuple[float, float], seconds: float) -> Piece:
+        return Piece(CONTROL, self.samples(seconds), *at)
+
+    def _ramp(self, start: tuple[float, float], end: tuple[float, float], samples: int) -> Piece:
+        n = max(1, samples)
+        return Piece(CONTROL, samples, *start, (end[0] - start[0]) / n, (end[1] - start[1]) / n)
+
+    def _ramp_samples(self, control: CurrentControl, start: tuple[float, float], end: tuple[float, float]) -> int:
+        """Two time constants of the closed loop, or longer where the voltage does not reach."""
+        change = math.hypot(end[0] - start[0], end[1] - start[1])
+        reach = max(self.nameplate.l_d_h, self.nameplate.l_q_h) * change / (0.3 * self.max_v)
+        return self.samples(max(1.0 / (math.pi * control.bandwidth_hz), reach)) if change > 0 else 0
+
+    def _settle(
+        self, control: CurrentControl, start: tuple[float, float], target: tuple[float, float], samples: int
+    ) -> Iterator[Stretch]:
+        ramp = min(self._ramp_samples(control, start, target), samples // 2)
+        yield Stretch(self._ramp(start, target, ramp))
+        yield Stretch(Piece(CONTROL, samples - ramp, *target))
+
+    def _trapezoid(self, excitation: Trapezoid, start: tuple[float, float]) -> Iterator[Stretch]:
+        axis, fs = excitation.swept_axis, self.sampling_frequency_hz
+        amplitude, held = excitation.amplitude_a, excitation.held_a
+        origin = {"d": (0.0, held), "q": (held, 0.0), "dq": (0.0, 0.0)}[axis]
+        direction = {"d": (1.0, 0.0), "q": (0.0, 1.0), "dq": (math.sqrt(0.5), math.sqrt(0.5))}[axis]
+        yield from self._settle(excitation.control, start, origin, self.samples(excitation.settle_s))
+        corners = ((0.0, 0.0), (0.125, 1.0), (0.375, 1.0), (0.625, -1.0), (0.875, -1.0), (1.0, 0.0))
+        for period in range(excitation.periods):
+            for (from_t, from_i), (to_t, to_i) in itertools.pairwise(corners):
+                begin = (period + from_t) * excitation.period_s * fs
+                end = (period + to_t) * excitation.period_s * fs
+                first, last = round(begin), round(end)
+                slope = (to_i - from_i) * amplitude / (end - begin)
+                level = from_i * amplitude + slope * (first - begin)
+                piece = Piece(
+                    CONTROL,
+                    last - first,
+                    origin[0] + direction[0] * level,
+                    origin[1] + direction[1] * level,
+                    direction[0] * slope,
+                    direction[1] * slope,
+                )
+                yield Stretch(piece, captured=True)
+
+    def _injection(self, excitation: Injection, start: tuple[float, float]) -> Iterator[Stretch]:
+        fs, target = self.sampling_frequency_hz, (excitation.target_d_a, excitation.target_q_a)
+        settle = max(2, self.samples(excitation.settle_s))
+        yield from self._settle(excitation.control, start, target, settle - settle // 2)
+        yield Stretch(Piece(CONTROL, settle // 2, *target), averaged=True)
+        yield Stretch(Piece(OPEN, self.samples(0.25 / excitation.control.bandwidth_hz)), on_base=True)
+        discarded = self.samples(excitation.discard_s)
+        wave = Piece(
+            OPEN,
+            discarded,
+            amplitude_v=excitation.amplitude_v,
+            cycles=excitation.frequency_hz / fs,
+            turns=excitation.rotation_hz / fs,
+            square=excitation.waveform == "square",
+        )
+        yield Stretch(wave, on_base=True)
+        rows = wave._replace(samples=self.samples(excitation.duration_s), first=discarded)
+        yield Stretch(rows, captured=True, on_base=True)
+
+
+def tune(
+    nameplate: Nameplate,
+    control: CurrentControl,
+    angle_rad: float,
+    sampling_frequency_hz: float,
+    *,
+    max_v: float,
+    trip_a: float,
+    overload_s: float | None,
+) -> ControlParameters:
+    """PI gains from the nameplate.
+
+    Pole placement, s^2 + 2 zeta w s + w^2, where the motor is slower than that; else the motor's
+    own pole is cancelled (internal model control), which keeps the proportional gain positive.
+    """
+    w, r, h = 2 * math.pi * control.bandwidth_hz, nameplate.resistance_ohm, 1.0 / sampling_frequency_hz
+
+    def gains(inductance: float) -> tuple[float, float]:
+        placed = 2 * control.damping * w * inductance - r
+        if placed >= 0.5 * w * inductance:
+            return placed, w * w * inductance * h
+        return w * inductance, w * r * h
+
+    (p_d, i_d), (p_q, i_q) = gains(nameplate.l_d_h), gains(nameplate.l_q_h)
+    return ControlParameters(
+        cos=math.cos(angle_rad),
+        sin=math.sin(angle_rad),
+        proportional_d=p_d,
+        proportional_q=p_q,
+        integral_d=i_d,
+        integral_q=i_q,
+        resistance_ohm=r,
+        inductance_d=nameplate.l_d_h / h,
+        inductance_q=nameplate.l_q_h / h,
+        max_v=max_v,
+        trip_a=trip_a,
+        per_rated2=0.0 if overload_s is None else 1.0 / nameplate.rated_a**2,
+        sample_s=h,
+        overload_s=math.inf if overload_s is None else overload_s,
+        shown_step=min(1.0, h / 2e-3),
+    )

@@ -1,0 +1,191 @@
+"""The step loop, compiled: sensors, then the drive's control, then the plant, sample by sample.
+
+One row is what a recording's row is: the current at t_k as the sensors read it, before the
+voltage of the row acts; the voltage, held until t_k+1. The control sees nothing but the readings
+and the nameplate. What is to be run is a `Piece`; who puts pieces together is `_program`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from plugins.drives.simulated._energy import Array, Energy
+from plugins.drives.simulated._numba import inlined, kernel
+from plugins.drives.simulated._plant import (
+    BUS,
+    COMMAND_D,
+    COMMAND_Q,
+    INTEGRAL_D,
+    INTEGRAL_Q,
+    READING_A,
+    READING_B,
+    SHOWN_D,
+    SHOWN_Q,
+    SPENT,
+    SQRT3,
+    PlantParameters,
+    advance,
+)
+
+Rows = np.ndarray[Any, np.dtype[np.float32]]
+
+CONTROL, OPEN, OFF, GIVEN = range(4)
+"""Current control; open-loop voltage; bridge off; the voltages that `v_out` already holds."""
+
+
+class SensorParameters(NamedTuple):
+    """Two phase sensors; the third current closes the star."""
+
+    gain_a: float
+    gain_b: float
+    cubic_per_a2: float
+    offset_a: float
+    offset_b: float
+    noise_a: float
+    quantum_a: float
+
+
+class ControlParameters(NamedTuple):
+    """PI control with feed-forward in the believed frame, tuned from the nameplate."""
+
+    cos: float
+    sin: float
+    proportional_d: float
+    proportional_q: float
+    integral_d: float
+    """Per sample."""
+    integral_q: float
+    resistance_ohm: float
+    inductance_d: float
+    """Over the sample time: volts for amperes a sample."""
+    inductance_q: float
+    max_v: float
+    trip_a: float
+    per_rated2: float
+    """1 / rated current squared (0: no overload protection)."""
+    sample_s: float
+    overload_s: float
+    shown_step: float
+    """Of the low-pass behind telemetry."""
+
+
+class Piece(NamedTuple):
+    """A stretch of samples with one linear set-point: amperes in CONTROL, volts in OPEN, believed dq frame."""
+
+    mode: int
+    samples: int
+    d: float = 0.0
+    q: float = 0.0
+    slope_d: float = 0.0
+    """Per sample."""
+    slope_q: float = 0.0
+    amplitude_v: float = 0.0
+    cycles: float = 0.0
+    """Periods of the injected wave a sample."""
+    turns: float = 0.0
+    """Turns of the injected vector a sample."""
+    square: bool = True
+    first: int = 0
+    """Samples since the injection started."""
+
+
+@inlined
+def _read(s: SensorParameters, phase: float, gain: float, offset: float, noise: float) -> float:
+    value = gain * (phase + s.cubic_per_a2 * phase * phase * phase) + offset + s.noise_a * noise
+    if s.quantum_a > 0.0:
+        value = s.quantum_a * math.floor(value / s.quantum_a + 0.5)
+    return value
+
+
+@inlined
+def _control(c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float) -> tuple[float, float]:
+    """v_dq of the PI control; back-calculation keeps the integrals where the voltage is limited."""
+    want_d, want_q = w.d + w.slope_d * k, w.q + w.slope_q * k
+    error_d, error_q = want_d - i_d, want_q - i_q
+    forward_d = c.resistance_ohm * want_d + c.inductance_d * w.slope_d
+    forward_q = c.resistance_ohm * want_q + c.inductance_q * w.slope_q
+    v_d = forward_d + c.proportional_d * error_d + x[INTEGRAL_D]
+    v_q = forward_q + c.proportional_q * error_q + x[INTEGRAL_Q]
+    length = math.sqrt(v_d * v_d + v_q * v_q)
+    scale = min(1.0, c.max_v / length) if length > 0.0 else 1.0
+    x[INTEGRAL_D] += c.integral_d * (error_d + (scale - 1.0) * v_d / c.proportional_d)
+    x[INTEGRAL_Q] += c.integral_q * (error_q + (scale - 1.0) * v_q / c.proportional_q)
+    x[COMMAND_D], x[COMMAND_Q] = want_d + w.slope_d, want_q + w.slope_q
+    return scale * v_d, scale * v_q
+
+
+@inlined
+def _inject(c: ControlParameters, w: Piece, k: int, cos: float, sin: float) -> tuple[float, float]:
+    """v_dq open loop: base voltage and the wave, at present along (cos, sin)."""
+    v_d, v_q = w.d + w.slope_d * k, w.q + w.slope_q * k
+    if w.amplitude_v != 0.0:
+        phase = (w.first + k) * w.cycles
+        phase -= math.floor(phase + 1e-9)
+        if w.square:
+            wave = w.amplitude_v if phase < 0.5 - 1e-9 else -w.amplitude_v
+        else:
+            wave = w.amplitude_v * math.sin(2 * math.pi * phase)
+        v_d += wave * cos
+        v_q += wave * sin
+    length = math.sqrt(v_d * v_d + v_q * v_q)
+    scale = min(1.0, c.max_v / length) if length > 0.0 else 1.0
+    return scale * v_d, scale * v_q
+
+
+@kernel
+def run(
+    p: PlantParameters,
+    e: Energy,
+    spline: Array,
+    s: SensorParameters,
+    c: ControlParameters,
+    w: Piece,
+    done: int,
+    count: int,
+    x: Array,
+    sums: Array,
+    noise: Rows,
+    i_out: Rows,
+    v_out: Rows,
+    bus_out: Rows,
+) -> int:
+    """Run samples `done` .. `done + count` of a piece; returns how many, fewer where the drive trips.
+
+    `sums` gathers v_d and v_q as the drive believes them: the frozen base voltage is taken from it.
+    """
+    off = w.mode == OFF
+    turn = (w.first + done) * w.turns
+    turn = 2 * math.pi * (turn - math.floor(turn))
+    cos, sin = math.cos(turn), math.sin(turn)
+    cos_step, sin_step = math.cos(2 * math.pi * w.turns), math.sin(2 * math.pi * w.turns)
+    for k in range(count):
+        i_a = _read(s, x[READING_A], s.gain_a, s.offset_a, noise[k, 0])
+        i_b = _read(s, x[READING_B], s.gain_b, s.offset_b, noise[k, 1])
+        i_alpha, i_beta = i_a, (i_a + 2 * i_b) / SQRT3
+        square = i_alpha * i_alpha + i_beta * i_beta
+        if not off and w.mode != GIVEN:
+            x[SPENT] = max(0.0, x[SPENT] + (square * c.per_rated2 - 1.0) * c.sample_s)
+            if square > c.trip_a * c.trip_a or x[SPENT] > c.overload_s:
+                return k
+        i_d, i_q = c.cos * i_alpha + c.sin * i_beta, -c.sin * i_alpha + c.cos * i_beta
+        v_d = v_q = 0.0
+        if w.mode == CONTROL:
+            v_d, v_q = _control(c, w, done + k, x, i_d, i_q)
+        elif w.mode == OPEN:
+            v_d, v_q = _inject(c, w, done + k, cos, sin)
+            cos, sin = cos * cos_step - sin * sin_step, sin * cos_step + cos * sin_step
+        if w.mode != GIVEN:
+            v_out[k, 0] = np.float32(c.cos * v_d - c.sin * v_q)
+            v_out[k, 1] = np.float32(c.sin * v_d + c.cos * v_q)
+        i_out[k, 0], i_out[k, 1] = np.float32(i_alpha), np.float32(i_beta)
+        bus_out[k] = np.float32(x[BUS])
+        sums[0] += v_d
+        sums[1] += v_q
+        x[SHOWN_D] += c.shown_step * (i_d - x[SHOWN_D])
+        x[SHOWN_Q] += c.shown_step * (i_q - x[SHOWN_Q])
+        # The row's own (rounded) voltage acts, so that a recording says exactly what was applied.
+        advance(p, e, spline, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
+    return count

@@ -1,0 +1,226 @@
+"""Runs programs on the plant: the drive's firmware loop, its clock and its memory.
+
+Knows nothing of permissions, links or wall time; `drive` does. Everything that a resumed run
+needs is in `Memory`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated._derive import TruePlant
+from plugins.drives.simulated._energy import Array
+from plugins.drives.simulated._plant import PlantParameters
+from plugins.drives.simulated._program import Program, Stretch
+from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece, Rows, run
+from protocols import Capture
+
+BLOCK_S = 0.5
+
+
+class Tripped(Exception):
+    """The drive's own protection acted; says which."""
+
+    def __init__(self, overload: bool) -> None:
+        self.overload = overload
+        super().__init__("overload" if overload else "overcurrent")
+
+
+@dataclass
+class Memory:
+    """All that changes while the plant lives."""
+
+    state: Array
+    ticks: int = 0
+    """Samples since `base_s`."""
+    base_s: float = 0.0
+    angle_rad: float = 0.0
+    """The believed angle in which the control's memory is kept."""
+    base_v: tuple[float, float] = (0.0, 0.0)
+    """Frozen voltage of the last injection."""
+    open_loop: bool = False
+
+
+class Simulator:
+    """Plant, sensors and control loop, sample by sample."""
+
+    def __init__(self, plant: TruePlant, sampling_frequency_hz: float, seed: int, angle_rad: float) -> None:
+        self.plant = plant
+        self.parameters = plant.parameters
+        self.sampling_frequency_hz = sampling_frequency_hz
+        self.seed = seed % 2**64
+        self.block = max(1, int(BLOCK_S * sampling_frequency_hz))
+        self._sums = np.zeros(2)
+        self._scratch = (
+            np.zeros((self.block, 2), np.float32),
+            np.zeros((self.block, 2), np.float32),
+            np.zeros(self.block, np.float32),
+        )
+        state = np.zeros(layout.LENGTH)
+        state[layout.PSI_D] = plant.magnetics.energy.psi_m
+        state[layout.BUS] = self.parameters.dc_bus_v
+        self.memory = Memory(state)
+        self.turn_to(angle_rad)
+
+    @property
+    def time_s(self) -> float:
+        """The drive's clock."""
+        return self.memory.base_s + self.memory.ticks / self.sampling_frequency_hz
+
+    @property
+    def set_point(self) -> tuple[float, float]:
+        """Where the current control stands, believed dq frame [A]."""
+        x = self.memory.state
+        return float(x[layout.COMMAND_D]), float(x[layout.COMMAND_Q])
+
+    @property
+    def shown(self) -> tuple[float, float, float]:
+        """(i_d, i_q, v_dc) as telemetry shows them: readings, low-passed."""
+        x = self.memory.state
+        return float(x[layout.SHOWN_D]), float(x[layout.SHOWN_Q]), float(x[layout.BUS])
+
+    def turn_to(self, theta_rad: float) -> None:
+        """Put the resting rotor to an electrical angle."""
+        x = self.memory.state
+        x[layout.THETA] = x[layout.ANCHOR] = theta_rad
+        x[layout.COS], x[layout.SIN] = np.cos(theta_rad), np.sin(theta_rad)
+
+    def hold_rotor(self, parameters: PlantParameters) -> None:
+        """Take over other mechanics; the rotor stands still at that moment."""
+        self.parameters = parameters
+        x = self.memory.state
+        x[layout.MOVING] = x[layout.OMEGA] = 0.0
+
+    def believe(self, angle_rad: float) -> None:
+        """Turn the control's memory into another believed frame: the voltages stay what they are."""
+        turn = self.memory.angle_rad - angle_rad
+        if turn == 0.0:
+            return
+        c, s, x = np.cos(turn), np.sin(turn), self.memory.state
+        for d, q in ((layout.INTEGRAL_D, layout.INTEGRAL_Q), (layout.COMMAND_D, layout.COMMAND_Q)):
+            x[d], x[q] = c * x[d] - s * x[q], s * x[d] + c * x[q]
+        v_d, v_q = self.memory.base_v
+        self.memory.base_v = (float(c * v_d - s * v_q), float(s * v_d + c * v_q))
+        self.memory.angle_rad = angle_rad
+
+    def noise(self, *number: int) -> np.random.Generator:
+        """The noise of one excitation, whatever came before it."""
+        return np.random.Generator(np.random.SFC64(np.random.SeedSequence([self.seed, *number])))
+
+    def run(
+        self,
+        program: Program,
+        control: ControlParameters,
+        pwm_ratio: float,
+        noise: np.random.Generator,
+        stops: tuple[int, ...],
+    ) -> Iterator[Capture | int]:
+        """Run a program; yields captures, and each number of `stops` once so many samples are done.
+
+        Raises
+        ------
+        Tripped
+            Where the reading is above the trip level; the rest of the program is not run.
+        """
+        parameters = self.parameters._replace(dead_time_v=self.plant.parameters.dead_time_v * pwm_ratio)
+        ahead = sorted(stops)
+        elapsed, rows, remaining = 0, self._scratch, program.captured
+        filled, room = 0, 0
+        for stretch in program.stretches:
+            if stretch.averaged:
+                self._sums[:] = 0.0
+            piece, done = self._begin(stretch, control), 0
+            while done < piece.samples:
+                while ahead and ahead[0] <= elapsed:
+                    yield ahead.pop(0)
+                if stretch.captured and room == 0:
+                    room, filled = min(self.block, remaining), 0
+                    start_s = self.time_s
+                    rows = _buffers(room)
+                n = min(piece.samples - done, room if stretch.captured else self.block)
+                if ahead:
+                    n = min(n, ahead[0] - elapsed)
+                self._rows(
+                    parameters, control, piece, done, n, noise, rows if stretch.captured else self._scratch, filled
+                )
+                done += n
+                elapsed += n
+                if stretch.captured:
+                    filled, room, remaining = filled + n, room - n, remaining - n
+                    if room == 0:
+                        yield Capture(
+                            start_s=start_s,
+                            sampling_frequency_hz=self.sampling_frequency_hz,
+                            i_ab=rows[0],
+                            v_ab=rows[1],
+                            v_dc=rows[2],
+                        )
+                        filled = 0
+            self._end(stretch)
+        yield from ahead
+
+    def _rows(
+        self,
+        parameters: PlantParameters,
+        control: ControlParameters,
+        piece: Piece,
+        done: int,
+        count: int,
+        noise: np.random.Generator,
+        rows: tuple[Rows, Rows, Rows],
+        at: int,
+    ) -> None:
+        x = self.memory.state
+        values = noise.standard_normal((count, 2), dtype=np.float32)
+        i, v, bus = (array[at : at + count] for array in rows)
+        finished = run(
+            parameters,
+            *self.plant.magnetics,
+            self.plant.sensors,
+            control,
+            piece,
+            done,
+            count,
+            x,
+            self._sums,
+            values,
+            i,
+            v,
+            bus,
+        )
+        self.memory.ticks += finished
+        if finished < count:
+            raise Tripped(bool(x[layout.SPENT] > control.overload_s))
+
+    def _begin(self, stretch: Stretch, control: ControlParameters) -> Piece:
+        piece, memory, x = stretch.piece, self.memory, self.memory.state
+        if stretch.on_base:
+            memory.open_loop = True
+            return piece._replace(d=memory.base_v[0], q=memory.base_v[1])
+        if piece.mode == CONTROL and memory.open_loop:
+            # Bumpless: the control starts from the voltage that was frozen.
+            x[layout.INTEGRAL_D] = memory.base_v[0] - control.resistance_ohm * x[layout.COMMAND_D]
+            x[layout.INTEGRAL_Q] = memory.base_v[1] - control.resistance_ohm * x[layout.COMMAND_Q]
+            memory.open_loop = False
+        elif piece.mode == OFF:
+            self.forget_control()
+        return piece
+
+    def _end(self, stretch: Stretch) -> None:
+        if stretch.averaged:
+            n = stretch.piece.samples
+            self.memory.base_v = (float(self._sums[0]) / n, float(self._sums[1]) / n)
+
+    def forget_control(self) -> None:
+        """Set-point and integrals to zero, as when the bridge is off."""
+        x = self.memory.state
+        x[[layout.INTEGRAL_D, layout.INTEGRAL_Q, layout.COMMAND_D, layout.COMMAND_Q]] = 0.0
+        self.memory.open_loop, self.memory.base_v = False, (0.0, 0.0)
+
+
+def _buffers(n: int) -> tuple[Rows, Rows, Rows]:
+    return np.empty((n, 2), np.float32), np.empty((n, 2), np.float32), np.empty(n, np.float32)

@@ -1,0 +1,365 @@
+"""The simulated drive: as strict as hardware, and as ready to fail.
+
+What is allowed, when it trips, the watchdog, the link and its faults are here; what current flows
+is the business of `_simulator`. Simulated time passes only while an excitation (or a ramp) runs,
+so that a run is the same however long the host takes between two calls.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import ClassVar
+
+from pydantic import BaseModel
+
+from plugins.drives.simulated import _memory
+from plugins.drives.simulated._bench import Bench
+from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
+from plugins.drives.simulated._faults import FaultPlan, corrupted
+from plugins.drives.simulated._permission import Permission
+from plugins.drives.simulated._program import DRAIN_S, Planner, Program, Stretch, tune
+from plugins.drives.simulated._run import OFF, ControlParameters, Piece
+from plugins.drives.simulated._simulator import Simulator, Tripped
+from plugins.drives.simulated.options import Fault, SimulatedOptions
+from plugins.drives.simulated.truth import describe, write_json
+from protocols import (
+    Capabilities,
+    Capture,
+    CurrentControl,
+    DriveFault,
+    DriveRefused,
+    DriveSetup,
+    DriveState,
+    Excitation,
+    FaultCause,
+    GatesOff,
+    Hold,
+    Limits,
+    Telemetry,
+)
+
+TRUTH = "truth.json"
+
+
+class SimulatedDrive:
+    """A drive, its motor and its bench in one process; implements `Drive` and `ResumableDrive`."""
+
+    name: ClassVar[str] = "simulated"
+    Options: ClassVar[type[BaseModel]] = SimulatedOptions
+    sealed_options: ClassVar[frozenset[str]] = frozenset({"plant"})
+
+    def __init__(self, setup: DriveSetup) -> None:
+        self._setup = setup
+        self._options: SimulatedOptions = setup.options
+        self._state = DriveState.DISARMED
+        self._latched: list[str] = []
+        self._limits: Limits | None = None
+        self._number = 0
+        self._bench = Bench(self._options.plant, setup.seed)
+        self._control = CurrentControl()
+        self._faults = FaultPlan(self._options.faults)
+        self._link_lost = False
+        self._last_beat = 0.0
+        self._turn = 0
+        self._simulator: Simulator | None = None
+
+    # Link
+
+    def connect(self) -> Capabilities:
+        """Make the plant, compile its loop, seal the truth; raises `InputError` where the options make no motor."""
+        self._check_link()
+        options, setup = self._options, self._setup
+        nameplate = read_nameplate(setup.motor)
+        bus_v = bus_voltage(options, nameplate)
+        plant = derive(options, nameplate, bus_v)
+        self._nameplate: Nameplate = nameplate
+        self._permission = Permission.of(options, nameplate, plant, bus_v)
+        self._simulator = Simulator(plant, options.sampling_frequency_hz, setup.seed, self._bench.rest_angle())
+        self._planner = Planner(options.sampling_frequency_hz, nameplate, self._permission.capabilities.max_voltage_v)
+        self._simulator.hold_rotor(self._bench.mechanics(self._simulator))
+        if setup.private_directory is not None:
+            truth = describe(options, nameplate, plant, setup.seed)
+            write_json(setup.private_directory / TRUTH, truth)
+        self._warm_up()
+        return self._permission.capabilities
+
+    def close(self) -> None:
+        """Let go of the link."""
+        self._turn += 1
+        self._state = DriveState.DISARMED
+
+    def heartbeat(self) -> None:
+        """Feed the watchdog."""
+        self._last_beat = time.monotonic()
+
+    # Power stage
+
+    def arm(self, limits: Limits) -> None:
+        """Enable the power stage within these limits."""
+        self._attend()
+        if self._state is DriveState.FAULTED:
+            raise DriveRefused(f"a fault is latched ({', '.join(self._latched)}); clear it first")
+        self._permission.check_limits(limits)
+        self._limits = limits
+        self._state = DriveState.ARMED
+        self._last_beat = time.monotonic()
+
+    def execute(self, excitation: Excitation) -> Iterator[Capture]:
+        """Check the excitation, then run it as the iterator is drawn from."""
+        self._attend()
+        if self._state is not DriveState.ARMED or self._limits is None:
+            raise DriveRefused(f"not armed ({self._state.value})")
+        self._permission.check(excitation, self._limits)
+        self._turn += 1
+        return self._execute(excitation, self._turn)
+
+    def telemetry(self) -> Telemetry:
+        """Readings as the drive low-passes them, in the frame of the last excitation."""
+        self._check_link()
+        self._watch()
+        i_d, i_q, v_dc = self._plant.shown
+        return Telemetry(
+            state=self._state,
+            time_s=self._plant.time_s,
+            i_d_a=i_d,
+            i_q_a=i_q,
+            v_dc_v=v_dc,
+            faults=tuple(self._latched),
+        )
+
+    def ramp_down(self) -> None:
+        """Current to zero under control, then held there; nothing to do where the bridge is off."""
+        self._check_link()
+        self._watch()
+        self._turn += 1
+        if self._state is DriveState.ARMED:
+            self._bring_to_zero()
+
+    def disarm(self) -> None:
+        """Bridge off; what current there still is drains through the diodes."""
+        self._check_link()
+        self._turn += 1
+        if self._state is DriveState.ARMED:
+            self._gates_off()
+            self._state = DriveState.DISARMED
+
+    def clear_fault(self) -> None:
+        """Forget latched faults."""
+        self._check_link()
+        self._latched.clear()
+        if self._state is DriveState.FAULTED:
+            self._state = DriveState.DISARMED
+
+    def set_brake(self, engaged: bool) -> None:
+        """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
+        self._attend()
+        if not self._options.has_brake:
+            raise DriveRefused("this drive has no brake")
+        self._bench.set_brake(engaged, self._plant)
+
+    # Memory
+
+    def checkpoint(self, point_id: str) -> None:
+        """Save plant, control, clock and brake; nothing without a private directory."""
+        if self._setup.private_directory is None:
+            return
+        saved = _memory.Saved(
+            self._plant.memory,
+            self._number,
+            self._bench.braked,
+            self._control.bandwidth_hz,
+            self._control.damping,
+            tuple(sorted(self._faults.fired)),
+        )
+        _memory.save(self._setup.private_directory, point_id, saved)
+
+    def restore(self, point_id: str, start_s: float) -> None:
+        """Go on after a point as if nothing had happened; the clock stands at `start_s`."""
+        self._attend()
+        if self._setup.private_directory is None:
+            raise DriveRefused("no private directory, so no state to take up again")
+        if self._state is not DriveState.DISARMED:
+            raise DriveRefused(f"a state can be taken up while disarmed only ({self._state.value})")
+        saved = _memory.load(self._setup.private_directory, point_id)
+        self._plant.memory = saved.memory
+        self._number, self._bench.braked = saved.number, saved.braked
+        self._control = CurrentControl(bandwidth_hz=saved.bandwidth_hz, damping=saved.damping)
+        self._faults.fired = set(saved.fired)
+        self._plant.parameters = self._bench.mechanics(self._plant)
+        if abs(start_s - self._plant.time_s) > 0.5 / self._options.sampling_frequency_hz:
+            saved.memory.base_s += start_s - self._plant.time_s
+
+    # How an excitation runs
+
+    def _execute(self, excitation: Excitation, turn: int) -> Iterator[Capture]:
+        simulator, fs = self._plant, self._options.sampling_frequency_hz
+        if self._turn != turn:
+            raise DriveRefused("the excitation was given up")
+        self._number += 1
+        if self._number > 1 and self._options.gap_s > 0:
+            self._let_pass(self._options.gap_s)
+        self._control = excitation.control
+        simulator.believe(excitation.rotor_angle_rad)
+        program = self._planner.program(excitation, simulator.set_point)
+        due = self._faults.due(self._number, simulator.time_s, fs, program.samples)
+        noise = simulator.noise(0, self._number)
+        pace = _Pace(self._options.realtime_factor)
+        spoil: Fault | None = None
+        blocks = simulator.run(program, self._tuning(), self._pwm_ratio(excitation.pwm_frequency_hz), noise, tuple(due))
+        while True:
+            try:
+                block = next(blocks, None)
+            except Tripped as trip:
+                raise self._trip_of(trip) from None
+            if block is None:
+                return
+            if isinstance(block, int):
+                spoil = self._strike(self._faults.strike(due[block])) or spoil
+                continue
+            pace.wait(len(block) / fs)
+            if self._watch():
+                raise DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off")
+            if spoil is not None:
+                block, spoil = corrupted(block, spoil), None
+            yield block
+            if self._turn != turn:
+                raise DriveRefused("the excitation was given up")
+            self._attend()
+
+    def _strike(self, fault: Fault) -> Fault | None:
+        """Let a fault happen; returns it where it spoils the block to come."""
+        match fault.kind:
+            case "lost_link":
+                self._link_lost = True
+                self._check_link()
+            case "stuck":
+                time.sleep(fault.timeout_s)
+                raise DriveFault(FaultCause.NO_ANSWER, f"no data for {fault.timeout_s:g} s")
+            case "slow":
+                time.sleep(fault.sleep_s)
+            case "trip":
+                raise self._trip(FaultCause(fault.cause), "the drive tripped")
+            case "exception":
+                raise RuntimeError("the drive plugin failed")
+            case "wrong_data":
+                return fault
+        return None
+
+    def _trip_of(self, trip: Tripped) -> DriveFault:
+        limit = self._options.trip_ratio * (self._limits.current_a if self._limits else 0.0)
+        if trip.overload:
+            return self._trip(FaultCause.OVERTEMPERATURE, "overload protection")
+        return self._trip(FaultCause.OVERCURRENT, f"current above {limit:.4g} A")
+
+    def _trip(self, cause: FaultCause, detail: str) -> DriveFault:
+        """Bridge off at once, fault latched."""
+        self._gates_off()
+        self._latch(cause)
+        return DriveFault(cause, detail)
+
+    def _latch(self, cause: FaultCause) -> None:
+        self._state = DriveState.FAULTED
+        self._turn += 1
+        if cause.value not in self._latched:
+            self._latched.append(cause.value)
+
+    def _bring_to_zero(self) -> None:
+        program = self._planner.to_zero(self._control, self._plant.set_point)
+        try:
+            self._drain(program, 1)
+        except Tripped as trip:
+            raise self._trip_of(trip) from None
+
+    def _let_pass(self, seconds: float) -> None:
+        try:
+            self._drain(self._planner.wait(self._plant.set_point, seconds), 2)
+        except Tripped as trip:
+            raise self._trip_of(trip) from None
+
+    def _gates_off(self) -> None:
+        off = Piece(OFF, max(1, self._planner.samples(DRAIN_S)))
+        self._drain(Program((Stretch(off),)), 3)
+
+    def _drain(self, program: Program, kind: int) -> None:
+        noise = self._plant.noise(kind, self._number)
+        for _ in self._plant.run(program, self._tuning(), 1.0, noise, ()):
+            pass
+
+    def _tuning(self) -> ControlParameters:
+        limits, capabilities = self._limits, self._permission.capabilities
+        max_v = capabilities.max_voltage_v if limits is None else limits.voltage_v
+        max_a = capabilities.max_current_a if limits is None else limits.current_a
+        return tune(
+            self._nameplate,
+            self._control,
+            self._plant.memory.angle_rad,
+            self._options.sampling_frequency_hz,
+            max_v=max_v,
+            trip_a=self._options.trip_ratio * max_a,
+            overload_s=self._options.overload_s,
+        )
+
+    def _pwm_ratio(self, frequency_hz: float | None) -> float:
+        own = self._permission.capabilities.pwm_frequency_hz
+        return 1.0 if frequency_hz is None else frequency_hz / own
+
+    # Watchdog and link
+
+    def _attend(self) -> None:
+        """What every call but the stopping ones begins with; raises `DriveFault`."""
+        self._check_link()
+        if self._simulator is None:
+            raise DriveRefused("not connected")
+        if self._watch():
+            raise DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off")
+
+    def _check_link(self) -> None:
+        if self._link_lost:
+            raise DriveFault(FaultCause.LINK_LOST, "the drive does not answer")
+
+    def _watch(self) -> bool:
+        """The drive's own dead man; True where it has just acted."""
+        watchdog = self._options.watchdog_s
+        if self._state is not DriveState.ARMED or watchdog is None:
+            return False
+        if time.monotonic() - self._last_beat <= watchdog:
+            return False
+        self._bring_to_zero()
+        self._gates_off()
+        self._latch(FaultCause.HEARTBEAT_LOST)
+        return True
+
+    # Plant
+
+    @property
+    def _plant(self) -> Simulator:
+        if self._simulator is None:
+            raise DriveRefused("not connected")
+        return self._simulator
+
+    def _warm_up(self) -> None:
+        """Compile, and fill the caches: on a copy of the memory, so that nothing moves."""
+        simulator = self._plant
+        memory = simulator.memory
+        simulator.memory = replace(memory, state=memory.state.copy())
+        kinds = (Hold(current_d_a=0.0, current_q_a=0.0, settle_s=0.0, duration_s=2e-3), GatesOff(duration_s=2e-3))
+        for excitation in kinds:
+            program = self._planner.program(excitation, (0.0, 0.0))
+            for _ in simulator.run(program, self._tuning(), 1.0, simulator.noise(5), ()):
+                pass
+        simulator.memory = memory
+
+
+class _Pace:
+    """Sleeps so that simulated time does not run ahead of the wall clock's pace."""
+
+    def __init__(self, factor: float | None) -> None:
+        self._factor, self._due = factor, time.monotonic()
+
+    def wait(self, seconds: float) -> None:
+        if self._factor is None:
+            return
+        self._due += seconds / self._factor
+        time.sleep(max(0.0, self._due - time.monotonic()))
