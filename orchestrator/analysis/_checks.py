@@ -1,0 +1,92 @@
+"""How far a flux map agrees with physics, with itself and with another map; needs no truth.
+
+Percentages refer to |psi(rated i_q) - psi(0, 0)|; what a map does not allow is None.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import AxisPercent, FluxMap, MapChecks
+
+Array = NDArray[np.float64]
+
+
+def rated_flux_wb(flux_map: FluxMap, rated_current_a: float | None) -> float | None:
+    """|psi(0, rated i_q) - psi(0, 0)| of a map [Wb]; None where the map does not reach that far."""
+    if rated_current_a is None:
+        return None
+    psi = flux_at(flux_map)(np.array([[0.0, rated_current_a], [0.0, -rated_current_a], [0.0, 0.0]]))
+    sides = np.linalg.norm(psi[:2] - psi[2], axis=1)
+    return float(np.nanmean(sides)) if np.isfinite(sides).any() else None
+
+
+def flux_at(flux_map: FluxMap) -> Callable[[Array], Array]:
+    """Function from currents, shape (n, 2), to fluxes, shape (n, 2): bilinear, NaN outside the map."""
+    from scipy.interpolate import RegularGridInterpolator
+
+    table = np.stack([flux_map.psi_d, flux_map.psi_q], axis=-1)
+    lookup = RegularGridInterpolator((flux_map.i_d, flux_map.i_q), table, bounds_error=False, fill_value=np.nan)
+    return lambda i_dq: np.asarray(lookup(i_dq))
+
+
+def check_map(flux_map: FluxMap, rated_wb: float | None, misfit: Array | None) -> MapChecks:
+    """Crossings, parity and reciprocity of a map.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+    rated_wb : float or None
+        From `rated_flux_wb`.
+    misfit : array, shape (c, 2), or None
+        Flux differences where current paths cross [Wb].
+    """
+    crossings = parity = None
+    if rated_wb:
+        if misfit is not None and len(misfit):
+            worst = 100.0 / rated_wb * np.abs(misfit).max(axis=0)
+            crossings = AxisPercent(d_percent=float(worst[0]), q_percent=float(worst[1]))
+        parity = _parity(flux_map, rated_wb)
+    return MapChecks(crossings=crossings, parity=parity, reciprocity_percent=_reciprocity_percent(flux_map))
+
+
+def _parity(flux_map: FluxMap, rated_wb: float) -> AxisPercent | None:
+    """Largest odd part of psi_d and even part of psi_q in i_q."""
+    q = flux_map.i_q
+    mirror = np.argmin(np.abs(q[:, None] + q[None, :]), axis=1)
+    pairs = np.abs(q + q[mirror]) < 1e-6 * np.ptp(q)
+    odd_d = 0.5 * (flux_map.psi_d - flux_map.psi_d[:, mirror])[:, pairs & (q > 0)]
+    even_q = 0.5 * (flux_map.psi_q + flux_map.psi_q[:, mirror])[:, pairs & (q > 0)]
+    if not np.isfinite(odd_d).any():
+        return None
+    d, q_percent = (100.0 / rated_wb * float(np.nanmax(np.abs(x))) for x in (odd_d, even_q))
+    return AxisPercent(d_percent=d, q_percent=q_percent)
+
+
+def _reciprocity_percent(flux_map: FluxMap) -> float | None:
+    if min(len(flux_map.i_d), len(flux_map.i_q)) < 3:
+        return None
+    d_by_q = np.gradient(flux_map.psi_d, flux_map.i_q, axis=1)
+    q_by_d = np.gradient(flux_map.psi_q, flux_map.i_d, axis=0)
+    curl = (d_by_q - q_by_d)[1:-1, 1:-1]
+    inductance = 0.5 * (flux_map.l_dd + flux_map.l_qq)
+    if not np.isfinite(curl).any() or not np.isfinite(inductance).any():
+        return None
+    return float(100.0 * np.sqrt(np.nanmean(curl**2)) / np.nanmean(inductance))
+
+
+def difference_percent(one: FluxMap, other: FluxMap, rated_wb: float | None) -> float | None:
+    """rms over `one`'s grid of |psi_one - psi_other|, each less its own psi(0, 0)."""
+    if not rated_wb:
+        return None
+    axes = (one.i_d.astype(np.float64), one.i_q.astype(np.float64))
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    zero = np.zeros((1, 2))
+    apart = [flux_at(m)(grid) - flux_at(m)(zero) for m in (one, other)]
+    squares = ((apart[0] - apart[1]) ** 2).sum(axis=1)
+    if not np.isfinite(squares).any():
+        return None
+    return float(100.0 / rated_wb * np.sqrt(np.nanmean(squares)))

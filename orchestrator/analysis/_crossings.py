@@ -1,0 +1,87 @@
+"""Paths in the current plane put together where they cross; how far they disagree there is a check."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._sweep import FluxPath
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Network:
+    """Paths with their constants chosen so that they agree best where they cross.
+
+    Attributes
+    ----------
+    paths : tuple of FluxPath
+        The largest set that hangs together, moved by its constants (one vector stays free for all).
+    members : tuple of int
+        Which of the paths handed in these are.
+    misfit : array, shape (c, 2), or None
+        Flux difference left at each crossing [Wb]; None where crossings only just tie the paths together.
+    """
+
+    paths: tuple[FluxPath, ...]
+    members: tuple[int, ...]
+    misfit: Array | None
+
+
+def join_paths(paths: list[FluxPath]) -> Network:
+    """Fit one constant a path to the flux differences at all crossings, least squares."""
+    pairs, rises = [], []
+    for a in range(len(paths)):
+        for b in range(a + 1, len(paths)):
+            difference = _difference_at_crossing(paths[a], paths[b])
+            if difference is not None:
+                pairs.append((a, b))
+                rises.append(difference)
+    members = _largest_component(len(paths), pairs)
+    place = {m: k for k, m in enumerate(members)}
+    kept = [n for n, (a, _) in enumerate(pairs) if a in place]
+    if not kept:
+        return Network((paths[members[0]],), tuple(members[:1]), None)
+    design = np.zeros((len(kept), len(members)))
+    for row, n in enumerate(kept):
+        design[row, place[pairs[n][0]]], design[row, place[pairs[n][1]]] = -1.0, 1.0
+    rise = np.array([rises[n] for n in kept])
+    constants = np.linalg.lstsq(design, rise, rcond=None)[0]
+    moved = tuple(FluxPath(paths[m].current, paths[m].psi + constants[k], paths[m].std) for m, k in place.items())
+    overdetermined = len(kept) >= len(members)
+    return Network(moved, tuple(members), rise - design @ constants if overdetermined else None)
+
+
+def _difference_at_crossing(a: FluxPath, b: FluxPath) -> Array | None:
+    """psi_a - psi_b where the two polylines meet; None where they do not."""
+    p, q = a.current[:-1, None], b.current[None, :-1]
+    r, s = np.diff(a.current, axis=0)[:, None], np.diff(b.current, axis=0)[None]
+    cross = r[..., 0] * s[..., 1] - r[..., 1] * s[..., 0]
+    steep = np.abs(cross) > 1e-3 * np.linalg.norm(r, axis=-1) * np.linalg.norm(s, axis=-1)
+    safe = np.where(steep, cross, 1.0)
+    gap = q - p
+    t = (gap[..., 0] * s[..., 1] - gap[..., 1] * s[..., 0]) / safe
+    u = (gap[..., 0] * r[..., 1] - gap[..., 1] * r[..., 0]) / safe
+    # Paths that end on one another miss by what the control is off: a hundredth of their length is granted.
+    slack_t, slack_u = (0.01 * np.linalg.norm(np.ptp(x.current, axis=0)) for x in (a, b))
+    beyond_t = np.maximum(np.abs(t - 0.5) - 0.5, 0.0) * np.linalg.norm(r, axis=-1)
+    beyond_u = np.maximum(np.abs(u - 0.5) - 0.5, 0.0) * np.linalg.norm(s, axis=-1)
+    hit = steep & (beyond_t <= slack_t) & (beyond_u <= slack_u)
+    if not hit.any():
+        return None
+    m, n = np.unravel_index(np.argmin(np.where(hit, beyond_t + beyond_u, np.inf)), hit.shape)
+    at_a = a.psi[m] + t[m, n] * (a.psi[m + 1] - a.psi[m])
+    at_b = b.psi[n] + u[m, n] * (b.psi[n + 1] - b.psi[n])
+    return np.asarray(at_a - at_b)
+
+
+def _largest_component(n: int, pairs: list[tuple[int, int]]) -> list[int]:
+    group = list(range(n))
+    for a, b in pairs:
+        old, new = group[b], group[a]
+        group = [new if g == old else g for g in group]
+    best = max(set(group), key=group.count)
+    return [k for k in range(n) if group[k] == best]

@@ -1,0 +1,159 @@
+"""One pass of the estimators over a recording, and its results as files. No physics of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from orchestrator.analysis._checks import difference_percent, rated_flux_wb
+from orchestrator.analysis._flux_map_file import save_flux_map
+from orchestrator.analysis._report import EstimationReport, ResistanceReport
+from protocols import (
+    Estimate,
+    EstimationContext,
+    Estimator,
+    FluxMapEstimate,
+    MapChecks,
+    NotMeasuredError,
+    PluginError,
+    RecordingReader,
+    ResistanceEstimate,
+    StorageError,
+)
+
+_PREFERRED = ("injection", "classical")
+_BAD_CROSSINGS_PERCENT = 5.0
+_BAD_PARITY_PERCENT = 5.0
+_BAD_DIFFERENCE_PERCENT = 10.0
+
+
+def estimate_recording(
+    recording: RecordingReader,
+    estimators: Sequence[Estimator],
+    out: Path,
+    *,
+    on_estimate: Callable[[Estimate], None] | None = None,
+) -> EstimationReport:
+    """Run the estimators and write results/flux_map.nc, flux_map_<method>.nc and estimates.json below `out`.
+
+    Parameters
+    ----------
+    recording : RecordingReader
+    estimators : sequence of Estimator
+        Those of the resistance run first; the others see what they found. A map by injection is
+        recommended before a classical one, any other after them.
+    out : Path
+        Directory that gets the folder ``results``.
+    on_estimate : callable, optional
+        Called with each estimate as soon as it is there.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where nothing at all can be estimated; no file is written then.
+    StorageError
+        Where a result cannot be written.
+    """
+    resistance: ResistanceEstimate | None = None
+    maps: dict[str, FluxMapEstimate] = {}
+    missing: list[str] = []
+    for estimator in sorted(estimators, key=lambda e: e.produces != "resistance"):
+        try:
+            found = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=dict(maps)))
+        except NotMeasuredError as error:
+            missing.append(f"{estimator.name}: {error}")
+            continue
+        if isinstance(found, ResistanceEstimate):
+            resistance = resistance or found
+        elif isinstance(found, FluxMapEstimate):
+            maps[found.map.method] = found
+        else:
+            raise PluginError(estimator.name, "estimate", f"returned {type(found).__name__} instead of an estimate")
+        if on_estimate is not None:
+            on_estimate(found)
+    if resistance is None and not maps:
+        problem = "; ".join(missing) or "no estimator was asked"
+        raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
+    report = _report(recording, resistance, maps, missing)
+    return _written(report, recording, maps, out / "results")
+
+
+def _recommended(maps: dict[str, FluxMapEstimate]) -> FluxMapEstimate | None:
+    order = sorted(maps, key=lambda m: _PREFERRED.index(m) if m in _PREFERRED else len(_PREFERRED))
+    return maps[order[0]] if order else None
+
+
+def _report(
+    recording: RecordingReader,
+    resistance: ResistanceEstimate | None,
+    maps: dict[str, FluxMapEstimate],
+    missing: list[str],
+) -> EstimationReport:
+    best = _recommended(maps)
+    checks = best.checks if best else MapChecks()
+    difference = _difference(recording, maps)
+    against = _objections(best, difference)
+    notes = [f"{method}: {note}" for method, found in maps.items() for note in found.notes]
+    fields = ("value_ohm", "low", "high", "first_ohm", "last_ohm")
+    return EstimationReport(
+        resistance=ResistanceReport(**{f: getattr(resistance, f) for f in fields}) if resistance else None,
+        method=best.map.method if best else None,
+        crossings=checks.crossings,
+        parity=checks.parity,
+        reciprocity_percent=checks.reciprocity_percent,
+        classical_against_injection_percent=difference,
+        usable=best is not None and not against,
+        reasons=[*against, *missing, *(resistance.notes if resistance else ()), *notes],
+    )
+
+
+def _difference(recording: RecordingReader, maps: dict[str, FluxMapEstimate]) -> float | None:
+    if not {"classical", "injection"} <= maps.keys():
+        return None
+    injection, classical = maps["injection"].map, maps["classical"].map
+    rated = rated_flux_wb(injection, recording.manifest.motor.rated_current_a)
+    return difference_percent(injection, classical, rated)
+
+
+def _objections(best: FluxMapEstimate | None, difference: float | None) -> list[str]:
+    """What makes the recommended map unusable, in words."""
+    if best is None:
+        return ["no flux map could be made"]
+    checks, words = best.checks, []
+    for axis in ("d", "q"):
+        crossing = getattr(checks.crossings, f"{axis}_percent", None)
+        if crossing is not None and crossing > _BAD_CROSSINGS_PERCENT:
+            words.append(f"where current paths cross, psi_{axis} differs by {crossing:.1f} % of the rated flux")
+        parity = getattr(checks.parity, f"{axis}_percent", None)
+        if parity is not None and parity > _BAD_PARITY_PERCENT:
+            words.append(
+                f"psi_{axis} breaks its symmetry in i_q by {parity:.1f} % of the rated flux: is the rotor angle right?"
+            )
+    if difference is not None and difference > _BAD_DIFFERENCE_PERCENT:
+        words.append(f"the classical and the injection map differ by {difference:.1f} % of the rated flux (rms)")
+    return words
+
+
+def _written(
+    report: EstimationReport, recording: RecordingReader, maps: dict[str, FluxMapEstimate], folder: Path
+) -> EstimationReport:
+    names = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
+    files: dict[str, str] = {}
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be made: {error.strerror or error}") from error
+    for method, found in maps.items():
+        name = "flux_map" if method == report.method else f"flux_map_{method}"
+        save_flux_map(folder / f"{name}.nc", found.map, **names)
+        files[name] = str(folder / f"{name}.nc")
+    files["estimates"] = str(folder / "estimates.json")
+    report = report.model_copy(update={"files": files})
+    _replace(folder / "estimates.json", report.model_dump_json(indent=2) + "\n")
+    return report
+
+
+def _replace(path: Path, text: str) -> None:
+    from orchestrator.recording import replace_file
+
+    replace_file(path, text.encode())

@@ -1,0 +1,192 @@
+"""Flux from the inductances measured at scattered currents: least squares over the graph of neighbours.
+
+d psi = L(i) di along the edge between two neighbouring points, by the trapezoidal rule with its end correction,
+
+    psi_b - psi_a = 1/2 (L_a + L_b) di + 1/12 (L'_a - L'_b)[di, di],
+
+where L' is known because the ripple's curvature was measured. All edges together overdetermine the flux; how far
+they disagree says how good it is. Nothing here knows about waveforms.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._ripple import Ripple
+from orchestrator.analysis._surface import TaylorSurface, require_area, triangulate
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Inductances:
+    """Inductance matrices at the points reached, with slopes and covariances.
+
+    Attributes
+    ----------
+    current : array, shape (n, 2)
+        [A].
+    matrix : array, shape (n, 2, 2)
+        L = dpsi/di [H].
+    slope : array, shape (n, 2, 2, 2)
+        dL/di, symmetric in all indices [H/A].
+    covariance : array, shape (n, 7, 7)
+        Of (L_dd, L_dq, L_qq, L_ddd, L_ddq, L_dqq, L_qqq).
+    """
+
+    current: Array
+    matrix: Array
+    slope: Array
+    covariance: Array
+
+
+_PAIRS = np.array([[0, 1], [1, 2]])
+_TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
+
+
+def invert(ripples: list[Ripple]) -> Inductances:
+    """Inductances L = (Hess H)^-1 and their slopes dL_abc = -L_ai L_bj L_ck H_ijk, errors propagated."""
+    h = np.stack([r.hessian for r in ripples])
+    third = np.stack([r.third for r in ripples])[:, _TRIPLES]
+    matrix = np.linalg.inv(h).astype(np.float64)
+    slope = -np.einsum("nai,nbj,nck,nijk->nabc", matrix, matrix, matrix, third)
+    # d L = -L dH L; the slope's own errors are those of H_ijk, L being far better known.
+    jacobian = np.zeros((len(h), 7, 7))
+    for m, (i, j) in enumerate(((0, 0), (0, 1), (1, 1))):
+        for a in range(2):
+            for b in range(2):
+                jacobian[:, m, _PAIRS[a, b]] -= matrix[:, i, a] * matrix[:, b, j]
+    for m, (i, j, k) in enumerate(((0, 0, 0), (0, 0, 1), (0, 1, 1), (1, 1, 1))):
+        for a in range(2):
+            for b in range(2):
+                for c in range(2):
+                    jacobian[:, 3 + m, 3 + _TRIPLES[a, b, c]] -= matrix[:, i, a] * matrix[:, j, b] * matrix[:, k, c]
+    covariance = jacobian @ np.stack([r.covariance for r in ripples]) @ jacobian.transpose(0, 2, 1)
+    return Inductances(np.stack([r.current_dq for r in ripples]), matrix, slope, covariance)
+
+
+@dataclass(frozen=True)
+class IntegratedFlux:
+    """Flux linkage at the points, psi(0, 0) = 0.
+
+    Attributes
+    ----------
+    psi, std : array, shape (n, 2)
+        [Wb].
+    closure_rms_wb : float
+        By how much the edges disagree with it.
+    anchored : bool
+        Whether zero current lies within the points; else it was reached by extrapolation from the nearest.
+    """
+
+    psi: Array
+    std: Array
+    closure_rms_wb: float
+    anchored: bool
+
+
+def along(step: Array, start: tuple[Array, Array], end: tuple[Array, Array]) -> Array:
+    """Flux difference over straight steps of current, from L and dL/di at both ends; shapes (e, 2) -> (e, 2)."""
+    mean = 0.5 * (start[0] + end[0])
+    bend = np.einsum("eijk,ej,ek->ei", start[1] - end[1], step, step)
+    out: Array = np.einsum("eij,ej->ei", mean, step) + bend / 12.0
+    return out
+
+
+def integrate(points: Inductances, where: str) -> IntegratedFlux:
+    """Integrate the inductances to fluxes over the graph of neighbouring points.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the points do not span an area.
+    """
+    require_area(points.current, where)
+    scale = np.ptp(points.current, axis=0)
+    edges = _edges(points.current / scale, where)
+    a, b = edges.T
+    step = points.current[b] - points.current[a]
+    rise = along(step, (points.matrix[a], points.slope[a]), (points.matrix[b], points.slope[b]))
+    # The rule's own error grows with a high power of the step: short edges carry the flux.
+    length = np.linalg.norm(step / scale, axis=1)
+    weight = np.maximum(length, 0.1 * np.median(length)) ** -4
+    n = len(points.current)
+    incidence = np.zeros((len(edges), n))
+    incidence[np.arange(len(edges)), b], incidence[np.arange(len(edges)), a] = 1.0, -1.0
+    origin, anchored = _origin(points, where)
+    # Solved with the first point at zero, then moved so that zero current has zero flux.
+    normal = (incidence.T * weight) @ incidence
+    solver = np.zeros((n, len(edges)))
+    solver[1:] = np.linalg.solve(normal[1:, 1:], (incidence.T * weight)[1:])
+    # psi(0) = sum over three corners of origin's weights * (psi + Taylor terms)
+    solver -= origin.weights @ solver
+    psi = solver @ rise - origin.offset
+    misfit = rise - incidence @ psi
+    freedom = max(len(edges) - (n - 1), 1)
+    closure = np.sqrt((weight[:, None] * misfit**2).sum(axis=0) / freedom)
+    noise = _noise(points, edges, step, solver)
+    std = np.sqrt(noise + (solver**2 / weight).sum(axis=1)[:, None] * closure**2)
+    return IntegratedFlux(psi, std, float(np.sqrt((misfit**2).sum(axis=1).mean())), anchored)
+
+
+def _edges(points: Array, where: str) -> NDArray[np.int64]:
+    """Gabriel neighbours: no third point inside the circle over the edge, so none of the long edges along the hull."""
+    corners = triangulate(points, where).simplices.astype(np.int64)
+    edges, seen_under_obtuse = [], []
+    for k in range(3):
+        a, b, opposite = corners[:, k], corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]
+        edges.append(np.sort(np.stack([a, b], axis=1), axis=1))
+        seen_under_obtuse.append(
+            np.einsum("ni,ni->n", points[a] - points[opposite], points[b] - points[opposite]) < -1e-12
+        )
+    every, obtuse = np.concatenate(edges), np.concatenate(seen_under_obtuse)
+    return np.array(sorted(set(map(tuple, every)) - set(map(tuple, every[obtuse]))), dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class _Origin:
+    """psi at zero current is `weights` @ psi + `offset`."""
+
+    weights: Array
+    offset: Array
+
+
+def _origin(points: Inductances, where: str) -> tuple[_Origin, bool]:
+    zero = np.zeros((1, 2))
+    surface = TaylorSurface(points.current, zero, where)
+    n = len(points.current)
+    if surface.inside[0]:
+        none, weights = np.zeros(n), np.zeros(n)
+        weights[surface.corners[0]] = surface.weights[0]
+        offset = [float(surface(none, points.matrix[:, k], points.slope[:, k])[0]) for k in range(2)]
+        return _Origin(weights, np.array(offset)), True
+    nearest = int(np.argmin(np.linalg.norm(points.current, axis=1)))
+    step = -points.current[nearest]
+    offset = points.matrix[nearest] @ step + 0.5 * points.slope[nearest] @ step @ step
+    return _Origin(np.eye(n)[nearest], np.asarray(offset)), False
+
+
+def _noise(points: Inductances, edges: NDArray[np.int64], step: Array, solver: Array) -> Array:
+    """Variance of the flux from the inductances' covariances, shape (n, 2)."""
+    from scipy.sparse import csr_array
+
+    a, b = edges.T
+    d, q = step.T
+    n, rows = len(points.current), np.arange(len(edges))
+    out = np.zeros((n, 2))
+    for axis in range(2):
+        half = (0.5 * d, 0.5 * q)
+        curve = (d * d / 12.0, d * q / 6.0, q * q / 12.0)
+        columns = [axis, axis + 1, 3 + axis, 4 + axis, 5 + axis]
+        gain = np.zeros((len(columns), n, n))
+        for m, factor in enumerate((*half, *curve)):
+            sign = -1.0 if m >= 2 else 1.0
+            ends = (np.concatenate([factor, sign * factor]), (np.concatenate([a, b]), np.concatenate([rows, rows])))
+            gain[m] = (csr_array(ends, shape=(n, len(edges))) @ solver.T).T
+        for m, first in enumerate(columns):
+            for k, second in enumerate(columns):
+                out[:, axis] += (gain[m] * gain[k]) @ points.covariance[:, first, second]
+    return out

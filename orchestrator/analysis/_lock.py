@@ -1,0 +1,190 @@
+"""Whether the rotor is really locked, judged from the angle of its saliency at rest and under torque.
+
+The principal axes of the Hessian turn with the rotor. Injection at zero, positive, zero, negative and zero torque
+current shows by how much the rotor has turned between the rests (it slipped in its brake, or was never locked) and
+how far it gives while the torque acts. Half a turn of the axes' angle looks like none; a rotor that follows the
+current vector turns by a quarter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._ripple import Ripple, demodulate
+from protocols import Capture, LockChecked, NotMeasuredError, Segment
+
+Array = NDArray[np.float64]
+
+_TELLING = 5.0  # standard deviations by which a direction must stand out before it is believed
+_COUPLING = 0.005  # ... and how much of the mean it must be: weaker is within what sensors differ by
+
+
+@dataclass(frozen=True)
+class _Direction:
+    """Angle of something that turns with the rotor; angles a `turn` apart look alike."""
+
+    angle: float
+    std: float
+    turn: float
+
+
+def judge_lock(
+    captures: Sequence[tuple[Segment, Capture]],
+    tolerance_rad: float,
+    *,
+    voltage_delay_samples: float = 0.0,
+    time_constant_s: float | None = None,
+) -> LockChecked:
+    """Judge from injection captures at rest and under torque whether the rotor turned.
+
+    Parameters
+    ----------
+    captures : sequence of (Segment, Capture)
+        In order of time, with currents of zero, plus, zero, minus, zero on the believed q axis. Which are which
+        is told from the waveforms.
+    tolerance_rad : float
+        Largest lasting rotation (electrical) that counts as locked.
+    voltage_delay_samples, time_constant_s : float
+        As in `demodulate`.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where there are fewer than two rests or no torque between them.
+    """
+    ripples = [
+        demodulate(
+            capture,
+            segment.rotor_angle_rad,
+            voltage_delay_samples=voltage_delay_samples,
+            time_constant_s=time_constant_s,
+            where=segment.id,
+        )
+        for segment, capture in captures
+    ]
+    length = np.array([float(np.linalg.norm(r.mean_current_dq)) for r in ripples])
+    at_rest = length < 0.3 * length.max() if len(length) else np.zeros(0, dtype=bool)
+    rests = [r for r, rest in zip(ripples, at_rest, strict=True) if rest]
+    torques = [r for r, rest in zip(ripples, at_rest, strict=True) if not rest]
+    if len(rests) < 2 or not torques:
+        raise NotMeasuredError("lock_check", "segments", "needs injection at rest before and after one under torque")
+    for direction_of in (_saliency_direction, _saturation_direction):
+        directions = [direction_of(r) for r in rests]
+        if all(d is not None for d in directions):
+            twist = _twist(rests[0], torques) if direction_of is _saliency_direction else None
+            return _verdict([d for d in directions if d is not None], twist, tolerance_rad)
+    return _blind(tolerance_rad)
+
+
+def _blind(tolerance_rad: float) -> LockChecked:
+    # An angle that cannot be seen may be anything: all that is known is how much of a quarter turn is tolerated.
+    return LockChecked(
+        locked=True,
+        confidence=min(tolerance_rad / (0.5 * math.pi), 1.0),
+        moved_rad=0.0,
+        moved_std_rad=0.5 * math.pi / math.sqrt(3.0),
+        twist_rad=0.0,
+        summary=(
+            "cannot tell: the motor shows no saliency at rest, neither in its inductances nor in their saturation, "
+            "so a rotation is invisible; nothing speaks against the lock, the brake has to be trusted"
+        ),
+    )
+
+
+def _saliency_direction(ripple: Ripple) -> _Direction | None:
+    """Axis of the smallest inductance; None where the motor is round within the noise."""
+    h = ripple.hessian
+    difference = np.array([h[0, 0] - h[1, 1], 2.0 * h[0, 1]])
+    by_h = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
+    return _direction(difference, by_h @ ripple.covariance[:3, :3] @ by_h.T, float(np.trace(h)), 2)
+
+
+def _saturation_direction(ripple: Ripple) -> _Direction | None:
+    """Direction in which the inductances fall: it follows the magnet even in a round motor."""
+    t = ripple.third
+    slope = np.array([t[0] + t[2], t[1] + t[3]])
+    by_t = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
+    size = float(np.trace(ripple.hessian)) / max(ripple.flux_rms_wb, 1e-12)
+    return _direction(slope, by_t @ ripple.covariance[3:, 3:] @ by_t.T, size, 1)
+
+
+def _direction(vector: Array, covariance: Array, scale: float, order: int) -> _Direction | None:
+    length = float(np.linalg.norm(vector))
+    if length <= max(_TELLING * math.sqrt(float(np.trace(covariance))), _COUPLING * scale):
+        return None
+    across = np.array([-vector[1], vector[0]]) / length
+    std = math.sqrt(float(across @ covariance @ across)) / length / order
+    return _Direction(math.atan2(vector[1], vector[0]) / order, std, 2.0 * math.pi / order)
+
+
+def _turned(later: _Direction, earlier: _Direction) -> tuple[float, float]:
+    turn = math.remainder(later.angle - earlier.angle, earlier.turn)
+    return turn, math.hypot(later.std, earlier.std)
+
+
+@dataclass(frozen=True)
+class _Twist:
+    angle: float
+    follows: bool
+
+
+def _verdict(rests: list[_Direction], twist: _Twist | None, tolerance_rad: float) -> LockChecked:
+    moved, std = max((_turned(rest, rests[0]) for rest in rests[1:]), key=lambda turn: abs(turn[0]))
+    confidence = _within(moved, std, tolerance_rad)
+    # A measurement blunter than the tolerance convicts nobody: then only a rotation beyond its own error does.
+    blunt = 2.0 * std > tolerance_rad and abs(moved) < 3.0 * std
+    locked = confidence > 0.5 or blunt
+    words = "locked" if confidence > 0.5 else "the rotor moved"
+    if blunt:
+        words = "no movement seen, but the saliency is too weak to tell to within the tolerance"
+    if twist is not None and twist.follows:
+        words = "the saliency follows the current vector: the rotor is free"
+        locked, confidence = False, min(confidence, 1e-6)
+    size = f"lasting rotation {math.degrees(moved):+.2f} +- {math.degrees(2 * std):.2f} deg el. (95 %)"
+    seen = (
+        f"twist under torque {math.degrees(twist.angle):+.2f} deg el., cross-saturation included"
+        if twist is not None
+        else "seen by the direction of saturation, as the motor shows no saliency"
+    )
+    return LockChecked(
+        locked=locked,
+        confidence=confidence,
+        moved_rad=moved,
+        moved_std_rad=std,
+        twist_rad=twist.angle if twist is not None else 0.0,
+        summary=f"{words}; {size}, tolerance {math.degrees(tolerance_rad):.2f} deg; {seen}",
+    )
+
+
+def _twist(rest: Ripple, torques: list[Ripple]) -> _Twist:
+    """How far the saliency gives under torque, and whether it goes where the current points.
+
+    The angle is the one by which the saliency at rest would have to turn to give the coupling H_12 seen under torque,
+    half the difference between both signs; the principal axes themselves do not serve, since saturation can make the
+    motor round, or salient the other way, at full current. A rotor that turned to the current shows, across the
+    current, its q axis, which saturation by that current cannot imitate.
+    """
+    _, axes = np.linalg.eigh(rest.hessian)
+    along, across = axes.T if abs(axes[0, 0]) > abs(axes[0, 1]) else axes.T[::-1]
+    saliency = float(along @ rest.hessian @ along - across @ rest.hessian @ across)
+    turns: dict[bool, list[float]] = {True: [], False: []}
+    follows = False
+    for ripple in torques:
+        positive = bool(ripple.mean_current_dq @ across * np.sign(across[1]) > 0)
+        turns[positive].append(float(ripple.hessian[0, 1] - rest.hessian[0, 1]) / saliency)
+        follows = follows or float(along @ (rest.hessian - ripple.hessian) @ along) / saliency > 0.5
+    plus, minus = (float(np.mean(turns[way])) if turns[way] else 0.0 for way in (True, False))
+    return _Twist(0.5 * (plus - minus) if turns[True] and turns[False] else plus - minus, follows)
+
+
+def _within(value: float, std: float, tolerance: float) -> float:
+    """Probability that a Gaussian quantity lies within +-tolerance."""
+    if std <= 0.0:
+        return float(abs(value) <= tolerance)
+    scale = std * math.sqrt(2.0)
+    return 0.5 * (math.erf((tolerance - value) / scale) + math.erf((tolerance + value) / scale))

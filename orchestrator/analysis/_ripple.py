@@ -1,0 +1,180 @@
+"""What a rotating injection tells about one operating point; from waveforms alone, one capture at a time.
+
+While the rotor stands still, dpsi/dt = v - R_s i and i = grad H(psi). Around the centre of the ripple
+
+    i~ = H2 psi~ + 1/2 H3 psi~^2 + 1/6 H4 psi~^3,        psi~ = P - R_s Q,
+
+with P the zero-mean primitive of the voltage (F(Omega t) of Combes, Malrait, Martin, Rouchon, "Obtaining the
+current-flux relations of the saturated PMSM by signal injection") and Q that of the current. The ripple is
+regressed on P, on Q and on the products of P, over windows of whole injection periods, in each of which a
+constant and a ramp are free. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
+the curvature that a finite ripple sees is told apart from the Hessian. H3 comes as a by-product: it is the
+slope of the inductances, and half of it shifts the mean current away from the current at the mean flux.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._symmetric import symmetric_regression
+from protocols import Capture, NotMeasuredError
+
+Array = NDArray[np.float64]
+
+_PERIODS = 4  # a window's least; a ramp is then nearly orthogonal to the ripple
+
+_ROWS = 16_384  # enough to find the frequency in
+
+
+@dataclass(frozen=True)
+class Ripple:
+    """The saliency of one operating point in the believed dq frame.
+
+    Attributes
+    ----------
+    current_dq : array, shape (2,)
+        Current at the centre of the flux ripple [A]: where the derivatives belong.
+    mean_current_dq : array, shape (2,)
+        Mean of the measured current [A].
+    hessian : array, shape (2, 2)
+        Second derivatives of the energy H(psi) [A/Wb], the inverse of the inductance matrix.
+    third : array, shape (4,)
+        Third derivatives H_111, H_112, H_122, H_222 [A/Wb^2].
+    covariance : array, shape (7, 7)
+        Of (H_11, H_12, H_22, H_111, H_112, H_122, H_222), from the scatter of the residual.
+    flux_rms_wb : float
+        Size of the flux ripple.
+    frequency_hz, amplitude_v : float
+        Of the injection, as found in the voltage.
+    decay_per_s : float
+        Slowest rate at which a transient decays, R_s / L [1/s], as found in the ripple.
+    samples : int
+        How many were used.
+    """
+
+    current_dq: Array
+    mean_current_dq: Array
+    hessian: Array
+    third: Array
+    covariance: Array
+    flux_rms_wb: float
+    frequency_hz: float
+    amplitude_v: float
+    decay_per_s: float
+    samples: int
+
+
+def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float, where: str = "capture") -> float:
+    """Frequency of a (rotating) periodic wave on a constant voltage [Hz].
+
+    A wave of frequency f whose axis rotates at r has its strongest lines at +f + r and -f + r in the
+    spectrum of v_alpha + j v_beta, so half their distance is f whatever the rotation.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where no such wave is there.
+    """
+    vectors = np.ascontiguousarray(v_ab[:_ROWS], dtype=np.float64).view(np.complex128)[:, 0]
+    n = len(vectors)
+    if n < 16:
+        raise NotMeasuredError(where, "v_alpha, v_beta", f"{n} samples are too few to find an injection in")
+    spectrum = np.abs(np.fft.fft((vectors - vectors.mean()) * np.hanning(n)))
+    if spectrum.max() <= 1e-9 * max(1.0, float(np.abs(vectors).max())) * n:
+        raise NotMeasuredError(where, "v_alpha, v_beta", "no injected voltage was found")
+    ahead, behind = (_peak(half) for half in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
+    return 0.5 * (ahead + behind + 1.0) * sampling_frequency_hz / n
+
+
+def _peak(spectrum: Array) -> float:
+    """Place of the highest line, between bins (parabola through the logarithms)."""
+    k = int(np.argmax(spectrum))
+    if not 0 < k < len(spectrum) - 1:
+        return float(k)
+    a, b, c = np.log(spectrum[k - 1 : k + 2] + 1e-300)
+    return k + (0.5 * float((a - c) / (a - 2 * b + c)) if a - 2 * b + c else 0.0)
+
+
+def demodulate(
+    capture: Capture,
+    rotor_angle_rad: float,
+    *,
+    voltage_delay_samples: float = 0.0,
+    discard_s: float | None = None,
+    time_constant_s: float | None = None,
+    where: str = "capture",
+) -> Ripple:
+    """Find the Hessian of the energy from the ripple of one injection capture.
+
+    Parameters
+    ----------
+    capture : Capture
+    rotor_angle_rad : float
+        Believed electrical angle of the d axis.
+    voltage_delay_samples : float
+        n, where v[k] acts from t_k + n Ts; need not be whole.
+    discard_s : float, optional
+        Time left out at the start, where the switched-on wave leaves a decaying offset. By default five
+        time constants, at most a third of the capture.
+    time_constant_s : float, optional
+        L / R_s, for that default. Without it the ripple itself tells.
+    where : str
+        Name of the segment, for errors.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where no injection is found, or it does not rotate, or lasts for too few periods.
+    """
+    frequency = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, where)
+    if discard_s is None and time_constant_s is None:
+        whole = _demodulated(capture, rotor_angle_rad, voltage_delay_samples, 0, frequency, where)
+        time_constant_s = 1.0 / whole.decay_per_s
+    duration_s = len(capture) / capture.sampling_frequency_hz
+    if discard_s is None:
+        discard_s = min(5.0 * (time_constant_s or 0.0), duration_s / 3.0)
+    skip = round(discard_s * capture.sampling_frequency_hz)
+    return _demodulated(capture, rotor_angle_rad, voltage_delay_samples, skip, frequency, where)
+
+
+def _demodulated(capture: Capture, angle: float, delay: float, skip: int, frequency: float, where: str) -> Ripple:
+    # numba stays out of an import that only wants the names
+    from orchestrator.analysis._moments import ripple_moments
+
+    rate = capture.sampling_frequency_hz
+    width = _window(rate / frequency)
+    first = max(skip, math.ceil(delay))
+    if len(capture) - first < width:
+        problem = (
+            f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {len(capture) - first} are there"
+        )
+        raise NotMeasuredError(where, "samples", problem)
+    moments = ripple_moments(
+        capture.i_ab, capture.v_ab, sampling_s=1.0 / rate, angle_rad=angle, delay=delay, first=first, width=width
+    )
+    fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, where)
+    s, t = moments.mean_squares, fit.third
+    shift = 0.5 * np.array([s[0] * t[0] + 2 * s[1] * t[1] + s[2] * t[2], s[0] * t[1] + 2 * s[1] * t[2] + s[2] * t[3]])
+    return Ripple(
+        current_dq=moments.mean_i - shift,
+        mean_current_dq=moments.mean_i,
+        hessian=fit.hessian,
+        third=fit.third,
+        covariance=fit.covariance,
+        flux_rms_wb=math.sqrt(s[0] + s[2]),
+        frequency_hz=frequency,
+        amplitude_v=math.sqrt(moments.mean_v2),
+        decay_per_s=fit.decay_per_s,
+        samples=moments.samples,
+    )
+
+
+def _window(period: float) -> int:
+    """Samples of the shortest window of at least four periods that holds a whole number of them, or nearly so."""
+    periods = np.arange(_PERIODS, 10 * _PERIODS + 1)
+    off = np.abs(periods * period - np.round(periods * period)) / periods
+    return round(float(periods[int(np.argmax(off <= max(1e-3, off.min())))] * period))

@@ -1,0 +1,148 @@
+"""Surfaces over the current plane from scattered points, inside their hull only; knows no physics.
+
+`TaylorSurface` is for values whose derivatives were measured too, `SmoothSurface` for values alone.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import NotMeasuredError
+
+if TYPE_CHECKING:
+    from scipy.spatial import Delaunay
+
+Array = NDArray[np.float64]
+
+
+def triangulate(points: Array, where: str) -> Delaunay:
+    """Delaunay triangulation of scattered points, shape (n, 2).
+
+    Raises
+    ------
+    NotMeasuredError
+        Where they do not span an area.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    try:
+        return Delaunay(points)
+    except (QhullError, ValueError) as error:
+        raise NotMeasuredError(where, "points", f"{len(points)} points do not span an area of currents") from error
+
+
+def require_area(points: Array, where: str) -> None:
+    """Raise `NotMeasuredError` where scattered currents do not spread in two directions."""
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False) if len(points) > 2 else np.zeros(2)
+    if spread[1] <= 0.05 * spread[0]:
+        raise NotMeasuredError(where, "points", f"{len(points)} points do not span an area of currents")
+
+
+class TaylorSurface:
+    """Blend of Taylor polynomials of the three corners of each triangle.
+
+    The m-th of r derivatives is weighted by (r + 1 - m) / (r + 1), which reproduces polynomials one
+    degree higher than the corners' own (A. Guessab, O. Nouisser, G. Schmeisser, "Multivariate approximation
+    by a combination of modified Taylor polynomials", J. Comput. Appl. Math. 196 (2006) 162-179,
+    doi:10.1016/j.cam.2005.08.015). Continuous across edges, linear in the data.
+
+    Parameters
+    ----------
+    points : array, shape (n, 2)
+    at : array, shape (m, 2)
+        Where values are wanted.
+
+    Attributes
+    ----------
+    inside : array of bool, shape (m,)
+    corners, weights : array, shape (m, 3)
+        The triangle that each place is in, and its barycentric coordinates there.
+    slender : array of bool, shape (m,)
+        Whether that triangle is a splinter (between points that are nearly in line, along the hull), across
+        which values hold but slopes do not.
+    """
+
+    def __init__(self, points: Array, at: Array, where: str) -> None:
+        mesh = triangulate(points, where)
+        # A point on the hull is inside it; rounding must not decide.
+        simplex = mesh.find_simplex(at, tol=1e-9)
+        self.inside: NDArray[np.bool_] = simplex >= 0
+        transform = mesh.transform[simplex]
+        first = np.einsum("mij,mj->mi", transform[:, :2], at - transform[:, 2])
+        self.weights = np.concatenate([first, 1.0 - first.sum(axis=1, keepdims=True)], axis=1)
+        self.corners = mesh.simplices[simplex]
+        self._steps = at[:, None, :] - points[self.corners]
+        self.weights[~self.inside] = np.nan
+        a, b, c = (points[self.corners[:, k]] for k in range(3))
+        sides = np.stack([b - a, c - b, a - c], axis=1)
+        area = 0.5 * np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+        self.slender: NDArray[np.bool_] = area < 0.05 * (sides**2).sum(axis=-1).max(axis=-1)
+
+    def __call__(self, value: Array, gradient: Array | None = None, second: Array | None = None) -> Array:
+        """Values at the wanted places, shape (m,); NaN outside the hull.
+
+        Parameters
+        ----------
+        value, gradient, second : array, shapes (n,), (n, 2), (n, 2, 2)
+        """
+        order = 0 if gradient is None else (1 if second is None else 2)
+        terms = value[self.corners]
+        if gradient is not None:
+            terms = terms + order / (order + 1) * np.einsum("mci,mci->mc", gradient[self.corners], self._steps)
+        if second is not None:
+            curved = np.einsum("mcij,mci,mcj->mc", second[self.corners], self._steps, self._steps)
+            terms = terms + 0.5 / 3.0 * curved
+        out: Array = np.einsum("mc,mc->m", self.weights, terms)
+        return out
+
+
+class SmoothSurface:
+    """Cubic radial basis functions through scattered vectors, with their derivatives by differences.
+
+    Parameters
+    ----------
+    points : array, shape (n, 2)
+    values : array, shape (n, k)
+    smoothing : float
+        Of scipy's `RBFInterpolator`.
+    """
+
+    def __init__(self, points: Array, values: Array, smoothing: float = 0.0) -> None:
+        from scipy.interpolate import RBFInterpolator
+
+        self._scale = float(np.ptp(points, axis=0).max())
+        self._surface: Any = RBFInterpolator(points / self._scale, values, kernel="cubic", smoothing=smoothing)
+
+    def __call__(self, at: Array) -> Array:
+        """Values, shape (m, k); the caller keeps to the hull."""
+        out: Array = self._surface(at / self._scale)
+        return out
+
+    def gradient(self, at: Array) -> Array:
+        """Derivatives by central differences, shape (m, k, 2)."""
+        step = 1e-3 * self._scale
+        sides = [(self(at + e) - self(at - e)) / (2.0 * step) for e in step * np.eye(2)]
+        return np.stack(sides, axis=-1)
+
+
+def inside_hull(points: Array, at: Array, where: str) -> NDArray[np.bool_]:
+    """Whether places lie in the convex hull of the points."""
+    inside: NDArray[np.bool_] = triangulate(points, where).find_simplex(at, tol=1e-9) >= 0
+    return inside
+
+
+def current_axes(points: Array) -> tuple[Array, Array]:
+    """Round-numbered axes that cover scattered currents: about sixty steps, zero on both where they hold it."""
+    return _round_axis(points[:, 0]), _round_axis(points[:, 1])
+
+
+def _round_axis(values: Array) -> Array:
+    span = float(np.ptp(values))
+    decade = 10.0 ** np.floor(np.log10(span / 64.0))
+    step = next(f * decade for f in (1.0, 2.0, 5.0, 10.0) if f * decade * 64.0 >= span)
+    low, high = np.ceil(values.min() / step - 1e-9), np.floor(values.max() / step + 1e-9)
+    axis: Array = np.arange(low, high + 1) * step
+    return axis

@@ -1,0 +1,250 @@
+"""Flux along one swept current path, by integrating the voltage over time; one capture at a time.
+
+    psi(t) = psi(0) + integral of (v - R_s i) dt
+
+(Combes, Malrait, Martin, Rouchon, eq. "timeIntegration"). What is wrong with the voltage as a function of the current
+(R_s itself, dead time, device drops) adds with one sign while the current rises and with the other while it falls,
+so the mean of rising and falling branches is free of it. What is left of it while the current rests is known there and
+taken out. Paths are put together elsewhere.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._dwells import Dwell, acting_voltage, dwell, rests
+from orchestrator.analysis._frames import to_dq
+from protocols import Capture, NotMeasuredError
+
+Array = NDArray[np.float64]
+
+_BLOCKS = 4000  # a capture is averaged down to about so many points
+_LEVELS = 61  # points of a path
+
+
+@dataclass(frozen=True)
+class FluxPath:
+    """Flux along a path in the current plane, up to one constant vector.
+
+    Attributes
+    ----------
+    current, psi : array, shape (m, 2)
+        dq frame [A], [Wb].
+    std : array, shape (2,)
+        Of psi, from the scatter of the branches.
+    """
+
+    current: Array
+    psi: Array
+    std: Array
+
+
+@dataclass(frozen=True)
+class Sweep:
+    """One capture of trapezoids, evaluated.
+
+    Attributes
+    ----------
+    path : FluxPath
+        Mean of rising and falling branches.
+    loop_wb : array, shape (2,)
+        Largest half distance of rising and falling branch: hysteresis, or a voltage error.
+    dwells : tuple of Dwell
+        Where the current rested.
+    """
+
+    path: FluxPath
+    loop_wb: Array
+    dwells: tuple[Dwell, ...]
+
+
+@dataclass(frozen=True)
+class _Trace:
+    """Block means of current, of its integral and of the voltage's integral, in the dq frame."""
+
+    i: Array
+    charge: Array
+    impulse: Array
+    time: Array
+    travel: Array
+    axis: Array
+    block: int
+    period: float
+
+
+def find_dwells(capture: Capture, angle_rad: float, delay: float = 0.0) -> tuple[Dwell, ...]:
+    """Where the current of a sweep rests, the settling after each change left out."""
+    return _dwells(capture, _trace(capture, angle_rad, delay), delay)
+
+
+def evaluate_sweep(
+    capture: Capture,
+    angle_rad: float,
+    *,
+    delay: float = 0.0,
+    resistance_ohm: float | None = None,
+    where: str = "capture",
+) -> Sweep:
+    """Flux along the path of a capture of trapezoids, or of any current swept to and fro.
+
+    Parameters
+    ----------
+    capture : Capture
+    angle_rad : float
+        Believed electrical angle of the d axis.
+    delay : float
+        n, where v[k] acts from t_k + n Ts.
+    resistance_ohm : float, optional
+        Without it, R_s is told from the rests of this capture.
+    where : str
+        Name of the segment, for errors.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the current is not swept to and fro.
+    """
+    trace = _trace(capture, angle_rad, delay)
+    dwells = _dwells(capture, trace, delay)
+    psi = _flux(trace, dwells, angle_rad, resistance_ohm, where)
+    branches = _branches(trace, psi)
+    levels = _levels(branches, where)
+    table = np.stack([_at_levels(branch, levels) for branch in branches])
+    rising = np.array([b[-1, 0] > b[0, 0] for b in branches])
+    steps = np.diff(table, axis=1)
+    up, down = _mean(steps[rising]), _mean(steps[~rising])
+    # Where only one direction passed, it has to do.
+    steps_mean = np.where(np.isnan(up), down, np.where(np.isnan(down), up, 0.5 * (up + down)))
+    path = _summed(steps_mean)
+    path[:, :2] += _mean(table)[:, :2].mean(axis=0) - path[:, :2].mean(axis=0)
+    loop = 0.5 * _summed(np.nan_to_num(up - down))[:, 2:]
+    off = np.concatenate([steps[rising] - up, steps[~rising] - down])[:, :, 2:]
+    scatter = np.stack([_summed(np.nan_to_num(one)) for one in off])
+    repeated = len(branches) - 2
+    var = (scatter**2).mean(axis=1).sum(axis=0) / repeated if repeated > 0 else (loop**2).mean(axis=0)
+    return Sweep(FluxPath(path[:, :2], path[:, 2:], np.sqrt(var / len(branches))), np.abs(loop).max(axis=0), dwells)
+
+
+def _mean(x: Array) -> Array:
+    """Mean over the first axis of what is there, NaN where nothing is."""
+    there = ~np.isnan(x)
+    count = there.sum(axis=0)
+    out: Array = np.where(count > 0, np.where(there, x, 0.0).sum(axis=0) / np.maximum(count, 1), np.nan)
+    return out
+
+
+def _summed(steps: Array) -> Array:
+    """Running sum from zero, less its mean."""
+    total = np.concatenate([np.zeros((1, steps.shape[1])), np.cumsum(steps, axis=0)])
+    out: Array = total - total.mean(axis=0)
+    return out
+
+
+def _trace(capture: Capture, angle: float, delay: float) -> _Trace:
+    step = 1.0 / capture.sampling_frequency_hz
+    i = to_dq(capture.i_ab, angle)
+    v = to_dq(acting_voltage(capture.v_ab, delay), angle)
+    charge = step * (np.cumsum(i, axis=0) - 0.5 * i)
+    impulse = step * (np.cumsum(v, axis=0) - v)
+    block = max(1, len(i) // _BLOCKS)
+    n = len(i) // block
+    means = [x[: n * block].reshape(n, block, 2).mean(axis=1) for x in (i, charge, impulse)]
+    spread = np.linalg.eigh(np.cov(means[0].T))[1][:, -1]
+    axis = spread * np.sign(spread[np.argmax(np.abs(spread))])
+    travel = means[0] @ axis
+    period = n / max(1, int(np.argmax(np.abs(np.fft.rfft(travel - travel.mean())))))
+    time: Array = (np.arange(n, dtype=np.float64) + 0.5) * (block * step)
+    return _Trace(means[0], means[1], means[2], time, travel, axis, block, period)
+
+
+def _dwells(capture: Capture, trace: _Trace, delay: float) -> tuple[Dwell, ...]:
+    """The rests without their first third, in which the control still settles."""
+    flats = rests(trace.travel, trace.period)
+    return tuple(dwell(capture, (a + (b - a) // 3) * trace.block, b * trace.block, delay) for a, b in flats)
+
+
+def _flux(trace: _Trace, dwells: tuple[Dwell, ...], angle: float, resistance: float | None, where: str) -> Array:
+    """Integral of the voltage less everything that it shows while the current rests."""
+    if not dwells:
+        if resistance is None:
+            raise NotMeasuredError(where, "R_s", "the current never rests here, and no resistance was measured")
+        flux = trace.impulse - resistance * trace.charge
+        # Without rests all that is known is that a whole number of periods brings no net flux.
+        return flux - np.outer(trace.time, (flux[-1] - flux[0]) / (trace.time[-1] - trace.time[0]))
+    i = to_dq(np.array([d.i_ab for d in dwells]), angle)
+    v = to_dq(np.array([d.v_ab for d in dwells]), angle)
+    s = i @ trace.axis
+    spread = np.ptp(s) > 0.2 * np.ptp(trace.travel)
+    if resistance is None:
+        if not spread:
+            raise NotMeasuredError(where, "R_s", "the current rests at one level only, and no resistance was measured")
+        resistance = float(np.polyfit(s, v @ trace.axis, 1)[0])
+    left = v - resistance * i
+    design = np.stack([np.ones_like(s), s], axis=1) if spread else np.ones((len(s), 1))
+    weight = np.sqrt([d.seconds for d in dwells])[:, None]
+    slope = np.zeros((2, 2))
+    slope[: design.shape[1]] = np.linalg.lstsq(design * weight, left * weight, rcond=None)[0]
+    travelled = trace.charge @ trace.axis
+    drop: Array = resistance * trace.charge + np.outer(trace.time, slope[0]) + np.outer(travelled, slope[1])
+    return trace.impulse - drop
+
+
+def _branches(trace: _Trace, psi: Array) -> list[Array]:
+    """Runs between rests, in order of time; a row is (travel, i_d, i_q, psi_d, psi_q)."""
+    rows = np.column_stack([trace.travel, trace.i, psi])
+    flats = list(rests(trace.travel, trace.period))
+    marks = [_arrival(trace), *(k for flat in flats for k in flat), len(rows)]
+    runs = []
+    for n, (a, b) in enumerate(zip(marks[::2], marks[1::2], strict=True)):
+        # A rest is one point, its mean: the end of one run and the start of the next.
+        head = [rows[slice(*flats[n - 1])].mean(axis=0)] if n > 0 else []
+        tail = [rows[slice(*flats[n])].mean(axis=0)] if n < len(flats) else []
+        runs.append(np.array([*head, *rows[a:b], *tail]).reshape(-1, 5))
+    if not flats:
+        runs = _halves(runs[0])
+    span = np.ptp(trace.travel)
+    return [run for run in runs if len(run) > 2 and abs(run[-1, 0] - run[0, 0]) > 0.1 * span]
+
+
+def _arrival(trace: _Trace) -> int:
+    """First block on the path: what was captured before, on the way to its start, does not belong to it."""
+    across = trace.i @ np.array([-trace.axis[1], trace.axis[0]])
+    early = max(4, round(trace.period / 4))
+    away = np.abs(across - np.median(across)) > 0.02 * np.ptp(trace.travel)
+    hurry = np.abs(np.gradient(trace.travel)) > 2.0 * np.quantile(np.abs(np.gradient(trace.travel)), 0.95)
+    off = np.flatnonzero((away | hurry)[:early])
+    return 2 * (int(off[-1]) + 1) if len(off) else 0
+
+
+def _halves(run: Array) -> list[Array]:
+    """Cut where the travel turns round (a sweep without rests)."""
+    middle = 0.5 * (run[:, 0].min() + run[:, 0].max())
+    above = run[:, 0] > middle
+    passes = np.flatnonzero(above[1:] != above[:-1]) + 1
+    turns = [int(a + np.argmax(np.abs(run[a:b, 0] - middle))) for a, b in pairwise(passes)]
+    return [piece for piece in np.split(run, turns) if len(piece) > 2]
+
+
+def _levels(branches: list[Array], where: str) -> Array:
+    """Travels that some branch of each direction reaches, evenly spaced."""
+    # The ends of a branch are where the current rests; overshoot beyond them is passed only once.
+    ends = [[sorted((b[0, 0], b[-1, 0])) for b in branches if (b[-1, 0] > b[0, 0]) == way] for way in (True, False)]
+    if not all(ends):
+        raise NotMeasuredError(where, "i_alpha, i_beta", "the current is not swept to and fro")
+    low = max(min(low for low, _ in one) for one in ends)
+    high = min(max(high for _, high in one) for one in ends)
+    return np.linspace(low, high, _LEVELS)
+
+
+def _at_levels(branch: Array, levels: Array) -> Array:
+    """Current and flux of one branch at given travels, shape (m, 4), NaN beyond its ends."""
+    # Noise makes the travel run backwards here and there; sorting averages that away.
+    ordered = branch[np.argsort(branch[:, 0], kind="stable")]
+    out = np.stack([np.interp(levels, ordered[:, 0], ordered[:, k]) for k in range(1, 5)], axis=1)
+    slack = 1e-3 * np.ptp(levels)
+    out[(levels < ordered[0, 0] - slack) | (levels > ordered[-1, 0] + slack)] = np.nan
+    return out

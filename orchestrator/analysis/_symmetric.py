@@ -1,0 +1,93 @@
+"""Least squares for the derivatives of an energy, whose symmetry ties the two current components together.
+
+Works on a normal matrix; where that comes from is `_ripple`'s business.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import NotMeasuredError
+
+Array = NDArray[np.float64]
+
+# The unknowns: H_11 H_12 H_22 | H_111 H_112 H_122 H_222 | four of the free matrix on Q | H_1111 .. H_2222.
+_HESSIAN, _THIRD, _FREE, _FOURTH = slice(0, 3), slice(3, 7), slice(7, 11), slice(11, 16)
+_FEATURES_OF_ORDER = {1: 4, 2: 7, 3: 11}
+_UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(range(16))}
+
+
+def _design() -> Array:
+    """Coefficient of each feature in each current component, shape (11, 2, 16 unknowns)."""
+    x = np.zeros((11, 2, 16))
+    for axis in range(2):
+        for k in range(2):
+            x[k, axis, axis + k] = 1.0
+            x[2 + k, axis, 7 + 2 * k + axis] = 1.0
+        for k, factor in enumerate((0.5, 1.0, 0.5)):
+            x[4 + k, axis, 3 + k + axis] = factor
+        for k, factor in enumerate((1 / 6, 0.5, 0.5, 1 / 6)):
+            x[7 + k, axis, 11 + k + axis] = factor
+    return x
+
+
+_DESIGN = _design()
+
+
+@dataclass(frozen=True)
+class SymmetricFit:
+    """Derivatives of the energy with the covariance of the first seven; zero what could not be told."""
+
+    hessian: Array
+    third: Array
+    covariance: Array
+    decay_per_s: float
+
+
+def symmetric_regression(normal: Array, freedom: int, where: str) -> SymmetricFit:
+    """Generalised least squares for H_11 .. H_222, symmetric by construction.
+
+    Parameters
+    ----------
+    normal : array, shape (13, 13)
+        Sums of products of the eleven features (P, Q, squares and cubes of P) and the two currents.
+    freedom : int
+        Samples less what has been fitted already.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the injection moves the flux along one direction only.
+    """
+    for order in (3, 2, 1):
+        used = _FEATURES_OF_ORDER[order]
+        scale = np.sqrt(np.diag(normal)[:used])
+        if not (scale > 0).all():
+            continue
+        scaled = normal[:used, :used] / np.outer(scale, scale)
+        if np.linalg.eigvalsh(scaled)[0] > 1e-6:
+            return _solved(normal, used, scale, scaled, freedom, _UNKNOWNS_OF_ORDER[order])
+    raise NotMeasuredError(where, "v_alpha, v_beta", "the injected voltage does not turn; both axes need to be excited")
+
+
+def _solved(normal: Array, used: int, scale: Array, scaled: Array, freedom: int, unknowns: list[int]) -> SymmetricFit:
+    right = normal[:used, 11:] / scale[:, None]
+    free = np.linalg.solve(scaled, right)
+    noise = (normal[11:, 11:] - right.T @ free) / max(freedom - 2 * used, 1)
+    noise += np.eye(2) * max(1e-12 * np.trace(normal[11:, 11:]) / max(freedom, 1), 1e-300)
+    design = (_DESIGN[:used, :, unknowns] * scale[:, None, None]).reshape(2 * used, -1)
+    weight = np.kron(scaled, np.linalg.inv(noise))
+    size = np.linalg.norm(design, axis=0)
+    design = design / size
+    information = design.T @ weight @ design
+    covariance = np.linalg.inv(information)
+    answer, spread = np.zeros(16), np.zeros((16, 16))
+    answer[unknowns] = covariance @ (design.T @ (weight @ free.ravel())) / size
+    spread[np.ix_(unknowns, unknowns)] = covariance / np.outer(size, size)
+    h = answer[_HESSIAN]
+    hessian = np.array([[h[0], h[1]], [h[1], h[2]]])
+    decay = np.linalg.eigvals(-answer[_FREE].reshape(2, 2)).real
+    return SymmetricFit(hessian, answer[_THIRD], spread[:7, :7], max(float(decay.min()), 1e-3))

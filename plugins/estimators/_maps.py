@@ -1,0 +1,33 @@
+"""What the map-making estimators share: the nameplate's flux convention, and the grid of a map."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis import current_axes
+from protocols import FluxMap, Motor, RecordingReader
+
+Array = NDArray[np.float64]
+
+QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
+
+
+def grid_of(points: Array) -> tuple[tuple[Array, Array], Array]:
+    """Axes over the points, and all their nodes, shape (n_d * n_q, 2)."""
+    axes = current_axes(points)
+    return axes, np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+
+
+def as_map(method: str, motor: Motor, axes: tuple[Array, Array], values: Array, stds: Array) -> FluxMap:
+    """A map from columns psi_d, psi_q, l_dd, l_dq, l_qq at the nodes; psi without the magnet's flux."""
+    shape = (len(axes[0]), len(axes[1]))
+    fields = {name: values[:, k].reshape(shape) for k, name in enumerate(QUANTITIES)}
+    fields["psi_d"] = fields["psi_d"] + (motor.pm_flux_wb or 0.0)
+    spreads = {f"{name}_std": stds[:, k].reshape(shape) for k, name in enumerate(QUANTITIES)}
+    return FluxMap(method=method, i_d=axes[0], i_q=axes[1], **fields, **spreads)
+
+
+def voltage_delay(recording: RecordingReader) -> float:
+    """n, where v[k] acts from t_k + n Ts."""
+    return recording.manifest.drive.voltage_delay_samples or 0.0

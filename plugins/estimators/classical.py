@@ -1,0 +1,154 @@
+"""Flux map by the classical method: the voltage of swept currents integrated over time.
+
+Rising and falling branches are averaged, paths are tied together where they cross, and zero current has zero flux
+(Combes, Malrait, Martin, Rouchon, "Obtaining the current-flux relations of the saturated PMSM by signal injection",
+section "Classical method").
+"""
+
+from __future__ import annotations
+
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis import (
+    Network,
+    SmoothSurface,
+    Sweep,
+    check_map,
+    evaluate_sweep,
+    inside_hull,
+    join_paths,
+    rated_flux_wb,
+    require_area,
+)
+from plugins.estimators._maps import as_map, grid_of, voltage_delay
+from protocols import (
+    EstimationContext,
+    FluxMap,
+    FluxMapEstimate,
+    FluxPoints,
+    NotMeasuredError,
+    RecordingReader,
+    ResistanceEstimate,
+    Segment,
+    SegmentStage,
+)
+
+Array = NDArray[np.float64]
+
+_SMOOTHING = 1e-4  # of the surface through the paths, which disagree a little where they cross
+_THINNED = 3  # every third point of a path makes the surface
+_DRAWS = 24  # of the flux's errors, for the errors of its derivatives
+
+
+class ClassicalEstimator:
+    """psi = integral of (v - R_s i), averaged over periods and over both directions of the sweep."""
+
+    name: ClassVar[str] = "classical"
+    summary: ClassVar[str] = "flux map by time integration of the voltage over swept currents"
+    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
+        """Make the map; raises `NotMeasuredError` where the sweeps do not span an area of currents."""
+        segments = recording.segments(SegmentStage.CLASSICAL)
+        if not segments:
+            raise NotMeasuredError(recording.manifest.name, "segments", "no segment of stage classical")
+        sweeps = [_sweep(recording, segment, context.resistance) for segment in segments]
+        network = join_paths([sweep.path for sweep in sweeps])
+        current = np.concatenate([path.current for path in network.paths])
+        require_area(current, recording.manifest.name)
+        flux_map, origin = _gridded(recording, network)
+        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
+        points = FluxPoints(
+            i_dq=current,
+            psi_dq=np.concatenate([path.psi for path in network.paths]) - origin + magnet,
+            segment=tuple(
+                segments[member].id
+                for member, path in zip(network.members, network.paths, strict=True)
+                for _ in range(len(path.current))
+            ),
+        )
+        return FluxMapEstimate(
+            map=flux_map,
+            points=points,
+            checks=check_map(flux_map, rated, network.misfit),
+            notes=_notes(sweeps, network, rated),
+        )
+
+
+def _sweep(recording: RecordingReader, segment: Segment, resistance: ResistanceEstimate | None) -> Sweep:
+    return evaluate_sweep(
+        recording.load(segment),
+        segment.rotor_angle_rad,
+        delay=voltage_delay(recording),
+        resistance_ohm=_nearest_ohm(resistance, segment.start_s),
+        where=segment.id,
+    )
+
+
+def _nearest_ohm(resistance: ResistanceEstimate | None, start_s: float) -> float | None:
+    """R_s as it was read about then: it drifts with the winding's temperature."""
+    if resistance is None:
+        return None
+    near = sorted(resistance.readings, key=lambda reading: abs(reading.start_s - start_s))[:4]
+    return float(np.median([reading.value_ohm for reading in near])) if near else resistance.value_ohm
+
+
+def _gridded(recording: RecordingReader, network: Network) -> tuple[FluxMap, Array]:
+    """The map, and what has to be taken from the paths' flux so that zero current has none."""
+    where = recording.manifest.name
+    current = np.concatenate([path.current[::_THINNED] for path in network.paths])
+    draws = _error_draws(network)
+    values = np.concatenate([np.concatenate([path.psi[::_THINNED] for path in network.paths]), draws], axis=1)
+    axes, nodes = grid_of(current)
+    inside = inside_hull(current, np.concatenate([nodes, np.zeros((1, 2))]), where)
+    if not inside[-1]:
+        raise NotMeasuredError(where, "segments", "zero current lies outside the swept currents: no flux to start from")
+    surface = SmoothSurface(current, values, _SMOOTHING)
+    held = nodes[inside[:-1]]
+    level = surface(np.zeros((1, 2)))
+    psi, slopes = surface(held) - level, surface.gradient(held)
+    columns = np.full((len(nodes), 5), np.nan)
+    spreads = np.full((len(nodes), 5), np.nan)
+    columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
+    drawn = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
+    spreads[inside[:-1]] = np.sqrt(np.mean(np.square(drawn), axis=0))
+    return as_map("classical", recording.manifest.motor, axes, columns, spreads), level[0, :2]
+
+
+def _quantities(psi: Array, slope: Array) -> Array:
+    """psi_d, psi_q, l_dd, l_dq (mean of both mutual slopes), l_qq."""
+    mutual = 0.5 * (slope[:, 0, 1] + slope[:, 1, 0])
+    return np.column_stack([psi, slope[:, 0, 0], mutual, slope[:, 1, 1]])
+
+
+def _error_draws(network: Network) -> Array:
+    """Random errors of the paths' flux as large as their scatter and their disagreement, columns (d, q) a draw."""
+    random = np.random.default_rng(1)
+    apart = np.sqrt(0.5 * (network.misfit**2).mean(axis=0)) if network.misfit is not None else np.zeros(2)
+    columns = []
+    for path in network.paths:
+        place = np.linspace(0.0, np.pi, len(path.current))[::_THINNED]
+        # Scatter between branches is drift and noise integrated: smooth along the path.
+        shapes = np.stack([np.cos(k * place) for k in range(1, 5)], axis=1) / np.sqrt(2.0)
+        smooth = np.einsum("mk,bkx->mbx", shapes, random.normal(size=(_DRAWS, 4, 2))) * path.std
+        offset = random.normal(size=(1, _DRAWS, 2)) * apart
+        columns.append((smooth + offset).reshape(len(place), 2 * _DRAWS))
+    return np.concatenate(columns)
+
+
+def _notes(sweeps: list[Sweep], network: Network, rated: float | None) -> tuple[str, ...]:
+    notes = []
+    left_out = len(sweeps) - len(network.paths)
+    if left_out:
+        notes.append(f"{left_out} of {len(sweeps)} sweeps cross none of the others and are left out")
+    widest = max(float(sweep.loop_wb.max()) for sweep in sweeps)
+    if rated and widest > 0.02 * rated:
+        notes.append(
+            f"rising and falling branches differ by up to +-{100 * widest / rated:.1f} % of the rated flux: "
+            "a voltage error of the inverter, or hysteresis; their mean is used"
+        )
+    return tuple(notes)

@@ -1,0 +1,183 @@
+"""Flux map by signal injection: the ripple's Hessian at many currents, inverted and integrated.
+
+Neither R_s nor the base voltage enters (Combes, Malrait, Martin, Rouchon, "Obtaining the current-flux relations of
+the saturated PMSM by signal injection", section "Proposed method").
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis import (
+    FluxPath,
+    Inductances,
+    IntegratedFlux,
+    Ripple,
+    TaylorSurface,
+    along,
+    check_map,
+    demodulate,
+    integrate,
+    invert,
+    join_paths,
+    rated_flux_wb,
+)
+from plugins.estimators._lines import straight_lines
+from plugins.estimators._maps import as_map, grid_of, voltage_delay
+from protocols import (
+    EstimationContext,
+    FluxMap,
+    FluxMapEstimate,
+    FluxPoints,
+    NotMeasuredError,
+    RecordingReader,
+    SegmentStage,
+)
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Points injected with one frequency and one size of flux ripple."""
+
+    segments: list[str]
+    ripples: list[Ripple]
+
+    @property
+    def size(self) -> float:
+        return float(np.median([r.flux_rms_wb for r in self.ripples]))
+
+    def __str__(self) -> str:
+        first = self.ripples[0]
+        return f"{first.amplitude_v:.3g} V rms at {first.frequency_hz:.4g} Hz"
+
+
+class InjectionEstimator:
+    """H at each point reached, L = H^-1, psi by least squares over the graph of neighbouring points.
+
+    Amplitudes and frequencies are kept apart: the map is of the smallest ripple among those that cover nearly
+    (four fifths of) the most points, the others are compared with it.
+    """
+
+    name: ClassVar[str] = "injection"
+    summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
+    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
+        """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
+        groups, skipped = _groups(recording)
+        if not groups:
+            problem = skipped[0] if skipped else "no segment of stage injection"
+            raise NotMeasuredError(recording.manifest.name, "segments", problem)
+        most = max(len(group.ripples) for group in groups)
+        chosen = min((g for g in groups if len(g.ripples) >= 0.8 * most), key=lambda g: g.size)
+        points = invert(chosen.ripples)
+        flux = integrate(points, recording.manifest.name)
+        flux_map = _gridded(recording, points, flux)
+        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
+        return FluxMapEstimate(
+            map=flux_map,
+            points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
+            checks=check_map(flux_map, rated, _misfit(points)),
+            notes=(*_notes(groups, chosen, points, flux), *skipped),
+        )
+
+
+def _groups(recording: RecordingReader) -> tuple[list[_Group], list[str]]:
+    """Demodulate every point; group by frequency and ripple, largest group first."""
+    motor = recording.manifest.motor
+    inductances = [x for x in (motor.d_inductance_h, motor.q_inductance_h) if x is not None]
+    resistance = motor.stator_resistance_ohm
+    time_constant = max(inductances) / resistance if inductances and resistance else None
+    found: dict[tuple[int, int], _Group] = {}
+    skipped = []
+    for segment in recording.segments(SegmentStage.INJECTION):
+        try:
+            ripple = demodulate(
+                recording.load(segment),
+                segment.rotor_angle_rad,
+                voltage_delay_samples=voltage_delay(recording),
+                time_constant_s=time_constant,
+                where=segment.id,
+            )
+        except NotMeasuredError as error:
+            skipped.append(str(error))
+            continue
+        key = (round(20 * np.log(ripple.frequency_hz)), round(10 * np.log(ripple.flux_rms_wb)))
+        near = next((k for k in found if k[0] == key[0] and abs(k[1] - key[1]) <= 1), key)
+        group = found.setdefault(near, _Group([], []))
+        group.segments.append(segment.id)
+        group.ripples.append(ripple)
+    return sorted(found.values(), key=lambda g: -len(g.ripples)), skipped
+
+
+def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFlux) -> FluxMap:
+    axes, nodes = grid_of(points.current)
+    surface = TaylorSurface(points.current, nodes, recording.manifest.name)
+    psi = [surface(flux.psi[:, k], points.matrix[:, k], points.slope[:, k]) for k in range(2)]
+    psi_std = [surface(flux.std[:, k]) for k in range(2)]
+    inductance, between = _inductance(points, flux, nodes, surface)
+    spread = np.sqrt(np.einsum("nii->ni", points.covariance))
+    l_std = [np.hypot(surface(spread[:, k]), between[:, k]) for k in range(3)]
+    values, stds = np.column_stack([*psi, inductance]), np.stack([*psi_std, *l_std], axis=1)
+    return as_map("injection", recording.manifest.motor, axes, values, stds)
+
+
+def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface: TaylorSurface) -> tuple[Array, Array]:
+    """L_dd, L_dq, L_qq at the nodes, and half the difference of the two ways to get there.
+
+    Interpolated inductances and the slopes of the interpolated flux err by about as much in different ways
+    between points that are far apart: their mean is better than both, their distance says how good.
+    """
+    step = 1e-3 * float(np.ptp(points.current, axis=0).max())
+    slopes = np.empty((len(nodes), 2, 2))
+    slender = surface.slender
+    for axis, e in enumerate(step * np.eye(2)):
+        ahead, behind = (TaylorSurface(points.current, nodes + side, "injection") for side in (e, -e))
+        slender = slender | ahead.slender | behind.slender
+        for k in range(2):
+            known = (flux.psi[:, k], points.matrix[:, k], points.slope[:, k])
+            slopes[:, k, axis] = (ahead(*known) - behind(*known)) / (2.0 * step)
+    pairs = ((0, 0), (0, 1), (1, 1))
+    direct = np.stack([surface(points.matrix[:, i, j], points.slope[:, i, j]) for i, j in pairs], axis=1)
+    by_flux = np.stack([0.5 * (slopes[:, i, j] + slopes[:, j, i]) for i, j in pairs], axis=1)
+    by_flux = np.where(np.isnan(by_flux) | slender[:, None], direct, by_flux)
+    return 0.5 * (direct + by_flux), 0.5 * np.abs(direct - by_flux)
+
+
+def _misfit(points: Inductances) -> Array | None:
+    """Flux differences where the lines of measured points cross, each line integrated by itself."""
+    paths = []
+    for line in straight_lines(points.current):
+        start, end = line[:-1], line[1:]
+        step = points.current[end] - points.current[start]
+        rise = along(step, (points.matrix[start], points.slope[start]), (points.matrix[end], points.slope[end]))
+        psi = np.concatenate([np.zeros((1, 2)), np.cumsum(rise, axis=0)])
+        paths.append(FluxPath(points.current[line], psi, np.zeros(2)))
+    return join_paths(paths).misfit if len(paths) > 1 else None
+
+
+def _notes(groups: list[_Group], chosen: _Group, points: Inductances, flux: IntegratedFlux) -> list[str]:
+    notes = []
+    if not flux.anchored:
+        notes.append("zero current lies outside the measured points: the flux there was extrapolated")
+    if len(groups) > 1:
+        notes.append(f"several injections: the map is of {chosen} ({len(chosen.ripples)} points)")
+    for group in groups:
+        if group is chosen:
+            continue
+        other = invert(group.ripples)
+        here = TaylorSurface(points.current, other.current, "injection")
+        ratios = [other.matrix[:, k, k] / here(points.matrix[:, k, k], points.slope[:, k, k]) for k in range(2)]
+        if np.isfinite(ratios).any():
+            d, q = (100.0 * (float(np.nanmean(ratio)) - 1.0) for ratio in ratios)
+            notes.append(
+                f"with {group} L_dd is {d:+.1f} % and L_qq {q:+.1f} % of the map's ({len(group.ripples)} points)"
+            )
+    return notes
