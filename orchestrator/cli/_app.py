@@ -1,0 +1,162 @@
+"""The commands and their options; every heavy import waits until its command is called."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(
+    name="fluxbench",
+    help="Commission a permanent-magnet synchronous motor: saturated current-flux relations, measured and checked.",
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+)
+
+ProcedureArgument = Annotated[str, typer.Argument(help="Name of a shipped procedure, or a YAML file.")]
+RecordingArgument = Annotated[Path, typer.Argument(help="A recording or run directory.", metavar="RECORDING")]
+RunArgument = Annotated[Path, typer.Argument(help="A run directory.", metavar="RUN")]
+DriveOption = Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")]
+MotorOption = Annotated[
+    Path | None, typer.Option(help="YAML file with another motor (and limits, drive) to put in the procedure's place.")
+]
+SetOption = Annotated[
+    list[str] | None, typer.Option("--set", help="Change one setting of the procedure: key.path=value.", metavar="K=V")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
+QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only what went wrong.")]
+AbsentOption = Annotated[
+    bool, typer.Option("--unattended", help="Nobody is there: a question that the procedure leaves open ends the run.")
+]
+
+
+@app.command("run")
+def run_command(
+    procedure: ProcedureArgument = "demo",
+    drive: DriveOption = None,
+    motor: MotorOption = None,
+    settings: SetOption = None,
+    out: Annotated[Path | None, typer.Option(help="Run directory to make; by default runs/<name>-<time>.")] = None,
+    unattended: AbsentOption = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
+) -> int:
+    """Commission a motor end to end.
+
+    The main job: align, check the lock, measure, estimate. Where no procedure is named: the demo.
+    """
+    from orchestrator.cli._commission import run
+
+    return run(procedure, drive, motor, settings or [], out, unattended, quiet, as_json)
+
+
+@app.command("resume")
+def resume_command(
+    path: RunArgument, unattended: AbsentOption = False, quiet: QuietOption = False, as_json: JsonOption = False
+) -> int:
+    """Go on with an interrupted run.
+
+    It starts at the first point that is not done, and energises only on your word.
+    """
+    from orchestrator.cli._commission import resume
+
+    return resume(path, unattended, quiet, as_json)
+
+
+@app.command("check")
+def check_command(
+    procedure: ProcedureArgument,
+    drive: DriveOption = None,
+    motor: MotorOption = None,
+    settings: SetOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Dry run: what a procedure would do.
+
+    Points, duration, peak current and voltage, dissipated energy; nothing is energised.
+    """
+    from orchestrator.cli._check import check
+
+    return check(procedure, drive, motor, settings or [], as_json)
+
+
+@app.command("estimate")
+def estimate_command(
+    recording: RecordingArgument,
+    out: Annotated[Path | None, typer.Option(help="Write results there instead of into the recording.")] = None,
+    estimators: Annotated[
+        list[str] | None, typer.Option("--estimator", help="Only this estimator (may be repeated).")
+    ] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Maps and resistance from a recording.
+
+    Stator resistance, flux and inductance maps, and how far they agree with themselves.
+    """
+    from orchestrator.cli._results import estimate
+
+    return estimate(recording, out, estimators or [], as_json)
+
+
+@app.command("plugins")
+def plugins_command(as_json: JsonOption = False) -> int:
+    """What is installed, and whether it loads."""
+    from orchestrator.cli._inspect import plugins
+
+    return plugins(as_json)
+
+
+@app.command("procedures")
+def procedures_command(
+    name: Annotated[str | None, typer.Argument(help="Print this one, as a start for your own.")] = None,
+) -> int:
+    """The procedures that come with it."""
+    from orchestrator.cli._inspect import procedures
+
+    return procedures(name)
+
+
+@app.command("schema")
+def schema_command(
+    name: Annotated[str, typer.Argument(help="procedure, recording, run or estimates.")],
+) -> int:
+    """JSON Schema of a file format, for editors."""
+    from orchestrator.cli._inspect import schema
+
+    return schema(name)
+
+
+def run_app(arguments: Sequence[str]) -> int:
+    """Run one command; what is wrong becomes one line on stderr and an exit code."""
+    try:
+        code = app(list(arguments), standalone_mode=False)
+    except typer.Abort:
+        return _say("interrupted", 130)
+    except BrokenPipeError:  # whoever read the output has had enough
+        sys.stderr.close()
+        return 0
+    except Exception as error:
+        return _explain(error)
+    return int(code or 0)
+
+
+def _explain(error: Exception) -> int:
+    """One line and an exit code for an error of ours or of the words; anything else is a defect and goes on."""
+    usage = getattr(error, "format_message", None)  # as all of typer's own errors have it
+    if usage is not None:
+        return _say(usage(), getattr(error, "exit_code", 2))
+    from protocols import FluxbenchError  # not before it is needed: it costs most of what --help may take
+
+    if not isinstance(error, FluxbenchError):
+        raise error
+    return _say(str(error), error.exit_code)
+
+
+def _say(line: str, code: int) -> int:
+    print(f"fluxbench: {' '.join(line.split())}", file=sys.stderr)
+    return code

@@ -1,0 +1,67 @@
+"""`fluxbench estimate`: maps and resistance out of any recording."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from orchestrator.analysis import EstimationReport, estimate_recording
+from orchestrator.cli._tables import print_table
+from orchestrator.engine import installed_estimators
+from orchestrator.recording import Recording, open_recording
+from orchestrator.registry import PluginKind, load_plugin
+from orchestrator.runs import RunDirectory, is_run
+from protocols import AxisPercent
+
+PAPER = {"crossings": "1.3 % d, 2.9 % q"}
+"""What the paper prints of its own measurement."""
+
+
+def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
+    """Run the estimators; results go into the recording's own results/, or below `out`."""
+    estimators = [load_plugin(PluginKind.ESTIMATORS, name)() for name in (names or installed_estimators())]
+    report = estimate_recording(open_any(path), estimators, out if out is not None else path)
+    if as_json:
+        print(report.model_dump_json(indent=2))
+    else:
+        _print_report(report)
+    return 0
+
+
+def open_any(path: Path) -> Recording:
+    """Open a recording; the manifest of a run that was cut off is made from its journal first."""
+    if is_run(path):
+        RunDirectory.open(path).write_manifest()
+    return open_recording(path)
+
+
+def _print_report(report: EstimationReport) -> None:
+    if report.resistance is not None:
+        found = report.resistance
+        print(
+            f"R_s {found.value_ohm:.4g} ohm, 95 % {found.low:.4g} to {found.high:.4g}; "
+            f"{found.first_ohm:.4g} at the start, {found.last_ohm:.4g} at the end"
+        )
+    if report.method is not None:
+        print(f"flux map by {report.method}: {'usable' if report.usable else 'NOT TO BE RELIED ON'}")
+    rows = [
+        ("crossings of paths", _axes(report.crossings), PAPER["crossings"]),
+        ("parity in i_q", _axes(report.parity), "-"),
+        ("reciprocity", _percent(report.reciprocity_percent), "-"),
+        ("classical against injection", _percent(report.classical_against_injection_percent), "-"),
+    ]
+    print_table(("check", "here", "in the paper"), rows)
+    for reason in report.reasons:
+        print(f"note: {reason}")
+    for name, file in report.files.items():
+        print(f"{name}: {file}")
+
+
+def _axes(value: AxisPercent | None) -> str:
+    if value is None:
+        return "-"
+    return f"{_percent(value.d_percent)} d, {_percent(value.q_percent)} q"
+
+
+def _percent(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2g} %"

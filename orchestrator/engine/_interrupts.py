@@ -1,0 +1,92 @@
+"""Requests to stop or to pause, from signals or from another thread, heeded where it is safe.
+
+A request only sets a flag; the engine looks at it between blocks of samples and between points.
+Handlers are installed by `handling_signals` alone, for as long as a run lasts.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from types import FrameType
+
+from protocols import RunInterrupted
+
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+class Interrupts:
+    """What was asked of a run from outside; safe to call from any thread or handler.
+
+    Parameters
+    ----------
+    suspend : callable, optional
+        Called in the paused state; returns when the run is to go on. The default waits for
+        `resume`.
+    """
+
+    def __init__(self, suspend: Callable[[], None] | None = None) -> None:
+        self._stop: str | None = None
+        self._pause = False
+        self._resumed = threading.Event()
+        self._suspend = suspend
+
+    def stop(self, reason: str) -> None:
+        """Ask the run to end; the first reason counts."""
+        self._stop = self._stop or reason
+        self._resumed.set()
+
+    def pause(self) -> None:
+        """Ask the run to stand still, disarmed, after the point under way."""
+        self._resumed.clear()
+        self._pause = True
+
+    def resume(self) -> None:
+        """Let a paused run go on."""
+        self._resumed.set()
+
+    def check(self) -> None:
+        """Raise `RunInterrupted` where a stop was asked for."""
+        if self._stop is not None:
+            raise RunInterrupted(self._stop)
+
+    @property
+    def pause_wanted(self) -> bool:
+        return self._pause
+
+    def wait_until_resumed(self) -> None:
+        """Stand still until the run is to go on, or to end."""
+        if self._suspend is not None:
+            self._suspend()
+        else:
+            self._resumed.wait()
+        self._pause = False
+        self.check()
+
+
+@contextmanager
+def handling_signals() -> Iterator[Interrupts]:
+    """Turn signals into requests while the block lasts; the handlers before are put back.
+
+    SIGINT, SIGTERM and SIGHUP stop the run; SIGTSTP (Ctrl-Z) pauses it: the drive is disarmed
+    first, then the process really stops, and SIGCONT (``fg``) lets it go on. A second stop
+    signal changes nothing: the way out is already under way.
+    """
+    interrupts = Interrupts(suspend=lambda: os.kill(os.getpid(), signal.SIGSTOP))
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        interrupts.stop(f"signal {signal.Signals(number).name}")
+
+    def pause(number: int, frame: FrameType | None) -> None:
+        interrupts.pause()
+
+    handlers = dict.fromkeys(STOP_SIGNALS, stop) | {signal.SIGTSTP: pause}
+    before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    try:
+        yield interrupts
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

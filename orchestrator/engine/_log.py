@@ -1,0 +1,36 @@
+"""What a run says goes to two places: the journal, which must hold it, and the streams, which may."""
+
+from __future__ import annotations
+
+from orchestrator.runs import Journal
+from orchestrator.streaming import Dispatcher
+from protocols import MapEstimated, Message, SamplesCaptured
+
+
+class RunLog:
+    """Journal and streams of one run behind one call.
+
+    Parameters
+    ----------
+    journal : Journal
+        Gets every message without arrays; its errors are the run's.
+    dispatcher : Dispatcher
+        Gets every message; never an error.
+    """
+
+    def __init__(self, journal: Journal, dispatcher: Dispatcher) -> None:
+        self._journal, self._dispatcher = journal, dispatcher
+
+    def say(self, message: Message, *, durable: bool = False) -> None:
+        """Publish; `durable` returns only when the journal is on the disk.
+
+        Raises `StorageError` where the journal can no longer be written; the streams have the
+        message all the same.
+        """
+        self._dispatcher.publish(message)
+        if not isinstance(message, SamplesCaptured | MapEstimated):
+            self._journal.append(message, durable=durable)
+
+    def before_prompt(self) -> None:
+        """Let the streams catch up, so that a question stands below what led to it."""
+        self._dispatcher.drain(timeout_s=2.0)

@@ -1,0 +1,115 @@
+"""Measures one point: the drive executes, the samples are checked and written, the journal keeps it."""
+
+from __future__ import annotations
+
+from contextlib import closing
+
+import numpy as np
+
+from orchestrator.config import PlannedPoint
+from orchestrator.engine._interrupts import Interrupts
+from orchestrator.engine._log import RunLog
+from orchestrator.engine._power import PowerStage
+from orchestrator.recording import SegmentWriter
+from orchestrator.runs import RunDirectory
+from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, SamplesCaptured, Segment
+
+OVERSHOOT = 1.5
+"""Current in samples that a drive should long have tripped on, against the limit."""
+
+
+class MeanCurrent:
+    """Mean of the current over the blocks of a segment, in the believed frame."""
+
+    def __init__(self, rotor_angle_rad: float) -> None:
+        self._turn = np.exp(-1j * rotor_angle_rad)
+        self._sum = 0j
+        self.samples = 0
+
+    def add(self, capture: Capture) -> None:
+        alpha, beta = capture.i_ab.sum(axis=0, dtype=np.float64)
+        self._sum += complex(alpha, beta)
+        self.samples += len(capture)
+
+    def dq(self) -> tuple[float, float]:
+        """(i_d, i_q) [A]."""
+        mean = self._turn * self._sum / max(self.samples, 1)
+        return float(mean.real), float(mean.imag)
+
+
+class Measurement:
+    """Takes points from the drive to the disk.
+
+    Every block is checked as it comes, against the time base, the row count and the current
+    limit: a drive that sends wrong data is a fault, and its segment never appears in the recording.
+    """
+
+    def __init__(
+        self,
+        run: RunDirectory,
+        power: PowerStage,
+        log: RunLog,
+        interrupts: Interrupts,
+        capabilities: Capabilities,
+        limits: Limits,
+    ) -> None:
+        self._run, self._power, self._log = run, power, log
+        self._interrupts, self._capabilities, self._limits = interrupts, capabilities, limits
+
+    def measure(self, point: PlannedPoint) -> tuple[Segment, tuple[float, float]]:
+        """Execute and write one point.
+
+        Returns
+        -------
+        segment : Segment
+            As the manifest will list it.
+        achieved_a : tuple of float
+            Mean (i_d, i_q) over the segment.
+
+        Raises
+        ------
+        DriveFault
+            The drive tripped, was lost, or sent what cannot be.
+        StorageError
+            The disk does not take it.
+        RunInterrupted
+            A stop was asked for.
+        """
+        angle = point.excitation.rotor_angle_rad
+        mean = MeanCurrent(angle)
+        blocks = self._power.execute(point.excitation, quiet_s=point.seconds)
+        with SegmentWriter(self._run.path, point.id) as writer, closing(blocks):
+            for capture in blocks:
+                self._interrupts.check()
+                if len(capture) == 0:  # a sign of life while the drive settles
+                    continue
+                writer.append(capture)
+                self._check_current(capture, point.id)
+                mean.add(capture)
+                self._log.say(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
+            self._interrupts.check()
+            self._check_length(point, mean.samples)
+            written = writer.finish()
+        segment = Segment(
+            id=point.id,
+            stage=point.stage,
+            start_s=written.start_s,
+            samples=written.samples,
+            rotor_angle_rad=angle,
+            settings=point.settings,
+            sha256=written.sha256,
+        )
+        return segment, mean.dq()
+
+    def _check_current(self, capture: Capture, segment: str) -> None:
+        peak = float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab))))
+        if peak > OVERSHOOT * self._limits.current_a:
+            raise DriveFault(
+                FaultCause.OVERCURRENT,
+                f"{segment}: {peak:.3g} A measured, the limit is {self._limits.current_a:.3g} A, and the drive went on",
+            )
+
+    def _check_length(self, point: PlannedPoint, samples: int) -> None:
+        expected = round(point.captured_s * self._capabilities.sampling_frequency_hz)
+        if abs(samples - expected) > 1:
+            raise DriveFault(FaultCause.WRONG_DATA, f"{point.id}: {samples} samples came, {expected} were asked for")

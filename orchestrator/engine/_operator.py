@@ -1,0 +1,44 @@
+"""Whoever answers when a run needs a deed done by hand."""
+
+from __future__ import annotations
+
+import select
+import sys
+from typing import Protocol
+
+from orchestrator.engine._interrupts import Interrupts
+from protocols import RunAborted
+
+
+class Operator(Protocol):
+    """A person, or what stands in for one."""
+
+    def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
+        """Ask and wait; True for yes. Raises `RunInterrupted` where a stop is asked for meanwhile."""
+        ...
+
+
+class AbsentOperator:
+    """Nobody is there: every question that the procedure does not answer ends the run."""
+
+    def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
+        raise RunAborted(f"nobody is there to answer: {prompt}")
+
+
+class TerminalOperator:
+    """Asks on the terminal; a signal ends the waiting."""
+
+    def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
+        print(f"{prompt} [yes/no] ", end="", flush=True)
+        while True:
+            interrupts.check()
+            ready, _, _ = select.select([sys.stdin], [], [], 0.2)
+            if not ready:
+                continue
+            line = sys.stdin.readline()
+            answer = line.strip().lower()
+            if answer in ("yes", "y"):
+                return True
+            if answer in ("no", "n") or line == "":
+                return False
+            print("please answer yes or no: ", end="", flush=True)

@@ -1,0 +1,135 @@
+"""The one owner of an energised drive: arms it, keeps its heartbeat, and leads every way out.
+
+Whatever ends the energised time (the end, an exception, a signal, a lost link), `stand_down` is
+what happens: ramp the current to zero, PWM off, and say what could not be done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Generator, Iterator
+from contextlib import contextmanager
+
+from pydantic import ValidationError
+
+from orchestrator.engine._heartbeat import HeartbeatKeeper
+from protocols import (
+    Capabilities,
+    Capture,
+    Drive,
+    DriveFault,
+    DriveState,
+    Excitation,
+    FaultCause,
+    FluxbenchError,
+    Limits,
+)
+
+
+class PowerStage:
+    """A drive's power stage in the hands of one run.
+
+    Parameters
+    ----------
+    drive : Drive
+        Connected.
+    capabilities : Capabilities
+    limits : Limits
+        Handed to the drive each time it is armed.
+    """
+
+    def __init__(self, drive: Drive, capabilities: Capabilities, limits: Limits) -> None:
+        self._drive, self._capabilities, self._limits = drive, capabilities, limits
+        self._keeper: HeartbeatKeeper | None = None
+
+    @property
+    def armed(self) -> bool:
+        return self._keeper is not None
+
+    def verify_at_rest(self) -> None:
+        """Raise `DriveFault` where the drive is not disarmed, or has a fault that nobody has cleared."""
+        with as_drive_errors(self._capabilities.name):
+            telemetry = self._drive.telemetry()
+        if telemetry.state is not DriveState.DISARMED or telemetry.faults:
+            told = ", ".join(telemetry.faults) or "none"
+            raise DriveFault(
+                FaultCause.INTERNAL,
+                f"{self._capabilities.name} should be disarmed without faults, "
+                f"but is {telemetry.state.value} with faults: {told}",
+            )
+
+    def arm(self) -> None:
+        """Energise, unless it already is; from here on the heart beats."""
+        if self.armed:
+            return
+        keeper = HeartbeatKeeper(self._drive, self._capabilities.watchdog_s)
+        with as_drive_errors(self._capabilities.name):
+            self._drive.arm(self._limits)
+        self._keeper = keeper.__enter__()
+
+    def execute(self, excitation: Excitation, quiet_s: float) -> Generator[Capture]:
+        """Run one excitation on the armed drive; `quiet_s` may pass before the first block comes."""
+        if self._keeper is None:
+            raise RuntimeError("execute before arm")
+        self._keeper.renew(quiet_s)
+        with as_drive_errors(self._capabilities.name):
+            for capture in self._drive.execute(excitation):
+                self._keeper.renew()
+                yield self._checked(capture)
+        self._keeper.renew()
+
+    def _checked(self, capture: object) -> Capture:
+        """What a plugin yields is not believed to be a capture before it has been validated, by reference."""
+        try:
+            return Capture.model_validate(dict(capture) if isinstance(capture, Capture) else capture)
+        except ValidationError as error:
+            first = error.errors(include_url=False)[0]
+            place = ".".join(map(str, first["loc"]))
+            detail = f"{self._capabilities.name} yielded no valid capture: {place} {first['msg']}"
+            raise DriveFault(FaultCause.WRONG_DATA, detail) from None
+
+    def set_brake(self, engaged: bool) -> None:
+        """Move the drive's brake, where it has one."""
+        if self._capabilities.has_brake:
+            with as_drive_errors(self._capabilities.name):
+                self._drive.set_brake(engaged)
+
+    def stand_down(self) -> str:
+        """Ramp to zero, disarm, stop the heartbeat. Never raises; tells in words what was reached."""
+        if self._keeper is None:
+            return "the drive was not armed"
+        failures = [self._attempt("ramping down", self._drive.ramp_down)]
+        self._keeper.renew()
+        failures.append(self._attempt("disarming", self._drive.disarm))
+        self._keeper.__exit__(None, None, None)
+        self._keeper = None
+        told = "; ".join(filter(None, failures))
+        if not told:
+            return "current ramped down, drive disarmed"
+        watchdog = self._capabilities.watchdog_s
+        rest = (
+            f"its watchdog makes it safe within {watchdog:g} s"
+            if watchdog is not None
+            else "it has no watchdog: CUT ITS POWER"
+        )
+        return f"{told}; {rest}"
+
+    def _attempt(self, deed: str, call: Callable[[], None]) -> str:
+        try:
+            with as_drive_errors(self._capabilities.name):
+                call()
+        except FluxbenchError as error:
+            return f"{deed} failed ({error})"
+        return ""
+
+
+@contextmanager
+def as_drive_errors(name: str) -> Iterator[None]:
+    """Turn whatever a drive plugin raises beside the project's own errors into a `DriveFault`."""
+    try:
+        yield
+    except (FluxbenchError, GeneratorExit):
+        raise
+    except Exception as error:
+        raise DriveFault(
+            FaultCause.INTERNAL, f"the drive plugin {name!r} raised {type(error).__name__}: {error}"
+        ) from error

@@ -1,0 +1,169 @@
+"""Brings a run into being, or back to life: plugins, connection, plan, directory, in that order.
+
+Nothing is created before everything that was handed in has been found good.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from orchestrator.config import Plan, check_plan, make_plan
+from orchestrator.engine._commissioning import Commissioning, Outcome
+from orchestrator.engine._interrupts import Interrupts
+from orchestrator.engine._log import RunLog
+from orchestrator.engine._operator import Operator
+from orchestrator.engine._power import as_drive_errors
+from orchestrator.registry import PluginKind, installed, load_plugin, make_options
+from orchestrator.runs import RunDirectory, private_directory
+from orchestrator.streaming import Dispatcher, StreamTally
+from protocols import Capabilities, Drive, DriveSetup, Estimator, FluxbenchError, Procedure, Stream, StreamSetup
+
+
+@dataclass(frozen=True)
+class Crew:
+    """Who takes part in a run beside the drive."""
+
+    operator: Operator
+    interrupts: Interrupts
+    streams: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    """Options of each stream, by its plugin's name."""
+
+
+@dataclass(frozen=True)
+class RunResult:
+    """A run that is over."""
+
+    path: Path
+    outcome: Outcome
+    streams: Sequence[StreamTally]
+
+
+def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
+    """Commission a motor into a new run directory.
+
+    Parameters
+    ----------
+    procedure : Procedure
+    path : Path
+        The run directory; must not exist, or be empty.
+    crew : Crew
+
+    Returns
+    -------
+    RunResult
+        Also where the run ended in a fault: that is in its outcome.
+
+    Raises
+    ------
+    FluxbenchError
+        Something that was handed in is wrong, or the drive does not answer. Nothing was energised, and
+        no run directory is left behind.
+    """
+    estimators = chosen_estimators(procedure)
+    streams = _stream_makers(crew.streams, path)
+    path = path.resolve()
+    RunDirectory.refuse_occupied(path)
+    sealed = load_plugin(PluginKind.DRIVES, procedure.drive.name).sealed_options
+    try:
+        with connected_drive(procedure, private_directory(path)) as (drive, capabilities):
+            plan = make_plan(procedure, capabilities)
+            check_plan(plan, capabilities)
+            run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
+            return _commission(run, plan, drive, capabilities, estimators, streams, crew)
+    except BaseException:
+        # A run that is under way ends in an outcome: what comes here was before anything was energised.
+        for folder in (path, private_directory(path)):
+            shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def resume_run(path: Path, crew: Crew) -> RunResult:
+    """Go on with a run at its first point that is not done.
+
+    Raises
+    ------
+    FluxbenchError
+        The directory is no run, is still being worked on, or has nothing left to do.
+    """
+    run = RunDirectory.open(path)
+    procedure = run.procedure()
+    estimators = chosen_estimators(procedure)
+    streams = _stream_makers(crew.streams, path)
+    with connected_drive(procedure, run.private_directory) as (drive, capabilities):
+        plan = make_plan(procedure, capabilities)
+        check_plan(plan, capabilities)
+        return _commission(run, plan, drive, capabilities, estimators, streams, crew)
+
+
+def chosen_estimators(procedure: Procedure) -> list[Estimator]:
+    """Instances of the estimators that the procedure's estimate stages ask for.
+
+    Raises
+    ------
+    PluginError
+        One of them is not installed, or broken.
+    """
+    named: set[str] = set()
+    for stage in procedure.stages:
+        if stage.kind == "estimate":
+            named |= set(stage.estimators if stage.estimators is not None else installed_estimators())
+    return [load_plugin(PluginKind.ESTIMATORS, name)() for name in sorted(named)]
+
+
+def installed_estimators() -> list[str]:
+    """Names of all installed estimators."""
+    return [info.name for info in installed(PluginKind.ESTIMATORS)]
+
+
+def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Callable[[], Stream]]:
+    makers: dict[str, Callable[[], Stream]] = {}
+    for name, options in wanted.items():
+        plugin = load_plugin(PluginKind.STREAMS, name)
+        setup = StreamSetup(run=path, options=make_options(plugin, dict(options), f"stream {name}"))
+        makers[name] = _maker(plugin, setup)
+    return makers
+
+
+def _maker(plugin: type[Stream], setup: StreamSetup) -> Callable[[], Stream]:
+    return lambda: plugin(setup)
+
+
+@contextmanager
+def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tuple[Drive, Capabilities]]:
+    """The procedure's drive, connected; let go of at the end."""
+    plugin = load_plugin(PluginKind.DRIVES, procedure.drive.name)
+    options = make_options(plugin, procedure.drive.options, "drive")
+    name = procedure.drive.name
+    with as_drive_errors(name):
+        drive: Drive = plugin(
+            DriveSetup(motor=procedure.motor, options=options, seed=procedure.seed, private_directory=private)
+        )
+    try:
+        with as_drive_errors(name):
+            capabilities = drive.connect()
+        yield drive, capabilities
+    finally:
+        with suppress(FluxbenchError), as_drive_errors(name):  # a link that is gone cannot be closed
+            drive.close()
+
+
+def _commission(
+    run: RunDirectory,
+    plan: Plan,
+    drive: Drive,
+    capabilities: Capabilities,
+    estimators: Sequence[Estimator],
+    streams: Mapping[str, Callable[[], Stream]],
+    crew: Crew,
+) -> RunResult:
+    with run.lock():
+        dispatcher = Dispatcher(streams)
+        log = RunLog(run.journal, dispatcher)
+        commissioning = Commissioning(run, plan, drive, capabilities, estimators, crew.operator, crew.interrupts, log)
+        outcome = commissioning.execute()
+        return RunResult(run.path, outcome, dispatcher.close())

@@ -1,0 +1,138 @@
+"""Hands what happens in a run to the streams, without ever waiting for one of them.
+
+Each stream lives on a thread of its own behind a bounded queue that drops its oldest entry; what
+a stream raises is counted and told at the end. A viewer that fails never touches the run.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+from protocols import Message, SamplesCaptured, Stream
+
+T = TypeVar("T")
+
+CAPACITY = 512
+"""Messages that may wait for one stream: half a second of samples each at most, so some 60 MB."""
+
+
+@dataclass(frozen=True)
+class StreamTally:
+    """How a stream fared."""
+
+    name: str
+    delivered: int
+    dropped: int
+    errors: int
+    first_error: str
+    closed: bool
+    """Whether it came to its end in time."""
+
+
+class Dispatcher:
+    """Owner of the streams' threads.
+
+    Parameters
+    ----------
+    streams : mapping of str to callable
+        For each stream its name and what makes it; it is made on its own thread.
+    capacity : int
+        Length of each queue.
+    """
+
+    def __init__(self, streams: Mapping[str, Callable[[], Stream]], capacity: int = CAPACITY) -> None:
+        self._listeners = [_Listener(name, make, capacity) for name, make in streams.items()]
+        for listener in self._listeners:
+            listener.start()
+
+    def publish(self, message: Message) -> None:
+        """Queue the message for every stream; takes microseconds, never blocks, never raises."""
+        for listener in self._listeners:
+            listener.put(message)
+
+    def drain(self, timeout_s: float) -> None:
+        """Wait until all that was published is delivered, or the time is over."""
+        deadline = time.monotonic() + timeout_s
+        for listener in self._listeners:
+            listener.drain(deadline)
+
+    def close(self, timeout_s: float = 60.0) -> Sequence[StreamTally]:
+        """Deliver what is queued, close the streams, and say how each fared."""
+        for listener in self._listeners:
+            listener.put(None)
+        deadline = time.monotonic() + timeout_s
+        return [listener.finish(deadline) for listener in self._listeners]
+
+
+class _Listener:
+    """One stream, its queue and its thread."""
+
+    def __init__(self, name: str, make: Callable[[], Stream], capacity: int) -> None:
+        self._name, self._make, self._capacity = name, make, capacity
+        self._queue: deque[Message | None] = deque()
+        self._changed = threading.Condition()
+        self._busy = True
+        self._wants_samples = True
+        self._delivered = self._dropped = self._errors = 0
+        self._first_error = ""
+        self._thread = threading.Thread(target=self._work, name=f"stream {name}", daemon=True)
+
+    def start(self) -> None:
+        self._thread.start()
+
+    def put(self, message: Message | None) -> None:
+        if isinstance(message, SamplesCaptured) and not self._wants_samples:
+            return
+        with self._changed:
+            if len(self._queue) >= self._capacity:
+                self._queue.popleft()
+                self._dropped += 1
+            self._queue.append(message)
+            self._changed.notify_all()
+
+    def drain(self, deadline: float) -> None:
+        with self._changed:
+            self._changed.wait_for(lambda: not self._queue and not self._busy, max(0.0, deadline - time.monotonic()))
+
+    def finish(self, deadline: float) -> StreamTally:
+        self._thread.join(max(0.0, deadline - time.monotonic()))
+        return StreamTally(
+            self._name, self._delivered, self._dropped, self._errors, self._first_error, not self._thread.is_alive()
+        )
+
+    def _next(self) -> Message | None:
+        with self._changed:
+            self._busy = False
+            self._changed.notify_all()
+            self._changed.wait_for(lambda: bool(self._queue))
+            self._busy = True
+            return self._queue.popleft()
+
+    def _work(self) -> None:
+        stream = self._guarded(self._make)
+        self._wants_samples = stream is not None and stream.wants_samples
+        while (message := self._next()) is not None:
+            if stream is None:
+                self._dropped += 1
+                continue
+            before = self._errors
+            self._guarded(lambda message=message: stream.receive(message))  # type: ignore[misc]
+            self._delivered += self._errors == before
+        if stream is not None:
+            self._guarded(stream.close)
+        with self._changed:
+            self._busy = False
+            self._changed.notify_all()
+
+    def _guarded(self, call: Callable[[], T]) -> T | None:
+        try:
+            return call()
+        except Exception as error:  # a third party's code: whatever it raises stays on its side
+            self._errors += 1
+            self._first_error = self._first_error or f"{type(error).__name__}: {error}"
+            return None

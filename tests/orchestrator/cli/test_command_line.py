@@ -1,0 +1,137 @@
+"""The command line from outside: what is printed, what is left behind, and the exit codes."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from protocols import shipped_procedures
+from tests.support.processes import fluxbench
+from tests.support.tiny import STAGES, tiny_file
+
+
+def assert_one_line(done: subprocess.CompletedProcess[str], code: int, *words: str) -> None:
+    assert done.returncode == code, done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert done.stderr.startswith("fluxbench: ")
+    for word in words:
+        assert word in done.stderr
+    assert "Traceback" not in done.stdout + done.stderr
+
+
+def test_help_imports_nothing_heavy() -> None:
+    code = (
+        "import sys\nfrom orchestrator.cli._app import run_app\nrun_app(['--help'])\n"
+        "print(sorted({'numpy', 'pydantic', 'numba', 'scipy', 'pyarrow', 'rich.progress'} & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+    assert "Commission a motor end to end" in done.stdout
+
+
+@pytest.mark.parametrize("name", shipped_procedures())
+def test_every_shipped_procedure_passes_its_own_check(name: str, tmp_path: Path) -> None:
+    done = fluxbench("check", name, "--json", cwd=tmp_path)
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["points"] > 0
+    assert summary["energy_j"] > 0
+    assert not list(tmp_path.iterdir())
+
+
+def test_check_prints_a_table_of_the_stages(tmp_path: Path) -> None:
+    done = fluxbench("check", tiny_file(tmp_path))
+    assert done.returncode == 0
+    for word in ("lock_check", "classical", "injection", "points", "peak current"):
+        assert word in done.stdout
+
+
+def test_a_procedure_can_be_printed_changed_and_used(tmp_path: Path) -> None:
+    mine = tmp_path / "mine.yaml"
+    mine.write_text(fluxbench("procedures", "demo").stdout)
+    assert fluxbench("check", mine).returncode == 0
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["run", "dmo"], ["dmo", "demo"]),
+        (["run", "demo", "--set", "limits.current_a=4 A"], ["limits.current_a"]),
+        (["run", "demo", "--set", "limits.currant_a=4"], ["currant_a", "current_a"]),
+        (["run", "demo", "--set", "limits.current_a=.nan"], ["limits.current_a"]),
+        (["run", "demo", "--set", "limits.current_a=400"], ["current"]),
+        (["run", "demo", "--set", "stages.0.kind=gates_of"], ["gates_off"]),
+        (["run", "demo", "--drive", "simulate"], ["simulate", "simulated"]),
+        (["run", "demo", "--set", "drive.plnt=1"], ["plnt", "plant"]),
+        (["run", "demo", "--set", "drive.watchdog_s=null"], ["watchdog"]),
+        (["run", "demo", "--nonsense"], ["--nonsense"]),
+        (["check", "nowhere.yaml"], ["nowhere.yaml"]),
+        (["estimate", "nowhere"], ["nowhere"]),
+        (["resume", "nowhere"], ["nowhere"]),
+        (["schema", "recordin"], ["recording"]),
+    ],
+)
+def test_bad_input_is_one_line_and_nothing_is_left_behind(words: list[str], told: list[str], tmp_path: Path) -> None:
+    assert_one_line(fluxbench(*words, cwd=tmp_path), 2, *told)
+    assert not list(tmp_path.rglob("*.json*"))
+
+
+def test_a_procedure_for_another_motor_is_refused(tmp_path: Path) -> None:
+    procedure = tiny_file(tmp_path, drive={"plant": {"magnetics": {"kind": "map", "name": "baldor-5k6"}}})
+    assert_one_line(fluxbench("check", procedure), 2, "400 W test PMSM")
+
+
+def test_a_run_ends_with_its_numbers_and_where_they_are(tmp_path: Path) -> None:
+    done = fluxbench("run", tiny_file(tmp_path), "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert "\x1b" not in done.stdout
+    assert str(tmp_path / "run") in done.stdout
+    for name in ("run.json", "journal.jsonl", "recording.json", "report.html", "results/flux_map.nc"):
+        assert (tmp_path / "run" / name).is_file(), name
+    again = fluxbench("estimate", tmp_path / "run", "--json")
+    report = json.loads(again.stdout)
+    assert report["resistance"]["value_ohm"] == pytest.approx(4.25, rel=0.1)
+    assert report["method"] == "injection"
+
+
+def test_a_fault_ends_with_3_and_one_line(tmp_path: Path) -> None:
+    procedure = tiny_file(tmp_path, drive={"faults": [{"kind": "trip", "cause": "overcurrent", "at_excitation": 5}]})
+    done = fluxbench("run", procedure, "--out", tmp_path / "run", "--quiet")
+    assert_one_line(done, 3, "overcurrent", str(tmp_path / "run"))
+
+
+def test_an_estimate_of_a_recording_that_may_not_be_written_goes_elsewhere(tmp_path: Path) -> None:
+    source = Path(__file__).parents[2] / "data" / "pm400-reduced"
+    copy = tmp_path / "read-only"
+    shutil.copytree(source, copy)
+    before = sorted(path.relative_to(copy) for path in copy.rglob("*"))
+    done = fluxbench("estimate", copy, "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "results" / "flux_map.nc").is_file()
+    assert sorted(path.relative_to(copy) for path in copy.rglob("*")) == before
+
+
+def test_a_damaged_capture_is_named(tmp_path: Path) -> None:
+    assert fluxbench("run", tiny_file(tmp_path, stages=STAGES[:-1]), "--out", tmp_path / "run").returncode == 0
+    capture = tmp_path / "run" / "captures" / "injection-002.parquet"
+    capture.write_bytes(capture.read_bytes()[:-100])
+    assert_one_line(fluxbench("estimate", tmp_path / "run"), 2, "injection-002.parquet")
+    assert not (tmp_path / "run" / "results").exists()
+
+
+def test_plugins_are_listed_with_where_they_are_from() -> None:
+    rows = json.loads(fluxbench("plugins", "--json").stdout)
+    assert all(row["loads"] for row in rows), rows
+    assert {"simulated", "injection", "classical", "resistance", "console", "report"} <= {row["name"] for row in rows}
+
+
+@pytest.mark.parametrize("name", ["procedure", "recording", "run", "estimates"])
+def test_schemas_are_json_schemas(name: str) -> None:
+    schema = json.loads(fluxbench("schema", name).stdout)
+    assert schema["type"] == "object"
+    assert schema["properties"]

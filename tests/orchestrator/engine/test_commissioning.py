@@ -1,0 +1,283 @@
+"""Runs from the first stage to the end, and every way out on the way, on the simulated drive."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestrator.engine import ENERGISED, AbsentOperator, Crew, Interrupts, resume_run
+from orchestrator.recording import open_recording
+from orchestrator.runs import RunDirectory
+from plugins.drives.simulated import SimulatedDrive
+from protocols import (
+    DriveFault,
+    DriveState,
+    LockChecked,
+    Note,
+    OperatorAnswered,
+    PointDone,
+    RecordingError,
+    RunAborted,
+    RunEnded,
+    StateChanged,
+    Telemetry,
+)
+from tests.support.tiny import STAGES, messages_of, run_tiny
+
+FIRST_EXCITATIONS = {
+    "gates_off": 1,
+    "alignment": 2,
+    "lock_check": 3,
+    "resistance": 8,
+    "classical": 12,
+    "injection": 14,
+}
+"""Number of the first excitation in each stage of the tiny procedure."""
+
+FAULTS: list[dict[str, Any]] = [
+    {"kind": "trip", "cause": "overcurrent"},
+    {"kind": "lost_link"},
+    {"kind": "stuck", "timeout_s": 0.05},
+    {"kind": "wrong_data", "data": "huge"},
+    {"kind": "wrong_data", "data": "shape"},
+    {"kind": "exception"},
+]
+
+
+@pytest.fixture
+def at_close(monkeypatch: pytest.MonkeyPatch) -> list[Telemetry | DriveFault]:
+    """What each drive says of itself just before it is let go of."""
+    seen: list[Telemetry | DriveFault] = []
+    close = SimulatedDrive.close
+
+    def look_and_close(self: SimulatedDrive) -> None:
+        try:
+            seen.append(self.telemetry())
+        except DriveFault as fault:
+            seen.append(fault)
+        close(self)
+
+    monkeypatch.setattr(SimulatedDrive, "close", look_and_close)
+    return seen
+
+
+def assert_safe(seen: list[Telemetry | DriveFault]) -> None:
+    (telemetry,) = seen
+    assert isinstance(telemetry, Telemetry)
+    assert telemetry.state is not DriveState.ARMED
+    assert abs(telemetry.i_d_a) + abs(telemetry.i_q_a) < 0.05
+
+
+def states(path: Path) -> list[str]:
+    return [message.target for message in messages_of(path) if isinstance(message, StateChanged)]
+
+
+def points_done(path: Path) -> list[str]:
+    return [message.id for message in messages_of(path) if isinstance(message, PointDone)]
+
+
+class StopAtCheck(Interrupts):
+    """Asks for a stop the n-th time that the engine looks."""
+
+    def __init__(self, n: int) -> None:
+        super().__init__()
+        self.left = n
+
+    def check(self) -> None:
+        self.left -= 1
+        if self.left == 0:
+            self.stop("enough")
+        super().check()
+
+
+class StopAtState(Interrupts):
+    """Asks for a stop once the journal says that the run is in a state."""
+
+    def __init__(self, run: Path, state: str) -> None:
+        super().__init__()
+        self._run, self._state = run, state
+
+    def check(self) -> None:
+        if (self._run / "journal.jsonl").exists() and states(self._run)[-1:] == [self._state]:
+            self.stop(f"seen in {self._state}")
+        super().check()
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run that went through without a hitch."""
+    result = run_tiny(tmp_path_factory.mktemp("whole"))
+    assert result.outcome.error is None, result.outcome
+    return result.path
+
+
+def test_a_run_goes_through_every_stage_and_rests_between_them(whole: Path) -> None:
+    assert states(whole) == [
+        "connecting",
+        "reading_gates_off",
+        "stopping",
+        "waiting_for_operator",
+        "aligning",
+        "stopping",
+        "waiting_for_operator",
+        "checking_lock",
+        "estimating_resistance",
+        "sweeping_classical",
+        "sweeping_injection",
+        "stopping",
+        "estimating",
+        "stopping",
+        "finished",
+    ]
+
+
+def test_a_run_is_a_recording_with_every_planned_point(whole: Path) -> None:
+    recording = open_recording(whole)
+    ids = [segment.id for segment in recording.segments()]
+    assert ids == points_done(whole)
+    assert len(ids) == 1 + 1 + 5 + 4 + 2 + 6
+    for segment in recording.segments():
+        assert len(recording.load(segment)) == segment.samples
+
+
+def test_a_run_says_what_it_found(whole: Path) -> None:
+    messages = messages_of(whole)
+    (lock,) = [m for m in messages if isinstance(m, LockChecked)]
+    assert lock.locked
+    assert lock.confidence > 0.95
+    ended = messages[-1]
+    assert isinstance(ended, RunEnded)
+    assert ended.outcome == "finished"
+    assert ended.estimates["resistance"]["value_ohm"] == pytest.approx(4.25, rel=0.1)
+    assert (whole / "results" / "flux_map.nc").is_file()
+
+
+def test_a_directory_that_is_taken_is_not_touched(whole: Path) -> None:
+    before = sorted(whole.rglob("*"))
+    with pytest.raises(RecordingError, match="not empty"):
+        run_tiny(whole.parent)
+    assert sorted(whole.rglob("*")) == before
+
+
+@pytest.mark.parametrize("stage", FIRST_EXCITATIONS)
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: "-".join(str(v) for v in fault.values()))
+def test_a_drive_that_fails_at_any_stage_is_left_safe_and_its_points_are_kept(
+    fault: dict[str, Any], stage: str, tmp_path: Path, at_close: list[Telemetry | DriveFault]
+) -> None:
+    number = FIRST_EXCITATIONS[stage]
+    result = run_tiny(tmp_path, drive={"faults": [{**fault, "at_excitation": number}]})
+    assert result.outcome.ending == "faulted"
+    assert isinstance(result.outcome.error, DriveFault)
+    assert states(result.path)[-2:] == ["stopping", "faulted"]
+    ended = messages_of(result.path)[-1]
+    assert isinstance(ended, RunEnded)
+    assert str(result.outcome.error) in ended.reason
+    done = points_done(result.path)
+    assert len(done) == number - 1
+    if done:
+        recording = open_recording(result.path)
+        assert [segment.id for segment in recording.segments()] == done
+    assert not list((result.path / "captures").glob("*partial*"))
+    if fault["kind"] != "lost_link":
+        assert_safe(at_close)
+    else:
+        words = [m.text for m in messages_of(result.path) if isinstance(m, Note)][-1]
+        assert "watchdog makes it safe" in words
+
+
+@pytest.mark.parametrize("state", [state.value for state in ENERGISED])
+def test_a_stop_at_any_stage_ramps_down_and_disarms(
+    state: str, tmp_path: Path, at_close: list[Telemetry | DriveFault]
+) -> None:
+    result = run_tiny(tmp_path, interrupts=StopAtState(tmp_path / "run", state))
+    assert result.outcome.ending == "aborted"
+    assert result.outcome.reason == f"seen in {state}"
+    assert states(result.path)[-3:] == [state, "stopping", "aborted"]
+    assert any(m.text == "current ramped down, drive disarmed" for m in messages_of(result.path) if isinstance(m, Note))
+    assert_safe(at_close)
+
+
+def stopped_and_resumed(folder: Path, check: int) -> Path:
+    """A run that was stopped when the engine looked for the `check`-th time, and then resumed."""
+    result = run_tiny(folder, interrupts=StopAtCheck(check))
+    assert result.outcome.ending == "aborted"
+    result = resume_run(result.path, Crew(AbsentOperator(), Interrupts()))
+    assert result.outcome.ending == "finished"
+    return result.path
+
+
+@pytest.mark.parametrize("check", [4, 11, 16, 23, 29, 35])
+def test_a_resumed_run_has_every_point_once(check: int, tmp_path: Path, whole: Path) -> None:
+    path = stopped_and_resumed(tmp_path, check)
+    done = points_done(path)
+    assert len(done) == len(set(done))
+    assert sorted(done) == sorted(points_done(whole))
+
+
+@pytest.mark.parametrize("check", [23, 29, 35])
+def test_a_run_resumed_within_a_sweep_has_the_very_samples_of_one_that_was_never_stopped(
+    check: int, tmp_path: Path, whole: Path
+) -> None:
+    path = stopped_and_resumed(tmp_path, check)
+    samples = {segment.id: segment.sha256 for segment in open_recording(path).segments()}
+    assert samples == {segment.id: segment.sha256 for segment in open_recording(whole).segments()}
+
+
+def test_a_finished_run_that_is_resumed_measures_nothing_again(whole: Path, tmp_path: Path) -> None:
+    before = points_done(whole)
+    result = resume_run(whole, Crew(AbsentOperator(), Interrupts()))
+    assert result.outcome.ending == "finished"
+    assert points_done(whole) == before
+
+
+def test_a_pause_disarms_and_the_run_goes_on_where_it_stood(
+    tmp_path: Path, at_close: list[Telemetry | DriveFault]
+) -> None:
+    interrupts = Interrupts()
+    interrupts.pause()
+    threading.Timer(0.3, interrupts.resume).start()
+    result = run_tiny(tmp_path, interrupts=interrupts)
+    assert result.outcome.ending == "finished"
+    walk = states(result.path)
+    place = walk.index("paused")
+    assert walk[place - 2 : place + 2] == ["reading_gates_off", "stopping", "paused", "reading_gates_off"]
+    assert_safe(at_close)
+
+
+def test_a_question_that_nobody_answers_ends_the_run_disarmed(
+    tmp_path: Path, at_close: list[Telemetry | DriveFault]
+) -> None:
+    stages = [*STAGES[:1], {"kind": "operator", "prompt": "Release the brake"}, *STAGES[2:]]
+    result = run_tiny(tmp_path, stages=stages)
+    assert result.outcome.ending == "aborted"
+    assert isinstance(result.outcome.error, RunAborted)
+    assert "Release the brake" in result.outcome.reason
+    assert not any(isinstance(message, OperatorAnswered) for message in messages_of(result.path))
+    assert_safe(at_close)
+
+
+def test_a_rotor_that_turns_ends_the_run_before_any_sweep(
+    tmp_path: Path, at_close: list[Telemetry | DriveFault]
+) -> None:
+    result = run_tiny(tmp_path, drive={"plant": {"brake": {"works": False}}})
+    assert result.outcome.ending == "aborted"
+    assert "not locked" in result.outcome.reason
+    assert "sweeping_classical" not in states(result.path)
+    assert_safe(at_close)
+
+
+def test_a_run_in_progress_cannot_be_resumed_beside_it(whole: Path) -> None:
+    run = RunDirectory.open(whole)
+    with run.lock(), pytest.raises(RecordingError, match="at work"):
+        resume_run(whole, Crew(AbsentOperator(), Interrupts()))
+
+
+def test_the_truth_of_the_plant_is_nowhere_in_the_run_directory(tmp_path: Path) -> None:
+    secret = 4.3217
+    result = run_tiny(tmp_path, drive={"plant": {"resistance_ohm": secret}}, stages=STAGES[:1])
+    text = "".join(file.read_text() for file in result.path.iterdir() if file.is_file())
+    assert str(secret) not in text
+    assert str(secret) in (result.path.with_name("run.sealed") / "truth.json").read_text()

@@ -1,0 +1,41 @@
+"""The command line as a process of its own."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+FLUXBENCH = str(Path(sys.executable).with_name("fluxbench"))
+
+
+def fluxbench(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
+    """Run a command to its end, nobody sitting at the terminal."""
+    return subprocess.run(
+        [FLUXBENCH, *map(str, words)], cwd=cwd, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120
+    )
+
+
+def start_fluxbench(*words: str | Path, cwd: Path | None = None) -> subprocess.Popen[str]:
+    """Start a command and let it run."""
+    return subprocess.Popen(
+        [FLUXBENCH, *map(str, words)],
+        cwd=cwd,
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONUNBUFFERED": "1"},
+    )
+
+
+def wait_until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+    """Look every few milliseconds until it is so."""
+    deadline = time.monotonic() + timeout_s
+    while not condition():
+        if time.monotonic() > deadline:
+            raise TimeoutError("it never came to be so")
+        time.sleep(0.005)
