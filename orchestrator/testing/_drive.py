@@ -1,0 +1,23 @@
+"""The drive's conformance kit: all checks in one class to subclass."""
+
+from __future__ import annotations
+
+from orchestrator.testing._drive_captures import DriveCaptureChecks
+from orchestrator.testing._drive_contract import DriveContractChecks
+from orchestrator.testing._drive_safety import DriveSafetyChecks
+
+
+class DriveConformance(DriveContractChecks, DriveCaptureChecks, DriveSafetyChecks):
+    """Says whether a drive plugin keeps the contract of `protocols.Drive`.
+
+    Subclass it in a test file, in a class whose name begins with ``Test``, and give two methods:
+
+    - ``make_drive(setup)`` returns a new drive, not connected;
+    - ``setup()`` returns its `DriveSetup`: nameplate, options, seed.
+
+    The excitations stay below three fifths of the rated current, and are sized by the nameplate
+    and by what the drive says of itself. On hardware: rotor locked, somebody beside it, and a
+    minute or two. The class attributes ending in ``_tolerance`` may be widened up to the bound
+    that each names, for drives that measure coarsely; `prepare` is the place for what has to be
+    done after connecting (the kit engages the brake, where there is one).
+    """

@@ -1,0 +1,262 @@
+"""The bench that the drive checks stand on: safe sizes from the nameplate, sessions, heartbeat. No checks."""
+
+from __future__ import annotations
+
+import threading
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from orchestrator.testing._kit import Kit, bounded
+from protocols import (
+    Capabilities,
+    Capture,
+    Drive,
+    DriveSetup,
+    Excitation,
+    GatesOff,
+    Hold,
+    Injection,
+    Limits,
+    Motor,
+    Trapezoid,
+)
+
+SAMPLES_PER_PERIOD = 20
+"""Rows in one injection period: a whole number, so that the kit's spectra have no leakage."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Excitations that are safe for this motor on this drive, yet large enough to measure."""
+
+    limits: Limits
+    current_a: float
+    settle_s: float
+    duration_s: float
+    period_s: float
+    injection_s: float
+    amplitude_v: float
+    frequency_hz: float
+    rotation_hz: float
+
+    @classmethod
+    def of(cls, motor: Motor, capabilities: Capabilities) -> Sizes:
+        """Two fifths of the rated current; an injection that swings the flux by a fifth of the rated one."""
+        rated = min(motor.rated_current_a or 0.5 * capabilities.max_current_a, capabilities.max_current_a)
+        longest = capabilities.longest_capture_s or 1.2
+        frequency = capabilities.sampling_frequency_hz / SAMPLES_PER_PERIOD
+        amplitude = 0.1 * capabilities.max_voltage_v
+        if motor.d_inductance_h is not None:
+            amplitude = 4.0 * frequency * 0.2 * motor.d_inductance_h * rated
+        injection_s = int(min(0.5, longest) * frequency) / frequency
+        return cls(
+            limits=Limits(current_a=min(capabilities.max_current_a, 1.5 * rated), voltage_v=capabilities.max_voltage_v),
+            current_a=0.4 * rated,
+            settle_s=0.4,
+            duration_s=min(1.2, longest),
+            period_s=min(1.0, longest / 2.0),
+            injection_s=injection_s,
+            amplitude_v=min(amplitude, 0.4 * capabilities.max_voltage_v),
+            frequency_hz=frequency,
+            rotation_hz=1.0 / injection_s,
+        )
+
+    def hold(self, d: float = 1.0, q: float = 0.5, **changed: Any) -> Hold:
+        """A hold at (d, q) times the kit's current."""
+        return Hold(
+            **{
+                "current_d_a": d * self.current_a,
+                "current_q_a": q * self.current_a,
+                "settle_s": self.settle_s,
+                "duration_s": self.duration_s,
+                **changed,
+            }
+        )
+
+    def gates_off(self) -> GatesOff:
+        return GatesOff(duration_s=self.duration_s)
+
+    def trapezoid(self, **changed: Any) -> Trapezoid:
+        """Two periods on the q axis at half the kit's current held on d."""
+        return Trapezoid(
+            **{
+                "swept_axis": "q",
+                "held_a": 0.5 * self.current_a,
+                "amplitude_a": self.current_a,
+                "period_s": self.period_s,
+                "periods": 2,
+                "settle_s": self.settle_s,
+                **changed,
+            }
+        )
+
+    def injection(self, **changed: Any) -> Injection:
+        """One turn of the injected vector at (1/2, 1/2) times the kit's current."""
+        return Injection(
+            **{
+                "target_d_a": 0.5 * self.current_a,
+                "target_q_a": 0.5 * self.current_a,
+                "settle_s": self.settle_s,
+                "duration_s": self.injection_s,
+                "amplitude_v": self.amplitude_v,
+                "frequency_hz": self.frequency_hz,
+                "rotation_hz": self.rotation_hz,
+                **changed,
+            }
+        )
+
+    def one_of(self, kind: str) -> Excitation:
+        """The kit's ordinary excitation of this kind."""
+        makers: dict[str, Callable[[], Excitation]] = {
+            "gates_off": self.gates_off,
+            "hold": self.hold,
+            "trapezoid": self.trapezoid,
+            "injection": self.injection,
+        }
+        return makers[kind]()
+
+
+@dataclass(frozen=True)
+class Measured:
+    """The blocks of one excitation that hold rows, and the same put together."""
+
+    blocks: list[Capture]
+    i_ab: NDArray[np.floating]
+    v_ab: NDArray[np.floating]
+
+    @property
+    def start_s(self) -> float:
+        return self.blocks[0].start_s
+
+    @property
+    def end_s(self) -> float:
+        last = self.blocks[-1]
+        return last.start_s + len(last) / last.sampling_frequency_hz
+
+
+def measure(drive: Drive, excitation: Excitation) -> Measured:
+    """Run one excitation to its end; blocks without rows are signs of life, and passed over."""
+    blocks = []
+    for block in drive.execute(excitation):
+        assert isinstance(block, Capture), f"execute must yield Capture objects, got {type(block).__name__}"
+        if len(block):
+            blocks.append(block)
+    assert blocks, f"{excitation.kind} captured nothing"
+    return Measured(blocks, np.concatenate([b.i_ab for b in blocks]), np.concatenate([b.v_ab for b in blocks]))
+
+
+class Heart:
+    """Beats for a drive from a thread of its own while the `with` block lasts, unless told to stop."""
+
+    def __init__(self, drive: Drive, interval_s: float) -> None:
+        self._drive, self._interval_s = drive, interval_s
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+
+    def __enter__(self) -> Heart:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.stop()
+
+    def stop(self) -> None:
+        """No beat comes after this returns."""
+        self._stopped.set()
+        self._thread.join()
+
+    def _beat(self) -> None:
+        while not self._stopped.is_set():
+            self._drive.heartbeat()
+            self._stopped.wait(self._interval_s)
+
+
+@dataclass(frozen=True)
+class Session:
+    """A connected drive with its sizes; armed and with a beating heart where `heart` is there."""
+
+    drive: Drive
+    capabilities: Capabilities
+    sizes: Sizes
+    heart: Heart | None = None
+
+    def requires(self, kind: str) -> None:
+        """Skip the check where the drive does not claim this excitation."""
+        if kind not in self.capabilities.excitations:
+            pytest.skip(f"this drive claims no {kind}")
+
+    def current_now(self) -> complex:
+        """Current vector d + jq by telemetry [A]."""
+        telemetry = self.drive.telemetry()
+        return complex(telemetry.i_d_a, telemetry.i_q_a)
+
+
+class DriveBench(Kit, ABC):
+    """How the drive is made, the tolerances, and sessions with it."""
+
+    current_tolerance: ClassVar[float] = 0.05
+    """Error of a controlled current, as a part of the kit's test current; at most 0.2."""
+    voltage_tolerance: ClassVar[float] = 0.02
+    """Relative error of the injected voltage's amplitude; at most 0.1."""
+    tracking_tolerance: ClassVar[float] = 0.2
+    """rms distance of the trapezoid from its reference, as a part of its amplitude; at most 0.4."""
+    angle_tolerance_rad: ClassVar[float] = 0.05
+    """Error of a direction in the stator frame; at most 0.2."""
+
+    @abstractmethod
+    def make_drive(self, setup: DriveSetup) -> Drive:
+        """A new drive, not connected. Called several times with one private directory."""
+
+    @abstractmethod
+    def setup(self) -> DriveSetup:
+        """Nameplate, options and seed; the kit lays in a private directory where there is none."""
+
+    def prepare(self, drive: Drive, capabilities: Capabilities) -> None:
+        """Make the rotor safe to load, after connecting: engages the brake where the drive has one."""
+        if capabilities.has_brake:
+            drive.set_brake(True)
+
+    def setup_in(self, private_directory: Path) -> DriveSetup:
+        setup = self.setup()
+        if setup.private_directory is not None:
+            return setup
+        return setup.model_copy(update={"private_directory": private_directory})
+
+    @contextmanager
+    def connected(self, private_directory: Path) -> Iterator[Session]:
+        """A connected drive; ramped down, disarmed and closed at the end, whatever happened."""
+        setup = self.setup_in(private_directory)
+        drive = self.make_drive(setup)
+        with ExitStack() as cleanup:
+            cleanup.callback(drive.close)
+            capabilities = drive.connect()
+            cleanup.callback(drive.disarm)
+            cleanup.callback(drive.ramp_down)
+            self.prepare(drive, capabilities)
+            yield Session(drive, capabilities, Sizes.of(setup.motor, capabilities))
+
+    @contextmanager
+    def beating(self, session: Session) -> Iterator[Session]:
+        """Arm a connected drive and keep its heart beating."""
+        with Heart(session.drive, (session.capabilities.watchdog_s or 0.2) / 5.0) as heart:
+            session.drive.arm(session.sizes.limits)
+            yield Session(session.drive, session.capabilities, session.sizes, heart)
+
+    @contextmanager
+    def armed(self, private_directory: Path) -> Iterator[Session]:
+        """A connected and armed drive with a beating heart."""
+        with self.connected(private_directory) as session, self.beating(session) as beating:
+            yield beating
+            session.drive.ramp_down()
+
+    def near(self, session: Session) -> float:
+        """How far a controlled current may be from where it should be [A]."""
+        return bounded("current_tolerance", self.current_tolerance, 0.2) * session.sizes.current_a

@@ -1,0 +1,160 @@
+"""The estimator's conformance kit. Whether an estimate is right is a question for the plugin's own tests."""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from typing import ClassVar
+
+import numpy as np
+import pytest
+
+from orchestrator.testing._kit import Kit, bounded
+from orchestrator.testing._recordings import Disguised, Empty, digest, turned
+from protocols import (
+    Estimate,
+    EstimationContext,
+    Estimator,
+    FluxMapEstimate,
+    NotMeasuredError,
+    RealArray,
+    RecordingReader,
+    ResistanceEstimate,
+)
+
+TURN_RAD = math.pi / 3.0
+"""Sixty degrees permute the phases and their signs: a model of the bridge in phase currents stays the same."""
+MAP_VALUES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
+
+
+class EstimatorConformance(Kit, ABC):
+    """Says whether an estimator plugin keeps the contract of `protocols.Estimator`.
+
+    Subclass it in a test file, in a class whose name begins with ``Test``, and give two methods:
+
+    - ``make_estimator()`` returns the estimator;
+    - ``recording()`` returns a recording that holds all it needs (a small one: it is read some ten times).
+
+    Where it needs what another estimator found out, override ``context()``.
+    """
+
+    frame_tolerance: ClassVar[float] = 1e-3
+    """Change of a value when the stator frame is turned, relative to the largest of its kind; at most 0.01."""
+
+    @abstractmethod
+    def make_estimator(self) -> Estimator:
+        """A new estimator."""
+
+    @abstractmethod
+    def recording(self) -> RecordingReader:
+        """A recording with all that the estimator needs."""
+
+    def context(self) -> EstimationContext:
+        """What earlier estimators of the same pass found out."""
+        return EstimationContext()
+
+    def _estimate(self, recording: RecordingReader) -> Estimate:
+        return self.make_estimator().estimate(recording, self.context())
+
+    def test_entry_point_leads_to_the_estimator(self) -> None:
+        self.require_entry_point("fluxbench.estimators", type(self.make_estimator()))
+
+    def test_class_keeps_the_contract(self) -> None:
+        estimator = self.make_estimator()
+        assert isinstance(estimator, Estimator), "methods or attributes of protocols.Estimator are missing"
+        assert estimator.summary.strip(), "summary is empty"
+        assert isinstance(type(estimator)(), type(estimator)), "the class must be made without arguments"
+
+    def test_returns_what_it_says_it_produces(self) -> None:
+        produces = self.make_estimator().produces
+        expected = {"resistance": ResistanceEstimate, "flux_map": FluxMapEstimate}
+        assert produces in expected, f"produces is {produces!r}; expected one of {sorted(expected)}"
+        found = self._estimate(self.recording())
+        assert isinstance(found, expected[produces]), f"produces {produces}, but returned {type(found).__name__}"
+
+    def test_same_recording_gives_the_same_estimate(self) -> None:
+        recording = self.recording()
+        first, second = (_numbers(self._estimate(recording)) for _ in range(2))
+        assert first.keys() == second.keys(), "a second pass over the same recording has other fields"
+        for name in first:
+            assert np.array_equal(first[name], second[name], equal_nan=True), f"{name} differs in a second pass"
+
+    def test_recording_is_not_modified(self) -> None:
+        recording = self.recording()
+        before = digest(recording)
+        self._estimate(Disguised(recording))
+        assert digest(recording) == before, "the recording is not what it was before the estimate"
+
+    def test_recording_without_its_stages_is_told_as_not_measured(self) -> None:
+        with pytest.raises(NotMeasuredError) as told:
+            self._estimate(Empty(self.recording().manifest))
+        assert "\n" not in str(told.value).strip(), "the error is not one line"
+
+    def test_uncertainties_are_finite_and_not_negative(self) -> None:
+        found = self._estimate(self.recording())
+        if isinstance(found, ResistanceEstimate):
+            _require_honest_resistance(found)
+        else:
+            _require_honest_map(found)
+
+    def test_turning_the_stator_frame_changes_nothing(self) -> None:
+        recording = self.recording()
+        straight = _numbers(self._estimate(Disguised(recording)))
+        askew = _numbers(self._estimate(turned(recording, TURN_RAD)))
+        assert straight.keys() == askew.keys()
+        for name in straight:
+            allowed = bounded("frame_tolerance", self.frame_tolerance, 0.01) * (50.0 if "std" in name else 1.0)
+            _require_close(name, straight[name], askew[name], allowed)
+
+
+def _numbers(found: Estimate) -> dict[str, RealArray]:
+    """All numbers of an estimate under their names."""
+    if isinstance(found, ResistanceEstimate):
+        readings = {
+            "start_s of the readings": np.array([r.start_s for r in found.readings]),
+            "value_ohm of the readings": np.array([r.value_ohm for r in found.readings]),
+            "std_ohm of the readings": np.array([r.std_ohm for r in found.readings]),
+        }
+        values = {name: np.array([getattr(found, name)]) for name in ("value_ohm", "first_ohm", "last_ohm")}
+        widths = np.array([found.value_ohm - found.low, found.high - found.value_ohm])
+        return {**values, **readings, "interval about value_ohm (std)": widths}
+    grids = {name: np.asarray(getattr(found.map, name)) for name in ("i_d", "i_q", *MAP_VALUES)}
+    stds = {f"{name}_std": np.asarray(getattr(found.map, f"{name}_std")) for name in MAP_VALUES}
+    return {**grids, **stds, "points i_dq": found.points.i_dq, "points psi_dq": found.points.psi_dq}
+
+
+def _require_close(name: str, a: RealArray, b: RealArray, allowed: float) -> None:
+    assert a.shape == b.shape, f"{name} has shape {b.shape} instead of {a.shape} in the turned frame"
+    both = np.isfinite(a) & np.isfinite(b)
+    assert both.sum() >= 0.95 * max(np.isfinite(a).sum(), np.isfinite(b).sum()), f"{name} is known elsewhere"
+    if not both.any():
+        return
+    apart = float(np.abs(a[both] - b[both]).max())
+    scale = float(np.abs(a[both]).max())
+    assert apart <= allowed * scale, f"{name} changes by {apart:.3g} of {scale:.3g} when the stator frame is turned"
+
+
+def _require_honest_resistance(found: ResistanceEstimate) -> None:
+    told = f"{found.low} .. {found.value_ohm} .. {found.high}"
+    assert all(map(math.isfinite, (found.low, found.value_ohm, found.high))), f"not finite: {told}"
+    assert found.low <= found.value_ohm <= found.high, f"the value is outside its interval: {told}"
+    assert found.readings, "no readings"
+    for reading in found.readings:
+        assert math.isfinite(reading.std_ohm), f"std_ohm = {reading.std_ohm}"
+        assert reading.std_ohm >= 0.0, f"std_ohm = {reading.std_ohm}"
+    starts = [reading.start_s for reading in found.readings]
+    assert starts == sorted(starts), "readings are not in order of time"
+
+
+def _require_honest_map(found: FluxMapEstimate) -> None:
+    grid = found.map
+    for axis in ("i_d", "i_q"):
+        assert (np.diff(getattr(grid, axis)) > 0).all(), f"{axis} does not increase"
+    for name in MAP_VALUES:
+        value, std = getattr(grid, name), getattr(grid, f"{name}_std")
+        known = np.isfinite(value)
+        assert known.any(), f"{name} is NaN everywhere"
+        assert np.isfinite(std[known]).all(), f"{name}_std is not finite where {name} is"
+        assert (std[known] >= 0.0).all(), f"{name}_std is negative"
+    assert np.isfinite(found.points.i_dq).all(), "a point's current is not finite"
+    assert np.isfinite(found.points.psi_dq).all(), "a point's flux is not finite"

@@ -1,0 +1,34 @@
+"""What all kits share: the entry point, and tolerances that widen only so far. No check of its own."""
+
+from __future__ import annotations
+
+import re
+from importlib.metadata import entry_points
+from typing import ClassVar
+
+import pytest
+
+PLUGIN_NAME = re.compile(r"^[a-z][a-z0-9_]*$")
+
+
+class Kit:
+    """Base of the kits."""
+
+    registered: ClassVar[bool] = True
+    """False for a plugin that is not installed, such as an example within a test."""
+
+    def require_entry_point(self, group: str, plugin: type) -> None:
+        """Fail unless the plugin's class stands under its own name in this entry-point group."""
+        name = str(getattr(plugin, "name", ""))
+        assert PLUGIN_NAME.match(name), f"name is {name!r}; expected lower-case letters, digits and underscores"
+        if not self.registered:
+            pytest.skip("the kit was told that this plugin is not installed")
+        found = [entry for entry in entry_points(group=group) if entry.name == name]
+        assert found, f"no entry point {name!r} in the group {group!r}; is the package installed?"
+        assert found[0].load() is plugin, f"the entry point {name!r} leads to {found[0].value}, not to {plugin!r}"
+
+
+def bounded(name: str, value: float, largest: float) -> float:
+    """The tolerance that a subclass has set, refused where it would make the check worthless."""
+    assert 0.0 < value <= largest, f"{name} = {value} is no tolerance; it may be widened up to {largest}"
+    return value

@@ -1,0 +1,221 @@
+"""The run on a terminal: a few lines that stay below, everything that is over above them."""
+
+from __future__ import annotations
+
+import threading
+from typing import TextIO
+
+from rich.console import Console, Group, RenderableType
+from rich.live import Live
+from rich.progress_bar import ProgressBar
+from rich.spinner import Spinner
+from rich.table import Table
+from rich.text import Text
+
+from plugins.streams.console._progress import Progress
+from plugins.streams.console._words import (
+    duration,
+    plural,
+    printable,
+    resistance,
+    stage_title,
+    state_name,
+    summary_rows,
+    time_left,
+    vector,
+)
+from protocols import (
+    LockChecked,
+    MapEstimated,
+    Message,
+    Note,
+    OperatorAnswered,
+    OperatorAsked,
+    ResistanceEstimated,
+    RunEnded,
+    RunStarted,
+    StageStarted,
+    StateChanged,
+)
+
+TICK_S = 0.125
+MARKS = {
+    "good": ("✓ ", "green"),
+    "bad": ("✗ ", "bold red"),
+    "warning": ("! ", "yellow"),
+    "info": ("· ", "dim"),
+}
+OUTCOME_MARKS = {"finished": "good", "aborted": "warning", "faulted": "bad"}
+
+
+class TerminalConsole(Console):
+    """A rich console that lets a broken pipe surface, where rich itself would end the process."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError("the terminal is gone")
+
+
+class LiveView:
+    """Rich live display, redrawn by a ticker of its own so that time goes on between messages."""
+
+    def __init__(self, output: TextIO) -> None:
+        self._console = TerminalConsole(file=output, force_terminal=True, highlight=False)
+        self._display = _Display()
+        self._lock = threading.Lock()
+        self._ticker: _Ticker | None = None
+        self._live: Live | None = None
+        self._prompt = ""
+        self._is_over = False
+
+    def show(self, message: Message, progress: Progress) -> None:
+        with self._lock:
+            self._display.progress = progress
+            if progress.finished is not None:
+                stage = progress.finished
+                took = duration(progress.clock() - stage.begun_s)
+                self._say("good", f"{stage_title(progress, stage)}, {plural(stage.done, 'point')} in {took}")
+            self._tell(message)
+        self._drive_display(message)
+
+    def close(self) -> None:
+        self._stop()
+
+    def _tell(self, message: Message) -> None:
+        if isinstance(message, RunStarted):
+            title = Text(printable(message.name), style="bold")
+            title.append(printable(f"  {message.motor.name} on the drive {message.drive}"), style="default not bold")
+            self._console.print(title)
+        elif isinstance(message, OperatorAnswered):
+            prompt, self._prompt = self._prompt or "operator:", ""
+            if message.by == "procedure":
+                self._say("info", f"{prompt} {message.answer}, says the procedure")
+        elif isinstance(message, LockChecked):
+            self._say("good" if message.locked else "bad", message.summary)
+        elif isinstance(message, ResistanceEstimated):
+            self._say("good", f"R_s = {resistance(message.estimate)}")
+        elif isinstance(message, MapEstimated):
+            grid = message.estimate.map
+            self._say("good", f"flux map by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents")
+        elif isinstance(message, Note):
+            self._say({"error": "bad"}.get(message.level, message.level), message.text)
+
+    def _drive_display(self, message: Message) -> None:
+        if isinstance(message, OperatorAsked):
+            self._prompt = message.prompt
+            self._stop()
+        elif isinstance(message, RunEnded):
+            self._is_over = True
+            self._stop()
+            self._console.print(_ending(message))
+        elif isinstance(message, StateChanged) and message.target == "paused":
+            self._stop()
+            self._console.print("paused; the drive is disarmed")
+        elif self._live is None and not self._prompt and not self._is_over:
+            self._start()
+        elif self._live is not None and isinstance(message, StageStarted | StateChanged):
+            with self._lock:
+                self._live.refresh()
+
+    def _say(self, mark: str, text: str) -> None:
+        sign, style = MARKS[mark]
+        self._console.print(Text.assemble((sign, style), printable(text)))
+
+    def _start(self) -> None:
+        self._live = Live(
+            self._display,
+            console=self._console,
+            auto_refresh=False,
+            transient=True,
+            redirect_stdout=False,
+            redirect_stderr=False,
+        )
+        self._live.start(refresh=True)
+        self._ticker = _Ticker(self._live, self._lock)
+
+    def _stop(self) -> None:
+        ticker, live = self._ticker, self._live
+        self._ticker = self._live = None
+        if ticker is not None:
+            ticker.stop()
+        if live is not None:
+            with self._lock:
+                live.stop()
+
+
+class _Ticker:
+    """Redraws a live display until it is stopped, or the terminal is gone; owned by its view."""
+
+    def __init__(self, live: Live, lock: threading.Lock) -> None:
+        self._live, self._lock = live, lock
+        self._stopped = threading.Event()
+        self._thread = threading.Thread(target=self._tick, name="console display", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        self._stopped.set()
+        self._thread.join()
+
+    def _tick(self) -> None:
+        while not self._stopped.wait(TICK_S):
+            try:
+                with self._lock:
+                    self._live.refresh()
+            except (OSError, ValueError):  # the next message meets the same error, and is told of it
+                return
+
+
+class _Display:
+    """The lines that stay below: state and stage, bar, time left, currents, R_s."""
+
+    def __init__(self) -> None:
+        self.progress = Progress()
+        self._spinner = Spinner("dots", style="cyan")
+
+    def __rich__(self) -> RenderableType:
+        progress = self.progress
+        return Group("", self._heading(progress), _bar(progress), *_readings(progress))
+
+    def _heading(self, progress: Progress) -> RenderableType:
+        text = Text(state_name(progress.state), style="bold")
+        if progress.stage is not None:
+            text.append(f"  {stage_title(progress, progress.stage)}", style="default not bold")
+            at = min(progress.stage.done + 1, progress.stage.points)
+            text.append(f", point {at} of {progress.stage.points}", style="default not bold")
+        self._spinner.update(text=text)
+        return self._spinner
+
+
+def _bar(progress: Progress) -> RenderableType:
+    line = Table.grid(padding=(0, 1))
+    line.add_column(width=36)
+    line.add_column(justify="right")
+    line.add_column(style="dim")
+    bar = ProgressBar(total=max(progress.points, 1), completed=progress.points_done, width=36, complete_style="cyan")
+    line.add_row(bar, f"{progress.fraction:.0%}", f"{progress.points_done}/{progress.points} points")
+    return line
+
+
+def _readings(progress: Progress) -> list[RenderableType]:
+    rows = [("time", time_left(progress))]
+    if progress.target is not None:
+        rows.append(("target", vector(progress.target)))
+    if progress.achieved is not None:
+        rows.append(("achieved", vector(progress.achieved)))
+    if progress.resistance is not None:
+        rows.append(("R_s", resistance(progress.resistance)))
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim", width=8)
+    table.add_column()
+    for label, text in rows:
+        table.add_row(label, Text(text))
+    return [table]
+
+
+def _ending(message: RunEnded) -> RenderableType:
+    _, style = MARKS[OUTCOME_MARKS[message.outcome]]
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    for label, text in summary_rows(message):
+        table.add_row(label, Text(printable(text), style=style if label == "outcome" else ""))
+    return Group("", table)

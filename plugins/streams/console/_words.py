@@ -1,0 +1,148 @@
+"""Numbers and names of a run in words, alike in every view. Knows nothing of terminals."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TextIO
+
+from plugins.streams.console._progress import Point, Progress, StageProgress
+from protocols import ResistanceEstimate, RunEnded
+
+NAMES = {
+    "gates_off": "sensors, gates off",
+    "alignment": "alignment",
+    "lock_check": "lock check",
+    "resistance": "stator resistance",
+    "classical": "classical sweep",
+    "injection": "signal injection",
+    "estimate": "estimation",
+    "operator": "operator",
+}
+
+
+ASCII = str.maketrans({"Ω": "ohm", "−": "-", "×": "x"})
+
+
+def can_draw(output: TextIO) -> bool:
+    """Whether the output's encoding holds what the live display is drawn with."""
+    try:
+        "Ω−×✓━⠋".encode(output.encoding or "utf-8")
+    except (UnicodeEncodeError, LookupError):
+        return False
+    return True
+
+
+def printable(text: str) -> str:
+    """One line without control characters: names come from outside, and go to a terminal."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
+def duration(seconds: float) -> str:
+    """Seconds as a person reads them: 7 s, 3:07, 1:02:09."""
+    if seconds < 1.0:
+        return "under 1 s"
+    whole = round(seconds)
+    if whole < 60:
+        return f"{whole} s"
+    hours, rest = divmod(whole, 3600)
+    minutes, left = divmod(rest, 60)
+    return f"{hours}:{minutes:02d}:{left:02d}" if hours else f"{minutes}:{left:02d}"
+
+
+def time_left(progress: Progress) -> str:
+    """What is left on the drive's clock, and on the wall where the two differ."""
+    if progress.points and progress.points_done >= progress.points:
+        return "all points measured"
+    on_drive, on_wall = progress.left_s, progress.wall_left_s
+    if on_wall is None:
+        return f"{duration(on_drive)} left on the drive's clock"
+    if abs(on_wall - on_drive) <= 0.2 * on_drive:
+        return f"{duration(on_wall)} left"
+    return f"{duration(on_wall)} left ({duration(on_drive)} on the drive's clock)"
+
+
+def stage_title(progress: Progress, stage: StageProgress) -> str:
+    """Which stage, of how many."""
+    of = f" of {progress.stages}" if progress.stages else ""
+    return f"stage {stage.index + 1}{of}, {NAMES.get(stage.name, stage.name.replace('_', ' '))}"
+
+
+def state_name(state: str) -> str:
+    return state.replace("_", " ")
+
+
+def vector(point: Point) -> str:
+    """(i_d, i_q) in amperes."""
+    d, q = (round(value, 3) + 0.0 for value in point)  # + 0.0: a zero has no minus
+    return f"({d:+.3f}, {q:+.3f}) A".replace("-", "−")
+
+
+def resistance(estimate: ResistanceEstimate) -> str:
+    """R_s with its 95 % interval."""
+    return f"{estimate.value_ohm:.4g} Ω (95 %: {estimate.low:.4g} to {estimate.high:.4g})"
+
+
+def plural(count: int, noun: str) -> str:
+    return f"{count} {noun}" if count == 1 else f"{count} {noun}s"
+
+
+def summary_rows(message: RunEnded) -> Iterator[tuple[str, str]]:
+    """The end of a run as label and text, the most wanted first."""
+    yield "outcome", f"{message.outcome}: {message.reason}" if message.reason else message.outcome
+    yield from _estimate_rows(message.estimates)
+    yield "run", message.run
+
+
+def _estimate_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    for key, label, text in ESTIMATE_ROWS:
+        value = found.get(key)
+        if value not in (None, "", [], {}):
+            yield label, text(value)
+    remarks = found.get("reasons")
+    for number, remark in enumerate(remarks if isinstance(remarks, list | tuple) else ()):
+        yield "" if number else "remarks", str(remark)
+    known = {"reasons", *(key for key, _, _ in ESTIMATE_ROWS)}
+    for key, value in found.items():
+        if key not in known and isinstance(value, str | int | float):
+            yield key.replace("_", " "), str(value)
+    files = found.get("files")
+    if isinstance(files, Mapping):
+        yield from sorted(
+            ((str(k), str(v)) for k, v in files.items()), key=lambda file: (file[0] == "estimates", file[0])
+        )
+
+
+def _resistance_text(value: Any) -> str:
+    if not isinstance(value, Mapping) or not isinstance(value.get("value_ohm"), int | float):
+        return str(value)
+    low, high = value.get("low"), value.get("high")
+    known = isinstance(low, int | float) and isinstance(high, int | float)
+    interval = f" (95 %: {low:.4g} to {high:.4g})" if known else ""
+    return f"{value['value_ohm']:.4g} Ω{interval}"
+
+
+def _percent_text(value: Any) -> str:
+    if isinstance(value, Mapping):
+        told = [
+            f"{str(axis).removesuffix('_percent')} {figure:.2g} %"
+            for axis, figure in value.items()
+            if isinstance(figure, int | float)
+        ]
+        return ", ".join(told) or "not measured"
+    return f"{value:.2g} %" if isinstance(value, int | float) else str(value)
+
+
+def _yes_or_no(value: Any) -> str:
+    return "yes" if value else "no"
+
+
+ESTIMATE_ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
+    ("resistance", "R_s", _resistance_text),
+    ("method", "map by", str),
+    ("usable", "map usable", _yes_or_no),
+    ("crossings", "crossings", _percent_text),
+    ("parity", "parity", _percent_text),
+    ("reciprocity_percent", "reciprocity", _percent_text),
+    ("classical_against_injection_percent", "classical against injection", _percent_text),
+)
+"""Key in what `fluxbench estimate --json` prints, label, and how its value is told."""

@@ -1,0 +1,164 @@
+"""Reads what a run directory or a recording holds; what is missing or damaged is noted, never guessed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+from pydantic import ValidationError
+
+from orchestrator.analysis import EstimationReport, load_flux_map, to_dq
+from orchestrator.recording import Recording, open_recording
+from orchestrator.runs import Journal, JournalRecord, RunDirectory, RunRecord
+from protocols import (
+    FluxbenchError,
+    FluxMap,
+    LockChecked,
+    Manifest,
+    PointDone,
+    RealArray,
+    RecordingError,
+    ResistanceEstimate,
+    ResistanceEstimated,
+    RunEnded,
+    Segment,
+    SegmentStage,
+)
+
+T = TypeVar("T")
+
+MOST_ROWS = 6_000_000
+"""Waveform rows that are read for the picture of the current paths, some seconds' worth."""
+PATH_POINTS = 200
+
+
+@dataclass(frozen=True)
+class Paths:
+    """Currents (i_d, i_q) that were reached, in the believed frame."""
+
+    classical: tuple[RealArray, ...] = ()
+    """One trajectory a segment, shape (n, 2)."""
+    injection: RealArray = field(default_factory=lambda: np.empty((0, 2)))
+    """One mean current a segment, shape (n, 2)."""
+
+
+@dataclass(frozen=True)
+class Material:
+    """All that the page is made of."""
+
+    directory: Path
+    manifest: Manifest | None
+    record: RunRecord | None
+    journal: tuple[JournalRecord, ...]
+    estimates: EstimationReport | None
+    maps: dict[str, FluxMap]
+    """By method, the recommended one first."""
+    paths: Paths
+    problems: tuple[str, ...]
+    """What could not be read, one line each."""
+
+    @property
+    def ended(self) -> RunEnded | None:
+        """How the run ended last; None while it has not."""
+        for entry in reversed(self.journal):
+            if isinstance(entry.message, RunEnded):
+                return entry.message
+            if entry.message.kind == "run_started":
+                return None
+        return None
+
+    @property
+    def resistance(self) -> ResistanceEstimate | None:
+        """The latest estimate with its readings over time."""
+        found = [e.message.estimate for e in self.journal if isinstance(e.message, ResistanceEstimated)]
+        return found[-1] if found else None
+
+    @property
+    def lock(self) -> LockChecked | None:
+        """The latest verdict on the rotor's lock."""
+        found = [e.message for e in self.journal if isinstance(e.message, LockChecked)]
+        return found[-1] if found else None
+
+
+def is_worth_a_report(directory: Path) -> bool:
+    """Whether the directory holds anything that a report could be made of."""
+    return any((directory / name).is_file() for name in ("run.json", "recording.json", "results/estimates.json"))
+
+
+def collect(directory: Path) -> Material:
+    """Read everything; raises `RecordingError` where the directory holds neither run nor recording."""
+    if not is_worth_a_report(directory):
+        raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
+    problems: list[str] = []
+
+    def attempt(read: Callable[[], T], *, wanted: bool) -> T | None:
+        if not wanted:
+            return None
+        try:
+            return read()
+        except (FluxbenchError, OSError) as error:
+            problems.append(str(error))
+            return None
+
+    record = attempt(lambda: RunDirectory.open(directory).record, wanted=(directory / "run.json").is_file())
+    recording = attempt(lambda: open_recording(directory), wanted=(directory / "recording.json").is_file())
+    journal = attempt(lambda: Journal(directory / "journal.jsonl").read(), wanted=True) or []
+    estimates_file = directory / "results" / "estimates.json"
+    estimates = attempt(lambda: _estimates(estimates_file), wanted=estimates_file.is_file())
+    maps: dict[str, FluxMap] = {}
+    for file in sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name != "flux_map.nc", f.name)):
+        found = attempt(lambda file=file: load_flux_map(file), wanted=True)  # type: ignore[misc]
+        if found is not None:
+            maps.setdefault(found.method or file.stem, found)
+    achieved = {
+        e.message.id: (e.message.achieved_d_a, e.message.achieved_q_a)
+        for e in journal
+        if isinstance(e.message, PointDone)
+    }
+    paths = None if recording is None else attempt(lambda: _paths(recording, achieved, problems), wanted=True)
+    manifest = None if recording is None else recording.manifest
+    return Material(directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), tuple(problems))
+
+
+def _estimates(file: Path) -> EstimationReport:
+    try:
+        return EstimationReport.model_validate_json(file.read_bytes())
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(map(str, first["loc"]))
+        raise RecordingError(str(file), where, str(first["msg"])) from None
+
+
+def _paths(recording: Recording, achieved: dict[str, tuple[float, float]], problems: list[str]) -> Paths:
+    """Trajectories of the classical segments, and the mean current of each injection segment."""
+    budget = MOST_ROWS
+    trajectories, means, left_out = [], [], 0
+    for segment in recording.segments(SegmentStage.INJECTION, SegmentStage.CLASSICAL):
+        if segment.stage is SegmentStage.INJECTION and segment.id in achieved:
+            means.append(achieved[segment.id])
+            continue
+        budget -= segment.samples
+        if budget < 0:
+            left_out += 1
+            continue
+        i_dq = _current(recording, segment)
+        if segment.stage is SegmentStage.CLASSICAL:
+            trajectories.append(i_dq[:: max(1, len(i_dq) // PATH_POINTS)])
+        else:
+            means.append((float(i_dq[:, 0].mean()), float(i_dq[:, 1].mean())))
+    if left_out:
+        problems.append(f"the current paths are drawn without {left_out} segments, to keep the reading short")
+    return Paths(tuple(trajectories), np.array(means, dtype=np.float64).reshape(-1, 2))
+
+
+def _current(recording: Recording, segment: Segment) -> RealArray:
+    """Current (d, q) of a segment's last period (the first may begin elsewhere), or of all where it has none."""
+    capture = recording.load(segment)
+    period = segment.settings.get("period_s")
+    rows = len(capture)
+    if segment.stage is SegmentStage.CLASSICAL and isinstance(period, int | float) and period > 0:
+        rows = min(rows, round(period * capture.sampling_frequency_hz))
+    return to_dq(capture.i_ab[-rows:], segment.rotor_angle_rad)

@@ -1,0 +1,146 @@
+"""The page itself: words, tables and pictures into one HTML file that needs nothing beside it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.recording import replace_file
+from plugins.streams.report import _content as content
+from plugins.streams.report import _figures as figures
+from plugins.streams.report._collect import Material, collect
+from protocols import FluxMap
+
+FILE_NAME = "report.html"
+INDUCTANCES = {
+    "l_dd": "L_dd = ∂ψ_d/∂i_d",
+    "l_qq": "L_qq = ∂ψ_q/∂i_q",
+    "l_dq": "L_dq = ∂ψ_d/∂i_q = ∂ψ_q/∂i_d",
+}
+
+
+@dataclass(frozen=True)
+class Picture:
+    """A picture, or in its place the reason why there is none."""
+
+    title: str
+    caption: str
+    uri: str = ""
+
+
+def write_report(directory: Path, out: Path | None = None) -> Path:
+    """Make the report of a run directory, or of any recording that has been estimated.
+
+    Parameters
+    ----------
+    directory : Path
+        Read only: run.json, journal.jsonl, recording.json, captures/ and results/, as far as they are there.
+    out : Path, optional
+        The file to write; ``report.html`` in the directory where it is left out.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    RecordingError
+        Where the directory holds neither a run nor a recording.
+    StorageError
+        Where the file cannot be written.
+    """
+    page = render(collect(directory))
+    target = out if out is not None else directory / FILE_NAME
+    replace_file(target, page.encode("utf-8"))
+    return target
+
+
+def render(material: Material) -> str:
+    """The page as text."""
+    from jinja2 import Environment, StrictUndefined
+
+    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    template = environment.from_string((files(__package__) / "template.html").read_text(encoding="utf-8"))
+    motor = content.motor_of(material)
+    main = next(iter(material.maps.values()), None)
+    told = content.events(material)
+    created = material.manifest.created if material.manifest is not None else ""
+    return template.render(
+        title=motor.name if motor is not None else material.directory.name,
+        nameplate=content.nameplate(motor) if motor is not None else "",
+        name=material.directory.resolve().name,
+        created=content.date(created or (material.record.created if material.record is not None else "")),
+        summary=list(content.summary(material)),
+        checks=list(content.checks(material)),
+        pictures=list(_pictures(material, main)),
+        quantities=content.QUANTITIES,
+        map_method=main.method if main is not None else "",
+        map_rows=content.map_rows(main, motor) if main is not None else [],
+        provenance=list(content.provenance(material)),
+        events=told[: content.MOST_EVENTS],
+        more_events=max(0, len(told) - content.MOST_EVENTS),
+        problems=material.problems,
+        files=_files(material),
+    )
+
+
+def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
+    yield _paths_picture(material)
+    yield _resistance_picture(material)
+    for axis, other in (("d", "q"), ("q", "d")):
+        title = f"ψ_{axis} over i_{axis}, i_{other} held"
+        known = {m: found for m, found in material.maps.items() if np.isfinite(found.psi_d).any()}
+        if not known:
+            yield Picture(title, "Not drawn: no flux map was made.")
+        else:
+            yield Picture(title, _methods_in_words(known), figures.flux_figure(known, axis))
+    yield _difference_picture(material)
+    for name, title in INDUCTANCES.items():
+        if main is None or not np.isfinite(getattr(main, name)).any():
+            yield Picture(title, "Not drawn: not measured.")
+        else:
+            caption = f"In mH, by {main.method}. White is outside what was measured."
+            yield Picture(title, caption, figures.inductance_figure(main, name))
+
+
+def _paths_picture(material: Material) -> Picture:
+    title, paths = "Currents that were reached", material.paths
+    if not paths.classical and not len(paths.injection):
+        return Picture(title, "Not drawn: neither a classical nor an injection sweep is in the recording.")
+    told = [f"{len(paths.injection)} injection points"] if len(paths.injection) else []
+    told += [f"{len(paths.classical)} classical trajectories"] if paths.classical else []
+    return Picture(title, f"{' and '.join(told)}, as measured.", figures.paths_figure(paths))
+
+
+def _resistance_picture(material: Material) -> Picture:
+    title, estimate = "R_s over the run", material.resistance
+    if estimate is None or not estimate.readings:
+        return Picture(title, "Not drawn: single readings over time are in a run's journal, and here is none.")
+    motor = content.motor_of(material)
+    uri = figures.resistance_figure(estimate, motor.stator_resistance_ohm if motor is not None else None)
+    return Picture(title, f"{len(estimate.readings)} readings while the current was constant.", uri)
+
+
+def _difference_picture(material: Material) -> Picture:
+    title, maps = "Classical minus injection", material.maps
+    if not {"classical", "injection"} <= maps.keys():
+        return Picture(title, "Not drawn: it takes the maps by both methods.")
+    caption = "Along the axes. The paper finds injection somewhat lower, and suspects hysteresis."
+    return Picture(title, caption, figures.difference_figure(maps["classical"], maps["injection"]))
+
+
+def _methods_in_words(maps: dict[str, FluxMap]) -> str:
+    if {"classical", "injection"} <= maps.keys():
+        return "Dashed: classical, solid: injection, with its 95 % band. Counted from zero current."
+    return f"By {', '.join(maps)} alone. Counted from zero current."
+
+
+def _files(material: Material) -> list[str]:
+    """What lies in results/, by its path in the directory."""
+    folder = material.directory / "results"
+    return sorted(f"results/{f.name}" for f in folder.iterdir() if f.is_file()) if folder.is_dir() else []

@@ -1,0 +1,299 @@
+"""The console says what matters, in plain lines or live, and survives its terminal."""
+
+from __future__ import annotations
+
+import errno
+import io
+import itertools
+import json
+import re
+import sys
+import threading
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydantic import ValidationError
+
+from orchestrator.testing._messages import MOTOR, a_run, one_of_each, points_done
+from plugins.streams.console import ConsoleOptions, ConsoleStream
+from plugins.streams.console._progress import Progress
+from plugins.streams.console._words import duration, time_left
+from protocols import (
+    Limits,
+    Message,
+    Note,
+    OperatorAnswered,
+    OperatorAsked,
+    PointStarted,
+    RunEnded,
+    RunStarted,
+    StageStarted,
+    StateChanged,
+    StreamSetup,
+)
+
+ESCAPE = "\x1b"
+
+
+class Output(io.StringIO):
+    """A standard output that may be a terminal, and may break."""
+
+    def __init__(self, terminal: bool = False) -> None:
+        super().__init__()
+        self.terminal, self.broken = terminal, False
+
+    def isatty(self) -> bool:
+        return self.terminal
+
+    def write(self, text: str) -> int:
+        if self.broken:
+            raise OSError(errno.EIO, "the terminal is gone")
+        return super().write(text)
+
+
+def listen(monkeypatch: pytest.MonkeyPatch, run: Path, output: io.TextIOBase, mode: str = "auto") -> ConsoleStream:
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.setenv("COLUMNS", "100")
+    return ConsoleStream(StreamSetup(run=run, options=ConsoleOptions.model_validate({"mode": mode})))
+
+
+def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], **how: Any) -> str:
+    output = Output(how.pop("terminal", False))
+    stream = listen(monkeypatch, run, output, **how)
+    for message in messages:
+        if message.kind != "samples_captured":
+            stream.receive(message)
+    stream.close()
+    return output.getvalue()
+
+
+def ending(**estimates: Any) -> RunEnded:
+    return RunEnded(outcome="finished", reason="every stage is done", run="runs/demo", estimates=estimates)
+
+
+def displays() -> list[str]:
+    return [thread.name for thread in threading.enumerate() if thread.name == "console display"]
+
+
+def test_not_a_terminal_gets_plain_lines_without_escape_codes(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    text = told(monkeypatch, tmp_path, a_run(tmp_path))
+    assert ESCAPE not in text
+    assert "\r" not in text
+    assert "stage 1 of 1, signal injection: begins, 20 points" in text
+    assert "stage 1 of 1, signal injection: 20 points in" in text
+    assert "R_s = 4.31 Ω" in text
+    assert "warning: the bus sags by 2 %" in text
+    assert "outcome     finished: all stages are done" in text
+
+
+def test_plain_progress_comes_every_tenth_or_every_few_seconds(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    stream = listen(monkeypatch, tmp_path, output := Output())
+    ticks = itertools.count(0.0, 0.2)
+    stream._progress.clock = lambda: next(ticks)
+    messages = list(points_done(tmp_path, 20))
+    for message in messages:
+        stream.receive(message)
+    lines = [line for line in output.getvalue().splitlines() if "%" in line]
+    assert 5 <= len(lines) <= 10
+    assert lines[0].startswith("  5%  1 of 20 points")
+
+
+def test_plain_progress_is_not_told_for_each_of_many_quick_points(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    stream = listen(monkeypatch, tmp_path, output := Output())
+    stream._progress.clock = lambda: 7.0
+    for message in points_done(tmp_path, 20):
+        stream.receive(message)
+    assert len(output.getvalue().splitlines()) == 1
+
+
+def test_stages_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert "stage 1 of 1, signal injection" in told(monkeypatch, tmp_path, a_run(tmp_path))
+
+
+def test_faults_and_their_reason_are_told_in_plain_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    reason = "drive fault overcurrent: 9 A"
+    messages: list[Message] = [
+        StateChanged(source="sweeping_injection", target="stopping", reason=reason),
+        RunEnded(outcome="faulted", reason=reason, run="runs/demo"),
+    ]
+    text = told(monkeypatch, tmp_path, messages)
+    assert f"stopping: {reason}" in text
+    assert f"faulted: {reason}" in text
+
+
+def test_summary_is_a_table_of_what_was_estimated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    end = ending(
+        resistance={"value_ohm": 4.312345, "low": 4.305, "high": 4.32},
+        method="injection",
+        crossings={"d_percent": 0.41, "q_percent": None},
+        usable=False,
+        reasons=["the rotor turned", "too few points"],
+        files={"estimates": "results/estimates.json", "flux_map": "results/flux_map.nc"},
+    )
+    lines = told(monkeypatch, tmp_path, [end]).splitlines()
+    assert "R_s         4.312 Ω (95 %: 4.305 to 4.32)" in lines
+    assert "crossings   d 0.41 %" in lines
+    assert "map usable  no" in lines
+    assert lines[lines.index("remarks     the rotor turned") + 1] == "            too few points"
+    assert lines.index("flux_map    results/flux_map.nc") < lines.index("estimates   results/estimates.json")
+
+
+def test_quiet_says_warnings_errors_and_a_bad_end_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert told(monkeypatch, tmp_path, a_run(tmp_path), mode="quiet") == "warning: the bus sags by 2 %\n"
+    bad = RunEnded(outcome="aborted", reason="the operator said no", run="runs/demo")
+    assert told(monkeypatch, tmp_path, [bad], mode="quiet") == "aborted: the operator said no\n"
+
+
+def test_json_is_one_message_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    messages: list[Message] = [m for m in one_of_each(tmp_path) if m.kind != "samples_captured"]
+    lines = told(monkeypatch, tmp_path, messages, mode="json").splitlines()
+    assert [json.loads(line)["kind"] for line in lines] == [m.kind for m in messages]
+
+
+def test_an_output_without_unicode_gets_plain_ascii(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    raw = io.BytesIO()
+    output = io.TextIOWrapper(raw, encoding="ascii")
+    stream = listen(monkeypatch, tmp_path, output)
+    for message in one_of_each(tmp_path):
+        stream.receive(message)
+    assert b"R_s = 4.31 ohm" in raw.getvalue()
+    monkeypatch.undo()
+
+
+def test_control_characters_in_names_never_reach_the_terminal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    hostile = "motor\x1b[2J\r\nRUN FINISHED"
+    messages: list[Message] = [
+        RunStarted(
+            run=str(tmp_path),
+            name="demo",
+            motor=MOTOR.model_copy(update={"name": hostile}),
+            limits=Limits(current_a=1.0, voltage_v=1.0),
+            drive="simulated",
+            stages=1,
+            points=1,
+            points_done=0,
+            seconds=1.0,
+        ),
+        Note(level="error", text=hostile),
+    ]
+    assert ESCAPE not in told(monkeypatch, tmp_path, messages)
+    assert f"{ESCAPE}[2J" not in told(monkeypatch, tmp_path, messages, terminal=True)
+
+
+def test_a_terminal_gets_a_live_display_with_stage_bar_time_and_currents(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    text = told(monkeypatch, tmp_path, a_run(tmp_path), terminal=True)
+    assert ESCAPE in text
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
+    for wanted in (
+        "sweeping injection  stage 1 of 1, signal injection, point 1 of 20",
+        "1/20 points",
+        "left",
+        "(+1.000, −0.500) A",
+        "(+0.980, −0.510) A",
+        "✓ stage 1 of 1, signal injection, 20 points",
+        "✓ R_s = 4.31 Ω",
+        "finished: all stages are done",
+    ):
+        assert wanted in plain, wanted
+
+
+def test_cursor_is_shown_again_after_the_end(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    text = told(monkeypatch, tmp_path, a_run(tmp_path)[:-1], terminal=True)
+    assert text.count(f"{ESCAPE}[?25l") == text.count(f"{ESCAPE}[?25h") > 0
+
+
+def test_live_display_stands_still_while_the_operator_is_asked(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    stream = listen(monkeypatch, tmp_path, output := Output(terminal=True))
+    for message in a_run(tmp_path)[:6]:
+        if message.kind != "samples_captured":
+            stream.receive(message)
+    assert displays()
+    stream.receive(OperatorAsked(prompt="Engage the brake."))
+    assert not displays()
+    assert output.getvalue().endswith(f"{ESCAPE}[2K")
+    asked = len(output.getvalue())
+    assert f"{ESCAPE}[?25h" in output.getvalue()
+    stream.receive(Note(level="info", text="still waiting"))
+    assert "still waiting" in output.getvalue()[asked:]
+    assert not displays()
+    stream.receive(OperatorAnswered(answer="yes", by="operator"))
+    assert displays()
+    stream.close()
+    assert not displays()
+
+
+def test_live_display_is_gone_while_paused(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    stream = listen(monkeypatch, tmp_path, Output(terminal=True))
+    stream.receive(a_run(tmp_path)[0])
+    stream.receive(StateChanged(source="stopping", target="paused"))
+    assert not displays()
+    stream.receive(StateChanged(source="paused", target="sweeping_injection"))
+    assert displays()
+    stream.close()
+
+
+@pytest.mark.parametrize("terminal", [True, False])
+def test_a_terminal_that_goes_away_is_told_once_and_then_passed_over(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, terminal: bool
+) -> None:
+    stream = listen(monkeypatch, tmp_path, output := Output(terminal))
+    messages = [m for m in a_run(tmp_path) if m.kind not in ("samples_captured", "point_done")]
+    stream.receive(messages[0])
+    output.broken = True
+    raised = 0
+    for message in messages[1:]:
+        try:
+            stream.receive(message)
+        except OSError:
+            raised += 1
+    stream.close()
+    assert raised == 1
+    assert not displays()
+
+
+def test_time_left_follows_the_pace_of_the_wall() -> None:
+    now = [100.0]
+    progress = Progress(clock=lambda: now[0])
+    progress.points, progress.left_s = 10, 50.0
+    assert time_left(progress) == "50 s left on the drive's clock"
+    progress.take(PointStarted(id="p", stage_index=0, target_d_a=None, target_q_a=None, seconds=5.0))
+    now[0] += 0.5
+    progress.take(next(points_done(Path("run"), 1)).model_copy(update={"seconds_left": 45.0}))
+    assert progress.wall_left_s == pytest.approx(4.5)
+    assert time_left(progress) == "4 s left (45 s on the drive's clock)"
+
+
+def test_time_left_is_told_once_where_drive_and_wall_agree() -> None:
+    progress = Progress(points=10, left_s=90.0, drive_s=10.0, measuring_s=10.5)
+    assert time_left(progress) == "1:34 left"
+
+
+@pytest.mark.parametrize(
+    ("seconds", "text"), [(0.2, "under 1 s"), (7.4, "7 s"), (187.0, "3:07"), (3729.0, "1:02:09"), (59.7, "1:00")]
+)
+def test_durations_read_like_a_clock(seconds: float, text: str) -> None:
+    assert duration(seconds) == text
+
+
+def test_a_stage_ends_with_the_next_or_with_a_stop() -> None:
+    progress = Progress()
+    progress.take(StageStarted(index=0, stage="gates_off", points=1))
+    progress.take(StageStarted(index=1, stage="resistance", points=3))
+    assert progress.finished is not None
+    assert progress.finished.name == "gates_off"
+    progress.take(StateChanged(source="estimating_resistance", target="stopping"))
+    assert progress.finished is not None
+    assert progress.finished.name == "resistance"
+    progress.take(Note(level="info", text=""))
+    assert progress.finished is None
+
+
+def test_an_unknown_mode_is_refused() -> None:
+    with pytest.raises(ValidationError, match="mode"):
+        ConsoleOptions.model_validate({"mode": "loud"})

@@ -1,0 +1,296 @@
+"""The report is one page that needs nothing beside it, and says what is missing instead of drawing it."""
+
+from __future__ import annotations
+
+import base64
+import re
+import shutil
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib import pyplot
+
+from plugins.streams.report import ReportStream, write_report
+from plugins.streams.report._collect import collect
+from plugins.streams.report._content import checks, map_rows, summary
+from plugins.streams.report._figures import (
+    HELD_COLOURS,
+    _colours_of,
+    flux_figure,
+    held_currents,
+    inductance_figure,
+    profile,
+)
+from protocols import NoOptions, RecordingError, StorageError, StreamSetup
+from tests.plugins.streams.example_run import a_map, a_run_directory
+
+HOSTILE = "<script>alert(1)</script>\"><img src=x onerror=alert(2)> & 'motor' {{ 7*7 }}"
+VOID = {"meta", "img", "br", "hr", "link"}
+PICTURES = 8
+
+
+class Page(HTMLParser):
+    """Reads a page, and fails where tags do not nest."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__(convert_charrefs=True)
+        self.open: list[str] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.words: list[str] = []
+        self.feed(text)
+        self.close()
+        assert not self.open, f"never closed: {self.open}"
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+        assert len(dict(attrs)) == len(attrs), f"an attribute of {tag} is given twice"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open, f"</{tag}> closes nothing"
+        assert self.open[-1] == tag, f"</{tag}> closes {self.open[-1]}"
+        self.open.pop()
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] != "style":
+            self.words.append(data.strip())
+
+    @property
+    def text(self) -> str:
+        return " ".join(filter(None, self.words))
+
+    def all(self, tag: str) -> list[dict[str, str | None]]:
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run with its report; not to be changed."""
+    run = a_run_directory(tmp_path_factory.mktemp("report") / "pm400-example")
+    write_report(run)
+    return run
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of the words: figures are made, but not rendered."""
+    monkeypatch.setattr("plugins.streams.report._figures._uri", lambda figure: "data:image/svg+xml;base64,")
+
+
+@pytest.fixture
+def run(undrawn: None, finished: Path, tmp_path: Path) -> Path:
+    """A copy of the finished run without its report."""
+    copy = tmp_path / finished.name
+    shutil.copytree(finished, copy)
+    (copy / "report.html").unlink()
+    return copy
+
+
+def page_of(run: Path) -> Page:
+    return Page(write_report(run).read_text(encoding="utf-8"))
+
+
+def test_page_is_well_formed_and_complete(finished: Path) -> None:
+    page = Page((finished / "report.html").read_text(encoding="utf-8"))
+    assert len(page.all("img")) == PICTURES
+    for wanted in (
+        "400 W test PMSM",
+        "4.47 Ω (95 %: 4.455 to 4.485)",
+        "d 0.42 %, q 1.2 % (the paper's: d 1.3 %, q 2.9 %)",
+        "the loop is open by 1.1 mWb",
+        "locked: moved 0.0004 rad",
+        "finished: every stage is done",
+        "the bus sagged by 2 %",
+        "SHA-256",
+        "results/flux_map.nc",
+    ):
+        assert wanted in page.text, wanted
+
+
+def test_page_refers_to_nothing_outside_itself(finished: Path) -> None:
+    text = (finished / "report.html").read_text(encoding="utf-8")
+    page = Page(text)
+    assert all(str(image["src"]).startswith("data:image/svg+xml;base64,") for image in page.all("img"))
+    for tag in ("script", "link", "iframe", "object", "embed", "base", "form", "a"):
+        assert not page.all(tag), f"the page holds <{tag}>"
+    without_pictures = re.sub(r'src="data:[^"]*"', "", text)
+    assert not re.search(r"https?:|//|url\(|@import|javascript:", without_pictures)
+    policy = next(meta for meta in page.all("meta") if meta.get("http-equiv"))
+    assert str(policy["content"]).startswith("default-src 'none'")
+
+
+def test_page_is_small_and_fits_a_phone(finished: Path) -> None:
+    report = finished / "report.html"
+    assert report.stat().st_size < 3_000_000
+    page = Page(report.read_text(encoding="utf-8"))
+    assert {"name": "viewport", "content": "width=device-width, initial-scale=1"} in page.all("meta")
+    assert sum(div.get("class") == "wide" for div in page.all("div")) == len(page.all("table"))
+
+
+def test_every_picture_has_words_for_those_who_cannot_see_it(finished: Path) -> None:
+    page = Page((finished / "report.html").read_text(encoding="utf-8"))
+    assert all(image.get("alt") for image in page.all("img"))
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_hostile_names_stay_text(tmp_path: Path) -> None:
+    page = page_of(a_run_directory(tmp_path / "run", motor=HOSTILE))
+    assert not page.all("script")
+    assert len(page.all("img")) == PICTURES
+    assert HOSTILE in page.text
+    assert not [tag for tag, attributes in page.tags if any(name.startswith("on") for name in attributes)]
+
+
+def test_report_goes_where_it_is_asked_to(run: Path, tmp_path: Path) -> None:
+    before = sorted(p.relative_to(run) for p in run.rglob("*"))
+    assert write_report(run, tmp_path / "elsewhere.html") == tmp_path / "elsewhere.html"
+    assert sorted(p.relative_to(run) for p in run.rglob("*")) == before
+
+
+def test_stream_writes_the_report_at_the_end(run: Path) -> None:
+    stream = ReportStream(StreamSetup(run=run, options=NoOptions()))
+    assert not (run / "report.html").exists()
+    stream.close()
+    assert Page((run / "report.html").read_text(encoding="utf-8")).text
+
+
+def test_stream_writes_nothing_where_there_is_nothing(tmp_path: Path) -> None:
+    ReportStream(StreamSetup(run=tmp_path, options=NoOptions())).close()
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_directory_that_is_no_run_is_refused_in_one_line(tmp_path: Path) -> None:
+    with pytest.raises(RecordingError, match=r"neither run\.json nor recording\.json"):
+        write_report(tmp_path)
+
+
+def test_a_file_that_cannot_be_written_is_told(run: Path, tmp_path: Path) -> None:
+    with pytest.raises(StorageError, match="report"):
+        write_report(run, tmp_path / "no" / "such" / "folder" / "report.html")
+
+
+def test_a_run_without_results_says_so_and_draws_what_was_measured(run: Path) -> None:
+    shutil.rmtree(run / "results")
+    page = page_of(run)
+    assert len(page.all("img")) == 2  # the paths, and R_s from the journal
+    assert "Flux map not measured" in page.text
+    assert "Not drawn: no flux map was made." in page.text
+    assert "Not measured: there is no flux map" in page.text
+
+
+def test_a_recording_without_run_or_journal_is_reported(run: Path) -> None:
+    for name in ("run.json", "journal.jsonl"):
+        (run / name).unlink()
+    page = page_of(run)
+    assert "a recording that was not made by a run" in page.text
+    assert "No journal" in page.text
+    assert "single readings over time are in a run's journal" in page.text
+    assert "69 injection points and 8 classical trajectories" in page.text
+
+
+def test_one_method_alone_is_drawn_alone(run: Path) -> None:
+    (run / "results" / "flux_map_classical.nc").unlink()
+    page = page_of(run)
+    assert "By injection alone." in page.text
+    assert "Not drawn: it takes the maps by both methods." in page.text
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("results/estimates.json", b"{", "estimates.json"),
+        ("results/estimates.json", b'{"usable": 1}', "estimates.json"),
+        ("results/flux_map.nc", b"no NetCDF", "flux_map.nc"),
+        ("run.json", b"[]", "run.json"),
+        ("recording.json", b"\xff", "recording.json"),
+        ("journal.jsonl", b"nonsense\n" * 2, "journal.jsonl"),
+    ],
+)
+def test_a_damaged_file_is_named_and_the_rest_reported(run: Path, name: str, content: bytes, told: str) -> None:
+    (run / name).write_bytes(content)
+    page = page_of(run)
+    material = collect(run)
+    assert len(material.problems) == 1
+    assert told in material.problems[0]
+    assert material.problems[0] in page.text
+
+
+def test_a_lost_capture_costs_the_picture_of_the_paths_only(run: Path) -> None:
+    (run / "captures" / "classical-003.parquet").unlink()
+    page = page_of(run)
+    assert "classical-003.parquet" in page.text
+    assert len(page.all("img")) >= PICTURES - 1
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_run_that_was_killed_is_told_as_not_ended(tmp_path: Path) -> None:
+    page = page_of(a_run_directory(tmp_path / "run", ended=False))
+    assert "not ended: interrupted from outside, or still under way" in page.text
+
+
+def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
+    file = run / "results" / "estimates.json"
+    file.write_text(re.sub(r'"parity": \{[^}]*\}', '"parity": null', file.read_text()), encoding="utf-8")
+    material = collect(run)
+    assert next(c for c in checks(material) if c.name == "Parity").d == "not measured"
+    assert next(line for line in summary(material) if line.label == "Parity").text == "not measured"
+
+
+def test_a_motor_without_saturation_is_drawn() -> None:
+    found = a_map("injection")
+    flat = found.model_copy(update={"l_dd": np.full_like(found.l_dd, 0.043), "l_dq": np.zeros_like(found.l_dq)})
+    assert inductance_figure(flat, "l_dd").startswith("data:image/svg+xml")
+    assert inductance_figure(flat, "l_dq").startswith("data:image/svg+xml")
+
+
+def test_a_map_of_a_single_line_is_drawn() -> None:
+    found = a_map("injection")
+    line = {"i_q": found.i_q[6:7]} | {
+        name: getattr(found, name)[:, 6:7]
+        for key in ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
+        for name in (key, f"{key}_std")
+    }
+    thin = found.model_copy(update=line)
+    assert inductance_figure(thin, "l_dd").startswith("data:image/svg+xml")
+    assert flux_figure({"injection": thin}, "d").startswith("data:image/svg+xml")
+
+
+def test_tables_give_as_many_digits_as_the_uncertainty_bears() -> None:
+    rows = map_rows(a_map("injection"), None)
+    assert ["0.00", "0.00", "300.00 ± 0.78", "0.00 ± 0.78", "43.00 ± 0.78", "0.00 ± 0.78", "69.00 ± 0.78"] in rows
+    assert ["−3.00", "−3.00", *["not measured"] * 5] in rows
+
+
+def test_profile_along_a_grid_line_is_the_map_s_own() -> None:
+    found = a_map("injection")
+    current, flux, std = profile(found, "psi_d", "d", 0.0)
+    middle = len(found.i_q) // 2
+    assert np.array_equal(current, found.i_d)
+    assert np.array_equal(flux, found.psi_d[:, middle])
+    assert np.array_equal(std, found.psi_d_std[:, middle])
+
+
+def test_profile_between_grid_lines_is_linear_and_outside_unknown() -> None:
+    found = a_map("injection")
+    _, flux, _ = profile(found, "psi_q", "q", 0.25)
+    at = int(np.searchsorted(found.i_d, 0.0))
+    assert flux[6] == pytest.approx((found.psi_q[at, 6] + found.psi_q[at + 1, 6]) / 2)
+    assert np.isnan(profile(found, "psi_q", "q", 9.0)[1]).all()
+
+
+def test_one_colour_means_one_held_current_in_both_pictures() -> None:
+    maps = [a_map("injection")]
+    assert held_currents(maps, "d") == held_currents(maps, "q") == (-3.0, -1.5, 0.0, 1.5, 3.0)
+    assert _colours_of((-3.0, -1.5, 0.0, 1.5, 3.0)) == list(HELD_COLOURS)
+    assert _colours_of((-3.0, 0.0, 3.0)) == [HELD_COLOURS[0], HELD_COLOURS[2], HELD_COLOURS[4]]
+
+
+def test_pictures_are_svg_and_leave_no_figure_behind(finished: Path) -> None:
+    page = Page((finished / "report.html").read_text(encoding="utf-8"))
+    for image in page.all("img"):
+        svg = base64.b64decode(str(image["src"]).split(",", 1)[1])
+        assert svg.rstrip().endswith(b"</svg>")
+    assert pyplot.get_fignums() == []
