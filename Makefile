@@ -2,6 +2,9 @@
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
+
+# Two cores are busy enough without threads that wait for each other by spinning.
+export OPENBLAS_NUM_THREADS ?= 1
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test test-all bench lint lock clean

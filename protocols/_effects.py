@@ -69,6 +69,8 @@ class LossHistory(ArrayModel):
     """Since the start of the experiment, increasing, shape (m,)."""
     power_w: Curve
     """Mean loss from this instant to the next, shape (m,)."""
+    captured: Curve
+    """1 where it was measured, 0 where it is assumed, shape (m,)."""
 
 
 class Signals(ArrayModel):
@@ -93,7 +95,9 @@ class Signals(ArrayModel):
     heat_j: Samples
     """Copper loss since the start of the experiment."""
     psi_ab: Vectors | None = None
-    """Flux linkage by the model as it stands, magnet included [Wb]; None where there is no model."""
+    """Flux linkage at the measured current by the model as it stands, magnet included [Wb]; None without a model."""
+    psi_smooth_ab: Vectors | None = None
+    """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
     losses: LossHistory | None = None
     motor: Motor | None = None
     """The nameplate."""

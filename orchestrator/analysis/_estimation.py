@@ -8,6 +8,7 @@ from pathlib import Path
 from orchestrator.analysis._checks import difference_percent, rated_flux_wb
 from orchestrator.analysis._flux_map_file import save_flux_map
 from orchestrator.analysis._report import EstimationReport, ResistanceReport
+from orchestrator.recording import replace_file
 from protocols import (
     Estimate,
     EstimationContext,
@@ -92,8 +93,11 @@ def _report(
     best = _recommended(maps)
     checks = best.checks if best else MapChecks()
     difference = _difference(recording, maps)
-    against = _objections(best, difference)
-    notes = [f"{method}: {note}" for method, found in maps.items() for note in found.notes]
+    against = _objections(best)
+    remarks = _remarks(difference)
+    unscaled = best is not None and rated_flux_wb(best.map, recording.manifest.motor.rated_current_a) is None
+    notes = ["the map does not reach the rated current: no percentages"] if unscaled else []
+    notes += [f"{method}: {note}" for method, found in maps.items() for note in found.notes]
     fields = ("value_ohm", "low", "high", "first_ohm", "last_ohm")
     return EstimationReport(
         resistance=ResistanceReport(**{f: getattr(resistance, f) for f in fields}) if resistance else None,
@@ -103,7 +107,7 @@ def _report(
         reciprocity_percent=checks.reciprocity_percent,
         classical_against_injection_percent=difference,
         usable=best is not None and not against,
-        reasons=[*against, *missing, *(resistance.notes if resistance else ()), *notes],
+        reasons=[*against, *remarks, *missing, *(resistance.notes if resistance else ()), *notes],
     )
 
 
@@ -115,7 +119,7 @@ def _difference(recording: RecordingReader, maps: dict[str, FluxMapEstimate]) ->
     return difference_percent(injection, classical, rated)
 
 
-def _objections(best: FluxMapEstimate | None, difference: float | None) -> list[str]:
+def _objections(best: FluxMapEstimate | None) -> list[str]:
     """What makes the recommended map unusable, in words."""
     if best is None:
         return ["no flux map could be made"]
@@ -129,9 +133,14 @@ def _objections(best: FluxMapEstimate | None, difference: float | None) -> list[
             words.append(
                 f"psi_{axis} breaks its symmetry in i_q by {parity:.1f} % of the rated flux: is the rotor angle right?"
             )
-    if difference is not None and difference > _BAD_DIFFERENCE_PERCENT:
-        words.append(f"the classical and the injection map differ by {difference:.1f} % of the rated flux (rms)")
     return words
+
+
+def _remarks(difference: float | None) -> list[str]:
+    """A difference between the methods speaks against one of them, and does not say which."""
+    if difference is None or difference <= _BAD_DIFFERENCE_PERCENT:
+        return []
+    return [f"the classical and the injection map differ by {difference:.1f} % of the rated flux (rms)"]
 
 
 def _written(
@@ -149,11 +158,5 @@ def _written(
         files[name] = str(folder / f"{name}.nc")
     files["estimates"] = str(folder / "estimates.json")
     report = report.model_copy(update={"files": files})
-    _replace(folder / "estimates.json", report.model_dump_json(indent=2) + "\n")
+    replace_file(folder / "estimates.json", (report.model_dump_json(indent=2) + "\n").encode())
     return report
-
-
-def _replace(path: Path, text: str) -> None:
-    from orchestrator.recording import replace_file
-
-    replace_file(path, text.encode())

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
-from protocols import FluxMap, RecordingError, StorageError
+from orchestrator.recording import replace_file
+from protocols import FluxMap, RecordingError
 
 _UNITS = {"psi_d": "Wb", "psi_q": "Wb", "l_dd": "H", "l_dq": "H", "l_qq": "H"}
 _NAMES = {
@@ -57,15 +57,9 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
         "recording": recording,
         "conventions": _CONVENTIONS,
     }
-    partial = path.with_name(f".{path.name}.partial")
-    try:
-        xr.Dataset(fields, axes, attributes).to_netcdf(partial, engine="h5netcdf")
-        with partial.open("rb") as file:
-            os.fsync(file.fileno())
-        partial.replace(path)
-    except OSError as error:
-        partial.unlink(missing_ok=True)
-        raise StorageError(f"{path}: cannot be written: {error.strerror or error}") from error
+    # Made in memory: on a full disk the HDF5 library takes the whole process with it.
+    content = bytes(xr.Dataset(fields, axes, attributes).to_netcdf(engine="h5netcdf"))
+    replace_file(path, content)
 
 
 def load_flux_map(path: Path) -> FluxMap:

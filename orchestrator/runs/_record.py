@@ -68,10 +68,10 @@ def sealed_options_of(procedure: Procedure, sealed: Iterable[str]) -> dict[str, 
 
 def unsealed(record: RunRecord, options: dict[str, Any], where: str) -> Procedure:
     """The procedure as it was run; raises `RecordingError` where `options` are not what was sealed."""
-    procedure = _with_options(record.procedure, options)
-    if _hash(procedure.model_dump(mode="json")) != record.procedure_sha256:
-        raise RecordingError(where, "", "does not hold the options that the run was made with (their hash differs)")
-    return procedure
+    for name in record.sealed:
+        if record.procedure.drive.options.get(name) != {"sha256": _hash(options.get(name))}:
+            raise RecordingError(where, name, "is not the option that the run was made with (its hash differs)")
+    return _with_options(record.procedure, {name: options[name] for name in record.sealed})
 
 
 def _with_options(procedure: Procedure, options: dict[str, Any]) -> Procedure:

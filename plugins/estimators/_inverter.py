@@ -67,6 +67,8 @@ def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array) -> Volta
 
     Where different currents are few the model shrinks: no drift, no inverter, at last no bias.
     """
+    from scipy.optimize import minimize_scalar
+
     length = np.linalg.norm(i_ab, axis=1)
     sizes = len(np.unique(np.round(length / max(length.max(), 1e-12), 2)))
     frequencies = sorted(set(pwm_hz.tolist())) if sizes >= 3 and len(i_ab) >= 6 else []
@@ -87,9 +89,16 @@ def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array) -> Volta
         answer = np.linalg.lstsq(design, v_ab.ravel(), rcond=None)[0]
         return float(((v_ab.ravel() - design @ answer) ** 2).sum()), answer, design
 
-    threshold = float(min(thresholds, key=lambda t: solve(t)[0]))
+    threshold = float(min(thresholds, key=lambda t: solve(float(t))[0]))
+    if frequencies:
+        near = (threshold / 1.3, threshold * 1.3)
+        threshold = float(minimize_scalar(lambda t: solve(t)[0], bounds=near, method="bounded").x)
     squares, answer, design = solve(threshold)
-    freedom = max(design.shape[0] - design.shape[1] - bool(frequencies), 1)
+    if frequencies:
+        # The threshold was fitted as well; its share in the errors is that of one more column.
+        aside = [solve(t)[2] @ answer for t in (1.05 * threshold, threshold / 1.05)]
+        design = np.column_stack([design, aside[0] - aside[1]])
+    freedom = max(design.shape[0] - design.shape[1], 1)
     variance = squares / freedom * np.linalg.pinv(design.T @ design)[0, 0]
     bias = answer[1 + drifts : 3 + drifts] if both_ways else np.zeros(2)
     return VoltageFit(

@@ -10,7 +10,7 @@ Array = NDArray[np.float64]
 # Direction, and the longest step along it in units of the usual distance between neighbours. The diagonals of a
 # square grid are not lines of it.
 _DIRECTIONS = (((1.0, 0.0), 3.0), ((0.0, 1.0), 3.0), ((0.5**0.5, 0.5**0.5), 1.2))
-_CONE = 0.25  # how far a next point may lie off the line, relative to the step
+_CONE = 0.45  # how far a next point may lie off the line, relative to the step
 
 
 def straight_lines(current: Array) -> list[NDArray[np.intp]]:
@@ -26,21 +26,24 @@ def straight_lines(current: Array) -> list[NDArray[np.intp]]:
 
     itself_and_next = np.asarray(cKDTree(current).query(current, k=2)[0])
     usual = float(np.median(itself_and_next[:, 1]))
+    # Where paths cross, or a point was repeated, points all but coincide: one of them serves all lines.
+    doubles = cKDTree(current).query_pairs(0.3 * usual, output_type="ndarray")
+    single = np.setdiff1d(np.arange(len(current)), doubles.max(axis=1, initial=-1))
+    kept = current[single]
     lines = []
     for direction, longest in _DIRECTIONS:
-        ahead = _nearest_ahead(current, np.array(direction), usual, longest * usual)
-        behind = _nearest_ahead(current, -np.array(direction), usual, longest * usual)
-        lines += _chains(ahead, behind)
+        ahead = _nearest_ahead(kept, np.array(direction), longest * usual)
+        behind = _nearest_ahead(kept, -np.array(direction), longest * usual)
+        lines += [single[chain] for chain in _chains(ahead, behind)]
     return lines
 
 
-def _nearest_ahead(current: Array, direction: Array, usual: float, longest: float) -> NDArray[np.intp]:
+def _nearest_ahead(current: Array, direction: Array, longest: float) -> NDArray[np.intp]:
     """Index of the nearest point in a narrow cone ahead of each point; -1 where there is none."""
     step = current[None, :, :] - current[:, None, :]
     along = step @ direction
     across = np.abs(step @ np.array([-direction[1], direction[0]]))
-    # Where two paths cross, two points all but coincide: neither is the other's next.
-    follows = (along > 0.3 * usual) & (along <= longest) & (across < _CONE * along)
+    follows = (along > 0.0) & (along <= longest) & (across < _CONE * along)
     distance = np.where(follows, along + across, np.inf)
     nearest = np.argmin(distance, axis=1)
     return np.where(np.isfinite(distance[np.arange(len(current)), nearest]), nearest, -1)

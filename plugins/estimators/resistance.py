@@ -61,7 +61,7 @@ class ResistanceEstimator:
             first_ohm=readings[0].value_ohm,
             last_ohm=readings[-1].value_ohm,
             readings=readings,
-            notes=_notes(fit, bool(holds), readings),
+            notes=_notes(fit, [d for _, d in used], bool(holds), readings),
         )
 
 
@@ -99,12 +99,17 @@ def _student_95(freedom: int) -> float:
     return float(t.ppf(0.975, freedom))
 
 
-def _notes(fit: VoltageFit, held: bool, readings: tuple[ResistanceReading, ...]) -> tuple[str, ...]:
+def _notes(fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[ResistanceReading, ...]) -> tuple[str, ...]:
     notes = []
     if not held:
         notes.append("no DC holds: R_s is from the rests of the classical sweeps")
     if not fit.error_v:
         notes.append("too few different currents to tell R_s from the inverter's own voltage drop")
+    largest = max(float(np.linalg.norm(d.i_ab)) for d in used)
+    for pwm_hz, error in fit.error_v.items():
+        if error > 0.01 * fit.resistance_ohm * largest:
+            at = f" at {pwm_hz / 1e3:.3g} kHz" if pwm_hz else ""
+            notes.append(f"the inverter keeps {error:.2f} V from each phase{at} (dead time or device drops); taken out")
     change = readings[-1].value_ohm / readings[0].value_ohm - 1.0
     spread = float(np.hypot(readings[-1].std_ohm, readings[0].std_ohm)) / readings[0].value_ohm
     if abs(change) > max(0.02, 3.0 * spread):

@@ -14,6 +14,7 @@ from plugins.estimators.injection import InjectionEstimator
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import (
     EstimationContext,
+    Estimator,
     FluxMap,
     FluxMapEstimate,
     NotMeasuredError,

@@ -1,0 +1,141 @@
+"""The pass over a recording, with estimators that are made up."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, ClassVar, Literal
+
+import numpy as np
+import pytest
+
+from orchestrator.analysis import EstimationReport, estimate_recording
+from protocols import (
+    AxisPercent,
+    DriveRecord,
+    Estimate,
+    EstimationContext,
+    FluxMapEstimate,
+    FluxPoints,
+    Manifest,
+    MapChecks,
+    Motor,
+    NotMeasuredError,
+    PluginError,
+    RecordingReader,
+    ResistanceEstimate,
+)
+from tests.orchestrator.analysis.campaign import MemoryRecording
+from tests.orchestrator.analysis.test_checks_and_files import exact_map
+
+RECORDING = MemoryRecording(
+    Manifest(
+        format="fluxbench-recording",
+        version=1,
+        name="made up",
+        created="2026-01-01",
+        motor=Motor(name="m", pole_pairs=2, rated_current_rms_a=1.66),
+        drive=DriveRecord(name="d", sampling_frequency_hz=1e4, dc_bus_voltage_v=540.0),
+        segments=(),
+    ),
+    {},
+)
+R_S = ResistanceEstimate(value_ohm=4.0, low=3.9, high=4.1, first_ohm=4.0, last_ohm=4.2, readings=())
+
+
+class Resistance:
+    name: ClassVar[str] = "resistance"
+    summary: ClassVar[str] = "made up"
+    produces: ClassVar[Literal["resistance", "flux_map"]] = "resistance"
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
+        return R_S
+
+
+class Mapper:
+    summary: ClassVar[str] = "made up"
+    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+
+    def __init__(self, name: str, checks: MapChecks | None = None, missing: bool = False) -> None:
+        self.name = name  # type: ignore[misc]
+        self.checks, self.missing = checks or MapChecks(), missing
+        self.saw: EstimationContext | None = None
+
+    name: ClassVar[str] = ""
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
+        self.saw = context
+        if self.missing:
+            raise NotMeasuredError("made up", "segments", f"no {self.name} here")
+        points = FluxPoints(i_dq=np.zeros((1, 2)), psi_dq=np.zeros((1, 2)), segment=("a",))
+        return FluxMapEstimate(map=exact_map(self.name), points=points, checks=self.checks, notes=("a note",))
+
+
+def numbers(value: Any) -> list[float]:
+    if isinstance(value, dict):
+        return [n for v in value.values() for n in numbers(v)]
+    if isinstance(value, list):
+        return [n for v in value for n in numbers(v)]
+    return [value] if isinstance(value, float) else []
+
+
+def test_resistance_comes_first_and_the_rest_sees_it(tmp_path: Path) -> None:
+    mapper, heard = Mapper("classical"), list[Estimate]()
+    estimate_recording(RECORDING, [mapper, Resistance()], tmp_path, on_estimate=heard.append)
+    assert mapper.saw is not None
+    assert mapper.saw.resistance is R_S
+    assert [type(estimate) for estimate in heard] == [ResistanceEstimate, FluxMapEstimate]
+
+
+def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> None:
+    report = estimate_recording(RECORDING, [Mapper("other"), Mapper("classical"), Mapper("injection")], tmp_path)
+    assert report.method == "injection"
+    names = {path.name for path in (tmp_path / "results").iterdir()}
+    assert names == {"flux_map.nc", "flux_map_classical.nc", "flux_map_other.nc", "estimates.json"}
+    assert {Path(path).name for path in report.files.values()} == names
+    assert report.classical_against_injection_percent == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -> None:
+    checks = MapChecks(crossings=AxisPercent(d_percent=1.0, q_percent=None), reciprocity_percent=0.5)
+    report = estimate_recording(RECORDING, [Resistance(), Mapper("classical", checks)], tmp_path)
+    text = (tmp_path / "results" / "estimates.json").read_text()
+    assert EstimationReport.model_validate_json(text) == report
+    written = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
+    assert all(math.isfinite(n) for n in numbers(written))
+    assert written["resistance"] == {"value_ohm": 4.0, "low": 3.9, "high": 4.1, "first_ohm": 4.0, "last_ohm": 4.2}
+    assert written["classical_against_injection_percent"] is None
+    assert written["usable"] is True
+
+
+def test_what_could_not_be_measured_is_a_reason(tmp_path: Path) -> None:
+    report = estimate_recording(RECORDING, [Mapper("injection", missing=True), Mapper("classical")], tmp_path)
+    assert report.method == "classical"
+    assert report.usable
+    assert any("no injection here" in reason for reason in report.reasons)
+
+
+def test_a_map_that_contradicts_itself_is_not_usable(tmp_path: Path) -> None:
+    checks = MapChecks(crossings=AxisPercent(d_percent=1.0, q_percent=12.0))
+    report = estimate_recording(RECORDING, [Mapper("injection", checks)], tmp_path)
+    assert not report.usable
+    assert "psi_q differs by 12.0 %" in report.reasons[0]
+
+
+def test_nothing_at_all_is_one_clear_line_and_no_file(tmp_path: Path) -> None:
+    with pytest.raises(NotMeasuredError, match=r"made up: nothing can be estimated: .*no injection here") as told:
+        estimate_recording(RECORDING, [Mapper("injection", missing=True)], tmp_path)
+    assert "\n" not in str(told.value)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_estimator_that_returns_something_else_is_named(tmp_path: Path) -> None:
+    class Wrong(Resistance):
+        name: ClassVar[str] = "wrong"
+
+        def estimate(self, recording: RecordingReader, context: EstimationContext) -> Any:
+            return 4.0
+
+    with pytest.raises(PluginError, match="wrong"):
+        estimate_recording(RECORDING, [Wrong()], tmp_path)

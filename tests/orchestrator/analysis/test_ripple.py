@@ -1,0 +1,174 @@
+"""Demodulation against motors whose Hessian is known."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from orchestrator.analysis import Ripple, demodulate, injection_frequency
+from protocols import Capture, NotMeasuredError
+from tests.orchestrator.analysis.plant import (
+    L_D,
+    L_Q,
+    R_S,
+    SAMPLING_HZ,
+    Array,
+    Run,
+    capture_of,
+    flux_for,
+    injection_voltage,
+    integrate_motor,
+    linear_current,
+    saturated_current,
+    saturated_hessian,
+)
+
+POINTS = np.array([[0.0, 0.0], [1.5, 1.5], [-2.0, -3.0]])
+TIME_CONSTANT_S = L_Q / R_S
+
+
+@cache
+def injected(
+    frequency: float = 500.0,
+    rotation: float = 4.0,
+    waveform: str = "square",
+    resistance: float = R_S,
+    saturated: bool = True,
+) -> Run:
+    current_of = saturated_current if saturated else linear_current
+    voltage = injection_voltage(resistance * POINTS, 40.0, frequency, rotation, waveform)
+    return integrate_motor(voltage, flux_for(POINTS, current_of), 5000, current_of, resistance=resistance)
+
+
+def true_hessian(ripple: Ripple) -> Array:
+    return saturated_hessian(flux_for(ripple.current_dq, saturated_current))
+
+
+def off_percent(ripple: Ripple) -> float:
+    truth = true_hessian(ripple)
+    return 100.0 * float(np.abs(ripple.hessian - truth).max() / truth.max())
+
+
+@pytest.mark.parametrize("point", range(3))
+def test_finds_the_hessian_of_a_saturated_motor_to_a_thousandth(point: int) -> None:
+    ripple = demodulate(capture_of(injected(), point), 0.0, time_constant_s=TIME_CONSTANT_S)
+    assert off_percent(ripple) < 0.1
+
+
+def test_constant_inductances_come_out_to_a_few_millionths() -> None:
+    ripple = demodulate(capture_of(injected(saturated=False), 1), 0.0, time_constant_s=TIME_CONSTANT_S)
+    np.testing.assert_allclose(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), atol=5e-4)
+    assert np.abs(ripple.third).max() < 0.1
+
+
+def test_third_derivatives_are_the_hessians_slope() -> None:
+    ripple = demodulate(capture_of(injected(), 1), 0.0, time_constant_s=TIME_CONSTANT_S)
+    x, y = flux_for(ripple.current_dq, saturated_current)
+    truth = [54 + 960 * x, 160 * y, 12 + 160 * x, 1200 * y]
+    np.testing.assert_allclose(ripple.third, truth, atol=3.0)
+
+
+def test_current_is_that_at_the_mean_flux() -> None:
+    run = injected()
+    ripple = demodulate(capture_of(run, 1), 0.0, discard_s=0.3)
+    at_mean_flux = saturated_current(run.psi_dq[3000:, 1].mean(axis=0))
+    assert np.abs(ripple.current_dq - at_mean_flux).max() < 3e-4
+    assert np.abs(ripple.mean_current_dq - at_mean_flux).max() > 3e-3
+
+
+@pytest.mark.parametrize("waveform", ["square", "sine"])
+@pytest.mark.parametrize("frequency", [500.0, 300.0, 437.0])
+def test_any_waveform_and_frequency_will_do(waveform: str, frequency: float) -> None:
+    capture = capture_of(injected(frequency, waveform=waveform), 1)
+    ripple = demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)
+    assert ripple.frequency_hz == pytest.approx(frequency, rel=1e-3)
+    assert off_percent(ripple) < 0.3
+
+
+@pytest.mark.parametrize("rotation", [0.0, 1.0, -7.0])
+def test_frequency_is_found_whatever_the_rotation(rotation: float) -> None:
+    v = injected(rotation=rotation).v_dq[:, 0]
+    assert injection_frequency(v, SAMPLING_HZ) == pytest.approx(500.0, rel=1e-3)
+
+
+def test_turning_rotor_and_belief_together_changes_nothing() -> None:
+    straight = demodulate(capture_of(injected(), 2), 0.0, time_constant_s=TIME_CONSTANT_S)
+    turned = demodulate(capture_of(injected(), 2, angle=1.1), 1.1, time_constant_s=TIME_CONSTANT_S)
+    np.testing.assert_allclose(turned.hessian, straight.hessian, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(turned.current_dq, straight.current_dq, atol=1e-9)
+
+
+def test_a_wrong_belief_turns_the_hessian() -> None:
+    ripple = demodulate(capture_of(injected(saturated=False), 0, angle=0.1), 0.0, time_constant_s=TIME_CONSTANT_S)
+    expected = 0.5 * (1 / L_D - 1 / L_Q) * np.sin(0.2)
+    assert ripple.hessian[0, 1] == pytest.approx(expected, rel=1e-3)
+
+
+@pytest.mark.parametrize("resistance", [1.0, 4.3, 20.0])
+def test_resistance_does_not_enter(resistance: float) -> None:
+    ripple = demodulate(capture_of(injected(resistance=resistance, saturated=False), 0), 0.0, discard_s=0.1)
+    np.testing.assert_allclose(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), atol=0.01)
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_a_known_delay_is_taken_out(delay: int) -> None:
+    capture = capture_of(injected(), 1, delay=delay)
+    known = demodulate(capture, 0.0, voltage_delay_samples=delay, time_constant_s=TIME_CONSTANT_S)
+    ignored = demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)
+    assert off_percent(known) < 0.1
+    assert off_percent(ignored) > 2.0
+
+
+def test_half_a_sample_of_delay_is_the_mean_of_two_commands() -> None:
+    capture = capture_of(injected(), 1)
+    halves = 0.5 * (capture.v_ab[1:] + capture.v_ab[:-1])
+    smeared = Capture(
+        start_s=0.0, sampling_frequency_hz=SAMPLING_HZ, i_ab=capture.i_ab[1:], v_ab=halves, v_dc=capture.v_dc[1:]
+    )
+    expected = demodulate(smeared, 0.0, discard_s=0.0999)
+    found = demodulate(capture, 0.0, voltage_delay_samples=0.5, discard_s=0.1)
+    np.testing.assert_allclose(found.hessian, expected.hessian, rtol=1e-9)
+
+
+def test_the_ripple_itself_tells_how_long_the_start_lasts() -> None:
+    ripple = demodulate(capture_of(injected(saturated=False), 0), 0.0)
+    assert 1.0 / ripple.decay_per_s == pytest.approx(TIME_CONSTANT_S, rel=0.01)
+
+
+def test_whole_periods_only_are_used() -> None:
+    ripple = demodulate(capture_of(injected(), 0), 0.0, discard_s=0.01234)
+    assert ripple.samples % 20 == 0
+
+
+def test_standard_deviations_are_those_of_repetitions() -> None:
+    run = injected()
+    repeated = [
+        demodulate(capture_of(run, 1, noise_a=5e-3, seed=10 * n), 0.0, time_constant_s=TIME_CONSTANT_S)
+        for n in range(60)
+    ]
+    seen = np.std([[r.hessian[0, 0], r.hessian[0, 1], r.hessian[1, 1], *r.third] for r in repeated], axis=0)
+    told = np.sqrt(np.diag(repeated[0].covariance))
+    np.testing.assert_allclose(seen, told, rtol=0.35)
+
+
+def test_a_wave_that_does_not_turn_is_refused() -> None:
+    with pytest.raises(NotMeasuredError, match="does not turn"):
+        demodulate(capture_of(injected(rotation=0.0), 0), 0.0, time_constant_s=TIME_CONSTANT_S, where="x-1")
+
+
+def test_no_injection_or_too_little_of_it_is_refused() -> None:
+    held = Capture(
+        start_s=0.0,
+        sampling_frequency_hz=SAMPLING_HZ,
+        i_ab=np.zeros((500, 2)),
+        v_ab=np.full((500, 2), 3.0),
+        v_dc=np.full(500, 540.0),
+    )
+    with pytest.raises(NotMeasuredError, match="no injected voltage"):
+        demodulate(held, 0.0)
+    short = capture_of(injected(), 0)
+    short = short.model_copy(update={"i_ab": short.i_ab[:70], "v_ab": short.v_ab[:70], "v_dc": short.v_dc[:70]})
+    with pytest.raises(NotMeasuredError, match="injection-7"):
+        demodulate(short, 0.0, discard_s=0.0, where="injection-7")

@@ -1,0 +1,43 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from plugins.estimators._inverter import fit_voltage, step_ab
+
+SIZES = np.array([0.1, 0.3, 1.0, 2.0, 3.0])
+HELD = np.concatenate([np.outer(sign * SIZES, e) for e in np.eye(2) for sign in (1.0, -1.0)])
+TIME_S = np.arange(len(HELD), dtype=float)
+PWM_HZ = np.where(np.arange(len(HELD)) % 2, 20e3, 10e3)
+
+
+def test_a_step_is_odd_and_a_volt_a_phase_is_four_thirds_on_the_phases_axis() -> None:
+    np.testing.assert_allclose(step_ab(HELD, 0.05), -step_ab(-HELD, 0.05), atol=1e-12)
+    np.testing.assert_allclose(step_ab(np.array([[5.0, 0.0]]), 0.05), [[4 / 3, 0.0]], atol=1e-12)
+
+
+def test_resistance_step_bias_and_drift_are_told_apart() -> None:
+    error = np.where(PWM_HZ > 15e3, 1.6, 0.8)[:, None] * step_ab(HELD, 0.06)
+    drift = 1e-3 * (TIME_S - TIME_S.mean())[:, None]
+    v = (4.0 + drift) * HELD + error + np.array([0.1, -0.2])
+    fit = fit_voltage(HELD, v, TIME_S, PWM_HZ)
+    assert fit.resistance_ohm == pytest.approx(4.0, abs=2e-3)
+    assert fit.drift_ohm_per_s == pytest.approx(1e-3, rel=0.1)
+    assert fit.error_v[10e3] == pytest.approx(0.8, rel=0.01)
+    assert fit.error_v[20e3] == pytest.approx(1.6, rel=0.01)
+    np.testing.assert_allclose(fit.bias_v, [0.1, -0.2], atol=2e-3)
+
+
+def test_the_interval_is_that_of_repetitions() -> None:
+    fits = []
+    voltage = 4.0 * HELD + 0.8 * step_ab(HELD, 0.2)
+    for seed in range(60):
+        noise = 0.01 * np.random.default_rng(seed).normal(size=HELD.shape)
+        fits.append(fit_voltage(HELD, voltage + noise, TIME_S, PWM_HZ))
+    assert np.std([f.resistance_ohm for f in fits]) == pytest.approx(np.median([f.std_ohm for f in fits]), rel=0.4)
+
+
+def test_one_held_current_gives_the_ratio() -> None:
+    fit = fit_voltage(np.array([[2.0, 0.0]]), np.array([[8.4, 0.0]]), np.zeros(1), np.full(1, 1e4))
+    assert fit.resistance_ohm == pytest.approx(4.2)
+    assert fit.error_v == {}

@@ -1,0 +1,46 @@
+"""What the README tells a newcomer to type is typed here, in order, in a fresh folder."""
+
+from __future__ import annotations
+
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+
+from tests.support.processes import fluxbench
+
+ROOT = Path(__file__).parents[1]
+
+
+def console_lines(page: Path) -> list[str]:
+    """The lines of a page's console blocks."""
+    blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+    return [line for block in blocks for line in block.splitlines() if line]
+
+
+def test_every_command_of_the_readme_works(tmp_path: Path) -> None:
+    (tmp_path / "docs").symlink_to(ROOT / "docs")
+    lines = console_lines(ROOT / "README.md")
+    assert len(lines) > 5
+    for line in lines:
+        command, _, target = line.partition(" > ")
+        name, *words = shlex.split(command)
+        assert name == "fluxbench"
+        done = fluxbench(*words, cwd=tmp_path)
+        assert done.returncode == 0, f"{line}: {done.stderr}"
+        if target:
+            (tmp_path / target).write_text(done.stdout)
+
+
+@pytest.mark.parametrize("page", [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))], ids=lambda p: p.name)
+def test_every_link_between_pages_leads_somewhere(page: Path) -> None:
+    for target in re.findall(r"\]\(([^)#:]+)\)", page.read_text()):
+        assert (page.parent / target).exists(), target
+
+
+def test_the_two_commands_are_targets_of_the_makefile() -> None:
+    makefile = (ROOT / "Makefile").read_text()
+    for target in ("demo", "test"):
+        assert f"    make {target}" in (ROOT / "README.md").read_text()
+        assert re.search(rf"^{target}:", makefile, flags=re.MULTILINE)
