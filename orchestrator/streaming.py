@@ -11,6 +11,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import TypeVar
 
 from protocols import Message, SamplesCaptured, Stream
@@ -121,7 +122,7 @@ class _Listener:
                 self._dropped += 1
                 continue
             before = self._errors
-            self._guarded(lambda message=message: stream.receive(message))  # type: ignore[misc]
+            self._guarded(partial(stream.receive, message))
             self._delivered += self._errors == before
         if stream is not None:
             self._guarded(stream.close)

@@ -133,8 +133,10 @@ def schema_command(
 
 def run_app(arguments: Sequence[str]) -> int:
     """Run one command; what is wrong becomes one line on stderr and an exit code."""
+    from orchestrator.cli._foreign import with_plugin_commands
+
     try:
-        code = app(list(arguments), standalone_mode=False)
+        code = with_plugin_commands(app)(list(arguments), standalone_mode=False)
     except typer.Abort:
         return _say("interrupted", 130)
     except BrokenPipeError:  # whoever read the output has had enough

@@ -280,6 +280,7 @@ class Commissioning:
         self._summary = report.model_dump(mode="json")
 
     def _say_estimate(self, estimate: Estimate) -> None:
+        self._interrupts.check()
         if isinstance(estimate, ResistanceEstimate):
             self._log.say(ResistanceEstimated(estimate=estimate))
         else:

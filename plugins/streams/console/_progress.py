@@ -45,7 +45,7 @@ class Progress:
     stages : int
         How many the procedure has.
     drive_s, left_s : float
-        Planned time on the drive's clock: of what this session has measured, and of the rest.
+        Planned time on the drive's clock: of what has been measured since the start or resumption, and of the rest.
     """
 
     clock: Callable[[], float] = time.monotonic

@@ -135,3 +135,13 @@ def test_schemas_are_json_schemas(name: str) -> None:
     schema = json.loads(fluxbench("schema", name).stdout)
     assert schema["type"] == "object"
     assert schema["properties"]
+
+
+def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
+    assert "report" in fluxbench("--help").stdout
+    assert "one self-contained page" in fluxbench("report", "--help").stdout
+    data = Path(__file__).parents[2] / "data" / "pm400-reduced"
+    done = fluxbench("report", data, "--out", tmp_path / "page.html")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "page.html").read_text().startswith("<!DOCTYPE html>")
+    assert_one_line(fluxbench("report", tmp_path / "nowhere"), 2, "nowhere")

@@ -1,0 +1,28 @@
+"""`fluxbench report`: the page, made again or for a recording that no run has made."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from plugins.streams.report._page import write_report
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def report(
+    directory: Annotated[Path, typer.Argument(help="A run, or a recording that was estimated.", metavar="RUN")],
+    out: Annotated[Path | None, typer.Option(help="The file to write; by default report.html in RUN.")] = None,
+) -> int:
+    """Write the report of a run or recording: one self-contained page."""
+    print(write_report(directory, out))
+    return 0
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    return int(app(list(arguments), prog_name="fluxbench report", standalone_mode=False) or 0)
