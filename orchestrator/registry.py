@@ -6,11 +6,13 @@ nothing until it is asked for.
 
 from __future__ import annotations
 
+import importlib.util
 import inspect
 import typing
 from collections.abc import Mapping
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -80,6 +82,35 @@ def load_plugin(kind: PluginKind, name: str) -> type[Any]:
     plugin = _import(info, by_info[info])
     _check_contract(info, plugin)
     return plugin
+
+
+def load_effects_file(path: Path) -> list[type[Any]]:
+    """Run a Python file and take the classes in it that are effects.
+
+    Raises
+    ------
+    PluginError
+        Where the file does not run, holds no effect, or holds one that breaks its contract.
+    """
+    specification = importlib.util.spec_from_file_location(f"effects_of_{path.stem}", path)
+    if specification is None or specification.loader is None or not path.is_file():
+        raise PluginError(str(path), "", "expected a Python file with effects")
+    module = importlib.util.module_from_spec(specification)
+    try:
+        specification.loader.exec_module(module)
+    except (Exception, SystemExit) as error:
+        reason = f"{type(error).__name__}: {error}".splitlines()[0]
+        raise PluginError(str(path), "", f"does not run: {reason}") from error
+    own = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
+    found = [c for c in own if hasattr(c, "correct")]
+    if not found:
+        raise PluginError(str(path), "", "holds no effect: a class with a method 'correct'")
+    for plugin in found:
+        name = str(getattr(plugin, "name", plugin.__name__))
+        _check_contract(
+            PluginInfo(kind=PluginKind.EFFECTS, name=name, distribution="?", version="?", module=str(path)), plugin
+        )
+    return found
 
 
 def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseModel:

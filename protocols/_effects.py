@@ -69,8 +69,8 @@ class LossHistory(ArrayModel):
     """Since the start of the experiment, increasing, shape (m,)."""
     power_w: Curve
     """Mean loss from this instant to the next, shape (m,)."""
-    captured: Curve
-    """1 where it was measured, 0 where it is assumed, shape (m,)."""
+    captured: Curve | None = None
+    """1 where it was measured, 0 where it is assumed, shape (m,); None: measured throughout."""
 
 
 class Signals(ArrayModel):
@@ -98,6 +98,8 @@ class Signals(ArrayModel):
     """Flux linkage at the measured current by the model as it stands, magnet included [Wb]; None without a model."""
     psi_smooth_ab: Vectors | None = None
     """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
+    i_smooth_ab: Vectors | None = None
+    """The stator current that belongs to the smooth flux [A]."""
     losses: LossHistory | None = None
     motor: Motor | None = None
     """The nameplate."""

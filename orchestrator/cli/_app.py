@@ -103,6 +103,107 @@ def estimate_command(
     return estimate(recording, out, estimators or [], as_json)
 
 
+ModelOption = Annotated[
+    str | None, typer.Option(help="linear (the nameplate), saturated (the free energy map), or a flux map file.")
+]
+EffectsOption = Annotated[Path | None, typer.Option("--effects", help="Python file with candidates of your own.")]
+OutOption = Annotated[Path | None, typer.Option(help="Keep model.json there instead of in the recording.")]
+
+
+@app.command("compare")
+def compare_command(
+    recording: RecordingArgument,
+    model: ModelOption = None,
+    effects: EffectsOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Where the model fails.
+
+    The model is that of model.json, where there is one, else the saturated map alone.
+    """
+    from orchestrator.cli._diagnosis import compare
+
+    return compare(recording, model, effects, out, as_json)
+
+
+@app.command("diagnose")
+def diagnose_command(
+    recording: RecordingArgument,
+    model: ModelOption = None,
+    effects: EffectsOption = None,
+    without: Annotated[list[str] | None, typer.Option(help="Take this effect out of the library.")] = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Which effect is missing.
+
+    How sure that is, what else it could be, and what to measure next.
+    """
+    from orchestrator.cli._diagnosis import diagnose
+
+    return diagnose(recording, model, effects, without or [], out, as_json)
+
+
+@app.command("add")
+def add_command(
+    recording: RecordingArgument,
+    effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
+    model: ModelOption = None,
+    effects: EffectsOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Add effects to the model.
+
+    The model is fitted anew, the ladder grows, the error falls.
+    """
+    from orchestrator.cli._diagnosis import add
+
+    return add(recording, effect, model, effects, out, as_json)
+
+
+@app.command("remove")
+def remove_command(
+    recording: RecordingArgument,
+    effect: Annotated[str, typer.Argument(help="Name of the effect.")],
+    effects: EffectsOption = None,
+    out: OutOption = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Take an effect out of the model."""
+    from orchestrator.cli._diagnosis import remove
+
+    return remove(recording, effect, effects, out, as_json)
+
+
+@app.command("export")
+def export_command(
+    path: Annotated[Path, typer.Argument(help="A run, a recording, or a map file.", metavar="RUN")],
+    formats: Annotated[list[str] | None, typer.Option("--format", help="Only this format (may be repeated).")] = None,
+    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder to write to; by default export/ in RUN.")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """Flux map, torque and saliency for other tools."""
+    from orchestrator.cli._exchange import export
+
+    return export(path, formats or [], motor, out, as_json)
+
+
+@app.command("import")
+def import_command(
+    mapping: Annotated[Path, typer.Argument(help="YAML file that says what the columns are.")],
+    files: Annotated[list[Path], typer.Argument(help="CSV, Parquet, MATLAB or MF4 files.", metavar="FILE...")],
+    out: Annotated[Path, typer.Option(help="Recording to make.")],
+    as_json: JsonOption = False,
+) -> int:
+    """Somebody else's measurements into a recording."""
+    from orchestrator.cli._exchange import import_
+
+    return import_(mapping, files, out, as_json)
+
+
 @app.command("plugins")
 def plugins_command(as_json: JsonOption = False) -> int:
     """What is installed, and whether it loads."""

@@ -1,7 +1,7 @@
 """Procedures from words to a checked plan: read, scaled to the motor, laid out in points, held against limits."""
 
 from orchestrator.config._checking import PlanSummary, StageRow, check_plan
-from orchestrator.config._loading import load_procedure
+from orchestrator.config._loading import load_motor, load_procedure
 from orchestrator.config._planning import Plan, PlannedPoint, make_plan
 
 __all__ = [
@@ -10,6 +10,7 @@ __all__ = [
     "PlannedPoint",
     "StageRow",
     "check_plan",
+    "load_motor",
     "load_procedure",
     "make_plan",
 ]

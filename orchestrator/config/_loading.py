@@ -8,10 +8,10 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
+from orchestrator._document import Document, apply_override, parse_document
 from orchestrator._validation import KeyPath, first_problem, suggestion
-from orchestrator.config._document import Document, apply_override, parse_document
 from orchestrator.registry import PluginKind, installed
-from protocols import Procedure, ProcedureError, shipped_procedure, shipped_procedures
+from protocols import Motor, Procedure, ProcedureError, ProcedureMotor, shipped_procedure, shipped_procedures
 
 _OVERLAY_SECTIONS = ("motor", "limits", "drive")
 
@@ -48,6 +48,25 @@ def load_procedure(
     procedure = _validated(document)
     _check_plugins(document, procedure)
     return procedure
+
+
+def load_motor(path: Path) -> Motor:
+    """The ``motor`` section of a YAML file: a motor file, a procedure, or a mapping.
+
+    Raises
+    ------
+    ProcedureError
+        Where there is none, or it is wrong; in one line.
+    """
+    document = parse_document(_text_of(path), str(path))
+    raw = document.data.get("motor")
+    if raw is None:
+        raise ProcedureError(str(path), "motor", "missing")
+    try:
+        return ProcedureMotor.model_validate(raw)
+    except ValidationError as error:
+        problem = first_problem(error, ProcedureMotor, raw)
+        raise ProcedureError(document.place(("motor", *problem.path)), f"motor.{problem.field}", problem.text) from None
 
 
 def _read(source: str) -> Document:

@@ -1,0 +1,147 @@
+"""`fluxbench compare`, `diagnose`, `add` and `remove`: where the model fails, and what is missing in it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from orchestrator.cli._results import open_any
+from orchestrator.cli._tables import amount, print_table
+from orchestrator.diagnosis import (
+    AddReport,
+    CompareReport,
+    DiagnosisReport,
+    ModelChoice,
+    Words,
+    add_effects,
+    compare_recording,
+    diagnose_recording,
+    in_words,
+    remove_effect,
+)
+from orchestrator.exporting import load_map
+from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
+from protocols import Effect
+
+SLOTS = {
+    "where_it_fails": "where it fails",
+    "what_it_looks_like": "what it looks like",
+    "likely_cause": "likely cause",
+    "if_added": "if added",
+    "to_decide": "to decide",
+}
+
+
+def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
+    """Hold the model against the measurements."""
+    report = compare_recording(open_any(path), _library(effects), model=_model(model), out=out)
+    if as_json:
+        print(report.model_dump_json(indent=2))
+    else:
+        _print_comparison(report)
+    return 0
+
+
+def diagnose(
+    path: Path, model: str | None, effects: Path | None, without: Sequence[str], out: Path | None, as_json: bool
+) -> int:
+    """Name what the model lacks."""
+    diagnosis = diagnose_recording(
+        open_any(path), _library(effects), model=_model(model) or "saturated", without=without, out=out
+    )
+    if as_json:
+        print(diagnosis.report.model_dump_json(indent=2))
+    else:
+        _print_diagnosis(diagnosis.report, in_words(diagnosis))
+    return 0
+
+
+def add(
+    path: Path, names: Sequence[str], model: str | None, effects: Path | None, out: Path | None, as_json: bool
+) -> int:
+    """Refit with these effects."""
+    _say_added(add_effects(open_any(path), names, _library(effects), model=_model(model), out=out), as_json)
+    return 0
+
+
+def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
+    """Refit without this effect."""
+    _say_added(remove_effect(open_any(path), name, _library(effects), out=out), as_json)
+    return 0
+
+
+def _library(extra: Path | None) -> list[Effect]:
+    classes = [load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)]
+    if extra is not None:
+        classes += load_effects_file(extra)
+    return [effect() for effect in classes]
+
+
+def _model(choice: str | None) -> ModelChoice | None:
+    return choice if choice in (None, "linear", "saturated") else load_map(Path(str(choice)))
+
+
+def _print_comparison(report: CompareReport) -> None:
+    print(f"{report.recording}: the model {report.model}")
+    rows = [
+        (stage.stage, _millivolts(stage.rms_v), _number(stage.chi2), amount(stage.current_rms_a, "A"))
+        for stage in report.stages
+    ]
+    print_table(("stage", "rms error", "chi2", "current error"), rows)
+    print(f"noise floor {_millivolts(report.noise_floor.rms_v)}, chi2 over all {_number(report.chi2)}")
+    print_table(
+        ("worst", "i_d", "i_q", "rms error"),
+        [(w.segment, amount(w.i_d_a, "A"), amount(w.i_q_a, "A"), _millivolts(w.rms_v)) for w in report.worst],
+    )
+    _print_notes(report.notes)
+
+
+def _print_diagnosis(report: DiagnosisReport, words: Words) -> None:
+    print(f"{report.recording}: {report.verdict.replace('_', ' ')}")
+    print()
+    for field, title in SLOTS.items():
+        print(f"{title:<19} {getattr(words, field)}")
+    print()
+    _print_ladder(report)
+    if report.traces:
+        print(f"traces, below what deserves a name: {', '.join(report.traces)}")
+    _print_notes(report.notes)
+
+
+def _say_added(report: AddReport, as_json: bool) -> None:
+    if as_json:
+        print(report.model_dump_json(indent=2))
+        return
+    _print_ladder(report)
+    _print_notes(report.notes)
+
+
+def _print_ladder(report: DiagnosisReport | AddReport) -> None:
+    rows = [
+        (
+            rung.added or "(the map alone)",
+            _number(rung.chi2),
+            _millivolts(rung.rms_v),
+            _millivolts(rung.heldout_rms_v),
+            amount(rung.current_rms_a, "A"),
+        )
+        for rung in report.ladder
+    ]
+    print_table(("added", "chi2", "rms error", "held out", "current error"), rows)
+    for effect in report.effects:
+        for name, found in effect.parameters.items():
+            interval = "" if found.low is None or found.high is None else f", 95 % {found.low:.4g} to {found.high:.4g}"
+            print(f"{effect.name}: {name} = {_number(found.value)} {found.unit}{interval}")
+
+
+def _print_notes(notes: Sequence[str]) -> None:
+    for note in notes:
+        print(f"note: {note}")
+
+
+def _millivolts(value: float | None) -> str:
+    return "-" if value is None else f"{1e3 * value:.3g} mV"
+
+
+def _number(value: float | None) -> str:
+    return "-" if value is None else f"{value:.4g}"

@@ -1,0 +1,48 @@
+"""`fluxbench export` and `fluxbench import`: maps for other tools, measurements from other tools."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from orchestrator.cli._results import open_any
+from orchestrator.config import load_motor
+from orchestrator.exporting import FORMATS, export_map, load_map
+from orchestrator.importing import import_files
+from protocols import InputError, Motor
+
+
+def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | None, as_json: bool) -> int:
+    """Write the flux map of a run, recording or map file for other tools."""
+    flux_map = load_map(path)
+    folder = out if out is not None else (path if path.is_dir() else path.parent) / "export"
+    report = export_map(flux_map, _motor_of(path, motor), folder, list(formats) or list(FORMATS))
+    if as_json:
+        print(report.model_dump_json(indent=2))
+        return 0
+    for file in report.files:
+        print(f"{file.format}: {file.path}")
+    print(f"{report.measured_percent:.3g} % of the grid was measured")
+    for note in report.notes:
+        print(f"note: {note}")
+    return 0
+
+
+def _motor_of(path: Path, motor: Path | None) -> Motor:
+    if motor is not None:
+        return load_motor(motor)
+    if not path.is_dir():
+        raise InputError(str(path), "--motor", "a map file does not say its motor: name a YAML file that does")
+    return open_any(path).manifest.motor
+
+
+def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> int:
+    """Turn somebody else's measurements into a recording."""
+    report = import_files(mapping, files, out)
+    if as_json:
+        print(report.model_dump_json(indent=2))
+        return 0
+    print(f"{report.recording}: {report.segments} segments, {report.samples} samples")
+    for note in report.notes:
+        print(f"note: {note}")
+    return 0

@@ -1,0 +1,39 @@
+"""Where the model fails, which physical effect is missing, and by how much the error falls when it is added.
+
+The method is a weak form of the voltage equation: R_s, a co-energy map and the effects' parameters are fitted to
+windowed integrals of the record, whitened by the sensors' own noise. Effects are handed in; nothing here knows one.
+"""
+
+from orchestrator.diagnosis._compare import compare_recording
+from orchestrator.diagnosis._diagnose import Diagnosis, ModelChoice, add_effects, diagnose_recording, remove_effect
+from orchestrator.diagnosis._ladder import DETECTED
+from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
+from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics
+from orchestrator.diagnosis._model_file import MODEL_NAME, SavedModel, read_model
+from orchestrator.diagnosis._reports import AddReport, CompareReport, DiagnosisReport, Words
+from orchestrator.diagnosis._simulate import simulated_current
+from orchestrator.diagnosis._words import in_words
+
+__all__ = [
+    "CROSS_SATURATION",
+    "DETECTED",
+    "MODEL_NAME",
+    "SATURATION",
+    "AddReport",
+    "CompareReport",
+    "Diagnosis",
+    "DiagnosisReport",
+    "Magnetics",
+    "ModelChoice",
+    "SavedModel",
+    "SplineGrid",
+    "Words",
+    "add_effects",
+    "compare_recording",
+    "diagnose_recording",
+    "in_words",
+    "linear_magnetics",
+    "read_model",
+    "remove_effect",
+    "simulated_current",
+]

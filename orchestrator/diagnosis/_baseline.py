@@ -1,0 +1,223 @@
+"""Where a diagnosis starts: the recording prepared, and the first map with nothing but R_s and magnetics."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis._fit import Fit, Fitter, MapSpace, Model
+from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
+from orchestrator.diagnosis._magnetics import SplineGrid, linear_magnetics
+from orchestrator.diagnosis._noise import sensor_covariance
+from orchestrator.diagnosis._pieces import Piece, Prepared, believed_dq, coarse, prepare
+from protocols import FluxMap, NotMeasuredError, RecordingReader, SegmentStage
+
+Array = NDArray[np.float64]
+
+Baseline = Literal["linear", "saturated"]
+ROUGHNESS = 3.0
+"""Standard deviation of the map's fourth derivatives, in L / I^2."""
+INTERVALS = (6, 8, 10)
+_LEAST_CURRENT = 0.02
+
+
+@dataclass(frozen=True)
+class Start:
+    """A recording ready to be diagnosed."""
+
+    prepared: Prepared
+    fitter: Fitter
+    coarse: Fitter
+    """A part of the recording, to search in."""
+    l_d_h: float
+    l_q_h: float
+    current_a: float
+    """Rated current, or the largest used [A peak]."""
+    notes: tuple[str, ...]
+
+
+def open_for_diagnosis(recording: RecordingReader) -> Start:
+    """Read a recording and find its noise.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where there is too little current, or no change of flux, to tell anything from.
+    """
+    prepared = prepare(recording)
+    motor = prepared.manifest.motor
+    low, high, q = prepared.current_range
+    reach = max(-low, high, q)
+    sensor = sensor_covariance(prepared.pieces)
+    noise = math.sqrt(float(np.trace(sensor)))
+    if reach < max(_LEAST_CURRENT * (motor.rated_current_a or 0.0), 5.0 * noise):
+        raise NotMeasuredError(
+            prepared.manifest.name, "i_alpha, i_beta", f"no excitation: currents stay below {reach:.3g} A"
+        )
+    notes = list(prepared.notes)
+    stages = {p.stage for p in prepared.pieces}
+    if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
+        notes.append("no sweep and no injection: flux and inductance cannot be seen, only the resistance")
+    if SegmentStage.GATES_OFF not in stages:
+        notes.append("no gates-off reading: a current offset and a voltage bias cannot be told apart")
+    if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
+        notes.append("one PWM frequency only: dead time and device drop cannot be told apart")
+    amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
+    if not amplitudes:
+        notes.append("no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
+    elif max(amplitudes) < 1.3 * min(amplitudes):
+        notes.append("one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+    current = motor.rated_current_a or reach
+    l_d = motor.d_inductance_h or _rough_inductance(prepared)
+    l_q = motor.q_inductance_h or l_d
+    if motor.pm_flux_wb is None:
+        notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
+    fitter = Fitter(prepared, sensor, motor.pm_flux_wb or 0.0)
+    search = Fitter(coarse(prepared), sensor, fitter.pm_flux_wb)
+    return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
+
+
+def _swing(piece: Piece) -> float:
+    v = piece.signals.v_ab
+    return float(np.linalg.norm(np.std(v, axis=0)))
+
+
+def _rough_inductance(prepared: Prepared) -> float:
+    """Flux swing over current swing of the best excited segment, by plain integration."""
+    best, ratio = 0.0, 0.01
+    for piece in prepared.pieces:
+        s = piece.signals
+        di = np.diff(s.i_ab, axis=0)
+        dv = (s.v_ab - s.v_ab.mean(axis=0))[:-1] / s.sampling_frequency_hz
+        power = float(np.sum(di * di))
+        together = float(np.sum(di * dv))
+        if together > best and power > 0.0:
+            best, ratio = together, float(np.sum(dv * dv)) / together
+    return ratio
+
+
+def saturated_model(start: Start, intervals: int) -> Model:
+    """A free map with this many spline intervals on each axis."""
+    grid = _grid(start, intervals)
+    prior = grid.roughness(math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
+    space = MapSpace(grid, np.zeros(grid.coefficients), np.eye(grid.coefficients), prior)
+    return Model(space, linear_magnetics(grid, start.l_d_h, start.l_q_h), _resistance(start))
+
+
+def linear_model(start: Start) -> Model:
+    """Constant inductances: the nameplate's, or free ones where it has none."""
+    grid = _grid(start, INTERVALS[0])
+    motor = start.prepared.manifest.motor
+    known = motor.d_inductance_h is not None and motor.q_inductance_h is not None
+    linear = linear_magnetics(grid, start.l_d_h, start.l_q_h)
+    if known:
+        directions = np.zeros((grid.coefficients, 0))
+        space = MapSpace(grid, linear.coefficients, directions, np.zeros((0, 0)))
+    else:
+        d, q = linear_magnetics(grid, 1.0, 0.0).coefficients, linear_magnetics(grid, 0.0, 1.0).coefficients
+        space = MapSpace(grid, np.zeros(grid.coefficients), np.stack([d, q], axis=1), np.zeros((1, 2)))
+    return Model(space, linear, _resistance(start))
+
+
+def with_saturation(start: Start, model: Model) -> Model:
+    """The map W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
+    free = saturated_model(start, INTERVALS[0]).space
+    nd, nq = free.grid.d_functions, free.grid.q_functions
+    directions = np.concatenate([np.kron(np.eye(nd), np.ones((nq, 1))), np.kron(np.ones((nd, 1)), np.eye(nq))], axis=1)
+    # The constant is in both; the prior decides.
+    prior = np.concatenate([free.prior @ directions, 1e-6 * np.eye(nd + nq)])
+    space = MapSpace(free.grid, np.zeros(free.grid.coefficients), directions, prior)
+    magnetics = linear_magnetics(free.grid, start.l_d_h, start.l_q_h)
+    return Model(space, magnetics, model.r_s, model.active)
+
+
+def with_cross_saturation(start: Start, model: Model) -> Model:
+    """The free map."""
+    free = saturated_model(start, INTERVALS[0])
+    return Model(free.space, free.magnetics, model.r_s, model.active)
+
+
+MAP_STEPS = {SATURATION: with_saturation, CROSS_SATURATION: with_cross_saturation}
+
+
+def given_model(start: Start, flux_map: FluxMap) -> Model:
+    """A user's own map, kept as it is: splines through its flux and inductances."""
+    grid = _grid(start, INTERVALS[-1])
+    i_d, i_q = np.meshgrid(np.asarray(flux_map.i_d, float), np.asarray(flux_map.i_q, float), indexing="ij")
+    here = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
+    psi = np.stack([np.asarray(flux_map.psi_d, float).ravel(), np.asarray(flux_map.psi_q, float).ravel()], axis=1)
+    psi = psi - np.array([start.fitter.pm_flux_wb, 0.0])
+    good = np.isfinite(psi).all(axis=1) & (np.abs(here[:, 1]) <= grid.q_high)
+    good &= (here[:, 0] >= grid.d_low) & (here[:, 0] <= grid.d_high)
+    if good.sum() < 4:
+        raise NotMeasuredError(flux_map.method, "psi_d, psi_q", "the map does not cover the recording's currents")
+    rows = _flux_rows(grid, here[good])
+    prior = 1e-3 * grid.roughness(math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
+    scale = 1.0 / (1e-4 * math.sqrt(start.l_d_h * start.l_q_h) * start.current_a)
+    design = np.concatenate([rows * scale, prior])
+    target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
+    coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
+    space = MapSpace(grid, coefficients, np.zeros((grid.coefficients, 0)), np.zeros((0, 0)))
+    from orchestrator.diagnosis._magnetics import Magnetics
+
+    return Model(space, Magnetics(grid, coefficients), _resistance(start))
+
+
+def _flux_rows(grid: SplineGrid, i_dq: Array) -> Array:
+    from orchestrator.diagnosis._magnetics import Magnetics
+
+    columns = []
+    for k in range(grid.coefficients):
+        unit = np.zeros(grid.coefficients)
+        unit[k] = 1.0
+        columns.append(Magnetics(grid, unit).flux_and_inductance(i_dq)[0].T.ravel())
+    return np.stack(columns, axis=1)
+
+
+def fitted_baseline(start: Start) -> Fit:
+    """The free map, fitted, with as many intervals as a part of the data asks for."""
+    best = start.coarse.fit(saturated_model(start, INTERVALS[0]), renewals=1)
+    for intervals in INTERVALS[1:]:
+        finer = finer_map(start, start.coarse, best, intervals)
+        if finer is None:
+            break
+        best = finer
+    return start.fitter.fit(best.model, renewals=1)
+
+
+def finer_map(start: Start, fitter: Fitter, fit: Fit, intervals: int) -> Fit | None:
+    """The same model on a finer map, where that is worth its freedom; None where it is not."""
+    if intervals <= fit.model.space.grid.d_intervals:
+        return None
+    fine = saturated_model(start, intervals)
+    model = Model(fine.space, fine.magnetics, fit.model.r_s, fit.model.active)
+    trial = fitter.fit(model, steps=3, renewals=1)
+    freed = fit.dof - trial.dof
+    gain = fit.chi2 - trial.chi2
+    return trial if gain > (6.0 * max(freed, 1.0) + 30.0) * max(trial.chi2_per_dof, 1.0) else None
+
+
+def _grid(start: Start, intervals: int) -> SplineGrid:
+    low, high, q = start.prepared.current_range
+    least = 0.05 * max(-low, high, q)
+    return SplineGrid(min(low, -least), max(high, least), max(q, least), intervals, intervals)
+
+
+def _resistance(start: Start) -> float:
+    nominal = start.prepared.manifest.motor.stator_resistance_ohm
+    return nominal if nominal is not None else _mean_resistance(start.prepared.pieces)
+
+
+def _mean_resistance(pieces: Sequence[Piece]) -> float:
+    drop, square = 0.0, 1e-12
+    for piece in pieces:
+        if piece.stage is SegmentStage.RESISTANCE:
+            v = believed_dq(piece.signals.v_ab, 0.0).mean(axis=0)
+            i = piece.signals.i_ab.mean(axis=0)
+            drop, square = drop + float(v @ i), square + float(i @ i)
+    return max(drop / square, 1e-4) if drop > 0.0 else 1.0

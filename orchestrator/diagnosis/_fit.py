@@ -1,0 +1,450 @@
+"""Fit of the model to the weak form: R_s, the co-energy's coefficients, and the parameters of active effects.
+
+The equations are linear in R_s and the coefficients, so these are solved for exactly at every step (variable
+projection); the effects' parameters move by Gauss-Newton with unit normal priors. What changes little from step
+to step (the map's columns, the noise, the flux that effects see) is a `Frame`, renewed when the model has moved:
+the equations themselves are always evaluated where the model stands. Decides nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
+from typing import TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis._library import Active, Candidate, apply_effects, typical_coordinate
+from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid
+from orchestrator.diagnosis._noise import Slopes, Whitener, banded_covariance
+from orchestrator.diagnosis._observer import smooth_flux
+from orchestrator.diagnosis._pieces import Piece, Prepared
+from orchestrator.diagnosis._residual import (
+    LocalMap,
+    basis,
+    difference,
+    flux_terms,
+    local_map,
+    true_frame,
+    voltage_and_resistance,
+)
+from protocols import EffectLayer, ParameterRole, Signals
+
+Array = NDArray[np.float64]
+
+_Job = TypeVar("_Job")
+_Result = TypeVar("_Result")
+
+
+@dataclass(frozen=True)
+class MapSpace:
+    """The family of maps in which the fit may look: coefficients = origin + directions @ free.
+
+    Attributes
+    ----------
+    grid : SplineGrid
+    origin : array, shape (coefficients,)
+    directions : array, shape (coefficients, free)
+    prior : array, shape (rows, free)
+        Rows of a unit-variance prior on the free numbers.
+    """
+
+    grid: SplineGrid
+    origin: Array
+    directions: Array
+    prior: Array
+
+
+@dataclass(frozen=True)
+class Model:
+    """The model as it stands."""
+
+    space: MapSpace
+    magnetics: Magnetics
+    r_s: float
+    active: tuple[Active, ...] = ()
+
+    def with_active(self, active: Sequence[Active]) -> Model:
+        return replace(self, active=tuple(active))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(a.name for a in self.active)
+
+    @property
+    def free(self) -> list[tuple[Active, str]]:
+        """Every free parameter of the active effects, in order."""
+        return [(a, n) for a in self.active for n in a.free]
+
+
+@dataclass(frozen=True)
+class PieceFrame:
+    """What is kept of one piece between steps."""
+
+    base: Signals
+    """As measured, with the model's resistance and flux."""
+    here: LocalMap
+    whitener: Whitener
+    basis: Array
+    white_basis: Array
+    """Whitened, on the map's free directions."""
+    coefficients: Array
+    """Of the map that `here` was evaluated with."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What is kept of a recording between steps."""
+
+    space: MapSpace
+    pieces: tuple[PieceFrame, ...]
+    gram: Array
+    """white_basis^T white_basis over the training pieces."""
+
+
+@dataclass(frozen=True)
+class PieceRows:
+    """One piece's equations where the model stands: y = known + r_s * resistance + basis @ (c - c_model)."""
+
+    known: Array
+    resistance: Array
+    white: Array
+    """Whitened [known, resistance, columns...]."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted, and how well."""
+
+    model: Model
+    frame: Frame
+    prepared: Prepared
+    chi2: float
+    """Sum of squares of the whitened training residual."""
+    objective: float
+    """chi2 + log det of the noise covariance + prior terms."""
+    log_det: float
+    dof: float
+    residual: tuple[Array, ...]
+    """Whitened residual of every piece."""
+    volts: tuple[Array, ...]
+    """Residual of every piece in volts: y_m / (sum_k |w_mk| Ts)."""
+    normal: Array
+    """Normal matrix of (R_s, map) with its prior."""
+    columns: tuple[Array, ...]
+    """Whitened columns of every piece: the free parameters', then what was asked for beside them."""
+    resistance: tuple[Array, ...]
+    """Whitened R_s columns."""
+
+    @property
+    def chi2_per_dof(self) -> float:
+        return self.chi2 / self.dof
+
+    def chi2_of(self, use: Callable[[Piece], bool]) -> float | None:
+        """Mean square of the whitened residual of some pieces; None where there are none."""
+        parts = [e for p, e in zip(self.prepared.pieces, self.residual, strict=True) if use(p)]
+        return float(np.mean(np.concatenate(parts) ** 2)) if parts else None
+
+    def rms_v(self, use: Callable[[Piece], bool]) -> float | None:
+        """rms of some pieces' residual in volts; None where there are none."""
+        parts = [e for p, e in zip(self.prepared.pieces, self.volts, strict=True) if use(p)]
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
+
+    def projected(self) -> tuple[Array, Array]:
+        """Normal matrix and gradient of all columns after R_s and the map have followed them."""
+        width = self.normal.shape[0]
+        count = self.columns[0].shape[1]
+        cross, own, right = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
+        for p, f, d, r, e in zip(
+            self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True
+        ):
+            if p.held_out:
+                continue
+            cross[0] += r @ d
+            cross[1:] += f.white_basis.T @ d
+            own += d.T @ d
+            right += d.T @ e
+        return own - cross.T @ np.linalg.solve(self.normal, cross), right
+
+    def covariance(self) -> Array:
+        """Posterior covariance of the free coordinates, in the order of `model.free`; noise as measured."""
+        count = len(self.model.free)
+        own, _ = self.projected()
+        return np.asarray(np.linalg.inv(own[:count, :count] + np.eye(count)))
+
+
+@dataclass
+class Fitter:
+    """One recording, ready to be fitted again and again.
+
+    Attributes
+    ----------
+    prepared : Prepared
+    sensor : array, shape (2, 2)
+        Covariance of the current noise [A^2].
+    pm_flux_wb : float
+    """
+
+    prepared: Prepared
+    sensor: Array
+    pm_flux_wb: float
+    threads: int = 2
+    _raw_basis: dict[str, tuple[SplineGrid, Array]] = field(default_factory=dict)
+
+    def fit(self, model: Model, frame: Frame | None = None, *, steps: int = 8, renewals: int = 2) -> Fit:
+        """Fit R_s, the map and every free parameter, from where the model stands.
+
+        Parameters
+        ----------
+        frame : Frame, optional
+            Kept from an earlier fit with the same map space.
+        steps : int
+            Most Gauss-Newton steps in one frame.
+        renewals : int
+            How often the frame is renewed and the fit continued.
+        """
+        if frame is None or frame.space is not model.space:
+            frame = self.frame(model)
+        best = self._descend(self.evaluate(model, frame), steps)
+        for _ in range(renewals):
+            old = best
+            best = self._descend(self.evaluate(best.model, self.frame(best.model)), steps)
+            if abs(best.chi2 - old.chi2) < 1e-3 * best.chi2:
+                break
+        return best
+
+    def _descend(self, best: Fit, steps: int) -> Fit:
+        for _ in range(steps):
+            move = _gauss_newton(best)
+            length = 1.0
+            while True:
+                trial = self.evaluate(_moved(best.model, length * move), best.frame)
+                if trial.objective < best.objective + 0.05 or length < 0.1:
+                    break
+                length *= 0.35
+            gain = best.objective - trial.objective
+            if gain > -0.05:
+                best = trial
+            if gain < 0.2 + 1e-4 * max(best.chi2 - best.dof, 0.0):
+                break
+        return best
+
+    def frame(self, model: Model) -> Frame:
+        """All that is kept between steps, made anew where the model stands."""
+        pieces = tuple(self._map(lambda p: self._piece_frame(model, p), self.prepared.pieces))
+        free = model.space.directions.shape[1]
+        gram = np.zeros((free, free))
+        for piece, kept in zip(self.prepared.pieces, pieces, strict=True):
+            if not piece.held_out:
+                gram += kept.white_basis.T @ kept.white_basis
+        return Frame(model.space, pieces, gram)
+
+    def evaluate(self, model: Model, frame: Frame, extra: Sequence[tuple[Active, str]] = ()) -> Fit:
+        """Solve for R_s and the map with the effects where they are; `extra` asks for more columns."""
+        wanted = [*model.free, *extra]
+        jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
+        rows = self._map(lambda job: self._piece_rows(model, job[0], job[1], wanted), jobs)
+        return self._solve(model, frame, rows)
+
+    def _map(self, work: Callable[[_Job], _Result], jobs: Sequence[_Job]) -> list[_Result]:
+        if self.threads < 2:
+            return [work(job) for job in jobs]
+        with ThreadPoolExecutor(self.threads) as pool:
+            return list(pool.map(work, jobs))
+
+    def _piece_frame(self, model: Model, piece: Piece) -> PieceFrame:
+        s = piece.signals
+        scale = model.r_s / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
+        losses = s.losses and s.losses.model_copy(update={"power_w": s.losses.power_w * scale})
+        base = s.model_copy(
+            update={"resistance_ohm": np.full(len(s.v_dc), model.r_s), "losses": losses, "heat_j": s.heat_j * scale}
+        )
+        base = base.model_copy(update=self._flux(piece, base, model))
+        corrected = apply_effects(base, model.active)
+        here = local_map(piece, corrected, model.magnetics)
+        slopes = self._slopes(piece, base, model)
+        factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
+        whitener = Whitener(banded_covariance(piece, here, factor, self.sensor, model.r_s, slopes))
+        untouched = corrected.i_m_ab is s.i_m_ab and corrected.theta_rad is s.theta_rad
+        raw = self._untouched_basis(piece, here, model) if untouched else basis(piece, here, model.magnetics)
+        white = whitener(raw @ model.space.directions)
+        return PieceFrame(base, here, whitener, raw, white, model.magnetics.coefficients)
+
+    def _untouched_basis(self, piece: Piece, here: LocalMap, model: Model) -> Array:
+        known = self._raw_basis.get(piece.segment.id)
+        if known is None or known[0] != model.space.grid:
+            known = (model.space.grid, basis(piece, here, model.magnetics))
+            self._raw_basis[piece.segment.id] = known
+        return known[1]
+
+    def _flux(self, piece: Piece, base: Signals, model: Model) -> dict[str, Array]:
+        """Flux linkage in the stator frame, magnet included, as the effects see it."""
+        outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
+        inner = apply_effects(base, outer) if outer else base
+        i_dq, _ = true_frame(piece, inner)
+        psi, inductance = model.magnetics.flux_and_inductance(i_dq)
+        angle = float(piece.segment.rotor_angle_rad)
+        c, s = math.cos(angle), math.sin(angle)
+        psi_ab = (psi + np.array([self.pm_flux_wb, 0.0])) @ np.array([[c, s], [-s, c]])
+        smooth = smooth_flux(
+            psi_ab,
+            np.ascontiguousarray(inner.v_ab),
+            np.ascontiguousarray(inner.i_ab),
+            np.ascontiguousarray(inner.resistance_ohm),
+            1.0 / base.sampling_frequency_hz,
+        )
+        # The current that belongs to the smooth flux: i + L^-1 (psi_smooth - psi(i)).
+        step = (smooth - psi_ab) @ np.array([[c, -s], [s, c]])
+        l_dd, l_dq, l_qq = inductance.T
+        det = np.maximum(l_dd * l_qq - l_dq**2, 1e-3 * np.mean(l_dd) * np.mean(l_qq))
+        d = (l_qq * step[:, 0] - l_dq * step[:, 1]) / det
+        q = (l_dd * step[:, 1] - l_dq * step[:, 0]) / det
+        i_smooth = inner.i_ab + np.stack([c * d - s * q, s * d + c * q], axis=1)
+        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}
+
+    def _slopes(self, piece: Piece, base: Signals, model: Model) -> Slopes | None:
+        """How the inverter's effects multiply current noise, by shifting the measured current by its noise."""
+        inverter = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER]
+        if not inverter or not base.bridge_on:
+            return None
+        c, s = math.cos(piece.segment.rotor_angle_rad), math.sin(piece.segment.rotor_angle_rad)
+        turn = np.array([[c, s], [-s, c]])
+        voltage = np.empty((len(base.v_dc), 2, 2))
+        for axis in range(2):
+            shift = np.zeros(2)
+            shift[axis] = math.sqrt(self.sensor[axis, axis])
+            ahead = apply_effects(base.model_copy(update={"i_ab": base.i_ab + shift}), inverter)
+            behind = apply_effects(base.model_copy(update={"i_ab": base.i_ab - shift}), inverter)
+            voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])
+        return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ voltage @ turn.T))
+
+    def _piece_rows(
+        self, model: Model, piece: Piece, kept: PieceFrame, parameters: Sequence[tuple[Active, str]]
+    ) -> PieceRows:
+        base = kept.base
+        corrected = apply_effects(base, model.active)
+        here = _moved_map(piece, corrected, kept)
+        known, resistance = voltage_and_resistance(
+            piece,
+            corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / base.resistance_ohm[0]}),
+            here,
+            self.pm_flux_wb,
+        )
+        known = known + flux_terms(piece, here) + kept.basis @ (model.magnetics.coefficients - kept.coefficients)
+        columns = [self._column(piece, base, corrected, here, model, a, n) for a, n in parameters]
+        white = kept.whitener(np.column_stack([known, resistance, *columns]))
+        return PieceRows(known, resistance, white)
+
+    def _column(
+        self, piece: Piece, base: Signals, corrected: Signals, here: LocalMap, model: Model, active: Active, name: str
+    ) -> Array:
+        """Derivative of y by one parameter's coordinate; a secant to typical size where the effect is absent."""
+        p = active.candidate.named(name)
+        x = active.coordinate(name)
+        if p.role is not ParameterRole.AMPLITUDE:
+            step = 0.05 * max(abs(x), 1.0)
+        elif active.is_absent:
+            step = typical_coordinate(p)
+        else:
+            step = 0.05 * max(abs(x), 0.02)
+        if active.moved(name, x + step).values[name] == active.values[name]:
+            step = -step
+        others = [a for a in model.active if a.name != active.name]
+        other = apply_effects(base, [*others, active.moved(name, x + step)])
+        return difference(piece, corrected, other, here, self.pm_flux_wb) / step
+
+    def _solve(self, model: Model, frame: Frame, rows: Sequence[PieceRows]) -> Fit:
+        space, pieces = model.space, self.prepared.pieces
+        width = 1 + space.directions.shape[1]
+        normal, right = np.zeros((width, width)), np.zeros(width)
+        normal[1:, 1:] = frame.gram
+        for piece, kept, row in zip(pieces, frame.pieces, rows, strict=True):
+            if piece.held_out:
+                continue
+            e, r = row.white[:, 0], row.white[:, 1]
+            normal[0, 0] += r @ r
+            normal[0, 1:] += r @ kept.white_basis
+            right[0] += r @ e
+            right[1:] += kept.white_basis.T @ e
+        normal[1:, 0] = normal[0, 1:]
+        total = normal.copy()
+        total[1:, 1:] += space.prior.T @ space.prior
+        # Equations are written around the model's own coefficients; the prior is around the space's origin.
+        start = _free_numbers(space, model.magnetics.coefficients)
+        right[1:] += space.prior.T @ (space.prior @ start)
+        solution = -np.linalg.solve(total, right)
+        effective = float(np.trace(np.linalg.solve(total, normal)))
+        r_s, change = float(solution[0]), solution[1:]
+        coefficients = model.magnetics.coefficients + space.directions @ change
+        fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, coefficients))
+        residual, volts = [], []
+        for piece, kept, row in zip(pieces, frame.pieces, rows, strict=True):
+            residual.append(row.white[:, 0] + row.white[:, 1] * r_s + kept.white_basis @ change)
+            raw = row.known + row.resistance * r_s + kept.basis @ (space.directions @ change)
+            volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight())
+        training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
+        chi2 = float(sum(e @ e for e in training))
+        log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
+        priors = sum(a.coordinate(n) ** 2 for a, n in model.free)
+        rough = space.prior @ (start + change)
+        return Fit(
+            model=fitted,
+            frame=frame,
+            prepared=self.prepared,
+            chi2=chi2,
+            objective=chi2 + log_det + priors + float(rough @ rough),
+            log_det=log_det,
+            dof=max(sum(len(e) for e in training) - effective - len(model.free), 1.0),
+            residual=tuple(residual),
+            volts=tuple(volts),
+            normal=total,
+            columns=tuple(row.white[:, 2:] for row in rows),
+            resistance=tuple(row.white[:, 1] for row in rows),
+        )
+
+
+def _moved_map(piece: Piece, corrected: Signals, kept: PieceFrame) -> LocalMap:
+    """Flux at currents that have moved a little since the frame was made, to first order."""
+    i_dq, delta = true_frame(piece, corrected)
+    step = i_dq - kept.here.i_dq
+    if not step.any():
+        return LocalMap(i_dq, delta, kept.here.psi, kept.here.inductance)
+    l_dd, l_dq, l_qq = kept.here.inductance.T
+    psi = kept.here.psi.copy()
+    psi[:, 0] += l_dd * step[:, 0] + l_dq * step[:, 1]
+    psi[:, 1] += l_dq * step[:, 0] + l_qq * step[:, 1]
+    return LocalMap(i_dq, delta, psi, kept.here.inductance)
+
+
+def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
+    if space.directions.shape[1] == 0:
+        return np.zeros(0)
+    return np.asarray(np.linalg.lstsq(space.directions, coefficients - space.origin, rcond=None)[0])
+
+
+def _gauss_newton(fit: Fit) -> Array:
+    """Step of all free coordinates, map and R_s following."""
+    x = np.array([a.coordinate(n) for a, n in fit.model.free])
+    if not len(x):
+        return x
+    own, right = fit.projected()
+    count = len(x)
+    return np.asarray(np.linalg.solve(own[:count, :count] + np.eye(count), -right[:count] - x))
+
+
+def _moved(model: Model, move: Array) -> Model:
+    active, k = [], 0
+    for item in model.active:
+        for name in item.free:
+            item = item.moved(name, item.coordinate(name) + float(move[k]))
+            k += 1
+        active.append(item)
+    return model.with_active(active)
+
+
+def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:
+    """Every amplitude of effects that are not in the model, as `Fitter.evaluate` takes them."""
+    return [(c.absent(), n) for c in candidates for n in c.amplitudes]

@@ -1,0 +1,113 @@
+"""From fits to what is reported: the ladder's rungs, effects with intervals, the fraction that is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis._fit import Fit
+from orchestrator.diagnosis._library import Active, value_at
+from orchestrator.diagnosis._pieces import Piece
+from orchestrator.diagnosis._reports import FoundEffect, ParameterValue, Rung, Verdict
+from orchestrator.diagnosis._search import Step
+from orchestrator.diagnosis._simulate import current_rms
+from orchestrator.diagnosis._trust import BLOCKS, block_scatter
+
+Array = NDArray[np.float64]
+
+DETECTED = 1.08
+"""chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""
+EXPLAINED, MOSTLY = 0.05, 0.30
+
+
+def training(piece: Piece) -> bool:
+    return not piece.held_out
+
+
+def held_out(piece: Piece) -> bool:
+    return piece.held_out
+
+
+def mean_rms_v(fit: Fit, use: Callable[[Piece], bool]) -> float | None:
+    """rms of y_m / sum_k(w_mk Ts) over the windows that are means, carriers of the ripple aside [V]."""
+    parts = [_means(p, e) for p, e in zip(fit.prepared.pieces, fit.volts, strict=True) if use(p)]
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
+
+
+def noise_rms_v(fit: Fit, use: Callable[[Piece], bool] = lambda _: True) -> float | None:
+    """The same figure if only the sensors' noise were left [V]."""
+    parts = []
+    for piece, kept in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
+        if use(piece):
+            scale = piece.signals.sampling_frequency_hz / piece.windows.absolute_weight()
+            parts.append(_means(piece, kept.whitener.variance * scale**2))
+    return float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else None
+
+
+def _means(piece: Piece, rows: Array) -> Array:
+    carriers = len(piece.windows.carriers)
+    return rows.reshape(-1, carriers, 2)[:, 0].ravel()
+
+
+def rung(step: Step) -> Rung:
+    """One step of the ladder in numbers."""
+    return Rung(
+        added=step.added,
+        chi2=step.fit.chi2_per_dof,
+        rms_v=mean_rms_v(step.fit, training),
+        heldout_rms_v=mean_rms_v(step.fit, held_out),
+        current_rms_a=current_rms(step.fit),
+    )
+
+
+def left_fraction(before: Fit, after: Fit) -> float:
+    """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
+    if before.chi2_per_dof <= DETECTED:
+        return 0.0
+    return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before.chi2_per_dof - 1.0))
+
+
+def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
+    """The verdict on what is left."""
+    if after.chi2_per_dof <= DETECTED:
+        return "explained" if effects else "clean"
+    fraction = left_fraction(before, after)
+    if not effects or fraction > MOSTLY:
+        return "unknown_remains"
+    return "explained" if fraction <= EXPLAINED else "mostly_explained"
+
+
+def found_effects(fit: Fit, steps: Sequence[Step], rivals: Mapping[str, Sequence[str]]) -> tuple[FoundEffect, ...]:
+    """The active effects with 95 % intervals.
+
+    A coordinate's variance is the fit's, inflated by chi2 per degree of freedom, plus that of the mean over blocks
+    of the recording that disagree by more than noise: a slightly wrong shape makes the plain interval too narrow.
+    """
+    if not fit.model.active:
+        return ()
+    variance = np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + block_scatter(fit) ** 2 / BLOCKS
+    evidence = {s.added: s.log_evidence for s in steps}
+    found, k = [], 0
+    for active in fit.model.active:
+        spread = dict(zip(active.free, np.sqrt(variance[k : k + len(active.free)]), strict=True))
+        k += len(active.free)
+        found.append(
+            FoundEffect(
+                name=active.name,
+                parameters={n: _interval(active, n, float(spread[n])) for n in active.free},
+                twins=tuple(rivals.get(active.name, ())),
+                relative_size=active.relative_size,
+                log_evidence=evidence.get(active.name, 0.0),
+            )
+        )
+    return tuple(found)
+
+
+def _interval(active: Active, name: str, spread: float) -> ParameterValue:
+    p = active.candidate.named(name)
+    x = active.coordinate(name)
+    ends = sorted((value_at(p, x - 1.96 * spread), value_at(p, x + 1.96 * spread)))
+    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit)

@@ -1,0 +1,235 @@
+"""Noise of the current sensors: measured, carried through the weak form and the effects, and whitened away.
+
+Only sensor noise is random here; it enters interval k through both of its samples,
+
+    xi_k = a_k n_k + b_k n_k+1,   a_k = (L_k - R Ts/2) T_k + Ts S_k,   b_k = -(L_k+1 + R Ts/2) T_k+1,
+
+with T = d i_true / d i_measured and S = d v_impressed / d i_measured by the effects (an inverter's slope near
+zero current multiplies noise by tens of ohms). Windows of one segment share samples: the covariance of its
+rows is banded, and its Cholesky factor whitens them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis._pieces import Piece
+from orchestrator.diagnosis._residual import LocalMap
+from orchestrator.diagnosis._windows import hat_weights
+from protocols import SegmentStage
+
+Array = NDArray[np.float64]
+
+
+def sensor_covariance(pieces: Sequence[Piece]) -> Array:
+    """Covariance of the noise of (i_alpha, i_beta) [A^2], shape (2, 2), from second differences.
+
+    From holds and gates-off readings; where there are none, from trapezoids. Second differences
+    cancel what is linear in time.
+    """
+    steady = [p for p in pieces if p.stage in (SegmentStage.RESISTANCE, SegmentStage.GATES_OFF)]
+    steady = steady or [p for p in pieces if p.stage is SegmentStage.CLASSICAL] or list(pieces)
+    total, count = np.zeros((2, 2)), 0
+    for piece in steady:
+        i = piece.signals.i_ab
+        # Coefficients (1, -2, 1): the variance of the second difference of white noise is six-fold.
+        d = i[2:] - 2.0 * i[1:-1] + i[:-2]
+        total += d.T @ d / 6.0
+        count += len(d)
+    covariance = total / max(count, 1)
+    floor = 1e-12 + 1e-6 * float(np.trace(covariance))
+    return np.asarray(covariance + floor * np.eye(2))
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """How noise passes through the effects of a piece; None where the effects leave it alone.
+
+    Attributes
+    ----------
+    current : array, shape (n, 2, 2)
+        d i_true / d i_measured in the believed frame.
+    voltage : array, shape (n, 2, 2)
+        d v_impressed / d i_measured [ohm].
+    """
+
+    current: Array
+    voltage: Array
+
+
+def banded_covariance(
+    piece: Piece, here: LocalMap, resistance: Array, sensor: Array, r_s: float, slopes: Slopes | None
+) -> Array:
+    """Covariance of a piece's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
+
+    Parameters
+    ----------
+    resistance : array, shape (n,)
+        Of the corrected signals, in units of R_s.
+    sensor : array, shape (2, 2)
+        Covariance of (i_alpha, i_beta) [A^2].
+    """
+    w = piece.windows
+    angle = float(piece.segment.rotor_angle_rad)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, s], [-s, c]])
+    sums = _pair_sums(
+        here.inductance,
+        np.ascontiguousarray(resistance),
+        slopes.current if slopes is not None else np.zeros((0, 2, 2)),
+        slopes.voltage if slopes is not None else np.zeros((0, 2, 2)),
+        np.linalg.cholesky(turn @ sensor @ turn.T),
+        r_s,
+        1.0 / piece.signals.sampling_frequency_hz,
+        w.step,
+        w.hats,
+        w.bins,
+        w.n_bins,
+    )
+    shifted = np.stack([np.roll(w.carriers, -d, axis=1) for d in (-1, 0, 1)])
+    blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.carriers, shifted, sums, optimize=True)
+    size = 2 * len(w.carriers)
+    return _banded(blocks.reshape(w.hats, 2, size, size))
+
+
+def _banded(blocks: Array) -> Array:
+    """Block-tridiagonal (hats, 2, size, size), own and next, to lower banded form."""
+    hats, _, size, _ = blocks.shape
+    out = np.zeros((2 * size, hats, size))
+    for column in range(size):
+        out[: size - column, :, column] = blocks[:, 0, column, column:].T
+        # blocks[j, 1] couples rows of hat j with columns of hat j + 1: its transpose is below the diagonal.
+        out[size - column : 2 * size - column, :-1, column] = blocks[:-1, 1, column, :].T
+    return out.reshape(2 * size, hats * size)
+
+
+class Whitener:
+    """Turns rows of one piece into rows with independent unit noise."""
+
+    def __init__(self, covariance: Array) -> None:
+        from scipy.linalg import cholesky_banded
+
+        self.variance = covariance[0].copy()
+        """Of every row, before whitening."""
+        banded = covariance.copy()
+        banded[0] *= 1.0 + 1e-9
+        self._factor = np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+        self.log_det = 2.0 * float(np.log(self._factor[0]).sum())
+
+    def __call__(self, rows: Array) -> Array:
+        """Whiten (rows,) or (rows, columns)."""
+        from scipy.linalg.lapack import dtbtrs
+
+        if rows.size == 0:
+            # LAPACK's wrapper does not bear a matrix without columns.
+            return rows.copy()
+        solved, info = dtbtrs(self._factor, rows if rows.ndim == 2 else rows[:, None], uplo="L")
+        if info != 0:
+            raise ArithmeticError("the noise covariance is singular")
+        return np.asarray(solved if rows.ndim == 2 else solved[:, 0])
+
+
+@njit(cache=True, nogil=True)
+def _pair_sums(
+    inductance: Array,
+    resistance: Array,
+    current_slope: Array,
+    voltage_slope: Array,
+    sensor_factor: Array,
+    r_s: float,
+    ts: float,
+    step: float,
+    hats: int,
+    bins: NDArray[np.int64],
+    n_bins: int,
+) -> Array:  # pragma: no cover - compiled
+    """sum_k g_mk Sigma g_m'k^T before the carriers -> (hats, own/next hat, bins, bin -1/0/+1, 2, 2)."""
+    n = inductance.shape[0]
+    out = np.zeros((hats, 2, n_bins, 3, 2, 2))
+    hat = np.empty(4, dtype=np.int64)
+    slot = np.empty(4, dtype=np.int64)
+    g = np.empty((4, 2, 2))
+    a = np.empty((2, 2))
+    b = np.empty((2, 2))
+    m = np.empty((2, 2))
+    last_j = 0
+    last_w0 = 0.0
+    last_w1 = 0.0
+    for k in range(n):
+        ohm = 0.5 * ts * r_s * resistance[k]
+        a[0, 0] = inductance[k, 0] - ohm
+        a[0, 1] = inductance[k, 1]
+        a[1, 0] = inductance[k, 1]
+        a[1, 1] = inductance[k, 2] - ohm
+        b[0, 0] = -inductance[k, 0] - ohm
+        b[0, 1] = -inductance[k, 1]
+        b[1, 0] = -inductance[k, 1]
+        b[1, 1] = -inductance[k, 2] - ohm
+        if current_slope.shape[0] > 0:
+            for x in range(2):
+                p0, p1 = a[x, 0], a[x, 1]
+                a[x, 0] = p0 * current_slope[k, 0, 0] + p1 * current_slope[k, 1, 0]
+                a[x, 1] = p0 * current_slope[k, 0, 1] + p1 * current_slope[k, 1, 1]
+                p0, p1 = b[x, 0], b[x, 1]
+                b[x, 0] = p0 * current_slope[k, 0, 0] + p1 * current_slope[k, 1, 0]
+                b[x, 1] = p0 * current_slope[k, 0, 1] + p1 * current_slope[k, 1, 1]
+        if voltage_slope.shape[0] > 0:
+            for x in range(2):
+                for y in range(2):
+                    a[x, y] += ts * voltage_slope[k, x, y]
+        j = 0
+        w0 = 0.0
+        w1 = 0.0
+        if k < n - 1:
+            j, w0, w1 = hat_weights(k, step, hats)
+        used = 0
+        if k > 0 and k < n - 1 and j == last_j and bins[k] == bins[k - 1]:
+            for side in range(2):
+                now = w0 if side == 0 else w1
+                was = last_w0 if side == 0 else last_w1
+                if now == 0.0 and was == 0.0:
+                    continue
+                hat[used], slot[used] = j + side, bins[k]
+                for x in range(2):
+                    for y in range(2):
+                        g[used, x, y] = now * a[x, y] + was * b[x, y]
+                used += 1
+        else:
+            for side in range(4):
+                weight = w0 if side == 0 else (w1 if side == 1 else (last_w0 if side == 2 else last_w1))
+                if weight == 0.0 or (side >= 2 and k == 0):
+                    continue
+                hat[used] = j + side if side < 2 else last_j + side - 2
+                slot[used] = bins[k] if side < 2 else bins[k - 1]
+                for x in range(2):
+                    for y in range(2):
+                        g[used, x, y] = weight * (a[x, y] if side < 2 else b[x, y])
+                used += 1
+        last_j, last_w0, last_w1 = j, w0, w1
+        for e in range(used):
+            for x in range(2):
+                for y in range(2):
+                    m[x, y] = g[e, x, 0] * sensor_factor[0, y] + g[e, x, 1] * sensor_factor[1, y]
+            g[e, :, :] = m
+        for e in range(used):
+            for f in range(used):
+                t = hat[f] - hat[e]
+                if t < 0 or t > 1:
+                    continue
+                d = slot[f] - slot[e]
+                if d > 1:
+                    d -= n_bins
+                elif d < -1:
+                    d += n_bins
+                if d < -1 or d > 1:
+                    continue
+                for x in range(2):
+                    for y in range(2):
+                        out[hat[e], t, slot[e], d + 1, x, y] += g[e, x, 0] * g[f, y, 0] + g[e, x, 1] * g[f, y, 1]
+    return out

@@ -1,0 +1,121 @@
+"""Windows of the weak form: overlapping hats in time, Fourier modes within an injection period.
+
+A weight is w_mk = s_j(k) c_h(b(k)): s_j a hat, c_h a carrier that depends only on the bin b(k) of
+interval k within the injection period. So sums over samples go into (hat, bin) first, and the
+carriers are one small matrix product afterwards. Knows nothing of motors.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+HARMONICS = (0, 1, 2, 3, 5)
+MAX_BINS = 40
+
+
+@dataclass(frozen=True)
+class Windows:
+    """How one segment's intervals are weighted.
+
+    Attributes
+    ----------
+    hats : int
+        Number of hats; hat j peaks at interval position (j + 1) * step and vanishes one step away.
+    step : float
+        Distance of hats in intervals.
+    bins : array of int64, shape (n - 1,)
+        Bin of each interval within the injection period; zeros where nothing is injected.
+    carriers : array, shape (carriers, n_bins)
+        Value of each carrier in each bin.
+    """
+
+    hats: int
+    step: float
+    bins: NDArray[np.int64]
+    carriers: Array
+
+    @property
+    def n_bins(self) -> int:
+        return int(self.carriers.shape[1])
+
+    @property
+    def rows(self) -> int:
+        """Number of weak-form equations: hats x carriers x two axes."""
+        return self.hats * len(self.carriers) * 2
+
+    def combine(self, sums: Array) -> Array:
+        """Carriers applied to sums of shape (hats, n_bins, 2, ...) -> (rows, ...): hat, carrier, axis."""
+        mixed = np.tensordot(self.carriers, sums, axes=(1, 1))
+        rows = np.moveaxis(mixed, 0, 1)
+        return np.ascontiguousarray(rows).reshape(self.rows, *sums.shape[3:])
+
+    def absolute_weight(self) -> Array:
+        """sum_k |w_mk| for each row, shape (rows,): what turns y_m / Ts into a mean."""
+        mean = np.abs(self.carriers).mean(axis=1) if self.n_bins > 1 else np.ones(1)
+        return np.repeat(np.tile(mean * self.step, self.hats), 2)
+
+
+def plain_windows(intervals: int, step: float) -> Windows | None:
+    """Hats `step` apart without carriers; None where not one fits."""
+    hats = math.floor(intervals / step + 1e-9) - 1
+    if hats < 1:
+        return None
+    return Windows(hats, step, np.zeros(intervals, dtype=np.int64), np.ones((1, 1)))
+
+
+def periodic_windows(intervals: int, step: float, period: float) -> Windows | None:
+    """Hats `step` apart, times the Fourier modes 0, 1, 2, 3, 5 of a period of `period` samples.
+
+    Bins follow the period even where it is no whole number of samples: any weight gives a valid
+    equation, and the bins are the weight.
+    """
+    hats = math.floor(intervals / step + 1e-9) - 1
+    if hats < 1:
+        return None
+    n_bins = int(min(round(period), MAX_BINS))
+    phase = np.mod((np.arange(intervals) + 0.5) / period, 1.0)
+    bins = np.minimum((phase * n_bins).astype(np.int64), n_bins - 1)
+    centre = 2 * np.pi * (np.arange(n_bins) + 0.5) / n_bins
+    rows = [np.ones(n_bins)]
+    for harmonic in HARMONICS:
+        if 0 < harmonic < n_bins / 2:
+            rows += [np.cos(harmonic * centre), np.sin(harmonic * centre)]
+    return Windows(hats, step, bins, np.array(rows))
+
+
+@njit(cache=True, nogil=True)
+def hat_weights(k: int, step: float, hats: int) -> tuple[int, float, float]:  # pragma: no cover - compiled
+    """Index of the hat before interval k (-1 where none), its weight, and that of the next."""
+    x = (k + 0.5) / step
+    before = math.floor(x) - 1
+    after = x - math.floor(x)
+    w0 = 1.0 - after
+    w1 = after
+    if before < 0 or before >= hats:
+        w0 = 0.0
+    if before + 1 >= hats or before + 1 < 0:
+        w1 = 0.0
+    return before, w0, w1
+
+
+@njit(cache=True, nogil=True)
+def sum_intervals(x: Array, step: float, hats: int, bins: NDArray[np.int64], n_bins: int) -> Array:
+    """Weighted sums of per-interval vectors x (n - 1, 2) -> (hats, n_bins, 2)."""
+    out = np.zeros((hats, n_bins, 2))
+    for k in range(x.shape[0]):
+        j, w0, w1 = hat_weights(k, step, hats)
+        b = bins[k]
+        if w0 > 0.0:
+            out[j, b, 0] += w0 * x[k, 0]
+            out[j, b, 1] += w0 * x[k, 1]
+        if w1 > 0.0:
+            out[j + 1, b, 0] += w1 * x[k, 0]
+            out[j + 1, b, 1] += w1 * x[k, 1]
+    return out

@@ -1,0 +1,26 @@
+"""What engineers take away from a flux map, and bring back: files of other tools, torque curves, saliency, inverse.
+
+Knows flux maps and nothing of recordings, drives or estimators. scipy and xarray are imported where they are used.
+"""
+
+from orchestrator.exporting._exporting import FORMATS, ExportedFile, ExportReport, export_map
+from orchestrator.exporting._inverse import InverseMap, invert
+from orchestrator.exporting._loading import load_map
+from orchestrator.exporting._saliency import Saliency, saliency
+from orchestrator.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+
+__all__ = [
+    "FORMATS",
+    "ExportReport",
+    "ExportedFile",
+    "InverseMap",
+    "Saliency",
+    "Trajectory",
+    "export_map",
+    "invert",
+    "load_map",
+    "mtpa",
+    "mtpv",
+    "saliency",
+    "torque_nm",
+]

@@ -1,0 +1,192 @@
+"""Flux maps from files: NetCDF, CSV, NPZ and SyR-e's .mat; what a file lacks is differentiated or NaN, not guessed."""
+
+from __future__ import annotations
+
+import csv
+import struct
+import zipfile
+import zlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis import load_flux_map
+from orchestrator.exporting._numeric_files import CSV_UNITS
+from orchestrator.exporting._surface import MapSurface, require_usable
+from protocols import FluxMap, InputError
+
+Array = NDArray[np.float64]
+
+RUN_MAP = Path("results") / "flux_map.nc"
+_DAMAGE = (
+    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError, TypeError,
+    ValueError, struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What the readers of numpy and scipy raise at one wrong byte or another."""
+_COMPUTED = {"l_dd", "l_dq", "l_qq"}
+_OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]
+
+
+def load_map(path: Path) -> FluxMap:
+    """Read a flux map: a run or recording that was estimated, or a .nc, .csv, .npz or .mat file.
+
+    CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
+    motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
+    axes turned to PM axes. Points may come in any order but must lie on a rectangular grid, of which some may be
+    missing. Inductances that a file lacks are derivatives of its flux; standard deviations that it lacks are NaN.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing, of another kind, or does not hold a flux map on a grid.
+    """
+    if path.is_dir():
+        if not (path / RUN_MAP).is_file():
+            raise InputError(str(path), str(RUN_MAP), "no such file; `fluxbench estimate` makes it")
+        return _read_netcdf(path / RUN_MAP)
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
+    if path.suffix not in readers and path.suffix != ".nc":
+        raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz or .mat file")
+    if not path.is_file():
+        raise InputError(str(path), "", "no such file")
+    if path.suffix == ".nc":
+        return _read_netcdf(path)
+    try:
+        method, columns = readers[path.suffix](path)
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(str(path), "", f"cannot be read: {error}") from None
+    return _gridded(str(path), method, columns)
+
+
+def _read_netcdf(path: Path) -> FluxMap:
+    try:
+        flux_map = load_flux_map(path)
+    except RuntimeError as error:  # of the HDF5 library, on a damaged file
+        raise InputError(str(path), "", f"not a readable NetCDF file: {_first_line(error)}") from None
+    require_usable(flux_map, str(path))
+    return flux_map
+
+
+def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
+    lines = (line for line in path.read_text(encoding="utf-8-sig").splitlines() if not line.startswith("#"))
+    rows = list(csv.reader(lines))
+    header = [name.strip().lower().replace("_vs", "_wb") for name in rows[0]] if rows else []
+    wanted = {"i_d": "i_d_a", "i_q": "i_q_a"} | {name: f"{name}_{unit}" for name, unit in CSV_UNITS.items()}
+    for name in ("i_d", "i_q", "psi_d", "psi_q"):
+        if wanted[name] not in header:
+            raise InputError(str(path), wanted[name], f"no such column; the file has {', '.join(header) or 'none'}")
+    columns: dict[str, Array] = {}
+    for name, column in wanted.items():
+        if column in header:
+            at = header.index(column)
+            columns[name] = np.array([_number(path, column, k, row, at) for k, row in enumerate(rows[1:], 1) if row])
+    return "csv", columns
+
+
+def _number(path: Path, column: str, line: int, row: list[str], at: int) -> float:
+    try:
+        return float(row[at]) if row[at].strip() else float("nan")
+    except (IndexError, ValueError):
+        found = repr(row[at]) if at < len(row) else "nothing"
+        raise InputError(str(path), column, f"row {line}: expected a number, got {found}") from None
+
+
+def _read_npz(path: Path) -> tuple[str, dict[str, Array]]:
+    try:
+        # numpy leaves a file that it opened itself, and cannot read, open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            content = {name: file[name] for name in file.files}
+    except _DAMAGE as error:
+        raise InputError(str(path), "", f"not an .npz file of plain arrays: {_first_line(error)}") from None
+    for name in ("i_s_dq", "psi_s_dq"):
+        if name not in content or not np.iscomplexobj(content[name]):
+            raise InputError(str(path), name, f"expected a complex array; the file has {', '.join(content) or 'none'}")
+    i, psi = content["i_s_dq"], content["psi_s_dq"]
+    columns = {"i_d": i.real, "i_q": i.imag, "psi_d": psi.real, "psi_q": psi.imag}
+    columns |= {name: content[name] for name in _OPTIONAL if name in content}
+    return str(content.get("method", "npz")), columns
+
+
+def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        with path.open("rb") as opened:
+            stream: Any = opened  # the published stubs of loadmat know paths only
+            content = loadmat(stream, simplify_cells=True)
+    except NotImplementedError:
+        raise InputError(str(path), "", "a MATLAB 7.3 file; save it with -v7") from None
+    except (*_DAMAGE, MatReadError) as error:
+        raise InputError(str(path), "", f"not a MATLAB file: {_first_line(error)}") from None
+    model = _struct(content, "motorModel")
+    layout = _struct(model, "FluxMap_dq") if model else content
+    for name in ("Id", "Iq", "Fd", "Fq"):
+        if not isinstance(layout.get(name), np.ndarray):
+            raise InputError(str(path), name, "no such array; expected SyR-e's Id, Iq, Fd, Fq")
+    axes = _struct(model, "data").get("axisType", _struct(content, "dataSet").get("axisType", "PM"))
+    i_d, i_q, psi_d, psi_q = (np.asarray(layout[name], dtype=np.float64) for name in ("Id", "Iq", "Fd", "Fq"))
+    if axes == "SR":  # SyR-e's reluctance axes: the magnet lies on -q
+        i_d, i_q, psi_d, psi_q = -i_q, i_d, -psi_q, psi_d
+    columns = {"i_d": i_d, "i_q": i_q, "psi_d": psi_d, "psi_q": psi_q}
+    extras = _struct(content, "fluxbench")
+    columns |= {name: np.asarray(extras[name], dtype=np.float64) for name in _OPTIONAL if name in extras}
+    return str(extras.get("method", "syre")), columns
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
+def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:
+    found = content.get(name)
+    return found if isinstance(found, dict) else {}
+
+
+def _gridded(where: str, method: str, columns: dict[str, Array]) -> FluxMap:
+    """A flux map from points in any order."""
+    flat = {name: np.asarray(values, dtype=np.float64).ravel() for name, values in columns.items()}
+    sizes = {name: len(values) for name, values in flat.items()}
+    if len(set(sizes.values())) != 1:
+        raise InputError(where, "", f"arrays of different sizes: {', '.join(f'{n} {k}' for n, k in sizes.items())}")
+    if not (np.isfinite(flat["i_d"]).all() and np.isfinite(flat["i_q"]).all()):
+        raise InputError(where, "i_d, i_q", "a current is not finite")
+    points = sizes["i_d"]
+    if points < 4:
+        raise InputError(where, "i_d, i_q", f"{points} points: too few for a flux map")
+    i_d, rows = _nodes(flat["i_d"])
+    i_q, places = _nodes(flat["i_q"])
+    if min(len(i_d), len(i_q)) < 2 or len(i_d) * len(i_q) > 4 * points:
+        raise InputError(where, "i_d, i_q", f"{points} points that do not lie on a rectangular grid of currents")
+    if len(np.unique(rows * len(i_q) + places)) < points:
+        raise InputError(where, "i_d, i_q", "a current occurs twice")
+    tables = {name: np.full((len(i_d), len(i_q)), np.nan) for name in CSV_UNITS}
+    for name, values in flat.items():
+        if name in tables:
+            tables[name][rows, places] = values
+    flux_map = FluxMap(method=method, i_d=i_d, i_q=i_q, **tables)
+    require_usable(flux_map, where)
+    return flux_map if flat.keys() >= _COMPUTED else flux_map.model_copy(update=_derivatives(flux_map))
+
+
+def _nodes(values: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Distinct values within a millionth of their span, increasing, and which of them each value is."""
+    order = np.argsort(values, kind="stable")
+    new = np.diff(values[order]) > 1e-6 * np.ptp(values)
+    index = np.empty(len(values), dtype=np.intp)
+    index[order] = np.concatenate(([0], np.cumsum(new)))
+    return values[order][np.concatenate(([True], new))], index
+
+
+def _derivatives(flux_map: FluxMap) -> dict[str, Array]:
+    """Incremental inductances where the flux is known, from the smooth surface; l_dq is the mean of both crosses."""
+    surface = MapSurface(flux_map)
+    slopes = surface.jacobian(surface.currents)
+    values = {"l_dd": slopes[:, 0, 0], "l_dq": 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]), "l_qq": slopes[:, 1, 1]}
+    tables = {name: np.full(surface.known.shape, np.nan) for name in values}
+    for name, found in values.items():
+        tables[name][surface.known] = found
+    return tables

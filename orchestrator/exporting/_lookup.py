@@ -1,0 +1,27 @@
+"""How well a linear lookup in an exported table gives back what was measured."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+def lookup_error(
+    rows: Array, columns: Array, tables: tuple[Array, Array], at: Array, truth: Array
+) -> tuple[float, float]:
+    """rms and largest length of the difference between bilinear lookups and the truth.
+
+    Parameters
+    ----------
+    rows, columns : array, shapes (n,), (m,)
+        Axes of the two tables, which have shape (n, m).
+    at, truth : array, shape (k, 2)
+        Places on the axes, and what should be found there.
+    """
+    from scipy.interpolate import RegularGridInterpolator
+
+    lookup = RegularGridInterpolator((rows, columns), np.stack(tables, axis=-1), bounds_error=False, fill_value=None)
+    apart = np.linalg.norm(np.asarray(lookup(at)) - truth, axis=1)
+    return float(np.sqrt((apart**2).mean())), float(apart.max())

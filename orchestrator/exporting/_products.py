@@ -1,0 +1,103 @@
+"""What every export is made of, computed once: torque, saliency, trajectories, inverse map. Writes no file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.exporting._inverse import InverseMap, invert
+from orchestrator.exporting._saliency import Saliency, saliency
+from orchestrator.exporting._surface import MapSurface
+from orchestrator.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+from protocols import FluxMap, Motor
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Written:
+    """One file's content, and what is to be said about it."""
+
+    content: bytes
+    measured_percent: float
+    """Share of the table's nodes that stand on measurement; the others are NaN, left out or continued."""
+    filled_nodes: int = 0
+    """Nodes that hold a continued value instead."""
+    notes: tuple[str, ...] = ()
+
+
+class Products:
+    """A flux map and all that follows from it, each made when first asked for.
+
+    Parameters
+    ----------
+    flux_map : FluxMap
+    motor : Motor
+    """
+
+    def __init__(self, flux_map: FluxMap, motor: Motor) -> None:
+        self.flux_map, self.motor = flux_map, motor
+
+    @cached_property
+    def surface(self) -> MapSurface:
+        return MapSurface(self.flux_map)
+
+    @cached_property
+    def inverse(self) -> InverseMap:
+        return invert(self.flux_map)
+
+    @cached_property
+    def saliency(self) -> Saliency:
+        return saliency(self.flux_map)
+
+    @cached_property
+    def torque_nm(self) -> Array:
+        return torque_nm(self.flux_map, self.motor.pole_pairs)
+
+    @cached_property
+    def mtpa(self) -> Trajectory | None:
+        """None where the map has no motoring half (i_q > 0)."""
+        return mtpa(self.flux_map, self.motor.pole_pairs) if self.motors else None
+
+    @cached_property
+    def mtpv(self) -> Trajectory | None:
+        return mtpv(self.flux_map, self.motor.pole_pairs) if self.motors else None
+
+    @cached_property
+    def measured_percent(self) -> float:
+        """Share of the map's own grid that was measured."""
+        return 100.0 * float(self.surface.known.mean())
+
+    @cached_property
+    def notes(self) -> tuple[str, ...]:
+        """What holds for every format."""
+        said = []
+        holes = int((~self.surface.known).sum())
+        if holes:
+            said.append(f"{holes} of {self.surface.known.size} grid points were not measured")
+        if self.lacks_magnet:
+            said.append(
+                "pm_flux_wb is not known and a locked rotor does not show it: psi, torque, MTPA and MTPV leave out "
+                "the magnet"
+            )
+        if self.mtpa is None:
+            said.append("no measured point with i_q > 0: no MTPA and no MTPV")
+        elif self.mtpv is not None and not self.mtpv.interior.any():
+            said.append("MTPV lies outside the measured region: its rows are the best at the edge, interior = 0")
+        return tuple(said)
+
+    @property
+    def lacks_magnet(self) -> bool:
+        """Whether psi(0, 0) is zero only for want of a nameplate value."""
+        if self.motor.pm_flux_wb is not None or not self.surface.inside(np.zeros((1, 2)))[0]:
+            return False
+        at_rest = float(np.abs(self.surface.psi(np.zeros((1, 2)))).max())
+        return at_rest < 1e-3 * float(np.ptp(self.surface.fluxes, axis=0).max())
+
+    @cached_property
+    def motors(self) -> bool:
+        """Whether a point with i_q > 0 was measured."""
+        return bool((self.surface.currents[:, 1] > 0).any())

@@ -1,0 +1,18 @@
+"""Measurements from elsewhere into recordings: CSV, MATLAB, Parquet and ASAM MF4 files, told apart by a mapping file.
+
+What looks wrong is refused or noted with its place; nothing is repaired that the mapping does not ask for.
+"""
+
+from orchestrator.importing._findings import Finding
+from orchestrator.importing._importing import ImportReport, import_files
+from orchestrator.importing._loading import read_mapping
+from orchestrator.importing._mapping import ImportMapping, SegmentRule
+
+__all__ = [
+    "Finding",
+    "ImportMapping",
+    "ImportReport",
+    "SegmentRule",
+    "import_files",
+    "read_mapping",
+]

@@ -1,0 +1,75 @@
+"""Angles of the rotor and of dq frames: a segment's believed angle, and units that cannot be right."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.importing._findings import Finding, Findings
+from orchestrator.importing._mapping import Angle, ImportMapping
+from orchestrator.importing._source import Numbers
+from orchestrator.importing._splitting import Piece
+from orchestrator.importing._timing import at
+from orchestrator.importing._vectors import Columns, angle_rad
+from protocols import SegmentStage
+
+_STILL_RAD = 0.1
+_FREE = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK, SegmentStage.GATES_OFF)
+"""Stages in which the rotor may move."""
+
+
+def check_fixed_angles(mapping: ImportMapping, path: Path, findings: Findings) -> None:
+    """Doubt the unit of fixed angles in the mapping file at `path`."""
+    named = [
+        ("rotor_angle", mapping.rotor_angle),
+        ("current.angle", mapping.current.angle),
+        ("voltage.angle", mapping.voltage.angle),
+        *((f"segments.{index}.rotor_angle", rule.rotor_angle) for index, rule in enumerate(mapping.segments)),
+    ]
+    for name, angle in named:
+        if angle is not None and angle.value is not None and _beyond_a_turn(angle, abs(angle.value)):
+            findings.doubt(Finding.ANGLE_UNIT, str(path), name, _doubtful(angle.value))
+
+
+def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: Findings) -> None:
+    """Doubt the unit of a column of angles."""
+    if angle.column is None:
+        return
+    values = columns[angle.column]
+    worst = int(np.argmax(np.abs(values)))
+    if _beyond_a_turn(angle, abs(float(values[worst]))):
+        findings.doubt(
+            Finding.ANGLE_UNIT,
+            str(piece.path),
+            angle.column,
+            f"{_doubtful(float(values[worst]))} (from {at(piece, 0)} on)",
+        )
+
+
+def believed_angle_rad(
+    angle: Angle, stage: SegmentStage, piece: Piece, columns: Columns, findings: Findings
+) -> tuple[float, float | Numbers]:
+    """The segment's rotor angle for the manifest (of a column, its mean on the circle), and as it was recorded."""
+    theta = angle_rad(angle, columns)
+    if isinstance(theta, float):
+        return theta, theta
+    turned = np.unwrap(theta)
+    moved = float(np.ptp(turned))
+    if moved > _STILL_RAD and stage not in _FREE:
+        findings.doubt(
+            Finding.MOVING_ROTOR,
+            str(piece.path),
+            angle.column or "",
+            f"a locked rotor's angle changes by {moved:.3g} rad in the segment from {at(piece, 0)} on",
+        )
+    return float(np.angle(np.mean(np.exp(1j * theta)))), theta
+
+
+def _beyond_a_turn(angle: Angle, value: float) -> bool:
+    return angle.unit == "rad" and value > 2.0 * math.pi + 1e-3
+
+
+def _doubtful(value: float) -> str:
+    return f"{value:g} rad is beyond a turn; read in rad, deg would fit"

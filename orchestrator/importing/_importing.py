@@ -1,0 +1,188 @@
+"""`fluxbench import`: measurement files and a mapping into a recording, whole or not at all."""
+
+from __future__ import annotations
+
+import secrets
+import shutil
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
+from pathlib import Path
+
+from orchestrator.importing._angles import check_fixed_angles
+from orchestrator.importing._findings import Finding, Findings
+from orchestrator.importing._loading import read_mapping
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._opening import check_file, open_source
+from orchestrator.importing._placing import Placing
+from orchestrator.importing._plausibility import Plausibility
+from orchestrator.importing._segments import segment_of
+from orchestrator.importing._source import Source
+from orchestrator.importing._splitting import Piece, Splitter
+from orchestrator.importing._timing import Clock
+from orchestrator.recording import SegmentWriter, write_manifest
+from protocols import DriveRecord, InputError, Manifest, Motor, Segment, StorageError, Strict
+
+
+class ImportReport(Strict):
+    """What `fluxbench import --json` prints."""
+
+    recording: str
+    """The recording's directory."""
+    name: str
+    segments: int
+    samples: int
+    sampling_frequency_hz: float
+    notes: tuple[str, ...]
+    """What was found and is no reason to refuse, one line each."""
+
+
+def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportReport:
+    """Turn measurement files into a recording at `out`.
+
+    One segment is in memory at a time where the file's format allows (CSV, Parquet, MATLAB 7.3). The recording
+    appears at `out` when it is complete, and not before.
+
+    Parameters
+    ----------
+    mapping : Path
+        The mapping file, an `ImportMapping` in YAML.
+    files : sequence of Path
+        CSV, Parquet, MATLAB (.mat) or ASAM MDF (.mf4) files, in the order in which they were measured.
+    out : Path
+        A directory that is empty or not there.
+
+    Raises
+    ------
+    InputError
+        Where the mapping, a file or what is in it is not what it should be: one line that names file, column or key,
+        and row.
+    StorageError
+        Where the recording cannot be written.
+    """
+    wanted = read_mapping(mapping)
+    findings = Findings(wanted.accept)
+    check_fixed_angles(wanted, mapping, findings)
+    _check_files(files)
+    with _appearing_whole(out) as partial:
+        importer = _Import(wanted, findings, partial)
+        for path in files:
+            importer.take(path)
+        manifest = importer.finish(mapping)
+    return ImportReport(
+        recording=str(out),
+        name=manifest.name,
+        segments=len(manifest.segments),
+        samples=sum(segment.samples for segment in manifest.segments),
+        sampling_frequency_hz=manifest.drive.sampling_frequency_hz,
+        notes=findings.notes(),
+    )
+
+
+class _Import:
+    """One import under way: files come in, segments are written, and in the end the manifest."""
+
+    def __init__(self, mapping: ImportMapping, findings: Findings, directory: Path) -> None:
+        self._mapping, self._findings, self._directory = mapping, findings, directory
+        self._splitter = Splitter(mapping)
+        self._clock = Clock(mapping, findings)
+        self._plausibility = Plausibility(mapping, findings)
+        self._placing = Placing(mapping, findings)
+        self._segments: list[Segment] = []
+
+    def take(self, path: Path) -> None:
+        """Write the segments of one file."""
+        source = open_source(path, self._mapping)
+        self._check_units(path, source)
+        self._placing.next_file()
+        before = len(self._segments)
+        for piece in self._splitter.pieces(path, iter(source.blocks)):
+            self._take_piece(piece)
+        if len(self._segments) == before:
+            raise InputError(str(path), "", f"no segment in it; {self._left_over() or 'it holds no complete row'}")
+
+    def finish(self, mapping_path: Path) -> Manifest:
+        """Say what concerns the recording as a whole, and write the manifest."""
+        self._splitter.check_all_used(str(mapping_path))
+        self._plausibility.conclude(str(mapping_path))
+        if self._splitter.leftover.rows:
+            self._findings.note("leftover", self._left_over())
+        drive = self._mapping.drive
+        manifest = Manifest(
+            format="fluxbench-recording",
+            version=1,
+            name=self._mapping.name,
+            created=self._mapping.created or datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            motor=Motor.model_validate(self._mapping.motor.model_dump()),
+            drive=DriveRecord(sampling_frequency_hz=self._clock.rate_hz, **drive.model_dump()),
+            segments=tuple(self._segments),
+        )
+        write_manifest(self._directory, manifest)
+        return manifest
+
+    def _take_piece(self, piece: Piece) -> None:
+        for stretch in self._clock.stretches(piece):
+            made = segment_of(self._mapping, piece, stretch, self._clock.rate_hz, self._findings)
+            self._plausibility.judge(made.waveforms)
+            segment_id, start_s = self._placing.place(piece, stretch, len(made.capture), self._clock.rate_hz)
+            with SegmentWriter(self._directory, segment_id) as writer:
+                writer.append(made.capture.model_copy(update={"start_s": start_s}))
+                written = writer.finish()
+            rule = self._mapping.segments[piece.rule]
+            self._segments.append(
+                Segment(
+                    id=segment_id,
+                    stage=rule.stage,
+                    start_s=written.start_s,
+                    samples=written.samples,
+                    rotor_angle_rad=made.rotor_angle_rad,
+                    settings=rule.settings,
+                    sha256=written.sha256,
+                )
+            )
+
+    def _check_units(self, path: Path, source: Source) -> None:
+        for column, labelled in self._mapping.units().items():
+            said = source.units.get(column) or labelled
+            if said != labelled:
+                self._findings.doubt(
+                    Finding.UNIT_IN_FILE, str(path), column, f"is in {said} by the file, in {labelled} by the mapping"
+                )
+
+    def _left_over(self) -> str:
+        left = self._splitter.leftover
+        return f"{left.rows} rows fit no entry of segments and were left out (first: {left.first})" if left.rows else ""
+
+
+@contextmanager
+def _appearing_whole(out: Path) -> Iterator[Path]:
+    """A directory beside `out` that takes its name at the end, or vanishes where an exception ends it."""
+    try:
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise InputError(str(out), "", "exists already and is not an empty directory")
+        partial = out.parent / f".{out.name}.{secrets.token_hex(4)}.partial"
+        partial.mkdir(parents=True)
+    except (OSError, ValueError) as error:
+        raise _cannot_write(out, error) from None
+    try:
+        yield partial
+        try:
+            partial.replace(out)
+        except OSError as error:
+            raise _cannot_write(out, error) from None
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def _check_files(files: Sequence[Path]) -> None:
+    if not files:
+        raise InputError("", "", "no file to import")
+    for index, path in enumerate(files):
+        check_file(path)
+        if path in files[:index]:
+            raise InputError(str(path), "", "given twice")
+
+
+def _cannot_write(out: Path, error: Exception) -> StorageError:
+    return StorageError(f"{out}: cannot be written: {getattr(error, 'strerror', None) or error}")

@@ -1,0 +1,267 @@
+"""What a mapping file says: which column is what, in which unit and frame, and where the segments are; no I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import AfterValidator, Field, model_validator
+
+from orchestrator.importing._findings import Finding
+from orchestrator.importing._units import AngleUnit, CurrentUnit, TemperatureUnit, TimeUnit, VoltageUnit
+from protocols import Positive, ProcedureMotor, SegmentStage, Strict
+
+Axis = Literal["a", "b", "c", "alpha", "beta", "d", "q"]
+Frame = Literal["abc", "alpha_beta", "dq"]
+Scaling = Literal["amplitude_invariant", "power_invariant", "rms"]
+
+Column = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]+$")]
+"""A column's name: anything that fits on a line."""
+_AXES: dict[Frame, tuple[Axis, ...]] = {"abc": ("a", "b", "c"), "alpha_beta": ("alpha", "beta"), "dq": ("d", "q")}
+
+
+def _not_zero(value: float) -> float:
+    if value == 0.0:
+        raise ValueError("a factor of zero leaves nothing")
+    return value
+
+
+NotZero = Annotated[float, AfterValidator(_not_zero)]
+
+
+class Angle(Strict):
+    """An electrical angle: a fixed value, or a column."""
+
+    value: float | None = None
+    column: Column | None = None
+    unit: AngleUnit
+
+    @model_validator(mode="after")
+    def _one_of_both(self) -> Self:
+        if (self.value is None) == (self.column is None):
+            raise ValueError("expected either value or column")
+        return self
+
+
+class _Signal(Strict):
+    """A current or a voltage as its two or three columns hold it."""
+
+    frame: Frame
+    columns: dict[Axis, Column]
+    """By axis: two or all of a, b, c; alpha and beta; or d and q."""
+    scaling: Scaling | None = None
+    """The transform that made alpha-beta or dq values; of phases, rms where they were divided by sqrt 2."""
+    factor: NotZero = 1.0
+    """What the columns are multiplied by to be in `unit`: a probe's ratio, -1 for a reversed one."""
+    angle: Angle | None = None
+    """Angle of the d axis in which dq values were taken. None: the segment's rotor angle."""
+
+    @model_validator(mode="after")
+    def _columns_make_a_vector(self) -> Self:
+        axes = _AXES[self.frame]
+        fewest = 2
+        if not set(self.columns) <= set(axes) or len(self.columns) < fewest:
+            what = "two or all of a, b, c" if self.frame == "abc" else " and ".join(axes)
+            raise ValueError(f"frame {self.frame} needs columns for {what}, got {', '.join(self.columns) or 'none'}")
+        if self.frame != "abc" and self.scaling is None:
+            raise ValueError(
+                f"frame {self.frame} needs scaling: amplitude_invariant (a peak stays a peak), power_invariant or rms"
+            )
+        if self.frame == "abc" and self.scaling == "power_invariant":
+            raise ValueError("phase quantities have no transform to be power_invariant; leave scaling out, or rms")
+        if self.frame != "dq" and self.angle is not None:
+            raise ValueError(f"frame {self.frame} has no angle; a rotor angle belongs to rotor_angle")
+        return self
+
+
+class CurrentSignal(_Signal):
+    """Measured currents."""
+
+    unit: CurrentUnit
+
+
+class VoltageSignal(_Signal):
+    """Commanded voltages: of phases, against any common point."""
+
+    unit: VoltageUnit
+
+
+class PhaseCurrents(Strict):
+    """All three phase currents beside a current in another frame, to hold that against."""
+
+    columns: dict[Literal["a", "b", "c"], Column]
+    unit: CurrentUnit
+    factor: NotZero = 1.0
+
+    @model_validator(mode="after")
+    def _all_three(self) -> Self:
+        if len(self.columns) != 3:
+            raise ValueError(f"expected columns for a, b and c, got {', '.join(self.columns) or 'none'}")
+        return self
+
+
+class BusVoltage(Strict):
+    """The measured DC-bus voltage."""
+
+    column: Column
+    unit: VoltageUnit
+    factor: NotZero = 1.0
+
+
+class Temperature(Strict):
+    """The winding's or the housing's temperature."""
+
+    column: Column
+    unit: TemperatureUnit
+
+
+class TimeColumn(Strict):
+    """The time stamps."""
+
+    column: Column
+    unit: TimeUnit
+
+
+class CsvLayout(Strict):
+    """How a text file is laid out."""
+
+    delimiter: Annotated[str, Field(min_length=1, max_length=1, pattern=r"^[\x09\x20-\x7e]$")] = ","
+    decimal: Literal[".", ","] = "."
+    skip_rows: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Lines before the one with the names."""
+    skip_rows_after_names: Annotated[int, Field(ge=0, le=1_000_000)] = 0
+    """Lines after it, such as one with units."""
+    names: tuple[Column, ...] | None = None
+    """The columns' names where the file has no line with them."""
+    encoding: Literal["utf-8", "latin-1", "utf-16"] = "utf-8"
+
+    @model_validator(mode="after")
+    def _telling_apart(self) -> Self:
+        if self.delimiter == self.decimal:
+            raise ValueError(f"delimiter and decimal are both {self.delimiter!r}")
+        return self
+
+
+class ImportedDrive(Strict):
+    """The drive, as the manifest will describe it."""
+
+    name: str
+    dc_bus_voltage_v: Positive
+    pwm_frequency_hz: Positive | None = None
+    voltage_delay_samples: float | None = None
+
+
+class SegmentRule(Strict):
+    """Rows that belong to a segment, and what the segment is. A row belongs to the first rule that it fits.
+
+    What is left out fits every row. Each uninterrupted run of rows of one rule, label and file
+    becomes a segment of its own.
+    """
+
+    stage: SegmentStage
+    file: str | None = None
+    """Name of the file, ``*`` and ``?`` allowed."""
+    label: str | int | None = None
+    """What `segment_column` holds, ``*`` and ``?`` allowed."""
+    from_s: float | None = None
+    to_s: float | None = None
+    """Range on the time column (or since the file's first row, where there is none) [s], the end left out."""
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=100)] | None = None
+    """None: the stage and a number. Of several segments the second becomes ``<id>.2``."""
+    start_s: float | None = None
+    """Start on the experiment's clock [s], where the time stamps do not tell."""
+    rotor_angle: Angle | None = None
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """As in the recording format: what was asked for."""
+
+    @model_validator(mode="after")
+    def _range_is_one(self) -> Self:
+        if self.from_s is not None and self.to_s is not None and self.to_s <= self.from_s:
+            raise ValueError(f"to_s {self.to_s:g} is not after from_s {self.from_s:g}")
+        return self
+
+    @property
+    def has_range(self) -> bool:
+        """Whether the rule looks at the time."""
+        return self.from_s is not None or self.to_s is not None
+
+
+class ImportMapping(Strict):
+    """A mapping file, whole; motor and drive may be written as paths of YAML files that hold them."""
+
+    format: Literal["fluxbench-import"]
+    version: Literal[1]
+    name: Annotated[str, Field(min_length=1)]
+    """The recording's name."""
+    created: str | None = None
+    """When it was measured. None: the time of the import."""
+    motor: ProcedureMotor
+    drive: ImportedDrive
+    current: CurrentSignal
+    voltage: VoltageSignal
+    phase_currents: PhaseCurrents | None = None
+    bus: BusVoltage | None = None
+    """None: the drive's `dc_bus_voltage_v` in every row."""
+    temperature: Temperature | None = None
+    time: TimeColumn | None = None
+    sampling_frequency_hz: Positive | None = None
+    """None: what the time stamps say."""
+    jitter_tolerance_samples: Annotated[float, Field(gt=0, le=0.5)] = 0.1
+    """How far a time stamp may be from an even spacing."""
+    resample: bool = False
+    """Interpolate onto an even spacing instead of refusing an uneven one."""
+    split_at_gaps: bool = False
+    """End a segment where samples are missing and begin another instead of refusing."""
+    rotor_angle: Angle = Angle(value=0.0, unit="rad")
+    """The believed electrical angle, for every segment that does not say its own."""
+    segment_column: Column | None = None
+    segments: Annotated[tuple[SegmentRule, ...], Field(min_length=1)]
+    csv: CsvLayout = CsvLayout()
+    accept: frozenset[Finding] = frozenset()
+    """Findings that are really so: said as a note instead of refused."""
+
+    @model_validator(mode="after")
+    def _agrees_with_itself(self) -> Self:
+        if self.time is None and self.sampling_frequency_hz is None:
+            raise ValueError("time: missing; name the time column, or give sampling_frequency_hz")
+        if self.phase_currents is not None and self.current.frame == "abc":
+            raise ValueError("phase_currents: the current is given in phases already")
+        for index, rule in enumerate(self.segments):
+            if rule.label is not None and self.segment_column is None:
+                raise ValueError(f"segments.{index}.label: needs segment_column, the column that holds labels")
+        return self
+
+    def number_columns(self) -> list[str]:
+        """The columns that are read as numbers, each once, in the order of the mapping."""
+        return list(dict.fromkeys(self._all_number_columns()))
+
+    def units(self) -> dict[str, str]:
+        """The unit that the mapping gives each column, where the column is in that unit as it stands."""
+        found: dict[str, str] = {}
+        for signal in (self.current, self.voltage):
+            if signal.factor == 1.0:
+                found |= dict.fromkeys(signal.columns.values(), signal.unit)
+        if self.phase_currents is not None and self.phase_currents.factor == 1.0:
+            found |= dict.fromkeys(self.phase_currents.columns.values(), self.phase_currents.unit)
+        if self.bus is not None and self.bus.factor == 1.0:
+            found[self.bus.column] = self.bus.unit
+        if self.time is not None:
+            found[self.time.column] = self.time.unit
+        return found | {a.column: a.unit for a in self._angles() if a.column is not None}
+
+    def _all_number_columns(self) -> Iterator[str]:
+        if self.time is not None:
+            yield self.time.column
+        yield from self.current.columns.values()
+        yield from self.voltage.columns.values()
+        if self.phase_currents is not None:
+            yield from self.phase_currents.columns.values()
+        if self.bus is not None:
+            yield self.bus.column
+        if self.temperature is not None:
+            yield self.temperature.column
+        yield from (angle.column for angle in self._angles() if angle.column is not None)
+
+    def _angles(self) -> Iterator[Angle]:
+        candidates = [self.current.angle, self.voltage.angle, self.rotor_angle]
+        yield from (a for a in (*candidates, *(rule.rotor_angle for rule in self.segments)) if a is not None)

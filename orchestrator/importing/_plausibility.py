@@ -1,0 +1,290 @@
+"""Do the waveforms look like a motor's? Units, scaling, zero sequence, polarity and lag, held against the nameplate.
+
+Each check is about a mistake of the mapping or the logger, with wide margins: what a drive or motor does to its
+waveforms is not judged here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.importing._findings import Finding, Findings
+from orchestrator.importing._lag import voltage_lag
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._source import Numbers
+from orchestrator.importing._units import unit_that_fits
+from orchestrator.importing._vectors import TO_PEAK, clarke
+from protocols import SegmentStage
+
+_MOST_RATED_CURRENTS, _LEAST_RATED_CURRENTS = 20.0, 0.01
+_HEXAGON = 2.0 / 3.0
+"""Longest voltage vector of a bridge, in bus voltages."""
+_MOST_BUS_VOLTAGES, _LEAST_BUS_VOLTAGES = 5.0, 2e-4
+_BUS_RANGE = (0.3, 3.0)
+_RESISTANCE_RANGE = (0.01, 100.0)
+_SIGNIFICANT = 0.05
+_DC_WINDOW_S = 0.02
+_LAG_WORTH_SAYING = 0.25
+
+
+@dataclass(frozen=True)
+class Waveforms:
+    """A segment as it will be written, and as much of the file as the checks need."""
+
+    file: str
+    rows: str
+    """Its first row, in words."""
+    stage: SegmentStage
+    rate_hz: float
+    i_ab: Numbers
+    v_ab: Numbers
+    v_dc: Numbers
+    i_abc: Numbers | None
+    """Where all three phases were measured."""
+    raw_currents: Mapping[str, Numbers]
+    raw_voltages: Mapping[str, Numbers]
+
+
+class Plausibility:
+    """Judges segment by segment, and in the end the recording as a whole."""
+
+    def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
+        self._mapping, self._findings = mapping, findings
+        self._current_names = ", ".join(mapping.current.columns.values())
+        self._voltage_names = ", ".join(mapping.voltage.columns.values())
+        self._largest_current_a = self._largest_rms_a = self._largest_modulation = 0.0
+        self._power_w = self._square_a2 = 0.0
+        self._lags: list[float] = []
+
+    def judge(self, w: Waveforms) -> None:
+        """Look at one segment; raises `InputError` for what the mapping does not accept."""
+        self._bus(w)
+        self._current_size(w)
+        self._voltage_size(w)
+        if w.stage is SegmentStage.GATES_OFF:
+            return
+        self._constants(w)
+        if w.i_abc is not None:
+            self._zero_sequence(w, w.i_abc)
+            if self._mapping.phase_currents is not None:
+                self._scaling(w, clarke(w.i_abc))
+        self._polarity(w)
+        if w.stage is SegmentStage.INJECTION:
+            lag = voltage_lag(w.i_ab, w.v_ab)
+            self._lags += [] if lag is None else [lag]
+
+    def conclude(self, file: str) -> None:
+        """Look at all that was seen; `file` is named where the recording as a whole looks wrong."""
+        self._current_too_small(file)
+        self._voltage_too_small(file)
+        self._resistance(file)
+        self._lag()
+
+    def _bus(self, w: Waveforms) -> None:
+        bus, nominal = self._mapping.bus, self._mapping.drive.dc_bus_voltage_v
+        if bus is None:
+            return
+        low, high = (limit * nominal for limit in _BUS_RANGE)
+        median = float(np.median(w.v_dc))
+        if not low <= median <= high:
+            self._findings.doubt(
+                Finding.BUS_UNIT,
+                w.file,
+                bus.column,
+                f"{median:.4g} V (median from {w.rows} on) against a nominal bus of {nominal:g} V"
+                f"{_unit_hint(bus.unit, abs(median), low, high)}",
+            )
+
+    def _current_size(self, w: Waveforms) -> None:
+        length = np.hypot(*w.i_ab.T)
+        peak = float(np.max(length))
+        if w.stage is not SegmentStage.GATES_OFF:
+            self._largest_current_a = max(self._largest_current_a, peak)
+            self._largest_rms_a = max(self._largest_rms_a, _rms(w.i_ab))
+        rated = self._mapping.motor.rated_current_a
+        if rated is not None and peak > _MOST_RATED_CURRENTS * rated:
+            self._findings.doubt(
+                Finding.CURRENT_UNIT,
+                w.file,
+                self._current_names,
+                f"{peak:.4g} A at sample {int(np.argmax(length)) + 1} from {w.rows} on is {peak / rated:.3g} times the "
+                f"rated current ({rated:.3g} A peak)"
+                f"{_unit_hint(self._mapping.current.unit, peak, 0.02 * rated, 5.0 * rated)}",
+            )
+
+    def _voltage_size(self, w: Waveforms) -> None:
+        length = np.hypot(*w.v_ab.T)
+        modulation = length / np.maximum(np.abs(w.v_dc), 1e-9)
+        worst = int(np.argmax(modulation))
+        largest = float(modulation[worst])
+        if w.stage is not SegmentStage.GATES_OFF:
+            self._largest_modulation = max(self._largest_modulation, largest)
+        if largest <= 1.05 * _HEXAGON:
+            return
+        bus = abs(float(w.v_dc[worst]))
+        said = (
+            f"{length[worst]:.4g} V at sample {worst + 1} from {w.rows} on is more than a bridge makes of {bus:.4g} V "
+            f"({_HEXAGON * bus:.4g} V)"
+        )
+        if largest > _MOST_BUS_VOLTAGES:
+            hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, _HEXAGON * bus)
+            self._findings.doubt(Finding.VOLTAGE_UNIT, w.file, self._voltage_names, said + hint)
+        else:
+            # Controllers that saturate late command such voltages.
+            self._findings.note("modulation", f"{w.file}: {self._voltage_names}: {said}; is the scaling right?")
+
+    def _constants(self, w: Waveforms) -> None:
+        still = [name for name, values in w.raw_currents.items() if np.ptp(values) == 0.0]
+        if still:
+            said = f"constant at {float(w.raw_currents[still[0]][0]):g} from {w.rows} to the segment's end"
+            if len(still) == len(w.raw_currents):
+                self._findings.doubt(Finding.CONSTANT_CURRENT, w.file, ", ".join(still), said)
+            else:
+                self._findings.note("constant", f"{w.file}: {', '.join(still)}: {said}; is it connected?")
+        if not any(values.any() for values in w.raw_voltages.values()):
+            self._findings.doubt(
+                Finding.CONSTANT_VOLTAGE, w.file, self._voltage_names, f"zero from {w.rows} to the segment's end"
+            )
+
+    def _zero_sequence(self, w: Waveforms, i_abc: Numbers) -> None:
+        total = i_abc.sum(axis=1)
+        share = _rms(total / 3.0) / max(_rms(i_abc), 1e-30)
+        if share <= 0.05 or not self._is_significant(_rms(i_abc)):
+            return
+        names = self._mapping.phase_currents or self._mapping.current
+        text = f"the three currents do not add up to zero (from {w.rows} on): zero sequence {100 * share:.2g} % of them"
+        without = {phase: _rms(total - 2.0 * x) / _rms(total) for phase, x in zip("abc", i_abc.T, strict=True)}
+        phase = min(without, key=without.__getitem__)
+        if share <= 0.2:
+            hint = f"phase {phase} may be reversed" if without[phase] < 0.2 else "offsets or gains of the sensors"
+            self._findings.note("zero_sequence", f"{w.file}: {text}; {hint}")
+            return
+        hint = f"phase {phase} looks reversed" if without[phase] < 0.2 else "one is reversed or wrongly scaled"
+        self._findings.doubt(Finding.ZERO_SEQUENCE, w.file, ", ".join(names.columns.values()), f"{text}; {hint}")
+
+    def _scaling(self, w: Waveforms, from_phases: Numbers) -> None:
+        if not self._is_significant(max(_rms(from_phases), _rms(w.i_ab))):
+            return
+        likeness, gain, angle = _compared(from_phases, w.i_ab)
+        if likeness > 0.9 and abs(gain * np.exp(1j * angle) - 1.0) < 0.05:
+            return
+        mirrored, _, _ = _compared(from_phases * [1.0, -1.0], w.i_ab)
+        if likeness < 0.9:
+            problem = "have the reversed phase order of" if mirrored > 0.9 else "do not go together with"
+            hint = ""
+        elif abs(angle) > math.radians(10.0):
+            problem = f"are turned by {math.degrees(angle):.0f} degrees against"
+            hint = "; wrong angle, or phases exchanged"
+        else:
+            problem, hint = f"are {gain:.4g} times", _scaling_hint(self._mapping.current.scaling or "", gain)
+        self._findings.doubt(
+            Finding.SCALING,
+            w.file,
+            self._current_names,
+            f"the phase currents {problem} what these columns give (from {w.rows} on){hint}",
+        )
+
+    def _polarity(self, w: Waveforms) -> None:
+        i, v = (_slow_part(x, w.rate_hz) for x in (w.i_ab, w.v_ab))
+        if _rms(i) < 0.2 * _rms(w.i_ab) or not self._is_significant(_rms(i)):
+            return
+        self._power_w += float(np.sum(v * i))
+        self._square_a2 += float(np.sum(i * i))
+        likeness, _, angle = _compared(v, i)
+        if likeness > 0.5 and abs(angle) > math.pi / 3.0:
+            self._findings.doubt(
+                Finding.POLARITY,
+                w.file,
+                f"{self._voltage_names} against {self._current_names}",
+                f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart from {w.rows} on, but a winding "
+                f"takes power: {'one of both is reversed (factor: -1)' if abs(angle) > 2.6 else 'phases are exchanged'}"
+                ", or their frames differ",
+            )
+
+    def _is_significant(self, rms_a: float) -> bool:
+        """Whether a current is worth a conclusion: small beside neither the rating nor what else was measured."""
+        return rms_a > _SIGNIFICANT * (self._mapping.motor.rated_current_a or self._largest_rms_a)
+
+    def _current_too_small(self, file: str) -> None:
+        rated, largest = self._mapping.motor.rated_current_a, self._largest_current_a
+        if rated is not None and 0.0 < largest < _LEAST_RATED_CURRENTS * rated:
+            self._findings.doubt(
+                Finding.CURRENT_UNIT,
+                file,
+                self._current_names,
+                f"nowhere more than {largest:.3g} A, {100 * largest / rated:.2g} % of the rated current"
+                f"{_unit_hint(self._mapping.current.unit, largest, 0.02 * rated, 5.0 * rated)}",
+            )
+
+    def _voltage_too_small(self, file: str) -> None:
+        largest = self._largest_modulation
+        if 0.0 < largest < _LEAST_BUS_VOLTAGES:
+            self._findings.doubt(
+                Finding.VOLTAGE_UNIT,
+                file,
+                self._voltage_names,
+                f"nowhere more than {100 * largest:.2g} % of the bus voltage"
+                f"{_unit_hint(self._mapping.voltage.unit, largest, 1e-3, _HEXAGON)}",
+            )
+
+    def _resistance(self, file: str) -> None:
+        nameplate = self._mapping.motor.stator_resistance_ohm
+        if nameplate is None or self._square_a2 == 0.0:
+            return
+        seen = self._power_w / self._square_a2
+        low, high = (limit * nameplate for limit in _RESISTANCE_RANGE)
+        if not low <= seen <= high:
+            self._findings.doubt(
+                Finding.VOLTAGE_UNIT,
+                file,
+                f"{self._voltage_names} over {self._current_names}",
+                f"{seen:.3g} ohm, the nameplate says {nameplate:g} ohm: a unit of one of both is wrong",
+            )
+
+    def _lag(self) -> None:
+        if not self._lags:
+            return
+        lag, given = float(np.median(self._lags)), self._mapping.drive.voltage_delay_samples or 0.0
+        if abs(lag - given) > _LAG_WORTH_SAYING:
+            self._findings.note(
+                "lag",
+                f"the current follows the commanded voltage by {lag:.1f} samples (median of {len(self._lags)} "
+                f"injection segments), drive.voltage_delay_samples is {given:g}: {lag:.1f} would fit",
+            )
+
+
+def _rms(x: Numbers) -> float:
+    return math.sqrt(float(np.mean(np.square(x))) * (x.shape[1] if x.ndim == 2 else 1))
+
+
+def _slow_part(x: Numbers, rate_hz: float) -> Numbers:
+    """Means over windows that hold several periods of an injection."""
+    window = min(max(round(_DC_WINDOW_S * rate_hz), 1), len(x))
+    windows = len(x) // window
+    means: Numbers = x[: windows * window].reshape(windows, window, 2).mean(axis=1)
+    return means
+
+
+def _compared(x: Numbers, y: Numbers) -> tuple[float, float, float]:
+    """How alike two series of vectors are (1: up to a gain and a turn), and the gain and angle from y to x."""
+    x_c, y_c = x[:, 0] + 1j * x[:, 1], y[:, 0] + 1j * y[:, 1]
+    product, x_power, y_power = np.vdot(y_c, x_c), np.vdot(x_c, x_c).real, np.vdot(y_c, y_c).real
+    if x_power == 0.0 or y_power == 0.0:
+        return 0.0, 0.0, 0.0
+    return float(abs(product) / math.sqrt(x_power * y_power)), float(abs(product) / y_power), float(np.angle(product))
+
+
+def _unit_hint(labelled: str, value: float, low: float, high: float) -> str:
+    fits = unit_that_fits(labelled, value, low, high)
+    return "" if fits is None else f"; read in {labelled}, {fits} would fit"
+
+
+def _scaling_hint(labelled: str, gain: float) -> str:
+    for scaling, to_peak in TO_PEAK.items():
+        if scaling != labelled and abs(gain * TO_PEAK[labelled] / to_peak - 1.0) < 0.02:  # type: ignore[index]
+            return f"; labelled {labelled}, {scaling} would fit"
+    return ""

@@ -1,0 +1,110 @@
+"""A stretch of rows as a capture, and as the waveforms that are judged."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.importing._angles import believed_angle_rad, check_angle_column
+from orchestrator.importing._findings import Findings
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._plausibility import Waveforms
+from orchestrator.importing._source import Numbers
+from orchestrator.importing._splitting import Piece
+from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
+from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors
+from protocols import Capture, InputError
+
+_LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class MadeSegment:
+    """A segment before it is placed: its capture starts where its time stamps do."""
+
+    capture: Capture
+    waveforms: Waveforms
+    rotor_angle_rad: float
+
+
+def segment_of(
+    mapping: ImportMapping, piece: Piece, stretch: Stretch, rate_hz: float, findings: Findings
+) -> MadeSegment:
+    """The capture of a stretch (float32), resampled where its time stamps are uneven.
+
+    Raises
+    ------
+    InputError
+        Where an angle cannot be in its unit, or a value is beyond all bounds.
+    """
+    columns = {name: values[stretch.rows] for name, values in piece.columns.items()}
+    rule = mapping.segments[piece.rule]
+    rotor = rule.rotor_angle or mapping.rotor_angle
+    for angle in (rotor, mapping.current.angle, mapping.voltage.angle):
+        if angle is not None:
+            check_angle_column(angle, piece, columns, findings)
+    believed_rad, theta_rad = believed_angle_rad(rotor, rule.stage, piece, columns, findings)
+    i_abc = _phase_currents(mapping, columns)
+    signals: dict[str, Numbers | None] = {
+        "i_ab": vectors(mapping.current, columns, theta_rad),
+        "v_ab": vectors(mapping.voltage, columns, theta_rad),
+        "v_dc": _bus(mapping, columns, stretch.rows.size),
+        "i_abc": i_abc,
+        "temperature_c": None if mapping.temperature is None else temperature_c(mapping.temperature, columns),
+    }
+    if stretch.uneven:
+        signals = _evened(signals, piece.time_s[stretch.rows], rate_hz)
+    _check_bounds(signals, piece, stretch)
+    made = {name: None if x is None else x.astype(np.float32) for name, x in signals.items()}
+    capture = Capture(start_s=float(piece.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **made)
+    waveforms = Waveforms(
+        file=str(piece.path),
+        rows=at(piece, stretch.rows[0]),
+        stage=rule.stage,
+        rate_hz=rate_hz,
+        i_ab=_there(signals["i_ab"]),
+        v_ab=_there(signals["v_ab"]),
+        v_dc=_there(signals["v_dc"]),
+        i_abc=signals["i_abc"],
+        raw_currents={name: columns[name] for name in mapping.current.columns.values()},
+        raw_voltages={name: columns[name] for name in mapping.voltage.columns.values()},
+    )
+    return MadeSegment(capture, waveforms, believed_rad)
+
+
+def _phase_currents(mapping: ImportMapping, columns: Columns) -> Numbers | None:
+    """The phase currents, where all three were measured."""
+    if mapping.phase_currents is not None:
+        return phases(mapping.phase_currents, columns)
+    if mapping.current.frame == "abc" and len(mapping.current.columns) == 3:
+        return phases(mapping.current, columns)
+    return None
+
+
+def _bus(mapping: ImportMapping, columns: Columns, samples: int) -> Numbers:
+    if mapping.bus is not None:
+        return bus_v(mapping.bus, columns)
+    return np.full(samples, mapping.drive.dc_bus_voltage_v)
+
+
+def _evened(signals: dict[str, Numbers | None], time_s: Numbers, rate_hz: float) -> dict[str, Numbers | None]:
+    return {
+        name: None if x is None else (resampled_held if name == "v_ab" else resampled)(time_s, x, rate_hz)
+        for name, x in signals.items()
+    }
+
+
+def _check_bounds(signals: dict[str, Numbers | None], piece: Piece, stretch: Stretch) -> None:
+    for name, values in signals.items():
+        if values is not None and not np.max(np.abs(values)) < _LARGEST:
+            raise InputError(
+                str(piece.path),
+                name,
+                f"beyond what can be a measurement, in the segment from {at(piece, stretch.rows[0])} on",
+            )
+
+
+def _there(values: Numbers | None) -> Numbers:
+    assert values is not None  # every recording has currents, voltages and a bus
+    return values

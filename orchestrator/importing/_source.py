@@ -1,0 +1,121 @@
+"""Measurement files of every kind as blocks of named columns, in the file's own units; nothing is interpreted.
+
+The readers differ in how much they hold: CSV, Parquet and MATLAB 7.3 hand out a block at a time, MATLAB 5 and MF4 load
+the named columns whole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator._validation import suggestion
+from protocols import InputError
+
+Numbers = NDArray[np.float64]
+
+BLOCK_ROWS = 1 << 16
+
+
+@dataclass(frozen=True)
+class Labels:
+    """One label a row: `names[codes[k]]`."""
+
+    codes: NDArray[np.intp]
+    names: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Block:
+    """Consecutive rows; what is missing is NaN."""
+
+    numbers: Mapping[str, Numbers]
+    labels: Labels | None = None
+
+    def __len__(self) -> int:
+        return next(iter(self.numbers.values())).size
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """The columns that an import needs."""
+
+    numbers: tuple[str, ...]
+    label: str | None = None
+
+    @property
+    def all(self) -> tuple[str, ...]:
+        """All of them, each once."""
+        return tuple(dict.fromkeys((*self.numbers, *(() if self.label is None else (self.label,)))))
+
+
+@dataclass(frozen=True)
+class Source:
+    """An opened file: its blocks, and the units that it gives itself, where it does."""
+
+    blocks: Iterable[Block]
+    units: Mapping[str, str] = field(default_factory=dict)
+
+
+def require_columns(path: Path, wanted: Iterable[str], present: Collection[str]) -> None:
+    """Raise `InputError` where a wanted column is not there."""
+    for name in wanted:
+        if name not in present:
+            hint = "".join(char if char.isprintable() else "?" for char in suggestion(name, present))
+            raise InputError(str(path), name, f"no such column; {hint}"[:300])
+
+
+def as_numbers(path: Path, name: str, values: NDArray[Any]) -> Numbers:
+    """A column as doubles; raises `InputError` where it holds no real numbers."""
+    if values.dtype.kind not in "fiub":
+        raise InputError(str(path), name, f"expected real numbers, got {values.dtype}")
+    return np.ascontiguousarray(values, dtype=np.float64)
+
+
+def as_labels(values: NDArray[Any]) -> Labels:
+    """A column as labels; whole numbers are written without a decimal point."""
+    if values.dtype.kind == "f":
+        values = np.where(np.isfinite(values), values, np.nan)
+    distinct, codes = np.unique(values, return_inverse=True)
+    return Labels(codes.reshape(-1).astype(np.intp), tuple(map(_label, distinct.tolist())))
+
+
+def same_length(path: Path, lengths: Mapping[str, int]) -> int:
+    """The common length of columns; raises `InputError` where they differ."""
+    first, expected = next(iter(lengths.items()))
+    for name, length in lengths.items():
+        if length != expected:
+            raise InputError(str(path), name, f"has {length} samples, but {first} has {expected}")
+    return expected
+
+
+def guarded(path: Path, kind: str, blocks: Callable[[], Iterator[Block]]) -> Iterator[Block]:
+    """The blocks, with whatever the reading library raises turned into an `InputError`.
+
+    The libraries have no common base for what a damaged file makes them raise.
+    """
+    try:
+        yield from blocks()
+    except (InputError, MemoryError):
+        raise
+    except Exception as error:
+        raise unreadable(path, kind, error) from None
+
+
+def unreadable(path: Path, kind: str, error: Exception) -> InputError:
+    """The one line for what a reading library raised."""
+    reason = " ".join(str(error).split())[:200] or type(error).__name__
+    return InputError(str(path), "", f"not a readable {kind} file: {reason}")
+
+
+def _label(value: object) -> str:
+    if isinstance(value, bytes):
+        return value.decode("utf-8", errors="replace").strip("\0 ")
+    if isinstance(value, float) and value.is_integer():
+        return str(int(value))
+    return str(value)

@@ -1,0 +1,156 @@
+"""Rows into segments, as the mapping's rules say; what is in the rows is not looked at."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.importing._mapping import ImportMapping, SegmentRule
+from orchestrator.importing._source import Block, Labels, Numbers
+from orchestrator.importing._units import FACTORS
+from protocols import InputError
+
+_NO_RULE = -1
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Consecutive rows of one file that make a segment."""
+
+    path: Path
+    rule: int
+    """Index among the mapping's segments."""
+    first_row: int
+    """Counted from 0."""
+    columns: Mapping[str, Numbers]
+    """As the file has them; NaN where a sample is missing."""
+    time_s: Numbers
+    """Time stamps; where there are none, since the file's first row."""
+
+
+@dataclass
+class Leftover:
+    """Rows that fit no rule."""
+
+    rows: int = 0
+    first: str = ""
+
+
+@dataclass
+class _Open:
+    """A piece that may go on in the next block."""
+
+    key: tuple[int, str]
+    first_row: int
+    columns: list[Mapping[str, Numbers]] = field(default_factory=list)
+    times: list[Numbers] = field(default_factory=list)
+
+    def close(self, path: Path) -> Piece:
+        names = self.columns[0].keys()
+        columns = {name: np.concatenate([part[name] for part in self.columns]) for name in names}
+        return Piece(path, self.key[0], self.first_row, columns, np.concatenate(self.times))
+
+
+class Splitter:
+    """Cuts files into pieces, in the order of their rows; holds one piece at a time.
+
+    Attributes
+    ----------
+    leftover : Leftover
+        What fitted no rule so far.
+    """
+
+    def __init__(self, mapping: ImportMapping) -> None:
+        self._mapping = mapping
+        self._used: set[int] = set()
+        self.leftover = Leftover()
+
+    def pieces(self, path: Path, blocks: Iterator[Block]) -> Iterator[Piece]:
+        """The pieces of one file."""
+        rules = self._rules_for(path)
+        opened: _Open | None = None
+        row = 0
+        for block in blocks:
+            time_s = self._times(block, row)
+            labels = block.labels or Labels(np.zeros(len(block), dtype=np.intp), ("",))
+            which = _fitting(rules, labels, time_s)
+            for start, end in _runs(which, labels.codes):
+                key = (int(which[start]), labels.names[labels.codes[start]])
+                if opened is not None and opened.key != key:
+                    yield opened.close(path)
+                    opened = None
+                if key[0] == _NO_RULE:
+                    self._leave_out(path, row + start, end - start, key[1])
+                    continue
+                self._used.add(key[0])
+                opened = opened or _Open(key, row + start)
+                opened.columns.append({name: values[start:end] for name, values in block.numbers.items()})
+                opened.times.append(time_s[start:end])
+            row += len(block)
+        if opened is not None:
+            yield opened.close(path)
+
+    def check_all_used(self, where: str) -> None:
+        """Raise `InputError` where a rule fitted no row of any file."""
+        for index, rule in enumerate(self._mapping.segments):
+            if index not in self._used:
+                asked = {name: getattr(rule, name) for name in ("file", "label", "from_s", "to_s")}
+                said = ", ".join(f"{name} {value!r}" for name, value in asked.items() if value is not None)
+                raise InputError(where, f"segments.{index}", f"no row fits it ({said or 'an earlier one takes all'})")
+
+    def _rules_for(self, path: Path) -> Sequence[tuple[int, SegmentRule]]:
+        rules = enumerate(self._mapping.segments)
+        return [(index, rule) for index, rule in rules if rule.file is None or fnmatchcase(path.name, rule.file)]
+
+    def _times(self, block: Block, row: int) -> Numbers:
+        column = self._mapping.time
+        if column is not None:
+            return block.numbers[column.column] * FACTORS[column.unit]
+        rate = self._mapping.sampling_frequency_hz
+        assert rate is not None  # the mapping has either
+        times: Numbers = np.arange(row, row + len(block)) / rate
+        return times
+
+    def _leave_out(self, path: Path, row: int, rows: int, label: str) -> None:
+        self.leftover.rows += rows
+        said = f", label {label!r}" if label else ""
+        self.leftover.first = self.leftover.first or f"{path.name}, row {row + 1}{said}"
+
+
+def _fitting(rules: Sequence[tuple[int, SegmentRule]], labels: Labels, time_s: Numbers) -> NDArray[np.intp]:
+    """The first rule that each row fits."""
+    which = np.full(time_s.size, _NO_RULE, dtype=np.intp)
+    stamps = _carried_on(time_s) if any(rule.has_range for _, rule in rules) else time_s
+    for index, rule in reversed(rules):
+        by_name = np.array([rule.label is None or fnmatchcase(name, str(rule.label)) for name in labels.names])
+        if not by_name.any():
+            continue
+        fits: NDArray[Any] = by_name[labels.codes]
+        if rule.from_s is not None:
+            fits = fits & (stamps >= rule.from_s)
+        if rule.to_s is not None:
+            fits = fits & (stamps < rule.to_s)
+        which[fits] = index
+    return which
+
+
+def _carried_on(time_s: Numbers) -> Numbers:
+    """The time stamps, a missing one replaced by the last before it: a missing stamp is to be found, not skipped."""
+    known = np.where(np.isfinite(time_s), np.arange(time_s.size), 0)
+    return time_s[np.maximum.accumulate(known)]
+
+
+def _runs(which: NDArray[np.intp], codes: NDArray[np.intp]) -> list[tuple[int, int]]:
+    """Start and end of each run of rows with one rule and one label."""
+    if which.size == 0:
+        return []
+    ends = np.flatnonzero((np.diff(which) != 0) | (np.diff(codes) != 0)) + 1
+    edges = [0, *ends.tolist(), which.size]
+    return list(pairwise(edges))

@@ -1,0 +1,216 @@
+"""The time stamps of a piece: missing samples, gaps and uneven spacing found; resampling where asked for.
+
+Voltages are held between samples, so they are resampled by their integral (volt-seconds are kept); everything else is
+interpolated linearly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.importing._findings import Finding, Findings
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._source import Numbers
+from orchestrator.importing._splitting import Piece
+from orchestrator.importing._units import FACTORS, unit_that_fits
+from protocols import InputError
+
+FEWEST_SAMPLES = 10
+"""Shorter stretches are left out: nothing can be told from them."""
+
+_GAP = 1.5
+"""A longer step than this, in samples, is a gap."""
+_RATE_TOLERANCE = 1e-4
+_PLAUSIBLE_RATE_HZ = (200.0, 5e6)
+_ROUNDING_SAMPLES = 0.05
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Rows of a piece without a gap among them: indices into the piece, and whether they have to be resampled."""
+
+    rows: NDArray[np.intp]
+    uneven: bool
+
+
+class Clock:
+    """Finds the sampling frequency with the first piece and holds every later one against it."""
+
+    def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
+        self._mapping, self._findings = mapping, findings
+        self._rate_hz = mapping.sampling_frequency_hz
+
+    @property
+    def rate_hz(self) -> float:
+        """The recording's sampling frequency, known once a piece came by."""
+        assert self._rate_hz is not None
+        return self._rate_hz
+
+    def stretches(self, piece: Piece) -> Iterator[Stretch]:
+        """The piece's uninterrupted stretches; raises `InputError` where they cannot be had."""
+        complete = self._complete_rows(piece)
+        if complete.size < FEWEST_SAMPLES:
+            self._too_short(piece, complete.size)
+            return
+        time_s = piece.time_s[complete]
+        self._check_increasing(piece, complete, time_s)
+        self._learn_rate(piece, time_s)
+        for start, end in self._between_gaps(piece, complete, time_s):
+            if end - start < FEWEST_SAMPLES:
+                self._too_short(piece, end - start)
+                continue
+            yield Stretch(complete[start:end], self._is_uneven(piece, complete[start:end], time_s[start:end]))
+
+    def _complete_rows(self, piece: Piece) -> NDArray[np.intp]:
+        finite = np.isfinite(piece.time_s)
+        for name, values in piece.columns.items():
+            here = np.isfinite(values)
+            if not here.all() and not self._mapping.split_at_gaps:
+                row = int(np.argmin(here))
+                missing = int(here.size - np.count_nonzero(here))
+                raise InputError(
+                    str(piece.path),
+                    name,
+                    f"{at(piece, row)} has no finite value, the first of {missing} such rows in the segment; "
+                    "split_at_gaps: true ends a segment there and begins another",
+                )
+            finite &= here
+        return np.flatnonzero(finite)
+
+    def _check_increasing(self, piece: Piece, rows: NDArray[np.intp], time_s: Numbers) -> None:
+        steps = np.diff(time_s)
+        back = np.flatnonzero(steps <= 0)
+        if back.size:
+            worst = int(back[0])
+            raise InputError(
+                str(piece.path),
+                self._time_column,
+                f"time does not increase: {at(piece, rows[worst + 1])} is {-steps[worst]:.3g} s before the row above",
+            )
+
+    def _learn_rate(self, piece: Piece, time_s: Numbers) -> None:
+        column = self._mapping.time
+        if column is None:
+            return
+        period_s = float(np.median(np.diff(time_s)))
+        if self._rate_hz is not None:
+            self._check_unit(piece, column.unit, period_s, (0.5 / self._rate_hz, 2.0 / self._rate_hz))
+            return
+        low, high = _PLAUSIBLE_RATE_HZ
+        self._check_unit(piece, column.unit, period_s, (1.0 / high, 1.0 / low))
+        steady = np.diff(time_s)
+        steady = steady[steady < _GAP * period_s]
+        self._rate_hz = _roundest(1.0 / float(np.mean(steady)), _ROUNDING_SAMPLES / steady.size)
+
+    def _check_unit(self, piece: Piece, unit: str, period_s: float, plausible: tuple[float, float]) -> None:
+        if plausible[0] <= period_s <= plausible[1]:
+            return
+        fits = unit_that_fits(unit, period_s, *plausible)
+        hint = "" if fits is None else f"; {fits} would give {1 / (period_s * FACTORS[fits] / FACTORS[unit]):.6g} Hz"
+        asked = (
+            "" if self._mapping.sampling_frequency_hz is None else f", not {self._mapping.sampling_frequency_hz:g} Hz"
+        )
+        self._findings.doubt(
+            Finding.TIME_UNIT,
+            str(piece.path),
+            self._time_column,
+            f"read in {unit}, the time stamps make {1 / period_s:.6g} Hz{asked}{hint}",
+        )
+
+    def _between_gaps(self, piece: Piece, rows: NDArray[np.intp], time_s: Numbers) -> Sequence[tuple[int, int]]:
+        steps = np.diff(time_s) * self.rate_hz
+        gaps = np.flatnonzero(steps > _GAP)
+        if gaps.size and not self._mapping.split_at_gaps:
+            first = int(gaps[0])
+            raise InputError(
+                str(piece.path),
+                self._time_column,
+                f"{steps[first] / self.rate_hz:.3g} s without a sample before {at(piece, rows[first + 1])}, "
+                f"{gaps.size} such in the segment; split_at_gaps: true ends a segment there and begins another",
+            )
+        if gaps.size:
+            self._findings.note("gap", f"{piece.path}: gap before {at(piece, rows[gaps[0] + 1])}, segment split there")
+        edges = [0, *(gaps + 1).tolist(), time_s.size]
+        return list(pairwise(edges))
+
+    def _is_uneven(self, piece: Piece, rows: NDArray[np.intp], time_s: Numbers) -> bool:
+        intervals = time_s.size - 1
+        own_rate = intervals / float(time_s[-1] - time_s[0])
+        deviation = (time_s - np.linspace(time_s[0], time_s[-1], time_s.size)) * self.rate_hz
+        worst = int(np.argmax(np.abs(deviation)))
+        largest = abs(float(deviation[worst]))
+        drift = abs(own_rate / self.rate_hz - 1.0)
+        jitters = largest > self._mapping.jitter_tolerance_samples
+        drifts = drift > max(_RATE_TOLERANCE, self._mapping.jitter_tolerance_samples / intervals)
+        if not (jitters or drifts):
+            return False
+        what = (
+            f"time stamps are uneven: {at(piece, rows[worst])} is {largest / self.rate_hz:.3g} s "
+            f"({largest:.2g} samples) from an even spacing, the largest deviation"
+            if jitters
+            else f"sampled at {own_rate:.7g} Hz from {at(piece, rows[0])} on, the recording is at {self.rate_hz:.7g} Hz"
+        )
+        if not self._mapping.resample:
+            raise InputError(
+                str(piece.path),
+                self._time_column,
+                f"{what}; resample: true interpolates, or sampling_frequency_hz without time where only the stamps "
+                "are coarse",
+            )
+        self._findings.note("resampled", f"{piece.path}: {what}; resampled to {self.rate_hz:g} Hz")
+        return True
+
+    def _too_short(self, piece: Piece, samples: int) -> None:
+        self._findings.note(
+            "short", f"{piece.path}: {samples} samples after {at(piece, 0)} are too few for a segment, left out"
+        )
+
+    @property
+    def _time_column(self) -> str:
+        return "time" if self._mapping.time is None else self._mapping.time.column
+
+
+def at(piece: Piece, row: int | np.integer[Any]) -> str:
+    """Where a row of a piece is, in words: rows are counted from 1 below the names."""
+    time_s = float(piece.time_s[row])
+    stamp = f" (t = {time_s:.6g} s)" if np.isfinite(time_s) else ""
+    return f"row {piece.first_row + int(row) + 1}{stamp}"
+
+
+def resampled(time_s: Numbers, values: Numbers, rate_hz: float) -> Numbers:
+    """Values of shape (n,) or (n, k) at an even spacing from the first time stamp on, interpolated linearly."""
+    grid = _grid(time_s, rate_hz)
+    if values.ndim == 1:
+        return np.asarray(np.interp(grid, time_s, values))
+    return np.column_stack([np.interp(grid, time_s, column) for column in values.T])
+
+
+def resampled_held(time_s: Numbers, values: Numbers, rate_hz: float) -> Numbers:
+    """Values of shape (n, k) that are held until the next time stamp, as means over the steps of an even spacing."""
+    grid = _grid(time_s, rate_hz)
+    edges = np.append(grid, grid[-1] + 1.0 / rate_hz)
+    stamps = np.append(time_s, edges[-1] + 1.0 / rate_hz)
+    integral = np.vstack([np.zeros(values.shape[1]), np.cumsum(values * np.diff(stamps)[:, None], axis=0)])
+    return np.column_stack([np.diff(np.interp(edges, stamps, column)) for column in integral.T]) * rate_hz
+
+
+def _grid(time_s: Numbers, rate_hz: float) -> Numbers:
+    # The last stamp counts as reached where it is missed by rounding only.
+    samples = int((time_s[-1] - time_s[0]) * rate_hz + 1e-6) + 1
+    grid: Numbers = time_s[0] + np.arange(samples) / rate_hz
+    return grid
+
+
+def _roundest(value: float, tolerance: float) -> float:
+    """The number with the fewest digits within a relative tolerance of `value`."""
+    for digits in range(1, 15):
+        rounded = float(f"{value:.{digits}g}")
+        if abs(rounded - value) <= tolerance * value:
+            return rounded
+    return value

@@ -1,0 +1,84 @@
+"""Angles that are not what the operator believes: a misaligned rotor, and a brake that gives way."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+
+from plugins.effects._filters import low_pass
+from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+
+
+class RotorMisalignment:
+    """True electrical angle = believed + delta [rad].
+
+    It shows only because the machine is even in the true i_q: in the believed frame the map then has
+    L_dq(i_d, 0) of about (L_d - L_q) delta.
+    """
+
+    name: ClassVar[str] = "rotor_misalignment"
+    summary: ClassVar[str] = "The rotor is not at the angle that the operator believes in."
+    signature: ClassVar[str] = "A map that is not even in i_q, with reciprocity kept."
+    layer: ClassVar[EffectLayer] = EffectLayer.FRAME
+    family: ClassVar[str] = "frame"
+    twins: ClassVar[tuple[str, ...]] = ("slot_harmonics",)
+    experiments: ClassVar[tuple[str, ...]] = ("realign by 60 degrees electrical", "lock at several angles")
+    gauge: ClassVar[str] = "The angle is visible only through the assumed evenness in i_q."
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter(name="angle_rad", unit="rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6, neutral=0.0),
+    )
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Turn the d axis to where it is."""
+        if values["angle_rad"] == 0.0:
+            return signals
+        return signals.model_copy(update={"theta_rad": signals.theta_rad + values["angle_rad"]})
+
+
+class BrakeCompliance:
+    """A brake that gives way: delta = kappa T_e, T_e = 3/2 n (psi_d i_q - psi_q i_d) [Nm].
+
+    kappa is in electrical radians per Nm.
+
+    A twist that follows the torque turns the magnet's flux and so induces a voltage. It may lag.
+    """
+
+    name: ClassVar[str] = "brake_compliance"
+    summary: ClassVar[str] = "The locked rotor twists with the torque."
+    signature: ClassVar[str] = "A voltage with every change of torque, and an angle that follows the torque."
+    layer: ClassVar[EffectLayer] = EffectLayer.FRAME
+    family: ClassVar[str] = "frame"
+    twins: ClassVar[tuple[str, ...]] = ()
+    experiments: ClassVar[tuple[str, ...]] = ("sweep pure i_d, then i_q", "watch the shaft with an indicator")
+    gauge: ClassVar[str] = "Without the magnet's flux on the nameplate a compliance passes for q-axis inductance."
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter(
+            name="rad_per_nm", unit="rad/Nm", typical=0.005, prior_width=0.01, low=-0.1, high=0.1, neutral=0.0
+        ),
+        EffectParameter(
+            name="lag_s",
+            unit="s",
+            typical=0.0,
+            prior_width=0.002,
+            low=0.0,
+            high=0.05,
+            neutral=0.0,
+            role=ParameterRole.REFINEMENT,
+        ),
+    )
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Add the twist to the angle; without a flux in the signals there is no torque, and nothing changes."""
+        if values["rad_per_nm"] == 0.0 or signals.psi_ab is None:
+            return signals
+        pairs = signals.motor.pole_pairs if signals.motor is not None else 1
+        psi, i = signals.psi_ab, signals.i_ab
+        torque = 1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0])
+        lag = values.get("lag_s", 0.0)
+        if lag > 0.0:
+            decay = math.exp(-1.0 / (lag * signals.sampling_frequency_hz))
+            torque = low_pass(np.ascontiguousarray(torque[:, None], dtype=np.float64), decay)[:, 0]
+        return signals.model_copy(update={"theta_rad": signals.theta_rad + values["rad_per_nm"] * torque})

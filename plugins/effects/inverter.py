@@ -1,0 +1,234 @@
+"""Voltage errors of the inverter that follow the sign of the phase current: dead time and device drop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from plugins.effects._phases import constant
+from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+
+Array = NDArray[np.float64]
+
+
+_TABLE_STEP, _TABLE_END = 0.01, 40.0
+
+
+def _soft_sign(sharpness: float) -> Array:
+    """Table of s(x) = x / (1 + x^p)^(1/p) over x = 0..40."""
+    x = np.arange(0.0, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP)
+    small = np.minimum(x, 1.0)
+    large = np.maximum(x, 1.0)
+    below = small / (1.0 + small**sharpness) ** (1.0 / sharpness)
+    above = 1.0 / (1.0 + large**-sharpness) ** (1.0 / sharpness)
+    return np.asarray(np.where(x <= 1.0, below, above), dtype=np.float64)
+
+
+@njit(cache=True, nogil=True)
+def _look_up(table: Array, x: float) -> float:  # pragma: no cover - compiled
+    size = abs(x) / 0.01
+    if size >= table.shape[0] - 2:
+        value = table[-1]
+    else:
+        m = int(size)
+        value = table[m] + (size - m) * (table[m + 1] - table[m])
+    return float(value if x >= 0.0 else -value)
+
+
+@njit(cache=True, nogil=True)
+def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, table: Array) -> Array:  # pragma: no cover
+    """v - volts s(i_abc / threshold), s averaged over each interval by Simpson's rule."""
+    n = i_ab.shape[0]
+    out = np.empty_like(v_ab)
+    half = 0.5 * math.sqrt(3.0)
+    now = np.zeros(3)
+    end = np.zeros(3)
+    mean = np.zeros(3)
+    for k in range(n + 1):
+        after = min(k, n - 1)
+        before = max(after - 1, 0) if k == after else after
+        for m in range(3):
+            ca = 1.0 if m == 0 else -0.5
+            cb = 0.0 if m == 0 else (half if m == 1 else -half)
+            x1 = (ca * i_ab[after, 0] + cb * i_ab[after, 1]) / threshold
+            x0 = (ca * i_ab[before, 0] + cb * i_ab[before, 1]) / threshold
+            end[m] = _look_up(table, x1)
+            mean[m] = (now[m] + 4.0 * _look_up(table, 0.5 * (x0 + x1)) + end[m]) / 6.0
+            now[m] = end[m]
+        if k > 0:
+            out[k - 1, 0] = v_ab[k - 1, 0] - volts[k - 1] * (2.0 * mean[0] - mean[1] - mean[2]) / 3.0
+            out[k - 1, 1] = v_ab[k - 1, 1] - volts[k - 1] * (mean[1] - mean[2]) / math.sqrt(3.0)
+    return out
+
+
+def _corrected(signals: Signals, volts: Array, values: Mapping[str, float]) -> Signals:
+    table = _soft_sign(values.get("sharpness", 2.0))
+    v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+    i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+    return signals.model_copy(update={"v_ab": _without_sign(v_ab, i_ab, volts, values["threshold_a"], table)})
+
+
+def _sharpness() -> EffectParameter:
+    return EffectParameter(
+        name="sharpness",
+        unit="1",
+        typical=2.0,
+        prior_width=2.0,
+        low=1.0,
+        high=12.0,
+        neutral=2.0,
+        role=ParameterRole.REFINEMENT,
+    )
+
+
+def _threshold(typical_a: float) -> EffectParameter:
+    return EffectParameter(
+        name="threshold_a",
+        unit="A",
+        typical=typical_a,
+        prior_width=1.0,
+        low=1e-3,
+        high=1.0,
+        neutral=typical_a,
+        role=ParameterRole.SHAPE,
+    )
+
+
+class DeadTime:
+    """Blanking time between the switches of a leg.
+
+    e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
+    is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
+    capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p).
+    Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
+    """
+
+    name: ClassVar[str] = "dead_time"
+    summary: ClassVar[str] = "The inverter's dead time takes voltage against the sign of each phase current."
+    signature: ClassVar[str] = "An odd step in each phase current that grows with the PWM frequency."
+    layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
+    family: ClassVar[str] = "inverter_sign"
+    twins: ClassVar[tuple[str, ...]] = ("device_drop",)
+    experiments: ClassVar[tuple[str, ...]] = ("hold direct currents at a second PWM frequency",)
+    gauge: ClassVar[str] = ""
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter(name="voltage_v", unit="V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0, neutral=0.0),
+        _threshold(0.1),
+        _sharpness(),
+    )
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Subtract the voltage lost from the commanded voltage."""
+        if not signals.bridge_on or values["voltage_v"] == 0.0:
+            return signals
+        own = signals.drive.pwm_frequency_hz if signals.drive is not None else None
+        bus = signals.drive.dc_bus_voltage_v if signals.drive is not None else float(np.mean(signals.v_dc))
+        volts = values["voltage_v"] * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz)
+        return _corrected(signals, np.asarray(volts / bus * signals.v_dc, dtype=np.float64), values)
+
+
+class DeviceDrop:
+    """Forward drop of transistors and diodes.
+
+    e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
+    r_on i, cannot be told from R_s. Source: as `DeadTime`.
+    """
+
+    name: ClassVar[str] = "device_drop"
+    summary: ClassVar[str] = "The switches' forward drop takes voltage against the sign of each phase current."
+    signature: ClassVar[str] = "An odd step in each phase current, the same at every PWM frequency."
+    layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
+    family: ClassVar[str] = "inverter_sign"
+    twins: ClassVar[tuple[str, ...]] = ("dead_time",)
+    experiments: ClassVar[tuple[str, ...]] = ("hold direct currents at a second PWM frequency",)
+    gauge: ClassVar[str] = "The on-state resistance r_on equals R_s."
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter(name="voltage_v", unit="V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0, neutral=0.0),
+        _threshold(0.03),
+        _sharpness(),
+    )
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Subtract the drop from the commanded voltage."""
+        if not signals.bridge_on or values["voltage_v"] == 0.0:
+            return signals
+        return _corrected(signals, np.full(len(signals.v_dc), values["voltage_v"]), values)
+
+
+class VoltageBias:
+    """Constant voltage error of each leg: e = T (b_a, b_b, -b_a - b_b) [V], while the bridge is on.
+
+    Its cause is a constant error of the modulation or of the gate drivers' delays.
+    """
+
+    name: ClassVar[str] = "voltage_bias"
+    summary: ClassVar[str] = "The inverter impresses a constant voltage beside the commanded one."
+    signature: ClassVar[str] = "A constant residual, the same at every current."
+    layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
+    family: ClassVar[str] = "constant"
+    twins: ClassVar[tuple[str, ...]] = ("current_offset",)
+    experiments: ClassVar[tuple[str, ...]] = ("read the sensors with all gates off",)
+    gauge: ClassVar[str] = "Without a gates-off reading a bias of R_s o equals a current offset o."
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter(name="bias_a_v", unit="V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0, neutral=0.0),
+        EffectParameter(name="bias_b_v", unit="V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0, neutral=0.0),
+    )
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Subtract the bias from the commanded voltage."""
+        bias = constant(values["bias_a_v"], values["bias_b_v"])
+        if not signals.bridge_on or not bias.any():
+            return signals
+        return signals.model_copy(update={"v_ab": signals.v_ab - bias})
+
+
+class BusSag:
+    """The bus voltage sags under load while the drive modulates for the nominal one.
+
+    v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The capacitors of the bus may
+    make the sag follow the power with a lag.
+    """
+
+    name: ClassVar[str] = "bus_sag"
+    summary: ClassVar[str] = "The bus voltage sags with the power drawn, and the drive does not know."
+    signature: ClassVar[str] = "A residual along the voltage that grows with voltage times power."
+    layer: ClassVar[EffectLayer] = EffectLayer.BUS
+    family: ClassVar[str] = "bus"
+    twins: ClassVar[tuple[str, ...]] = ()
+    experiments: ClassVar[tuple[str, ...]] = ("log the bus voltage",)
+    gauge: ClassVar[str] = "A constant error of the bus voltage scales R_s and the flux together."
+    parameters: ClassVar[tuple[EffectParameter, ...]] = (
+        EffectParameter(name="per_watt", unit="1/W", typical=5e-5, prior_width=1e-4, low=-0.01, high=0.01, neutral=0.0),
+        EffectParameter(
+            name="smoothing",
+            unit="1",
+            typical=0.0,
+            prior_width=0.5,
+            low=0.0,
+            high=1.0,
+            neutral=0.0,
+            role=ParameterRole.REFINEMENT,
+        ),
+    )
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Scale the commanded voltage by what the bus has left; `smoothing` takes the mean power of 10 ms."""
+        if values["per_watt"] == 0.0 or not signals.bridge_on:
+            return signals
+        after = np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]])
+        power = 0.75 * np.einsum("ij,ij->i", signals.v_ab, signals.i_ab + after)
+        smoothing = values.get("smoothing", 0.0)
+        if smoothing > 0.0:
+            width = max(1, round(0.01 * signals.sampling_frequency_hz))
+            total = np.concatenate([np.zeros(1), np.cumsum(power)])
+            index = np.arange(len(power))
+            first = np.maximum(index - width + 1, 0)
+            mean = (total[index + 1] - total[first]) / (index + 1 - first)
+            power = (1.0 - smoothing) * power + smoothing * mean
+        left = 1.0 - values["per_watt"] * power
+        return signals.model_copy(update={"v_ab": signals.v_ab * left[:, None]})

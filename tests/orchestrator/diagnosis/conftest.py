@@ -1,0 +1,52 @@
+"""Recordings of a machine on paper, made once a session."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from orchestrator.recording import Recording
+
+
+def _plant() -> ModuleType:
+    # importlib import mode gives tests no package: the helper beside this file is loaded by its path.
+    name = "diagnosis_test_plant"
+    if name not in sys.modules:
+        spec = importlib.util.spec_from_file_location(name, Path(__file__).with_name("plant.py"))
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules[name] = module
+        spec.loader.exec_module(module)
+    return sys.modules[name]
+
+
+def _recording(tmp_path_factory: pytest.TempPathFactory, name: str, **flaws: float) -> Recording:
+    plant = _plant()
+    made = plant.record(tmp_path_factory.mktemp("recordings") / name, plant.Flaws(**flaws))
+    assert isinstance(made, Recording)
+    return made
+
+
+@pytest.fixture(scope="session")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "clean")
+
+
+@pytest.fixture(scope="session")
+def with_dead_time(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "dead-time", dead_time_v=0.8)
+
+
+@pytest.fixture(scope="session")
+def misaligned(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "misaligned", misalignment_rad=-0.03)
+
+
+@pytest.fixture(scope="session")
+def drifting(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "drifting", drift_a_per_s=0.004)

@@ -1,0 +1,191 @@
+"""The diagnosis finds what a machine on paper suffers from, and names nothing that it does not."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import TypeAdapter
+
+from orchestrator.diagnosis import (
+    Diagnosis,
+    add_effects,
+    compare_recording,
+    diagnose_recording,
+    in_words,
+    read_model,
+    remove_effect,
+)
+from orchestrator.recording import Recording, SegmentWriter, open_recording, write_manifest
+from plugins.effects.frame import BrakeCompliance, RotorMisalignment
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
+from plugins.effects.iron import EddyCurrents, Hysteresis
+from plugins.effects.resistance import WindingHeating
+from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
+from plugins.effects.timing import VoltageDelay
+from protocols import Capture, Effect, NotMeasuredError, PluginError, Segment, SegmentStage, Stage
+
+LIBRARY: list[Effect] = [
+    DeadTime(),
+    DeviceDrop(),
+    VoltageBias(),
+    VoltageDelay(),
+    CurrentGainMismatch(),
+    CurrentOffset(),
+    WindingHeating(),
+    RotorMisalignment(),
+    BrakeCompliance(),
+    EddyCurrents(),
+    Hysteresis(),
+]
+REPORT = [
+    "recording", "noise_floor", "verdict", "effects", "traces", "joint", "ladder", "unexplained",
+    "next_experiment", "notes", "seconds",
+]  # fmt: skip
+
+
+def _numbers(value: object) -> list[float]:
+    if isinstance(value, dict):
+        return [n for v in value.values() for n in _numbers(v)]
+    if isinstance(value, list):
+        return [n for v in value for n in _numbers(v)]
+    return [float(value)] if isinstance(value, int | float) else []
+
+
+def _digest(recording: Recording) -> str:
+    files = [*sorted(recording.path.glob("captures/*")), recording.path / "recording.json"]
+    return hashlib.sha256(b"".join(f.read_bytes() for f in files)).hexdigest()
+
+
+@pytest.fixture(scope="module")
+def diagnosed(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
+    return diagnose_recording(with_dead_time, LIBRARY, out=tmp_path_factory.mktemp("dead-time"))
+
+
+def test_clean_recording_is_clean(clean: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(clean, LIBRARY, out=tmp_path).report
+    assert report.verdict == "clean"
+    assert not report.effects
+    assert report.ladder[0].chi2 == pytest.approx(1.0, abs=0.05)
+    assert report.ladder[0].rms_v == pytest.approx(report.noise_floor.rms_v, rel=0.05)
+
+
+def test_dead_time_is_named_with_its_twin_and_its_size(diagnosed: Diagnosis) -> None:
+    report = diagnosed.report
+    assert report.verdict == "explained"
+    (effect,) = report.effects
+    # With one PWM frequency only nothing can tell the two apart.
+    assert {effect.name, *effect.twins} == {"dead_time", "device_drop"}
+    assert effect.parameters["voltage_v"].value == pytest.approx(0.8, rel=0.01)
+    assert diagnosed.search.fit.model.r_s == pytest.approx(4.31, abs=0.005)
+
+
+def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
+    first, last = diagnosed.report.ladder[0], diagnosed.report.ladder[-1]
+    floor = diagnosed.report.noise_floor.rms_v
+    assert first.heldout_rms_v is not None
+    assert last.heldout_rms_v is not None
+    assert floor is not None
+    assert first.heldout_rms_v > 20 * floor
+    assert last.heldout_rms_v < 1.25 * floor
+    assert last.current_rms_a == pytest.approx(0.0045, rel=0.15)
+
+
+def test_next_experiment_is_a_stage_of_a_procedure(diagnosed: Diagnosis) -> None:
+    proposal = diagnosed.report.next_experiment
+    assert proposal is not None
+    stage: object = TypeAdapter(Stage).validate_python(proposal.stage)
+    assert getattr(stage, "kind", None) == "resistance"
+    assert set(proposal.separates) == {"dead_time", "device_drop"}
+
+
+def test_report_is_the_contract_and_all_its_numbers_are_finite(diagnosed: Diagnosis) -> None:
+    report = json.loads(diagnosed.report.model_dump_json())
+    assert list(report) == REPORT
+    assert all(math.isfinite(number) for number in _numbers(report))
+    assert set(report["ladder"][0]) == {"added", "chi2", "rms_v", "heldout_rms_v", "current_rms_a"}
+
+
+def test_words_name_cause_size_and_what_to_do(diagnosed: Diagnosis) -> None:
+    words = in_words(diagnosed)
+    assert "voltage_v 0.8" in words.likely_cause
+    assert "mV" in words.where_it_fails
+    assert "resistance stage" in words.to_decide
+
+
+def test_misalignment_has_the_sign_true_minus_believed(misaligned: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(misaligned, LIBRARY, out=tmp_path).report
+    assert [e.name for e in report.effects] == ["rotor_misalignment"]
+    angle = report.effects[0].parameters["angle_rad"]
+    assert angle.value == pytest.approx(-0.03, abs=0.0005)
+    assert angle.low is not None
+    assert angle.high is not None
+    assert angle.low < -0.03 < angle.high
+
+
+def test_foreign_effect_gets_no_name(drifting: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(drifting, LIBRARY, out=tmp_path).report
+    assert report.verdict == "unknown_remains"
+    assert not report.effects
+    assert report.unexplained.shape[0].group == "constant"
+
+
+def test_effect_taken_out_of_the_library_leaves_something_unknown(misaligned: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(misaligned, LIBRARY, without=["rotor_misalignment"], out=tmp_path).report
+    assert report.verdict == "unknown_remains"
+
+
+def test_ladder_climbs_from_the_nameplate(misaligned: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(misaligned, LIBRARY, model="linear", out=tmp_path).report
+    assert [r.added for r in report.ladder] == [None, "saturation", "cross_saturation", "rotor_misalignment"]
+    errors = [r.rms_v for r in report.ladder]
+    assert errors == sorted(errors, key=lambda e: -(e or 0.0))
+
+
+def test_effects_are_added_and_removed_by_name(misaligned: Recording, tmp_path: Path) -> None:
+    before = _digest(misaligned)
+    added = add_effects(misaligned, ["rotor_misalignment"], LIBRARY, out=tmp_path)
+    assert [r.added for r in added.ladder] == [None, "rotor_misalignment"]
+    assert (added.ladder[1].chi2 or 99.0) < 1.05
+    kept = read_model(tmp_path)
+    assert kept is not None
+    assert [e.name for e in kept.effects] == ["rotor_misalignment"]
+    removed = remove_effect(misaligned, "rotor_misalignment", LIBRARY, out=tmp_path)
+    assert not removed.effects
+    assert removed.ladder[-1].chi2 == pytest.approx(added.ladder[0].chi2, rel=1e-6)
+    assert _digest(misaligned) == before
+
+
+def test_comparison_says_where_the_model_fails(misaligned: Recording, tmp_path: Path) -> None:
+    report = compare_recording(misaligned, out=tmp_path)
+    stages = {s.stage: s for s in report.stages}
+    assert report.chi2 is not None
+    assert report.chi2 > 5.0
+    assert (stages["classical"].chi2 or 0.0) > (stages["resistance"].chi2 or 99.0)
+    assert report.worst[0].segment.startswith("classical")
+    assert (report.parity.d_percent or 0.0) > 5.0 * (report.reciprocity_percent or 99.0)
+
+
+def test_unknown_name_is_refused_with_the_nearest_one(clean: Recording, tmp_path: Path) -> None:
+    with pytest.raises(PluginError, match="dead_time"):
+        add_effects(clean, ["dead_tim"], LIBRARY, out=tmp_path)
+
+
+def test_recording_without_current_is_refused(clean: Recording, tmp_path: Path) -> None:
+    noise = np.random.default_rng(1).normal(0.0, 0.004, (2000, 2))
+    directory = tmp_path / "still"
+    directory.mkdir()
+    with SegmentWriter(directory, "resistance-000") as writer:
+        capture = Capture(
+            start_s=0.0, sampling_frequency_hz=1e4, i_ab=noise, v_ab=np.zeros((2000, 2)), v_dc=np.full(2000, 540.0)
+        )
+        writer.append(capture)
+        written = writer.finish()
+    segment = Segment(id="resistance-000", stage=SegmentStage.RESISTANCE, start_s=0.0, samples=written.samples)
+    write_manifest(directory, clean.manifest.model_copy(update={"segments": (segment,)}))
+    with pytest.raises(NotMeasuredError, match="no excitation"):
+        diagnose_recording(open_recording(directory), LIBRARY, out=tmp_path)

@@ -1,0 +1,171 @@
+"""Each correction undoes the catalogue's equation: right sign, right size, right units."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from plugins.effects.frame import BrakeCompliance, RotorMisalignment
+from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
+from plugins.effects.iron import EddyCurrents, Hysteresis
+from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
+from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset
+from plugins.effects.timing import CurrentFilter, VoltageDelay
+from protocols import DriveRecord, LossHistory, Motor, RealArray, Signals
+
+Array = NDArray[np.float64]
+FS = 10_000.0
+
+
+def _signals(n: int = 400, pwm_hz: float = FS) -> Signals:
+    k = np.arange(n)
+    i = np.stack([2.0 * np.cos(2 * np.pi * k / n), 1.5 * np.sin(2 * np.pi * k / n)], axis=1)
+    v = 4.0 * i + np.where(k % 20 < 10, 40.0, -40.0)[:, None] * np.array([1.0, 0.5])
+    return Signals(
+        start_s=5.0,
+        sampling_frequency_hz=FS,
+        pwm_frequency_hz=pwm_hz,
+        i_ab=i,
+        v_ab=v,
+        v_dc=np.full(n, 540.0),
+        theta_rad=np.full(n, 0.2),
+        resistance_ohm=np.full(n, 4.0),
+        i_m_ab=i,
+        heat_j=np.linspace(10.0, 20.0, n),
+        motor=Motor(name="m", pole_pairs=2, d_inductance_h=0.043, q_inductance_h=0.069),
+        drive=DriveRecord(name="d", sampling_frequency_hz=FS, pwm_frequency_hz=FS, dc_bus_voltage_v=540.0),
+    )
+
+
+def _two(i_ab: RealArray) -> Array:
+    """Phases a and b."""
+    return np.stack([i_ab[:, 0], -0.5 * i_ab[:, 0] + math.sqrt(0.75) * i_ab[:, 1]], axis=1)
+
+
+def _from_two(i_two: Array) -> Array:
+    return np.stack([i_two[:, 0], (i_two[:, 0] + 2.0 * i_two[:, 1]) / math.sqrt(3.0)], axis=1)
+
+
+def _reads(signals: Signals, i_ab: Array) -> Signals:
+    return signals.model_copy(update={"i_ab": i_ab, "i_m_ab": i_ab})
+
+
+def test_dead_time_opposes_the_current_and_grows_with_the_pwm_frequency() -> None:
+    effect, values = DeadTime(), {"voltage_v": 8.0, "threshold_a": 0.01, "sharpness": 2.0}
+    for pwm_hz, volts in ((FS, 8.0), (2 * FS, 16.0)):
+        signals = _signals(pwm_hz=pwm_hz)
+        lost = signals.v_ab - effect.correct(signals, values).v_ab
+        # At the start i_a > 0 > i_b = i_c: the vector is 4/3 V along a.
+        assert lost[0, 0] == pytest.approx(4.0 / 3.0 * volts, rel=0.01)
+
+
+def test_dead_time_is_silent_while_the_bridge_is_off() -> None:
+    signals = _signals().model_copy(update={"bridge_on": False})
+    assert DeadTime().correct(signals, {"voltage_v": 8.0, "threshold_a": 0.1}).v_ab is signals.v_ab
+
+
+def test_voltage_bias_is_subtracted() -> None:
+    signals = _signals()
+    out = VoltageBias().correct(signals, {"bias_a_v": 0.3, "bias_b_v": -0.15})
+    np.testing.assert_allclose(signals.v_ab - out.v_ab, np.tile([0.3, 0.0], (400, 1)), atol=1e-12)
+
+
+def test_bus_sag_lowers_the_voltage_by_the_power() -> None:
+    signals = _signals()
+    out = BusSag().correct(signals, {"per_watt": 1e-3})
+    power = 1.5 * np.sum(signals.v_ab[0] * 0.5 * (signals.i_ab[0] + signals.i_ab[1]))
+    np.testing.assert_allclose(out.v_ab[0], signals.v_ab[0] * (1 - 1e-3 * power))
+
+
+def test_delay_mixes_in_the_voltage_of_the_interval_before() -> None:
+    signals = _signals()
+    out = VoltageDelay().correct(signals, {"delay_s": 25e-6})
+    np.testing.assert_allclose(out.v_ab[10], 0.75 * signals.v_ab[10] + 0.25 * signals.v_ab[9])
+
+
+def test_sensor_errors_are_undone() -> None:
+    signals = _signals()
+    true = _two(signals.i_ab)
+    gained = _reads(signals, _from_two(true * np.array([1.01, 0.99])))
+    np.testing.assert_allclose(
+        CurrentGainMismatch().correct(gained, {"gain_a_minus_b": 0.02}).i_ab, signals.i_ab, atol=1e-12
+    )
+    offset = _reads(signals, _from_two(true + np.array([0.02, -0.01])))
+    np.testing.assert_allclose(
+        CurrentOffset().correct(offset, {"offset_a_a": 0.02, "offset_b_a": -0.01}).i_m_ab, signals.i_ab, atol=1e-12
+    )
+    bent = _reads(signals, _from_two(true + 3e-4 * true**3))
+    np.testing.assert_allclose(
+        CurrentNonlinearity().correct(bent, {"cubic_per_a2": 3e-4}).i_ab, signals.i_ab, atol=1e-7
+    )
+
+
+def test_sensor_lag_is_undone_on_a_triangle() -> None:
+    signals = _signals()
+    true = np.stack([0.5 * np.abs(np.arange(400) % 20 - 10.0), np.zeros(400)], axis=1)
+    tau = 8e-6
+    slope = np.diff(true, axis=0, prepend=true[:1] - (true[1:2] - true[:1])) * FS
+    out = CurrentFilter().correct(_reads(signals, true - tau * slope), {"time_constant_s": tau})
+    assert np.abs(out.i_ab - true)[1:].max() < 0.1 * tau * np.abs(slope).max() * 2
+
+
+def test_extra_resistance_drops_in_its_own_phase() -> None:
+    signals = _signals()
+    out = PhaseResistanceImbalance().correct(signals, {"extra_a_ohm": 0.3, "extra_b_ohm": 0.0})
+    mean = 0.5 * (signals.i_ab[0] + signals.i_ab[1])
+    np.testing.assert_allclose(signals.v_ab[0] - out.v_ab[0], [0.3 * mean[0] * 2.0 / 3.0, 0.0], atol=1e-12)
+
+
+def test_heating_reaches_its_steady_rise() -> None:
+    losses = LossHistory(time_s=np.linspace(0.0, 5000.0, 2001), power_w=np.full(2001, 20.0), captured=np.ones(2001))
+    signals = _signals().model_copy(update={"losses": losses, "start_s": 4900.0})
+    out = WindingHeating().correct(signals, {"rise_per_watt": 0.003, "time_constant_s": 150.0})
+    # 20 W warm it by 6 %, and the warmer winding loses 6 % more.
+    assert out.resistance_ohm[0] / 4.0 == pytest.approx(1.0 + 0.06 * 1.06, abs=1e-6)
+
+
+def test_misalignment_is_true_minus_believed() -> None:
+    out = RotorMisalignment().correct(_signals(), {"angle_rad": -0.03})
+    assert out.theta_rad[0] == pytest.approx(0.17)
+
+
+def test_brake_twists_with_the_torque() -> None:
+    signals = _signals()
+    axis = np.array([math.cos(0.2), math.sin(0.2)])
+    psi = np.tile(0.3 * axis, (400, 1))
+    out = BrakeCompliance().correct(signals.model_copy(update={"psi_ab": psi}), {"rad_per_nm": 0.005})
+    i_q = -math.sin(0.2) * signals.i_ab[0, 0] + math.cos(0.2) * signals.i_ab[0, 1]
+    assert out.theta_rad[0] - 0.2 == pytest.approx(0.005 * 1.5 * 2 * 0.3 * i_q)
+
+
+def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
+    signals = _signals()
+    out = EddyCurrents().correct(signals, {"core_loss_ohm": 1000.0})
+    eddy = (signals.v_ab[9] - 4.0 * signals.i_ab[10]) / 1000.0
+    np.testing.assert_allclose(signals.i_m_ab[10] - out.i_m_ab[10], eddy)
+
+
+def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:
+    k = np.arange(4000)
+    psi = np.stack([swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    signals = _signals(4000).model_copy(update={"psi_smooth_ab": psi})
+    held = signals.i_m_ab - Hysteresis().correct(signals, values).i_m_ab
+    return psi[:, 0], held[:, 0]
+
+
+def test_hysteresis_loop_is_as_wide_as_said_and_loses_energy() -> None:
+    psi, held = _loop({"half_width_a": 0.03, "reversible_ratio": 0.9}, 0.2)
+    assert held.max() == pytest.approx(0.03, rel=1e-6)
+    assert held.min() == pytest.approx(-0.03, rel=1e-6)
+    area = float(np.sum(0.5 * (held[3000:-1] + held[3001:]) * np.diff(psi[3000:])))
+    assert area > 0.0
+
+
+def test_small_hysteresis_loops_are_reversible() -> None:
+    psi, held = _loop({"half_width_a": 0.03, "reversible_ratio": 0.9}, 0.001)
+    slope = np.polyfit(psi, held, 1)[0]
+    inductance = math.sqrt(0.043 * 0.069)
+    assert slope == pytest.approx((1.0 / 0.9 - 1.0) / inductance, rel=1e-6)
