@@ -11,6 +11,8 @@ import pytest
 from tests.support.processes import fluxbench
 
 ROOT = Path(__file__).parents[1]
+SLOW = ("compare", "diagnose", "add", "remove")
+"""Commands that fit a model; together they take a minute or two."""
 
 
 def console_lines(page: Path) -> list[str]:
@@ -23,6 +25,16 @@ def test_every_command_of_the_readme_works(tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     lines = console_lines(ROOT / "README.md")
     assert len(lines) > 5
+    type_in([line for line in lines if line.split()[1] not in SLOW], tmp_path)
+
+
+@pytest.mark.slow
+def test_the_readme_s_diagnosis_works(tmp_path: Path) -> None:
+    lines = console_lines(ROOT / "README.md")
+    type_in([line for line in lines if "runs/first" in line], tmp_path)
+
+
+def type_in(lines: list[str], tmp_path: Path) -> None:
     for line in lines:
         command, _, target = line.partition(" > ")
         name, *words = shlex.split(command)
