@@ -5,7 +5,8 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 """
 
 from orchestrator.diagnosis._compare import compare_recording
-from orchestrator.diagnosis._diagnose import Diagnosis, ModelChoice, add_effects, diagnose_recording, remove_effect
+from orchestrator.diagnosis._course import ModelChoice
+from orchestrator.diagnosis._diagnose import Diagnosis, add_effects, diagnose_recording, remove_effect
 from orchestrator.diagnosis._ladder import DETECTED
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics

@@ -10,7 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fit, Fitter, MapSpace, Model
+from orchestrator.diagnosis._fit import Fitter
+from orchestrator.diagnosis._fitted import Fit, MapSpace, Model
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis._magnetics import SplineGrid, linear_magnetics
 from orchestrator.diagnosis._noise import sensor_covariance

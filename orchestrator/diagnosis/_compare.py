@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis._baseline import Start, open_for_diagnosis
-from orchestrator.diagnosis._diagnose import ModelChoice, _first_steps, _name_of
-from orchestrator.diagnosis._fit import Fit
+from orchestrator.diagnosis._course import ModelChoice, first_steps, name_of
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis._library import MAGNETIC, scaled_library
 from orchestrator.diagnosis._model_file import read_model
@@ -52,13 +52,13 @@ def compare_recording(
         model = kept.baseline if kept is not None and kept.baseline in ("linear", "saturated") else "saturated"
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
     notes = list(start.notes)
-    fit = _first_steps(start, model, [n for n in names if n in MAGNETIC])[-1].fit
+    fit = first_steps(start, model, [n for n in names if n in MAGNETIC])[-1].fit
     for name in names:
         if name in library:
             fit = with_effect(start.fitter, fit, library[name])
         elif name not in MAGNETIC:
             notes.append(f"{name}: in model.json, but not among the installed effects")
-    title = " + ".join([_name_of(model), *names])
+    title = " + ".join([name_of(model), *names])
     pieces = [p for p in start.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(start, fit)
     parity, reciprocity = map_breaks(start.fitter, fit, start.current_a)

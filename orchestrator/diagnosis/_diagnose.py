@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,16 +11,19 @@ import numpy as np
 
 from orchestrator._validation import suggestion
 from orchestrator.diagnosis._baseline import (
-    INTERVALS,
-    MAP_STEPS,
     Start,
-    finer_map,
-    fitted_baseline,
-    given_model,
-    linear_model,
     open_for_diagnosis,
 )
-from orchestrator.diagnosis._fit import Fit, absent_columns
+from orchestrator.diagnosis._course import (
+    ModelChoice,
+    first_steps,
+    map_steps,
+    name_of,
+    on_a_finer_map,
+    search_effects,
+    without_doubtful,
+)
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import (
     DETECTED,
     found_effects,
@@ -30,7 +32,7 @@ from orchestrator.diagnosis._ladder import (
     rung,
     verdict_of,
 )
-from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library, value_at
+from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
 from orchestrator.diagnosis._model_file import SavedModel, read_model, saved_map, write_model
 from orchestrator.diagnosis._next import next_experiment
 from orchestrator.diagnosis._reports import (
@@ -46,16 +48,22 @@ from orchestrator.diagnosis._reports import (
     Unexplained,
     Verdict,
 )
-from orchestrator.diagnosis._search import LOG_EVIDENCE, Search, Step, forward, with_effect
+from orchestrator.diagnosis._search import (
+    LinearView,
+    Search,
+    Step,
+    linear_view,
+    score,
+    with_effect,
+)
 from orchestrator.diagnosis._shape import leftover_shape
-from orchestrator.diagnosis._trust import inconstancy
 from orchestrator.recording import Recording
-from protocols import Effect, FluxMap, PluginError
+from protocols import Effect, PluginError
 
-ModelChoice = str | FluxMap
-"""``saturated`` (the free energy map), ``linear`` (the nameplate), or a map of one's own."""
-STEADY = 0.2
-"""Largest inconstancy of an effect that is named while something unknown remains."""
+SAME = 0.95
+"""Correlation above which two effects are one in the joint fit."""
+NOTEWORTHY = 1.5
+"""chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
 
 
 @dataclass(frozen=True)
@@ -109,13 +117,16 @@ def diagnose_recording(
     _known(without, effects)
     start = open_for_diagnosis(recording)
     library = scaled_library(effects, start.prepared.manifest, without)
-    search = _search(start, _map_steps(start, model, without), library)
-    search = _on_a_finer_map(start, search, library)
-    search, doubtful = _without_doubtful(start, search)
+    search = search_effects(start, map_steps(start, model, without), library)
+    search = on_a_finer_map(start, search, library)
+    search, doubtful = without_doubtful(start, search)
     first, last = search.steps[0].fit, search.fit
     notes = [*start.notes, *(f"{n} resembles a part of what is left, but not steadily" for n in doubtful)]
     found = _magnetic_rungs(search) + found_effects(last, search.steps, search.rivals)
     verdict = verdict_of(first, last, len(found))
+    left = _unexplained(start, first, last)
+    if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > NOTEWORTHY and left.shape:
+        notes.append(f"small beside what was found, but not noise: chi2 {last.chi2_per_dof:.3g}, {left.shape[0].group}")
     ladder = tuple(rung(step) for step in search.steps)
     report = DiagnosisReport(
         recording=recording.manifest.name,
@@ -123,14 +134,14 @@ def diagnose_recording(
         verdict=verdict,
         effects=found,
         traces=tuple(dict.fromkeys([*doubtful, *search.traces])),
-        joint=_joint(start, last, library),
+        joint=_joint(start, search, library),
         ladder=ladder,
-        unexplained=_unexplained(start, first, last),
+        unexplained=left,
         next_experiment=_proposal(start, found, verdict, [*doubtful, *search.traces]),
         notes=tuple(notes),
         seconds=time.monotonic() - began,
     )
-    problem = _save(recording, start, search, _name_of(model), found, ladder, out)
+    problem = _save(recording, start, search, name_of(model), found, ladder, out)
     if problem is not None:
         report = report.model_copy(update={"notes": (*report.notes, problem)})
     return Diagnosis(report, start, search)
@@ -185,7 +196,7 @@ def _refitted(
 ) -> AddReport:
     start = open_for_diagnosis(recording)
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
-    steps = _first_steps(start, model, [n for n in names if n in MAGNETIC])
+    steps = first_steps(start, model, [n for n in names if n in MAGNETIC])
     for name in names:
         if name in library:
             steps.append(Step(name, with_effect(start.fitter, steps[-1].fit, library[name])))
@@ -193,7 +204,7 @@ def _refitted(
     found = _magnetic_rungs(search) + found_effects(search.fit, steps, {})
     ladder = tuple(rung(step) for step in steps)
     notes = list(start.notes)
-    problem = _save(recording, start, search, _name_of(model), found, ladder, out)
+    problem = _save(recording, start, search, name_of(model), found, ladder, out)
     if problem is not None:
         notes.append(problem)
     left = _unexplained(start, steps[0].fit, search.fit)
@@ -205,89 +216,6 @@ def _known(names: Sequence[str], effects: Sequence[Effect]) -> None:
     for name in names:
         if name not in have:
             raise PluginError("effects", name, f"no such effect{suggestion(name, have)}")
-
-
-def _first_steps(start: Start, model: ModelChoice, magnetic: Sequence[str]) -> list[Step]:
-    if isinstance(model, FluxMap):
-        return [Step(None, start.fitter.fit(given_model(start, model)))]
-    if model == "saturated":
-        return [Step(None, fitted_baseline(start))]
-    if model != "linear":
-        raise PluginError("--model", str(model), "expected linear, saturated, or the path of a flux map")
-    steps = [Step(None, start.fitter.fit(linear_model(start)))]
-    for name in magnetic:
-        steps.append(Step(name, start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))))
-    return steps
-
-
-def _map_steps(start: Start, model: ModelChoice, without: Sequence[str]) -> list[Step]:
-    """The ladder's first rungs: the baseline, and from a linear one the map's own, as far as the data ask for them."""
-    steps = _first_steps(start, model, [])
-    if model != "linear":
-        return steps
-    for name in (SATURATION, CROSS_SATURATION):
-        if name in without:
-            break
-        fit = start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))
-        gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
-        gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
-        if gain > LOG_EVIDENCE:
-            steps.append(Step(name, fit, gain))
-    return steps
-
-
-def _search(start: Start, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
-    """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
-    model = steps[-1].fit.model
-    quick = forward(start.coarse, [Step(None, start.coarse.fit(model, renewals=0))], library)
-    fits = list(steps)
-    for step in quick.steps[1:]:
-        last = fits[-1].fit
-        fit = start.fitter.fit(step.fit.model, last.frame if not last.model.active else None, steps=3, renewals=1)
-        fits.append(Step(step.added, fit, step.log_evidence))
-    found = forward(start.fitter, fits, library)
-    found.rivals = {**quick.rivals, **found.rivals}
-    found.traces = [n for n in dict.fromkeys([*quick.traces, *found.traces]) if n not in found.fit.model.names]
-    return found
-
-
-def _on_a_finer_map(start: Start, search: Search, library: Sequence[Candidate]) -> Search:
-    """Whether what is left is the map's own detail, which big effects hid at first."""
-    fit = search.fit
-    if not fit.model.active or fit.chi2_per_dof < DETECTED or fit.model.space.directions.shape[1] < 20:
-        return search
-    for intervals in INTERVALS[1:]:
-        finer = finer_map(start, start.fitter, fit, intervals)
-        if finer is None:
-            break
-        fit = finer
-    if fit is search.fit:
-        return search
-    steps = [*search.steps[:-1], Step(search.steps[-1].added, fit, search.steps[-1].log_evidence)]
-    again = forward(start.fitter, steps, library)
-    again.rivals = {**search.rivals, **again.rivals}
-    return again
-
-
-def _without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
-    """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named."""
-    doubtful: list[str] = []
-    first = search.steps[0].fit
-    while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
-        drift = inconstancy(search.fit)
-        worst = max(drift, key=lambda name: drift[name])
-        if drift[worst] <= STEADY:
-            break
-        doubtful.append(worst)
-        kept = [a for a in search.fit.model.active if a.name != worst]
-        steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
-        for active in kept:
-            model = steps[-1].fit.model
-            fit = start.fitter.fit(model.with_active([*model.active, active]), steps[-1].fit.frame)
-            gain = next(s.log_evidence for s in search.steps if s.added == active.name)
-            steps.append(Step(active.name, fit, gain))
-        search = Search(steps, search.traces, search.rivals)
-    return search, doubtful
 
 
 def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
@@ -319,13 +247,15 @@ def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
     return tuple(found)
 
 
-def _joint(start: Start, fit: Fit, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
+def _joint(start: Start, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
     """All effects at once, linearly around the model, under the priors; ranked by relative size."""
-    absent = [c for c in library if c.name not in fit.model.names]
-    columns = [*fit.model.free, *absent_columns(absent)]
-    if not columns:
+    view = search.view if search.view is not None and search.view.fit is search.fit else None
+    view = view or linear_view(start.fitter, search.fit, library)
+    which = _distinct(view)
+    if not which:
         return ()
-    normal, right = start.fitter.evaluate(fit.model, fit.frame, absent_columns(absent)).projected()
+    fit, columns = view.fit, [view.columns[k] for k in which]
+    normal, right = view.normal[np.ix_(which, which)], view.right[which]
     inflation = max(fit.chi2_per_dof, 1.0)
     x0 = np.array([a.coordinate(n) for a, n in columns])
     precision = normal / inflation + np.eye(len(columns))
@@ -336,15 +266,28 @@ def _joint(start: Start, fit: Fit, library: Sequence[Candidate]) -> tuple[JointE
         p = active.candidate.named(name)
         if name not in active.candidate.amplitudes:
             continue
-        size = abs(value * p.prior_width / (p.typical * (p.typical if p.strong_when_small else 1.0)))
-        if not p.strong_when_small:
-            size = abs((value_at(p, float(value)) - p.neutral) / p.typical)
+        size = abs(float(value)) * p.prior_width / abs(p.typical)
         entry = JointEntry(name=active.name, relative_size=size, z=float(value / sigma))
         known = entries.get(active.name)
         if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
             entries[active.name] = entry
     # An effect that chance could have made is ranked below all that it could not, whatever its size.
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < 4.0, -(e.relative_size or 0.0))))
+
+
+def _distinct(view: LinearView) -> list[int]:
+    """The columns of a view without those effects whose column is that of a better one all over again.
+
+    Two such columns would be fitted against each other, to large sizes of opposite sign that mean nothing.
+    """
+    scale = np.sqrt(np.maximum(np.diag(view.normal), 1e-300))
+    like = np.abs(view.normal / np.outer(scale, scale))
+    taken = list(range(len(view.fit.model.free)))
+    for scored in score(view):
+        own = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
+        if not taken or like[np.ix_(own, taken)].max() < SAME:
+            taken += own
+    return taken
 
 
 def _unexplained(start: Start, first: Fit, last: Fit) -> Unexplained:
@@ -364,10 +307,6 @@ def _proposal(
     if verdict == "unknown_remains" and len(suspects) >= 2:
         return next_experiment(start, suspects[0], suspects[1])
     return None
-
-
-def _name_of(model: ModelChoice) -> str:
-    return model if isinstance(model, str) else f"map:{model.method}"
 
 
 def _save(

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fit
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import Active, value_at
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._reports import FoundEffect, ParameterValue, Rung, Verdict

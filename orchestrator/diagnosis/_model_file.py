@@ -8,10 +8,10 @@ from typing import Literal
 
 from pydantic import ValidationError
 
-from orchestrator.diagnosis._fit import Model
+from orchestrator.diagnosis._fitted import Model
 from orchestrator.diagnosis._reports import FoundEffect, Rung
 from orchestrator.recording import replace_file
-from protocols import RecordingError, Strict
+from protocols import RecordingError, StorageError, Strict
 
 MODEL_NAME = "model.json"
 
@@ -59,8 +59,8 @@ def write_model(directory: Path, model: SavedModel) -> str | None:
     try:
         directory.mkdir(parents=True, exist_ok=True)
         replace_file(directory / MODEL_NAME, (model.model_dump_json(indent=1) + "\n").encode())
-    except OSError as error:
-        return f"{directory / MODEL_NAME}: not written: {error.strerror or error}"
+    except (OSError, StorageError) as error:
+        return f"{directory / MODEL_NAME} was not written: {error}"
     return None
 
 

@@ -243,7 +243,10 @@ def _with_heat(pieces: Sequence[Piece], manifest: Manifest) -> tuple[Piece, ...]
         power = 1.5 * resistance * np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
         gap = max(s.start_s - end, 0.0)
         settle = min(gap, _SETTLE_S)
-        first = float(power[: max(1, len(power) // 50)].mean())
+        # Before the capture there was no ripple: the loss of the mean current, not the mean loss.
+        part = len(power) // 10 if piece.stage is SegmentStage.INJECTION else len(power) // 50
+        current = s.i_ab[: max(1, part)].mean(axis=0)
+        first = 1.5 * resistance * float(current @ current) if s.bridge_on else 0.0
         if gap > 0.0:
             times.append(np.array([end, s.start_s - settle]))
             powers.append(np.array([0.0, first]))

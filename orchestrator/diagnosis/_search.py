@@ -13,7 +13,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fit, Fitter, absent_columns
+from orchestrator.diagnosis._fit import Fitter, absent_columns
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import Active, Candidate
 from protocols import ParameterRole
 
@@ -44,6 +45,27 @@ class Score:
 
 
 @dataclass(frozen=True)
+class LinearView:
+    """What every effect of the library would do to a fit, to first order.
+
+    Attributes
+    ----------
+    absent : tuple of Candidate
+        Effects that are not in the model.
+    columns : tuple of (Active, str)
+        The model's free parameters, then the amplitudes of the absent effects.
+    normal, right : array
+        Normal matrix and gradient of the columns, R_s and the map following.
+    """
+
+    fit: Fit
+    absent: tuple[Candidate, ...]
+    columns: tuple[tuple[Active, str], ...]
+    normal: Array
+    right: Array
+
+
+@dataclass(frozen=True)
 class Step:
     """One rung of the ladder: what was added, the model refitted with it, and what it brought."""
 
@@ -60,6 +82,8 @@ class Search:
     traces: list[str] = field(default_factory=list)
     rivals: dict[str, list[str]] = field(default_factory=dict)
     """Effects that do as well as an accepted one in its place."""
+    view: LinearView | None = None
+    """Of the last fit."""
 
     @property
     def fit(self) -> Fit:
@@ -77,23 +101,26 @@ def log_evidence(fit: Fit, inflation: float) -> float:
     return value
 
 
-def score(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> list[Score]:
-    """Linear scores of effects that are not in the model, best first."""
-    absent = [c for c in candidates if c.name not in fit.model.names]
-    if not absent:
-        return []
+def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
+    """All effects that are not in the model beside those that are, to first order."""
+    absent = tuple(c for c in candidates if c.name not in fit.model.names)
     columns = absent_columns(absent)
     normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
-    kept = len(fit.model.free)
-    # Effects already in the model follow, as the map does.
+    return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
+
+
+def score(view: LinearView) -> list[Score]:
+    """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
+    kept = len(view.fit.model.free)
+    normal, right = view.normal[kept:, kept:], view.right[kept:]
     if kept:
-        inner = normal[:kept, :kept] + np.eye(kept)
-        follow = np.linalg.solve(inner, normal[:kept, kept:])
-        right = right[kept:] - follow.T @ right[:kept]
-        normal = normal[kept:, kept:] - normal[kept:, :kept] @ follow
+        inner = view.normal[:kept, :kept] + np.eye(kept)
+        follow = np.linalg.solve(inner, view.normal[:kept, kept:])
+        right = right - follow.T @ view.right[:kept]
+        normal = normal - view.normal[kept:, :kept] @ follow
     scores = []
-    for candidate in absent:
-        index = [k for k, (a, _) in enumerate(columns) if a.name == candidate.name]
+    for candidate in view.absent:
+        index = [k for k, (a, _) in enumerate(view.columns[kept:]) if a.name == candidate.name]
         block = normal[np.ix_(index, index)] + np.eye(len(index))
         x = np.asarray(-np.linalg.solve(block, right[index]), dtype=np.float64)
         scores.append(Score(candidate, float(-right[index] @ x), x))
@@ -112,7 +139,8 @@ def forward(
     rejected: set[str] = set()
     while len(search.fit.model.active) < MOST_EFFECTS:
         fit = search.fit
-        scores = [s for s in score(fitter, fit, candidates) if s.candidate.name not in rejected]
+        search.view = linear_view(fitter, fit, candidates)
+        scores = [s for s in score(search.view) if s.candidate.name not in rejected]
         hopeful = _worth_trying(scores, fit)
         if not hopeful:
             search.traces += _faint(scores, fit)
@@ -171,7 +199,7 @@ def _share(before: Fit, after: Fit) -> float:
 
 def with_effect(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
     """The model refitted with one named effect, in its flexible form where that pays."""
-    scored = score(fitter, fit, [candidate])[0]
+    scored = score(linear_view(fitter, fit, [candidate]))[0]
     return polished(fitter, _refit(fitter, fit, scored), 1.0)
 
 

@@ -13,7 +13,8 @@ from typing import get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fit, Fitter
+from orchestrator.diagnosis._fit import Fitter
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import Active, Candidate
 from orchestrator.diagnosis._reports import ShapeGroup
 from protocols import EffectLayer, EffectParameter, Signals

@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fit
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import apply_effects
 from orchestrator.diagnosis._magnetics import PIECES, _functions
 from orchestrator.diagnosis._pieces import Piece

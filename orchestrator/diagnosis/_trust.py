@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fit
+from orchestrator.diagnosis._fitted import Fit
 
 Array = NDArray[np.float64]
 

@@ -145,3 +145,34 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "page.html").read_text().startswith("<!DOCTYPE html>")
     assert_one_line(fluxbench("report", tmp_path / "nowhere"), 2, "nowhere")
+
+
+def test_an_effect_in_a_file_of_one_s_own_is_held_against_the_contract(tmp_path: Path) -> None:
+    data = Path(__file__).parents[2] / "data" / "pm400-reduced"
+    mine = tmp_path / "mine.py"
+    mine.write_text("class Half:\n    name = 'half'\n\n    def correct(self, signals, values):\n        return signals\n")
+    assert_one_line(fluxbench("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "summary")
+    mine.write_text("raise SystemExit('boom')\n")
+    assert_one_line(fluxbench("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "boom")
+
+
+def test_a_comparison_is_the_contract_s_json(tmp_path: Path) -> None:
+    data = Path(__file__).parents[2] / "data" / "pm400-reduced"
+    done = fluxbench("compare", data, "--json", "--out", tmp_path)
+    assert done.returncode == 0, done.stderr
+    report = json.loads(done.stdout)
+    names = ("recording", "model", "noise_floor", "chi2", "stages", "worst", "parity", "crossings", "notes")
+    assert set(names) <= set(report)
+    assert report["chi2"] < 2
+
+
+def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
+    data = Path(__file__).parents[2] / "data" / "pm400-reduced"
+    assert fluxbench("estimate", data, "--out", tmp_path).returncode == 0
+    motor = tmp_path / "motor.yaml"
+    motor.write_text("motor: {name: test, pole_pairs: 2}\n")
+    flux_map = tmp_path / "results" / "flux_map.nc"
+    done = fluxbench("export", flux_map, "--motor", motor, "--format", "csv", "--out", tmp_path / "out")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "out" / "flux_map.csv").is_file()
+    assert_one_line(fluxbench("export", flux_map, "--out", tmp_path / "out"), 2, "--motor")

@@ -1,0 +1,114 @@
+"""The course of a diagnosis: first map, search in a part, fit to the whole, finer map, doubtful names out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from orchestrator.diagnosis._baseline import (
+    INTERVALS,
+    MAP_STEPS,
+    Start,
+    finer_map,
+    fitted_baseline,
+    given_model,
+    linear_model,
+)
+from orchestrator.diagnosis._ladder import DETECTED, verdict_of
+from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate
+from orchestrator.diagnosis._search import LOG_EVIDENCE, Search, Step, forward
+from orchestrator.diagnosis._trust import inconstancy
+from protocols import FluxMap, PluginError
+
+ModelChoice = str | FluxMap
+"""``saturated`` (the free energy map), ``linear`` (the nameplate), or a map of one's own."""
+STEADY = 0.2
+"""Largest inconstancy of an effect that is named while something unknown remains."""
+
+
+def first_steps(start: Start, model: ModelChoice, magnetic: Sequence[str]) -> list[Step]:
+    if isinstance(model, FluxMap):
+        return [Step(None, start.fitter.fit(given_model(start, model)))]
+    if model == "saturated":
+        return [Step(None, fitted_baseline(start))]
+    if model != "linear":
+        raise PluginError("--model", str(model), "expected linear, saturated, or the path of a flux map")
+    steps = [Step(None, start.fitter.fit(linear_model(start)))]
+    for name in magnetic:
+        steps.append(Step(name, start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))))
+    return steps
+
+
+def map_steps(start: Start, model: ModelChoice, without: Sequence[str]) -> list[Step]:
+    """The ladder's first rungs: the baseline, and from a linear one the map's own, as far as the data ask for them."""
+    steps = first_steps(start, model, [])
+    if model != "linear":
+        return steps
+    for name in (SATURATION, CROSS_SATURATION):
+        if name in without:
+            break
+        fit = start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))
+        gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
+        gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
+        if gain > LOG_EVIDENCE:
+            steps.append(Step(name, fit, gain))
+    return steps
+
+
+def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
+    """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
+    model = steps[-1].fit.model
+    quick = forward(start.coarse, [Step(None, start.coarse.fit(model, renewals=0))], library)
+    fits = list(steps)
+    for step in quick.steps[1:]:
+        last = fits[-1].fit
+        fit = start.fitter.fit(step.fit.model, last.frame if not last.model.active else None, steps=3, renewals=1)
+        fits.append(Step(step.added, fit, step.log_evidence))
+    found = forward(start.fitter, fits, library)
+    found.rivals = {**quick.rivals, **found.rivals}
+    found.traces = [n for n in dict.fromkeys([*quick.traces, *found.traces]) if n not in found.fit.model.names]
+    return found
+
+
+def on_a_finer_map(start: Start, search: Search, library: Sequence[Candidate]) -> Search:
+    """Whether what is left is the map's own detail, which big effects hid at first."""
+    fit = search.fit
+    if not fit.model.active or fit.chi2_per_dof < DETECTED or fit.model.space.directions.shape[1] < 20:
+        return search
+    for intervals in INTERVALS[1:]:
+        finer = finer_map(start, start.fitter, fit, intervals)
+        if finer is None:
+            break
+        fit = finer
+    if fit is search.fit:
+        return search
+    steps = [*search.steps[:-1], Step(search.steps[-1].added, fit, search.steps[-1].log_evidence)]
+    again = forward(start.fitter, steps, library)
+    again.rivals = {**search.rivals, **again.rivals}
+    return again
+
+
+def without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
+    """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named."""
+    doubtful: list[str] = []
+    first = search.steps[0].fit
+    while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
+        drift = inconstancy(search.fit)
+        worst = max(drift, key=lambda name: drift[name])
+        if drift[worst] <= STEADY:
+            break
+        doubtful.append(worst)
+        kept = [a for a in search.fit.model.active if a.name != worst]
+        steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
+        for active in kept:
+            model = steps[-1].fit.model
+            fit = start.fitter.fit(model.with_active([*model.active, active]), steps[-1].fit.frame)
+            gain = next(s.log_evidence for s in search.steps if s.added == active.name)
+            steps.append(Step(active.name, fit, gain))
+        search = Search(steps, search.traces, search.rivals)
+    return search, doubtful
+
+
+def name_of(model: ModelChoice) -> str:
+    """The baseline, as it is called in reports."""
+    return model if isinstance(model, str) else f"map:{model.method}"
