@@ -62,7 +62,7 @@ class DriveRecord(Lenient):
     sampling_frequency_hz: Positive
     pwm_frequency_hz: Positive | None = None
     dc_bus_voltage_v: Positive
-    voltage_delay_samples: float | None = None
+    voltage_delay_samples: Annotated[float, Field(ge=0, le=1000)] | None = None
     """n says that v[k] acts from t_k + n Ts."""
 
 

@@ -238,7 +238,7 @@ def run_app(arguments: Sequence[str]) -> int:
 
     try:
         code = with_plugin_commands(app)(list(arguments), standalone_mode=False)
-    except typer.Abort:
+    except (typer.Abort, KeyboardInterrupt):
         return _say("interrupted", 130)
     except BrokenPipeError:  # whoever read the output has had enough
         sys.stderr.close()

@@ -6,7 +6,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from orchestrator.config import load_procedure
 from orchestrator.engine import (
@@ -55,6 +55,9 @@ def _with_crew(commission: Callable[[Crew], RunResult], unattended: bool, quiet:
                 f"stream {tally.name}: {tally.delivered} delivered, {tally.dropped} dropped, {tally.errors} errors"
                 + (f" (first: {tally.first_error})" if tally.first_error else "")
             )
+    report = result.path / "report.html"
+    if mode == "auto" and report.is_file():
+        _tell(f"report: {report}", sys.stdout)
     return _exit_code(result, as_json)
 
 
@@ -63,17 +66,22 @@ def _exit_code(result: RunResult, as_json: bool) -> int:
     if as_json:
         import json
 
-        print(json.dumps({"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason}))
+        found = {"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason}
+        print(json.dumps(found | {"estimates": dict(outcome.estimates)}, indent=2))
     if outcome.error is None:
         return 0
     if not isinstance(outcome.error, FluxbenchError):
         raise outcome.error  # a defect: its traceback is wanted, now that the drive is safe
-    _warn(f"{outcome.ending}: {outcome.reason}; what was measured is in {result.path}")
+    _warn(f"{outcome.ending}: {outcome.reason}; `fluxbench resume {result.path}` goes on at the first point not done")
     return max(outcome.error.exit_code, 3)
 
 
 def _warn(line: str) -> None:
+    _tell(f"fluxbench: {' '.join(line.split())}", sys.stderr)
+
+
+def _tell(line: str, where: TextIO) -> None:
     try:
-        print(f"fluxbench: {' '.join(line.split())}", file=sys.stderr)
+        print(line, file=where)
     except OSError:  # the terminal is gone, and with it the reader
         return

@@ -20,7 +20,7 @@ PAPER = {"crossings": "1.3 % d, 2.9 % q"}
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the estimators; results go into the recording's own results/, or below `out`."""
     estimators = [load_plugin(PluginKind.ESTIMATORS, name)() for name in (names or installed_estimators())]
-    report = estimate_recording(open_any(path), estimators, out if out is not None else path)
+    report = estimate_recording(open_any(path, keep=out is None), estimators, out if out is not None else path)
     if as_json:
         print(report.model_dump_json(indent=2))
     else:
@@ -28,11 +28,12 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
     return 0
 
 
-def open_any(path: Path) -> Recording:
-    """Open a recording; the manifest of a run that was cut off is made from its journal first."""
-    if is_run(path):
-        RunDirectory.open(path).write_manifest()
-    return open_recording(path)
+def open_any(path: Path, *, keep: bool = False) -> Recording:
+    """Open a recording; a run's manifest is made from its journal, which knows best, and with `keep` written too."""
+    if not is_run(path):
+        return open_recording(path)
+    run = RunDirectory.open(path)
+    return Recording(run.path, run.write_manifest() if keep else run.manifest())
 
 
 def _print_report(report: EstimationReport) -> None:

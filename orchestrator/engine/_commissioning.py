@@ -6,8 +6,8 @@ the drive stands down, the reason is in the journal, and what was measured is a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Literal
 
 from orchestrator.config import Plan, PlannedPoint
@@ -15,7 +15,7 @@ from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._measuring import Measurement
 from orchestrator.engine._operator import Operator
-from orchestrator.engine._power import PowerStage, as_drive_errors
+from orchestrator.engine._power import SAFE, PowerStage, as_drive_errors
 from orchestrator.engine._states import State, StateMachine, Trigger
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import RunDirectory
@@ -76,6 +76,8 @@ class Outcome:
     reason: str
     error: BaseException | None
     """What ended it before its time."""
+    estimates: Mapping[str, object] = field(default_factory=dict)
+    """As `RunEnded` has them."""
 
 
 class Commissioning:
@@ -111,7 +113,7 @@ class Commissioning:
         self._run, self._plan, self._drive, self._capabilities = run, plan, drive, capabilities
         self._estimators, self._operator, self._interrupts, self._log = estimators, operator, interrupts, log
         limits = plan.procedure.limits
-        self._power = PowerStage(drive, capabilities, limits)
+        self._power = PowerStage(drive, capabilities, limits, interrupts)
         self._measurement = Measurement(run, self._power, log, interrupts, capabilities, limits)
         self._machine = StateMachine(self._on_change)
         self._done = dict(run.completed())
@@ -249,6 +251,7 @@ class Commissioning:
     def _judge_lock(self, stage: LockCheckStage, points: Sequence[PlannedPoint]) -> None:
         from orchestrator.analysis import judge_lock
 
+        self._compute()
         recording = self._recording()
         segments: list[Segment] = [self._done[point.id] for point in points]
         verdict = judge_lock(
@@ -262,6 +265,11 @@ class Commissioning:
         if not verdict.locked:
             raise RunAborted(f"the rotor is not locked: {verdict.summary}")
 
+    def _compute(self) -> None:
+        """Stand down first: nobody knows how long a computation takes on a machine that is busy."""
+        self._stand_down("computing needs no current")
+        self._machine.fire(Trigger.ESTIMATE)
+
     def _recording(self) -> Recording:
         self._run.write_manifest()
         return open_recording(self._run.path)
@@ -269,8 +277,7 @@ class Commissioning:
     def _estimate(self, stage: EstimateStage) -> None:
         from orchestrator.analysis import estimate_recording
 
-        self._stand_down("computing needs no current")
-        self._machine.fire(Trigger.ESTIMATE)
+        self._compute()
         wanted = [e for e in self._estimators if stage.estimators is None or e.name in stage.estimators]
         try:
             report = estimate_recording(self._recording(), wanted, self._run.path, on_estimate=self._say_estimate)
@@ -290,15 +297,16 @@ class Commissioning:
         """Stop, whatever has happened; what can no longer be written is told in the reason."""
         trouble = [self._last_word(lambda: self._machine.fire(Trigger.STOP, outcome.reason))]
         stood_down = self._power.stand_down()
-        level: Literal["info", "error"] = "info" if outcome.ending == "finished" else "error"
-        trouble.append(self._last_word(lambda: self._log.say(Note(level=level, text=stood_down))))
+        if stood_down:
+            level: Literal["info", "error"] = "info" if stood_down == SAFE else "error"
+            trouble.append(self._last_word(lambda: self._log.say(Note(level=level, text=stood_down))))
         if self._done:
             trouble.append(self._last_word(self._run.write_manifest))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         self._last_word(lambda: self._machine.fire(ENDINGS[outcome.ending], reason))
         ended = RunEnded(outcome=outcome.ending, reason=reason, run=str(self._run.path), estimates=self._summary)
         self._last_word(lambda: self._log.say(ended, durable=True))
-        return Outcome(outcome.ending, reason, outcome.error)
+        return Outcome(outcome.ending, reason, outcome.error, self._summary)
 
     def _last_word(self, call: Callable[[], object]) -> str:
         """Do one thing of the way out; a disk that is full must not keep the next from being done."""

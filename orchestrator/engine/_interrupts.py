@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from protocols import RunInterrupted
+from protocols import DriveFault, FaultCause, RunInterrupted
 
-STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
 
 
 class Interrupts:
@@ -33,6 +33,7 @@ class Interrupts:
         self._pause = False
         self._resumed = threading.Event()
         self._suspend = suspend
+        self._has_alarm = False
 
     def stop(self, reason: str) -> None:
         """Ask the run to end; the first reason counts."""
@@ -53,6 +54,21 @@ class Interrupts:
         if self._stop is not None:
             raise RunInterrupted(self._stop)
 
+    @contextmanager
+    def deadline(self, seconds: float) -> Iterator[None]:
+        """Raise `DriveFault` (no answer) in the block when it lasts longer, whatever it is waiting in.
+
+        Works where signals are handled (`handling_signals`), and is no limit elsewhere.
+        """
+        if not self._has_alarm:
+            yield
+            return
+        signal.setitimer(signal.ITIMER_REAL, seconds)
+        try:
+            yield
+        finally:
+            signal.setitimer(signal.ITIMER_REAL, 0.0)
+
     @property
     def pause_wanted(self) -> bool:
         return self._pause
@@ -71,9 +87,9 @@ class Interrupts:
 def handling_signals() -> Iterator[Interrupts]:
     """Turn signals into requests while the block lasts; the handlers before are put back.
 
-    SIGINT, SIGTERM and SIGHUP stop the run; SIGTSTP (Ctrl-Z) pauses it: the drive is disarmed
-    first, then the process really stops, and SIGCONT (``fg``) lets it go on. A second stop
-    signal changes nothing: the way out is already under way.
+    SIGINT, SIGTERM, SIGHUP and SIGQUIT stop the run; SIGALRM ends a `deadline`; SIGTSTP (Ctrl-Z)
+    pauses: the drive is disarmed first, then the process really stops, and SIGCONT (``fg``) lets
+    it go on. A second stop signal changes nothing: the way out is already under way.
     """
     interrupts = Interrupts(suspend=lambda: os.kill(os.getpid(), signal.SIGSTOP))
 
@@ -83,8 +99,12 @@ def handling_signals() -> Iterator[Interrupts]:
     def pause(number: int, frame: FrameType | None) -> None:
         interrupts.pause()
 
-    handlers = dict.fromkeys(STOP_SIGNALS, stop) | {signal.SIGTSTP: pause}
+    def overdue(number: int, frame: FrameType | None) -> None:
+        raise DriveFault(FaultCause.NO_ANSWER, "the drive neither sends samples nor returns")
+
+    handlers = dict.fromkeys(STOP_SIGNALS, stop) | {signal.SIGTSTP: pause, signal.SIGALRM: overdue}
     before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
+    interrupts._has_alarm = True
     try:
         yield interrupts
     finally:

@@ -39,6 +39,9 @@ class TerminalOperator:
             answer = line.strip().lower()
             if answer in ("yes", "y"):
                 return True
-            if answer in ("no", "n") or line == "":
+            if answer in ("no", "n"):
                 return False
+            if line == "":
+                interrupts.check()
+                raise RunAborted(f"nobody is there any more to answer: {prompt}")
             print("please answer yes or no: ", end="", flush=True)

@@ -8,10 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Generator, Iterator
 from contextlib import contextmanager
+from typing import TypeVar
 
 from pydantic import ValidationError
 
-from orchestrator.engine._heartbeat import HeartbeatKeeper
+from orchestrator.engine._heartbeat import LEASE_S, HeartbeatKeeper
+from orchestrator.engine._interrupts import Interrupts
 from protocols import (
     Capabilities,
     Capture,
@@ -24,6 +26,13 @@ from protocols import (
     Limits,
 )
 
+T = TypeVar("T")
+
+SAFE = "current ramped down, drive disarmed"
+
+WAY_OUT_S = 10.0
+"""How long ramping down, and disarming, may take before the drive is given up."""
+
 
 class PowerStage:
     """A drive's power stage in the hands of one run.
@@ -35,10 +44,13 @@ class PowerStage:
     capabilities : Capabilities
     limits : Limits
         Handed to the drive each time it is armed.
+    interrupts : Interrupts
+        Keeps the deadlines: a drive that does not return must not keep the run from its way out.
     """
 
-    def __init__(self, drive: Drive, capabilities: Capabilities, limits: Limits) -> None:
+    def __init__(self, drive: Drive, capabilities: Capabilities, limits: Limits, interrupts: Interrupts) -> None:
         self._drive, self._capabilities, self._limits = drive, capabilities, limits
+        self._interrupts = interrupts
         self._keeper: HeartbeatKeeper | None = None
 
     @property
@@ -71,11 +83,17 @@ class PowerStage:
         if self._keeper is None:
             raise RuntimeError("execute before arm")
         self._keeper.renew(quiet_s)
-        with as_drive_errors(self._capabilities.name):
-            for capture in self._drive.execute(excitation):
-                self._keeper.renew()
-                yield self._checked(capture)
+        blocks = self._next_of(lambda: self._drive.execute(excitation), LEASE_S)
+        patience_s = quiet_s + LEASE_S
+        while (capture := self._next_of(lambda: next(blocks, None), patience_s)) is not None:
+            self._keeper.renew()
+            patience_s = LEASE_S
+            yield self._checked(capture)
         self._keeper.renew()
+
+    def _next_of(self, call: Callable[[], T], seconds: float) -> T:
+        with as_drive_errors(self._capabilities.name), self._interrupts.deadline(seconds):
+            return call()
 
     def _checked(self, capture: object) -> Capture:
         """What a plugin yields is not believed to be a capture before it has been validated, by reference."""
@@ -94,9 +112,9 @@ class PowerStage:
                 self._drive.set_brake(engaged)
 
     def stand_down(self) -> str:
-        """Ramp to zero, disarm, stop the heartbeat. Never raises; tells in words what was reached."""
+        """Ramp to zero, disarm, stop the heartbeat. Never raises; tells in words what was reached, if it was armed."""
         if self._keeper is None:
-            return "the drive was not armed"
+            return ""
         failures = [self._attempt("ramping down", self._drive.ramp_down)]
         self._keeper.renew()
         failures.append(self._attempt("disarming", self._drive.disarm))
@@ -104,7 +122,7 @@ class PowerStage:
         self._keeper = None
         told = "; ".join(filter(None, failures))
         if not told:
-            return "current ramped down, drive disarmed"
+            return SAFE
         watchdog = self._capabilities.watchdog_s
         rest = (
             f"its watchdog makes it safe within {watchdog:g} s"
@@ -115,7 +133,7 @@ class PowerStage:
 
     def _attempt(self, deed: str, call: Callable[[], None]) -> str:
         try:
-            with as_drive_errors(self._capabilities.name):
+            with as_drive_errors(self._capabilities.name), self._interrupts.deadline(WAY_OUT_S):
                 call()
         except FluxbenchError as error:
             return f"{deed} failed ({error})"

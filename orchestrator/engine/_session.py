@@ -67,19 +67,20 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
     estimators = chosen_estimators(procedure)
     streams = _stream_makers(crew.streams, path)
     path = path.resolve()
-    RunDirectory.refuse_occupied(path)
     sealed = load_plugin(PluginKind.DRIVES, procedure.drive.name).sealed_options
-    try:
-        with connected_drive(procedure, private_directory(path)) as (drive, capabilities):
-            plan = make_plan(procedure, capabilities)
-            check_plan(plan, capabilities)
-            run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
-            return _commission(run, plan, drive, capabilities, estimators, streams, crew)
-    except BaseException:
-        # A run that is under way ends in an outcome: what comes here was before anything was energised.
-        for folder in (path, private_directory(path)):
-            shutil.rmtree(folder, ignore_errors=True)
-        raise
+    with RunDirectory.claim(path):
+        try:
+            with connected_drive(procedure, private_directory(path)) as (drive, capabilities):
+                plan = make_plan(procedure, capabilities)
+                check_plan(plan, capabilities)
+                run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
+                with run.at_work():
+                    return _commission(run, plan, drive, capabilities, estimators, streams, crew)
+        except BaseException:
+            # A run that is under way ends in an outcome: what comes here was before anything was energised.
+            for folder in (path, private_directory(path)):
+                shutil.rmtree(folder, ignore_errors=True)
+            raise
 
 
 def resume_run(path: Path, crew: Crew) -> RunResult:
@@ -94,7 +95,8 @@ def resume_run(path: Path, crew: Crew) -> RunResult:
     procedure = run.procedure()
     estimators = chosen_estimators(procedure)
     streams = _stream_makers(crew.streams, path)
-    with connected_drive(procedure, run.private_directory) as (drive, capabilities):
+    run.refuse_lost_journal()
+    with run.lock(), connected_drive(procedure, run.private_directory) as (drive, capabilities):
         plan = make_plan(procedure, capabilities)
         check_plan(plan, capabilities)
         return _commission(run, plan, drive, capabilities, estimators, streams, crew)
@@ -161,9 +163,8 @@ def _commission(
     streams: Mapping[str, Callable[[], Stream]],
     crew: Crew,
 ) -> RunResult:
-    with run.lock():
-        dispatcher = Dispatcher(streams)
-        log = RunLog(run.journal, dispatcher)
-        commissioning = Commissioning(run, plan, drive, capabilities, estimators, crew.operator, crew.interrupts, log)
-        outcome = commissioning.execute()
-        return RunResult(run.path, outcome, dispatcher.close())
+    dispatcher = Dispatcher(streams)
+    log = RunLog(run.journal, dispatcher)
+    commissioning = Commissioning(run, plan, drive, capabilities, estimators, crew.operator, crew.interrupts, log)
+    outcome = commissioning.execute()
+    return RunResult(run.path, outcome, dispatcher.close())

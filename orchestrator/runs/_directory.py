@@ -19,11 +19,18 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from orchestrator._validation import first_problem
-from orchestrator.recording import capture_path, remove_partial_files, replace_file, write_manifest
+from orchestrator.recording import (
+    MANIFEST_NAME,
+    capture_path,
+    read_manifest,
+    remove_partial_files,
+    replace_file,
+    write_manifest,
+)
 from orchestrator.registry import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
-from orchestrator.runs._record import RunRecord, make_record, sealed_options_of, unsealed
+from orchestrator.runs._record import RunRecord, hash_of, make_record, sealed_options_of, unsealed
 from protocols import Capabilities, Manifest, PointDone, Procedure, RecordingError, Segment, StorageError
 
 _RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".lock", "captures", "options.json"
@@ -108,6 +115,24 @@ class RunDirectory:
         _refuse_non_empty(path)
         _refuse_non_empty(private_directory(path.resolve()))
 
+    @staticmethod
+    @contextmanager
+    def claim(path: Path) -> Iterator[None]:
+        """Make the directory for a new run and hold it for this process; nothing is ever overwritten.
+
+        Raises
+        ------
+        RecordingError
+            Where it cannot be made, is not empty, or another process holds it.
+        """
+        try:
+            path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise RecordingError(str(path), "", f"cannot be made: {error.strerror or error}") from None
+        with _flock(path):
+            RunDirectory.refuse_occupied(path)
+            yield
+
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open an existing run; raises `RecordingError` where there is none or `run.json` is damaged."""
@@ -120,19 +145,37 @@ class RunDirectory:
         except ValidationError as error:
             problem = first_problem(error, RunRecord, raw)
             raise RecordingError(str(file), problem.field, problem.text) from None
+        if hash_of(raw["procedure"]) != record.procedure_sha256:
+            raise RecordingError(str(file), "procedure_sha256", "the procedure was changed after the run was made")
         return cls(path.resolve(), record)
 
     @contextmanager
     def lock(self) -> Iterator[None]:
-        """Hold the run for this process, its journal open for appending.
+        """Hold an existing run for this process and be `at_work`; `RecordingError` where another process holds it.
 
-        The lock goes with the process, however that ends. What a killed one left half written is
-        removed. Raises `RecordingError` where another process holds it.
+        The lock goes with the process, however that ends.
         """
-        with _flock(self.path), self.journal:
+        with _flock(self.path), self.at_work():
+            yield
+
+    @contextmanager
+    def at_work(self) -> Iterator[None]:
+        """Open the journal for appending and remove what a killed process left half written; for who holds the run."""
+        with self.journal:
             for folder in (self.path, self.path / _CAPTURES, self.private_directory):
                 remove_partial_files(folder)
             yield
+
+    def refuse_lost_journal(self) -> None:
+        """Raise `RecordingError` where captures were measured that the journal knows nothing of."""
+        listed: set[str] = set()
+        if (self.path / MANIFEST_NAME).is_file():
+            listed = {segment.id for segment in read_manifest(self.path / MANIFEST_NAME).segments}
+        lost = listed - self.completed().keys()
+        captures = sum(1 for _ in (self.path / _CAPTURES).glob("*.parquet"))
+        if lost or (captures and not self.journal.read()):
+            problem = f"missing or cut: it does not know of {max(len(lost), captures)} captures that are there"
+            raise RecordingError(str(self.journal.path), "", problem)
 
     def procedure(self) -> Procedure:
         """The procedure as it was run, sealed options included; raises `RecordingError` where they are gone."""
@@ -155,22 +198,17 @@ class RunDirectory:
         rate = self.record.capabilities.sampling_frequency_hz
         return max((segment.start_s + segment.samples / rate for segment in segments), default=0.0)
 
-    def write_manifest(self) -> Manifest:
-        """Write `recording.json` from the journal: what it calls done is in it, and nothing else.
+    def manifest(self) -> Manifest:
+        """The manifest as the journal has it: what it calls done is in it, and nothing else.
 
-        Raises
-        ------
-        RecordingError
-            Where a capture that the journal calls done is gone.
-        StorageError
-            Where it cannot be written.
+        Raises `RecordingError` where a capture that the journal calls done is gone.
         """
         segments = tuple(self.completed().values())
         for segment in segments:
             file = capture_path(self.path, segment.id)
             if not file.is_file():
                 raise RecordingError(str(file), "", f"missing, though {_JOURNAL} calls it done")
-        manifest = Manifest(
+        return Manifest(
             format="fluxbench-recording",
             version=1,
             name=self.record.name,
@@ -179,6 +217,10 @@ class RunDirectory:
             drive=self.record.drive,
             segments=segments,
         )
+
+    def write_manifest(self) -> Manifest:
+        """Write `recording.json`; raises `StorageError` where it cannot be, and what `manifest` raises."""
+        manifest = self.manifest()
         write_manifest(self.path, manifest)
         return manifest
 
@@ -205,8 +247,8 @@ def _flock(path: Path) -> Iterator[None]:
 
 
 def _refuse_non_empty(folder: Path) -> None:
-    """Raise `RecordingError` unless `folder` is empty or not there."""
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+    """Raise `RecordingError` unless `folder` is not there, or empty but for its lock."""
+    if folder.exists() and (not folder.is_dir() or any(file.name != _LOCK for file in folder.iterdir())):
         raise RecordingError(str(folder), "", "exists and is not empty; nothing is overwritten: choose another")
 
 

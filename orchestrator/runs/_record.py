@@ -24,7 +24,7 @@ class RunRecord(Strict):
     procedure: Procedure
     """With each sealed drive option replaced by its SHA-256."""
     procedure_sha256: str
-    """Of the procedure as it was run, sealed options included."""
+    """Of `procedure` as it stands here; sealed options are in it by their own hashes."""
     sealed: tuple[str, ...] = ()
     """Names of the drive options that were sealed."""
     capabilities: Capabilities
@@ -48,12 +48,13 @@ def make_record(
     procedure: Procedure, capabilities: Capabilities, provenance: Provenance, hidden: Mapping[str, Any]
 ) -> RunRecord:
     """The record of a run of `procedure`, the drive options in `hidden` replaced by their hashes."""
+    redacted = _with_options(procedure, {name: {"sha256": hash_of(value)} for name, value in hidden.items()})
     return RunRecord(
         name=procedure.name,
         created=datetime.now(UTC).isoformat(timespec="seconds").replace("+00:00", "Z"),
         seed=procedure.seed,
-        procedure=_with_options(procedure, {name: {"sha256": _hash(value)} for name, value in hidden.items()}),
-        procedure_sha256=_hash(procedure.model_dump(mode="json")),
+        procedure=redacted,
+        procedure_sha256=hash_of(redacted.model_dump(mode="json")),
         sealed=tuple(sorted(hidden)),
         capabilities=capabilities,
         provenance=provenance,
@@ -69,7 +70,7 @@ def sealed_options_of(procedure: Procedure, sealed: Iterable[str]) -> dict[str, 
 def unsealed(record: RunRecord, options: dict[str, Any], where: str) -> Procedure:
     """The procedure as it was run; raises `RecordingError` where `options` are not what was sealed."""
     for name in record.sealed:
-        if record.procedure.drive.options.get(name) != {"sha256": _hash(options.get(name))}:
+        if record.procedure.drive.options.get(name) != {"sha256": hash_of(options.get(name))}:
             raise RecordingError(where, name, "is not the option that the run was made with (its hash differs)")
     return _with_options(record.procedure, {name: options[name] for name in record.sealed})
 
@@ -79,6 +80,7 @@ def _with_options(procedure: Procedure, options: dict[str, Any]) -> Procedure:
     return procedure.model_copy(update={"drive": drive})
 
 
-def _hash(value: object) -> str:
+def hash_of(value: object) -> str:
+    """SHA-256 of a JSON value, whatever its layout in a file."""
     canonical = json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
     return hashlib.sha256(canonical.encode()).hexdigest()

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from protocols import shipped_procedures
-from tests.support.processes import fluxbench
+from tests.support.processes import fluxbench, start_fluxbench
 from tests.support.tiny import STAGES, tiny_file
 
 
@@ -102,7 +102,7 @@ def test_a_run_ends_with_its_numbers_and_where_they_are(tmp_path: Path) -> None:
 def test_a_fault_ends_with_3_and_one_line(tmp_path: Path) -> None:
     procedure = tiny_file(tmp_path, drive={"faults": [{"kind": "trip", "cause": "overcurrent", "at_excitation": 5}]})
     done = fluxbench("run", procedure, "--out", tmp_path / "run", "--quiet")
-    assert_one_line(done, 3, "overcurrent", str(tmp_path / "run"))
+    assert_one_line(done, 3, "overcurrent", f"fluxbench resume {tmp_path / 'run'}")
 
 
 def test_an_estimate_of_a_recording_that_may_not_be_written_goes_elsewhere(tmp_path: Path) -> None:
@@ -150,7 +150,9 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
 def test_an_effect_in_a_file_of_one_s_own_is_held_against_the_contract(tmp_path: Path) -> None:
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     mine = tmp_path / "mine.py"
-    mine.write_text("class Half:\n    name = 'half'\n\n    def correct(self, signals, values):\n        return signals\n")
+    mine.write_text(
+        "class Half:\n    name = 'half'\n\n    def correct(self, signals, values):\n        return signals\n"
+    )
     assert_one_line(fluxbench("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "summary")
     mine.write_text("raise SystemExit('boom')\n")
     assert_one_line(fluxbench("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "boom")
@@ -176,3 +178,38 @@ def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "flux_map.csv").is_file()
     assert_one_line(fluxbench("export", flux_map, "--out", tmp_path / "out"), 2, "--motor")
+
+
+def test_two_runs_into_one_directory_leave_one_of_them_whole(tmp_path: Path) -> None:
+    procedure = tiny_file(tmp_path)
+    runs = [start_fluxbench("run", procedure, "--out", tmp_path / "run", "--quiet") for _ in range(2)]
+    told = [run.communicate(timeout=120)[1] for run in runs]
+    assert sorted(run.returncode for run in runs) == [0, 2], told
+    assert (tmp_path / "run" / "results" / "flux_map.nc").is_file()
+
+
+def test_a_run_prints_its_estimates_as_json(tmp_path: Path) -> None:
+    done = fluxbench("run", tiny_file(tmp_path), "--out", tmp_path / "run", "--json")
+    found = json.loads(done.stdout)
+    assert found["outcome"] == "finished"
+    assert found["estimates"]["resistance"]["value_ohm"] == pytest.approx(4.25, rel=0.1)
+
+
+def test_a_run_whose_journal_or_procedure_was_tampered_with_is_not_resumed(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert fluxbench("run", tiny_file(tmp_path, stages=STAGES[:1]), "--out", run).returncode == 0
+    record = (run / "run.json").read_text()
+    (run / "run.json").write_text(record.replace('"current_a": 4.5', '"current_a": 6.5'))
+    assert_one_line(fluxbench("resume", run), 2, "procedure_sha256")
+    (run / "run.json").write_text(record)
+    (run / "journal.jsonl").unlink()
+    assert_one_line(fluxbench("resume", run), 2, "journal.jsonl")
+
+
+def test_with_out_nothing_is_written_into_a_run(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert fluxbench("run", tiny_file(tmp_path, stages=STAGES[:-1]), "--out", run).returncode == 0
+    (run / "recording.json").unlink()
+    before = sorted(run.rglob("*"))
+    assert fluxbench("estimate", run, "--out", tmp_path / "elsewhere").returncode == 0
+    assert sorted(run.rglob("*")) == before

@@ -124,6 +124,8 @@ def test_a_run_goes_through_every_stage_and_rests_between_them(whole: Path) -> N
         "stopping",
         "waiting_for_operator",
         "checking_lock",
+        "stopping",
+        "estimating",
         "estimating_resistance",
         "sweeping_classical",
         "sweeping_injection",
