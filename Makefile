@@ -13,10 +13,10 @@ demo: $(STAMP)
 	$(BIN)/fluxbench run demo
 
 test: $(STAMP) lint
-	$(BIN)/pytest -q
+	$(BIN)/pytest -q -n 2
 
 test-all: $(STAMP) lint
-	$(BIN)/pytest -q -m "slow or not slow"
+	$(BIN)/pytest -q -n 2 -m "slow or not slow"
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks

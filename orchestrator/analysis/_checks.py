@@ -90,3 +90,20 @@ def difference_percent(one: FluxMap, other: FluxMap, rated_wb: float | None) -> 
     if not np.isfinite(squares).any():
         return None
     return float(100.0 / rated_wb * np.sqrt(np.nanmean(squares)))
+
+
+def flux_ratio(one: FluxMap, other: FluxMap) -> tuple[float, float] | None:
+    """Factor by which `one`'s flux is larger than `other`'s, less its own psi(0, 0), and its standard deviation.
+
+    The errors of a map are taken to be alike all over it. None where the maps do not overlap.
+    """
+    axes = (one.i_d.astype(np.float64), one.i_q.astype(np.float64))
+    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+    zero = np.zeros((1, 2))
+    a, b = (flux_at(m)(grid) - flux_at(m)(zero) for m in (one, other))
+    there = np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
+    size = float((b[there] ** 2).sum())
+    if size == 0.0:
+        return None
+    spread = [float(np.nanmean(m.psi_d_std**2 + m.psi_q_std**2)) for m in (one, other)]
+    return float((a[there] * b[there]).sum()) / size, float(np.sqrt(sum(spread) * there.sum() / size))

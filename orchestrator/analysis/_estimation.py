@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from orchestrator.analysis._checks import difference_percent, rated_flux_wb
+from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
 from orchestrator.analysis._flux_map_file import save_flux_map
 from orchestrator.analysis._report import EstimationReport, ResistanceReport
 from orchestrator.recording import replace_file
@@ -22,10 +22,13 @@ from protocols import (
     StorageError,
 )
 
-_PREFERRED = ("injection", "classical")
+_PREFERRED = ("energy", "injection", "classical")
+_BAD_ENERGY_PERCENT = 2.0  # rms, off every map of the measurements it was fitted to
 _BAD_CROSSINGS_PERCENT = 5.0
 _BAD_PARITY_PERCENT = 5.0
 _BAD_DIFFERENCE_PERCENT = 10.0
+_LEAST_RATIO = 0.01  # of injection's flux to the classical method's, that is worth a word
+_SURE = 2.0  # standard deviations
 
 
 def estimate_recording(
@@ -41,8 +44,9 @@ def estimate_recording(
     ----------
     recording : RecordingReader
     estimators : sequence of Estimator
-        Those of the resistance run first; the others see what they found. A map by injection is
-        recommended before a classical one, any other after them.
+        Those of the resistance run first, an energy's last; the others see what they found. A map of an energy that
+        explains the measurements is recommended before one by injection, that before a classical one, any other
+        after them.
     out : Path
         Directory that gets the folder ``results``.
     on_estimate : callable, optional
@@ -58,7 +62,7 @@ def estimate_recording(
     resistance: ResistanceEstimate | None = None
     maps: dict[str, FluxMapEstimate] = {}
     missing: list[str] = []
-    for estimator in sorted(estimators, key=lambda e: e.produces != "resistance"):
+    for estimator in sorted(estimators, key=lambda e: (e.produces != "resistance", e.name == "energy")):
         try:
             found = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=dict(maps)))
         except NotMeasuredError as error:
@@ -79,9 +83,20 @@ def estimate_recording(
     return _written(report, recording, maps, out / "results")
 
 
-def _recommended(maps: dict[str, FluxMapEstimate]) -> FluxMapEstimate | None:
+def _recommended(maps: dict[str, FluxMapEstimate], rated_a: float | None) -> FluxMapEstimate | None:
     order = sorted(maps, key=lambda m: _PREFERRED.index(m) if m in _PREFERRED else len(_PREFERRED))
+    if len(order) > 1 and order[0] == "energy" and not _explains(maps, rated_a):
+        order = [*order[1:], "energy"]
     return maps[order[0]] if order else None
+
+
+def _explains(maps: dict[str, FluxMapEstimate], rated_a: float | None) -> bool:
+    """Whether an energy agrees with one of the maps at least; one that does is better than any of them alone."""
+    energy = maps["energy"].map
+    rated = rated_flux_wb(energy, rated_a)
+    off = [difference_percent(energy, other.map, rated) for method, other in maps.items() if method != "energy"]
+    known = [one for one in off if one is not None]
+    return not known or min(known) <= _BAD_ENERGY_PERCENT
 
 
 def _report(
@@ -90,11 +105,11 @@ def _report(
     maps: dict[str, FluxMapEstimate],
     missing: list[str],
 ) -> EstimationReport:
-    best = _recommended(maps)
+    best = _recommended(maps, recording.manifest.motor.rated_current_a)
     checks = best.checks if best else MapChecks()
     difference = _difference(recording, maps)
     against = _objections(best)
-    remarks = _remarks(difference)
+    remarks = _remarks(difference, maps)
     unscaled = best is not None and rated_flux_wb(best.map, recording.manifest.motor.rated_current_a) is None
     notes = ["the map does not reach the rated current: no percentages"] if unscaled else []
     notes += [f"{method}: {note}" for method, found in maps.items() for note in found.notes]
@@ -136,11 +151,22 @@ def _objections(best: FluxMapEstimate | None) -> list[str]:
     return words
 
 
-def _remarks(difference: float | None) -> list[str]:
+def _remarks(difference: float | None, maps: dict[str, FluxMapEstimate]) -> list[str]:
     """A difference between the methods speaks against one of them, and does not say which."""
-    if difference is None or difference <= _BAD_DIFFERENCE_PERCENT:
-        return []
-    return [f"the classical and the injection map differ by {difference:.1f} % of the rated flux (rms)"]
+    words = []
+    if difference is not None and difference > _BAD_DIFFERENCE_PERCENT:
+        words.append(f"the classical and the injection map differ by {difference:.1f} % of the rated flux (rms)")
+    if not {"classical", "injection"} <= maps.keys():
+        return words
+    ratio = flux_ratio(maps["injection"].map, maps["classical"].map)
+    if ratio is not None and abs(ratio[0] - 1.0) > max(_SURE * ratio[1], _LEAST_RATIO):
+        less = ratio[0] < 1.0
+        cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
+        words.append(
+            f"injection gives {100 * abs(ratio[0] - 1.0):.1f} % {'less' if less else 'more'} flux than the classical "
+            f"method, more than their errors explain: {cause}"
+        )
+    return words
 
 
 def _written(

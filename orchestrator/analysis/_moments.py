@@ -16,7 +16,9 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 FEATURES = 11
-"""P (2), Q (2), second-order products of P (3), third-order ones (4)."""
+"""P (2), Q (2), second-order products of the flux ripple P - R Q (3), third-order ones (4)."""
+
+_NO_DROP = np.zeros((2, 2))
 
 
 @dataclass(frozen=True)
@@ -28,7 +30,7 @@ class Moments:
     normal : array, shape (13, 13)
         Products of the eleven features and the two currents, each without its mean and ramp in a window.
     mean_squares : array, shape (3,)
-        Means of P_d^2, P_d P_q, P_q^2.
+        Means of x_d^2, x_d x_q, x_q^2 of the flux ripple x = P - R Q.
     mean_i, mean_v2 : array of shape (2,), float
         Mean current; mean square of the voltage's ripple.
     samples, windows : int
@@ -51,16 +53,19 @@ def ripple_moments(
     delay: float,
     first: int,
     width: int,
+    drop_ohm: Array = _NO_DROP,
 ) -> Moments:
     """Accumulate the moments in the frame at `angle_rad`, from row `first` on, in windows of `width` samples.
 
-    v[k] acts from t_k + delay Ts on; `first` must not be less than `delay`.
+    v[k] acts from t_k + delay Ts on; `first` must not be less than `delay`. `drop_ohm`, shape (2, 2), is R of the
+    flux ripple whose products are taken.
     """
     whole = math.floor(delay)
     windows = (len(i_ab) - first) // width
     i, v = (np.ascontiguousarray(x, dtype=np.float64) for x in (i_ab, v_ab))
     frame = (math.cos(angle_rad), math.sin(angle_rad))
-    normal, squares, mean_i, v2 = _accumulate(i, v, sampling_s, frame, (whole, delay - whole), first, width, windows)
+    lag = (whole, delay - whole)
+    normal, squares, mean_i, v2 = _accumulate(i, v, sampling_s, frame, lag, drop_ohm, first, width, windows)
     samples = windows * width
     return Moments(normal, squares / samples, mean_i / samples, v2 / samples, samples, windows)
 
@@ -72,6 +77,7 @@ def _accumulate(
     sampling_s: float,
     frame: tuple[float, float],
     delay: tuple[int, float],
+    drop_ohm: Array,
     first: int,
     width: int,
     windows: int,
@@ -92,7 +98,7 @@ def _accumulate(
             z[11 + axis] -= i_mean
             v[axis] -= v_mean
             v2 += (v[axis] * v[axis]).sum()
-        _fill_features(z, v, sampling_s)
+        _fill_features(z, v, drop_ohm, sampling_s)
         for a in range(13):
             along, up = 0.0, 0.0
             for k in range(width):
@@ -130,7 +136,7 @@ def _rotate_window(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fill_features(z: Array, v: Array, sampling_s: float) -> None:
+def _fill_features(z: Array, v: Array, drop_ohm: Array, sampling_s: float) -> None:
     """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current in rows 11 and 12."""
     for axis in range(2):
         p, q = 0.0, 0.0
@@ -140,7 +146,9 @@ def _fill_features(z: Array, v: Array, sampling_s: float) -> None:
             z[2 + axis, k] = q + 0.5 * sampling_s * z[11 + axis, k]
             q += sampling_s * z[11 + axis, k]
         z[axis] -= z[axis].mean()
+        z[2 + axis] -= z[2 + axis].mean()
     for k in range(v.shape[1]):
-        d, q = z[0, k], z[1, k]
+        d = z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
+        q = z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
         z[4, k], z[5, k], z[6, k] = d * d, d * q, q * q
         z[7, k], z[8, k], z[9, k], z[10, k] = d * d * d, d * d * q, d * q * q, q * q * q

@@ -6,8 +6,9 @@ While the rotor stands still, dpsi/dt = v - R_s i and i = grad H(psi). Around th
 
 with P the zero-mean primitive of the voltage (F(Omega t) of Combes, Malrait, Martin, Rouchon, "Obtaining the
 current-flux relations of the saturated PMSM by signal injection") and Q that of the current. The ripple is
-regressed on P, on Q and on the products of P, over windows of whole injection periods, in each of which a
-constant and a ramp are free. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
+regressed on P, on Q and on the products of psi~, over windows of whole injection periods, in each of which a
+constant and a ramp are free. R in the products is what the coefficient of Q says, found in a first pass where
+it matters. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
 the curvature that a finite ripple sees is told apart from the Hessian. H3 comes as a by-product: it is the
 slope of the inductances, and half of it shifts the mean current away from the current at the mean flux.
 """
@@ -26,6 +27,8 @@ from protocols import Capture, NotMeasuredError
 Array = NDArray[np.float64]
 
 _PERIODS = 4  # a window's least; a ramp is then nearly orthogonal to the ripple
+
+_SLOW = 0.3  # decay over a period below which R Q is too little of the ripple to matter in its products
 
 _ROWS = 16_384  # enough to find the frequency in
 
@@ -153,10 +156,22 @@ def _demodulated(capture: Capture, angle: float, delay: float, skip: int, freque
             f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {len(capture) - first} are there"
         )
         raise NotMeasuredError(where, "samples", problem)
-    moments = ripple_moments(
-        capture.i_ab, capture.v_ab, sampling_s=1.0 / rate, angle_rad=angle, delay=delay, first=first, width=width
-    )
-    fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, where)
+    drop_ohm = np.zeros((2, 2))
+    for _ in range(2):
+        moments = ripple_moments(
+            capture.i_ab,
+            capture.v_ab,
+            sampling_s=1.0 / rate,
+            angle_rad=angle,
+            delay=delay,
+            first=first,
+            width=width,
+            drop_ohm=drop_ohm,
+        )
+        fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, 1.0 / rate, where)
+        if drop_ohm.any() or np.linalg.norm(fit.decay_per_s, 2) < _SLOW * frequency:
+            break
+        drop_ohm = np.linalg.inv(fit.hessian).astype(np.float64) @ fit.decay_per_s
     s, t = moments.mean_squares, fit.third
     shift = 0.5 * np.array([s[0] * t[0] + 2 * s[1] * t[1] + s[2] * t[2], s[0] * t[1] + 2 * s[1] * t[2] + s[2] * t[3]])
     return Ripple(
@@ -168,7 +183,7 @@ def _demodulated(capture: Capture, angle: float, delay: float, skip: int, freque
         flux_rms_wb=math.sqrt(s[0] + s[2]),
         frequency_hz=frequency,
         amplitude_v=math.sqrt(moments.mean_v2),
-        decay_per_s=fit.decay_per_s,
+        decay_per_s=max(float(np.linalg.eigvals(fit.decay_per_s).real.min()), 1e-3),
         samples=moments.samples,
     )
 

@@ -1,11 +1,12 @@
 """Flux along one swept current path, by integrating the voltage over time; one capture at a time.
 
-    psi(t) = psi(0) + integral of (v - R_s i) dt
+    psi(t) = psi(0) + integral of (v - R_s i - e) dt
 
 (Combes, Malrait, Martin, Rouchon, eq. "timeIntegration"). What is wrong with the voltage as a function of the current
-(R_s itself, dead time, device drops) adds with one sign while the current rises and with the other while it falls,
-so the mean of rising and falling branches is free of it. What is left of it while the current rests is known there and
-taken out. Paths are put together elsewhere.
+(R_s itself, dead time, device drops: e) adds with one sign while the current rises and with the other while it falls,
+so the mean of rising and falling branches is free of it as far as both are passed alike. `_loops` tells e from many
+sweeps; without it, what is left of it while the current rests is known there and taken out. Paths are put together
+elsewhere.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 
 _BLOCKS = 4000  # a capture is averaged down to about so many points
 _LEVELS = 61  # points of a path
+_ASYMMETRY = 0.4  # how much of a loop's half width its mean may be off: branches are not passed quite alike
 
 
 @dataclass(frozen=True)
@@ -63,22 +65,51 @@ class Sweep:
 
 
 @dataclass(frozen=True)
-class _Trace:
-    """Block means of current, of its integral and of the voltage's integral, in the dq frame."""
+class SweepTrace:
+    """One capture of a sweep, averaged over short blocks, dq frame.
 
+    Attributes
+    ----------
+    where : str
+        Name of the segment.
+    start_s : float
+        Since the start of the experiment.
+    i, charge, impulse : array, shape (n, 2)
+        Current [A], its integral [As] and the voltage's [Vs].
+    steps : array, shape (n, k, 2)
+        Integrals of what one volt at each of the inverter's knots does [s]; k may be zero.
+    time : array, shape (n,)
+        Since the capture's start [s].
+    travel : array, shape (n,)
+        Current along `axis`, the direction that is swept [A].
+    axis : array, shape (2,)
+    block : int
+        Samples.
+    period : float
+        Blocks.
+    dwells : tuple of Dwell
+        Where the current rests, the settling after each change left out.
+    angle_rad : float
+    """
+
+    where: str
+    start_s: float
     i: Array
     charge: Array
     impulse: Array
+    steps: Array
     time: Array
     travel: Array
     axis: Array
     block: int
     period: float
+    dwells: tuple[Dwell, ...]
+    angle_rad: float
 
 
 def find_dwells(capture: Capture, angle_rad: float, delay: float = 0.0) -> tuple[Dwell, ...]:
     """Where the current of a sweep rests, the settling after each change left out."""
-    return _dwells(capture, _trace(capture, angle_rad, delay), delay)
+    return trace_sweep(capture, angle_rad, delay=delay).dwells
 
 
 def evaluate_sweep(
@@ -108,13 +139,19 @@ def evaluate_sweep(
     NotMeasuredError
         Where the current is not swept to and fro.
     """
-    trace = _trace(capture, angle_rad, delay)
-    dwells = _dwells(capture, trace, delay)
-    psi = _flux(trace, dwells, angle_rad, resistance_ohm, where)
-    branches = _branches(trace, psi)
-    levels = _levels(branches, where)
-    table = np.stack([_at_levels(branch, levels) for branch in branches])
-    rising = np.array([b[-1, 0] > b[0, 0] for b in branches])
+    trace = trace_sweep(capture, angle_rad, delay=delay, where=where)
+    return sweep_of(trace, flux_by_rests(trace, resistance_ohm))
+
+
+def sweep_of(trace: SweepTrace, psi: Array) -> Sweep:
+    """Mean path and loop of the flux that was integrated over a trace, shape (n, 2).
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the current is not swept to and fro.
+    """
+    rising, table = branch_table(trace, np.column_stack([trace.i, psi]))
     steps = np.diff(table, axis=1)
     up, down = _mean(steps[rising]), _mean(steps[~rising])
     # Where only one direction passed, it has to do.
@@ -124,9 +161,19 @@ def evaluate_sweep(
     loop = 0.5 * _summed(np.nan_to_num(up - down))[:, 2:]
     off = np.concatenate([steps[rising] - up, steps[~rising] - down])[:, :, 2:]
     scatter = np.stack([_summed(np.nan_to_num(one)) for one in off])
-    repeated = len(branches) - 2
+    repeated = len(table) - 2
     var = (scatter**2).mean(axis=1).sum(axis=0) / repeated if repeated > 0 else (loop**2).mean(axis=0)
-    return Sweep(FluxPath(path[:, :2], path[:, 2:], np.sqrt(var / len(branches))), np.abs(loop).max(axis=0), dwells)
+    widest = np.abs(loop).max(axis=0)
+    std = np.hypot(np.sqrt(var / len(table)), _ASYMMETRY * widest)
+    return Sweep(FluxPath(path[:, :2], path[:, 2:], std), widest, trace.dwells)
+
+
+def branch_table(trace: SweepTrace, columns: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Columns of a trace at evenly spaced currents of each branch, (branches, levels, k); which branches rise."""
+    branches = _branches(trace, columns)
+    levels = _levels(branches, trace.where)
+    table = np.stack([_at_levels(branch, levels) for branch in branches])
+    return np.array([b[-1, 0] > b[0, 0] for b in branches]), table
 
 
 def _mean(x: Array) -> Array:
@@ -144,10 +191,16 @@ def _summed(steps: Array) -> Array:
     return out
 
 
-def _trace(capture: Capture, angle: float, delay: float) -> _Trace:
+def trace_sweep(
+    capture: Capture, angle_rad: float, *, delay: float = 0.0, knots_a: Array | None = None, where: str = "capture"
+) -> SweepTrace:
+    """Average a capture down to blocks, integrals included; parameters as of `evaluate_sweep`.
+
+    With `knots_a`, shape (k,), the phase currents at which the inverter's shape is to be known [A], its integrals too.
+    """
     step = 1.0 / capture.sampling_frequency_hz
-    i = to_dq(capture.i_ab, angle)
-    v = to_dq(acting_voltage(capture.v_ab, delay), angle)
+    i = to_dq(capture.i_ab, angle_rad)
+    v = to_dq(acting_voltage(capture.v_ab, delay), angle_rad)
     charge = step * (np.cumsum(i, axis=0) - 0.5 * i)
     impulse = step * (np.cumsum(v, axis=0) - v)
     block = max(1, len(i) // _BLOCKS)
@@ -157,26 +210,52 @@ def _trace(capture: Capture, angle: float, delay: float) -> _Trace:
     axis = spread * np.sign(spread[np.argmax(np.abs(spread))])
     travel = means[0] @ axis
     period = n / max(1, int(np.argmax(np.abs(np.fft.rfft(travel - travel.mean())))))
-    time: Array = (np.arange(n, dtype=np.float64) + 0.5) * (block * step)
-    return _Trace(means[0], means[1], means[2], time, travel, axis, block, period)
+    # The rests without their first third, in which the control still settles.
+    flats = ((a + (b - a) // 3, b) for a, b in rests(travel, period))
+    return SweepTrace(
+        where=where,
+        start_s=capture.start_s,
+        i=means[0],
+        charge=means[1],
+        impulse=means[2],
+        steps=_steps(capture, angle_rad, knots_a, block, n),
+        time=(np.arange(n, dtype=np.float64) + 0.5) * (block * step),
+        travel=travel,
+        axis=axis,
+        block=block,
+        period=period,
+        dwells=tuple(dwell(capture, a * block, b * block, delay) for a, b in flats),
+        angle_rad=angle_rad,
+    )
 
 
-def _dwells(capture: Capture, trace: _Trace, delay: float) -> tuple[Dwell, ...]:
-    """The rests without their first third, in which the control still settles."""
-    flats = rests(trace.travel, trace.period)
-    return tuple(dwell(capture, (a + (b - a) // 3) * trace.block, b * trace.block, delay) for a, b in flats)
+def _steps(capture: Capture, angle: float, knots_a: Array | None, block: int, blocks: int) -> Array:
+    if knots_a is None:
+        return np.zeros((blocks, 0, 2))
+    # numba stays out of an import that only wants the names
+    from orchestrator.analysis._steps import step_integrals
+
+    stator = step_integrals(capture.i_ab, knots_a, 1.0 / capture.sampling_frequency_hz, block, blocks)
+    return to_dq(stator.reshape(-1, 2), angle).reshape(stator.shape)
 
 
-def _flux(trace: _Trace, dwells: tuple[Dwell, ...], angle: float, resistance: float | None, where: str) -> Array:
-    """Integral of the voltage less everything that it shows while the current rests."""
+def flux_by_rests(trace: SweepTrace, resistance: float | None) -> Array:
+    """Integral of the voltage less everything that it shows while the current rests, shape (n, 2).
+
+    Raises
+    ------
+    NotMeasuredError
+        Where no resistance is given and the rests do not tell one.
+    """
+    dwells, where = trace.dwells, trace.where
     if not dwells:
         if resistance is None:
             raise NotMeasuredError(where, "R_s", "the current never rests here, and no resistance was measured")
         flux = trace.impulse - resistance * trace.charge
         # Without rests all that is known is that a whole number of periods brings no net flux.
         return flux - np.outer(trace.time, (flux[-1] - flux[0]) / (trace.time[-1] - trace.time[0]))
-    i = to_dq(np.array([d.i_ab for d in dwells]), angle)
-    v = to_dq(np.array([d.v_ab for d in dwells]), angle)
+    i = to_dq(np.array([d.i_ab for d in dwells]), trace.angle_rad)
+    v = to_dq(np.array([d.v_ab for d in dwells]), trace.angle_rad)
     s = i @ trace.axis
     spread = np.ptp(s) > 0.2 * np.ptp(trace.travel)
     if resistance is None:
@@ -193,9 +272,9 @@ def _flux(trace: _Trace, dwells: tuple[Dwell, ...], angle: float, resistance: fl
     return trace.impulse - drop
 
 
-def _branches(trace: _Trace, psi: Array) -> list[Array]:
-    """Runs between rests, in order of time; a row is (travel, i_d, i_q, psi_d, psi_q)."""
-    rows = np.column_stack([trace.travel, trace.i, psi])
+def _branches(trace: SweepTrace, columns: Array) -> list[Array]:
+    """Runs between rests, in order of time; a row is the travel and the columns."""
+    rows = np.column_stack([trace.travel, columns])
     flats = list(rests(trace.travel, trace.period))
     marks = [_arrival(trace), *(k for flat in flats for k in flat), len(rows)]
     runs = []
@@ -203,14 +282,14 @@ def _branches(trace: _Trace, psi: Array) -> list[Array]:
         # A rest is one point, its mean: the end of one run and the start of the next.
         head = [rows[slice(*flats[n - 1])].mean(axis=0)] if n > 0 else []
         tail = [rows[slice(*flats[n])].mean(axis=0)] if n < len(flats) else []
-        runs.append(np.array([*head, *rows[a:b], *tail]).reshape(-1, 5))
+        runs.append(np.array([*head, *rows[a:b], *tail]).reshape(-1, rows.shape[1]))
     if not flats:
         runs = _halves(runs[0])
     span = np.ptp(trace.travel)
     return [run for run in runs if len(run) > 2 and abs(run[-1, 0] - run[0, 0]) > 0.1 * span]
 
 
-def _arrival(trace: _Trace) -> int:
+def _arrival(trace: SweepTrace) -> int:
     """First block on the path: what was captured before, on the way to its start, does not belong to it."""
     across = trace.i @ np.array([-trace.axis[1], trace.axis[0]])
     early = max(4, round(trace.period / 4))
@@ -241,10 +320,10 @@ def _levels(branches: list[Array], where: str) -> Array:
 
 
 def _at_levels(branch: Array, levels: Array) -> Array:
-    """Current and flux of one branch at given travels, shape (m, 4), NaN beyond its ends."""
+    """Columns of one branch at given travels, shape (m, k), NaN beyond its ends."""
     # Noise makes the travel run backwards here and there; sorting averages that away.
     ordered = branch[np.argsort(branch[:, 0], kind="stable")]
-    out = np.stack([np.interp(levels, ordered[:, 0], ordered[:, k]) for k in range(1, 5)], axis=1)
+    out = np.stack([np.interp(levels, ordered[:, 0], ordered[:, k]) for k in range(1, ordered.shape[1])], axis=1)
     slack = 1e-3 * np.ptp(levels)
     out[(levels < ordered[0, 0] - slack) | (levels > ordered[-1, 0] + slack)] = np.nan
     return out

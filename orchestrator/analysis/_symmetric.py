@@ -39,15 +39,18 @@ _DESIGN = _design()
 
 @dataclass(frozen=True)
 class SymmetricFit:
-    """Derivatives of the energy with the covariance of the first seven; zero what could not be told."""
+    """Derivatives of the energy with the covariance of the first seven; zero what could not be told.
+
+    `decay_per_s`, shape (2, 2), is the matrix H R of a transient's decay.
+    """
 
     hessian: Array
     third: Array
     covariance: Array
-    decay_per_s: float
+    decay_per_s: Array
 
 
-def symmetric_regression(normal: Array, freedom: int, where: str) -> SymmetricFit:
+def symmetric_regression(normal: Array, freedom: int, sampling_s: float, where: str) -> SymmetricFit:
     """Generalised least squares for H_11 .. H_222, symmetric by construction.
 
     Parameters
@@ -56,6 +59,8 @@ def symmetric_regression(normal: Array, freedom: int, where: str) -> SymmetricFi
         Sums of products of the eleven features (P, Q, squares and cubes of P) and the two currents.
     freedom : int
         Samples less what has been fitted already.
+    sampling_s : float
+        Time between the samples, whose trapezoids make Q.
 
     Raises
     ------
@@ -69,7 +74,8 @@ def symmetric_regression(normal: Array, freedom: int, where: str) -> SymmetricFi
             continue
         scaled = normal[:used, :used] / np.outer(scale, scale)
         if np.linalg.eigvalsh(scaled)[0] > 1e-6:
-            return _solved(normal, used, scale, scaled, freedom, _UNKNOWNS_OF_ORDER[order])
+            found = _solved(normal, used, scale, scaled, freedom, _UNKNOWNS_OF_ORDER[order])
+            return _between_samples(found, sampling_s)
     raise NotMeasuredError(where, "v_alpha, v_beta", "the injected voltage does not turn; both axes need to be excited")
 
 
@@ -89,5 +95,24 @@ def _solved(normal: Array, used: int, scale: Array, scaled: Array, freedom: int,
     spread[np.ix_(unknowns, unknowns)] = covariance / np.outer(size, size)
     h = answer[_HESSIAN]
     hessian = np.array([[h[0], h[1]], [h[1], h[2]]])
-    decay = np.linalg.eigvals(-answer[_FREE].reshape(2, 2)).real
-    return SymmetricFit(hessian, answer[_THIRD], spread[:7, :7], max(float(decay.min()), 1e-3))
+    return SymmetricFit(hessian, answer[_THIRD], spread[:7, :7], -answer[_FREE].reshape(2, 2).T)
+
+
+def _between_samples(fit: SymmetricFit, sampling_s: float) -> SymmetricFit:
+    """Undo what trapezoids make of a current that decays between two samples.
+
+    With x = A h / 2 the sampled current obeys di = (tanh x / x) H v h - (2/h) tanh x Q' exactly, Q' being the
+    trapezoid: so A = (2/h) artanh(B h / 2) of the matrix B found, and H = (A / B) times the matrix found.
+    """
+    rates, vectors = np.linalg.eig(fit.decay_per_s.astype(np.complex128))
+    x = 0.5 * sampling_s * rates
+    # What is faster than the samples is noise: nothing to be undone.
+    x = np.where((np.abs(x) > 1e-6) & (np.abs(x) < 0.9), x, 1e-6)
+    ratio = (vectors * (np.arctanh(x) / x)) @ np.linalg.inv(vectors)
+    hessian = (ratio @ fit.hessian).real
+    return SymmetricFit(
+        hessian=0.5 * (hessian + hessian.T),
+        third=fit.third,
+        covariance=fit.covariance,
+        decay_per_s=(ratio @ fit.decay_per_s).real,
+    )

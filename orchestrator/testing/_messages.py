@@ -114,7 +114,7 @@ def points_done(run: Path, count: int) -> Iterator[Message]:
             achieved_d_a=0.98,
             achieved_q_a=-0.51,
             points_done=min(k + 1, POINTS),
-        points=POINTS,
+            points=POINTS,
             seconds_left=max(0.0, 0.5 * (POINTS - k - 1)),
         )
 

@@ -1,16 +1,28 @@
-"""What the map-making estimators share: the nameplate's flux convention, and the grid of a map."""
+"""What the map-making estimators share: flux convention and grid of a map, and the measurements behind it."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import current_axes
-from protocols import FluxMap, Motor, RecordingReader
+from orchestrator.analysis import FluxPath, Inductances, current_axes
+from protocols import FluxMap, FluxMapEstimate, Motor, RecordingReader
 
 Array = NDArray[np.float64]
 
 QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
+
+
+class SweptFlux(FluxMapEstimate):
+    """A map by integration, with the paths that it was made of."""
+
+    paths: tuple[FluxPath, ...]
+
+
+class InjectedFlux(FluxMapEstimate):
+    """A map by injection, with the inductances that it was made of."""
+
+    inductances: Inductances
 
 
 def grid_of(points: Array) -> tuple[tuple[Array, Array], Array]:

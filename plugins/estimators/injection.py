@@ -27,11 +27,10 @@ from orchestrator.analysis import (
     rated_flux_wb,
 )
 from plugins.estimators._lines import straight_lines
-from plugins.estimators._maps import as_map, grid_of, voltage_delay
+from plugins.estimators._maps import InjectedFlux, as_map, grid_of, voltage_delay
 from protocols import (
     EstimationContext,
     FluxMap,
-    FluxMapEstimate,
     FluxPoints,
     NotMeasuredError,
     RecordingReader,
@@ -68,7 +67,7 @@ class InjectionEstimator:
     summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
     produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
 
-    def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> InjectedFlux:
         """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
         groups, skipped = _groups(recording)
         if not groups:
@@ -81,11 +80,12 @@ class InjectionEstimator:
         flux_map = _gridded(recording, points, flux)
         rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
         magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
-        return FluxMapEstimate(
+        return InjectedFlux(
             map=flux_map,
             points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
             checks=check_map(flux_map, rated, _misfit(points)),
             notes=(*_notes(groups, chosen, points, flux), *skipped),
+            inductances=points,
         )
 
 

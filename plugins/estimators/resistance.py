@@ -21,6 +21,7 @@ from protocols import (
     SegmentStage,
 )
 
+_COPPER_K = 234.5 + 20.0  # R_s is proportional to the temperature over -234.5 C (IEC 60034-1, 8.6.2.3); a cold start
 _SETTLING = 1 / 3  # share of a hold that is left out: foreign loggers begin before the current has settled
 
 
@@ -112,6 +113,14 @@ def _notes(fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[Resis
             notes.append(f"the inverter keeps {error:.2f} V from each phase{at} (dead time or device drops); taken out")
     change = readings[-1].value_ohm / readings[0].value_ohm - 1.0
     spread = float(np.hypot(readings[-1].std_ohm, readings[0].std_ohm)) / readings[0].value_ohm
+    if fit.error_v and max(fit.error_v.values()) > 0.01 * fit.resistance_ohm * largest:
+        notes.append(
+            "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
+        )
     if abs(change) > max(0.02, 3.0 * spread):
-        notes.append(f"R_s changes by {100 * change:+.1f} % over the recording")
+        rise, off = _COPPER_K * change, 1.96 * _COPPER_K * spread
+        notes.append(
+            f"R_s changes by {100 * change:+.1f} % over the recording: the winding's temperature by {rise:+.0f} "
+            f"(+-{max(off, 1.0):.0f}) K, if it is copper and started at 20 C"
+        )
     return tuple(notes)

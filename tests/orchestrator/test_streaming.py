@@ -5,9 +5,11 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 import pytest
+from pydantic import BaseModel
 
 from orchestrator.streaming import Dispatcher
 from protocols import Capture, Message, NoOptions, Note, SamplesCaptured, StreamSetup
@@ -16,9 +18,9 @@ from protocols import Capture, Message, NoOptions, Note, SamplesCaptured, Stream
 class Listening:
     """Remembers what it was told."""
 
-    name = "listening"
-    Options = NoOptions
-    wants_samples = False
+    name: ClassVar[str] = "listening"
+    Options: ClassVar[type[BaseModel]] = NoOptions
+    wants_samples: ClassVar[bool] = False
 
     def __init__(self, setup: StreamSetup | None = None) -> None:
         self.heard: list[Message] = []
@@ -132,8 +134,10 @@ def test_a_stream_that_cannot_be_made_is_told_and_loses_everything() -> None:
 
 @pytest.mark.parametrize("wanted", [True, False])
 def test_samples_go_only_where_they_are_wanted(wanted: bool) -> None:
-    stream = Listening()
-    stream.wants_samples = wanted  # type: ignore[misc]
+    class Choosing(Listening):
+        wants_samples: ClassVar[bool] = wanted
+
+    stream = Choosing()
     dispatcher = Dispatcher({"a": lambda: stream})
     waits(dispatcher)
     zeros = np.zeros((2, 2))

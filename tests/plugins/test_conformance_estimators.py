@@ -8,6 +8,7 @@ from pathlib import Path
 from orchestrator.recording import open_recording
 from orchestrator.testing import EstimatorConformance
 from plugins.estimators.classical import ClassicalEstimator
+from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import EstimationContext, Estimator, RecordingReader, ResistanceEstimate
@@ -46,3 +47,8 @@ class TestClassical(TestResistance):
 class TestInjection(TestClassical):
     def make_estimator(self) -> Estimator:
         return InjectionEstimator()
+
+
+class TestEnergy(TestResistance):
+    def make_estimator(self) -> Estimator:
+        return EnergyEstimator()

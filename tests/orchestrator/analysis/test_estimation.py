@@ -57,9 +57,9 @@ class Mapper:
     summary: ClassVar[str] = "made up"
     produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
 
-    def __init__(self, name: str, checks: MapChecks | None = None, missing: bool = False) -> None:
+    def __init__(self, name: str, checks: MapChecks | None = None, missing: bool = False, factor: float = 1.0) -> None:
         self.name = name  # type: ignore[misc]
-        self.checks, self.missing = checks or MapChecks(), missing
+        self.checks, self.missing, self.factor = checks or MapChecks(), missing, factor
         self.saw: EstimationContext | None = None
 
     name: ClassVar[str] = ""
@@ -69,7 +69,11 @@ class Mapper:
         if self.missing:
             raise NotMeasuredError("made up", "segments", f"no {self.name} here")
         points = FluxPoints(i_dq=np.zeros((1, 2)), psi_dq=np.zeros((1, 2)), segment=("a",))
-        return FluxMapEstimate(map=exact_map(self.name), points=points, checks=self.checks, notes=("a note",))
+        exact = exact_map(self.name)
+        scaled = {"psi_d": 0.3 + self.factor * (exact.psi_d - 0.3), "psi_q": self.factor * exact.psi_q}
+        return FluxMapEstimate(
+            map=exact.model_copy(update=scaled), points=points, checks=self.checks, notes=("a note",)
+        )
 
 
 def numbers(value: Any) -> list[float]:
@@ -95,6 +99,27 @@ def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> 
     assert names == {"flux_map.nc", "flux_map_classical.nc", "flux_map_other.nc", "estimates.json"}
     assert {Path(path).name for path in report.files.values()} == names
     assert report.classical_against_injection_percent == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("factor", "method"), [(0.99, "energy"), (0.9, "injection")])
+def test_an_energy_is_recommended_where_it_explains_the_measurements(
+    factor: float, method: str, tmp_path: Path
+) -> None:
+    energy = Mapper("energy", factor=factor)
+    report = estimate_recording(RECORDING, [energy, Mapper("injection")], tmp_path)
+    assert report.method == method
+    assert energy.saw is not None
+    assert "injection" in energy.saw.maps
+
+
+@pytest.mark.parametrize(("factor", "words"), [(0.95, "5.0 % less flux"), (1.03, "3.0 % more flux"), (0.995, "")])
+def test_a_difference_of_the_methods_is_put_in_words(factor: float, words: str, tmp_path: Path) -> None:
+    report = estimate_recording(RECORDING, [Mapper("classical"), Mapper("injection", factor=factor)], tmp_path)
+    told = [reason for reason in report.reasons if "injection gives" in reason]
+    assert report.usable
+    assert len(told) == (1 if words else 0)
+    assert all(words in reason for reason in told)
+    assert all(("hysteresis" in reason) == (factor < 1.0) for reason in told)
 
 
 def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -> None:

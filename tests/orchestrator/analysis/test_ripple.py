@@ -106,10 +106,17 @@ def test_a_wrong_belief_turns_the_hessian() -> None:
     assert ripple.hessian[0, 1] == pytest.approx(expected, rel=1e-3)
 
 
-@pytest.mark.parametrize("resistance", [1.0, 4.3, 20.0])
+@pytest.mark.parametrize("resistance", [1.0, 4.3, 20.0, 100.0])
 def test_resistance_does_not_enter(resistance: float) -> None:
     ripple = demodulate(capture_of(injected(resistance=resistance, saturated=False), 0), 0.0, discard_s=0.1)
     np.testing.assert_allclose(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), atol=0.01)
+
+
+@pytest.mark.parametrize("resistance", [30.0, 90.0])
+def test_a_ripple_that_decays_within_its_period_is_as_good(resistance: float) -> None:
+    run = injected(resistance=resistance)
+    assert resistance / L_D > 0.3 * 500.0
+    assert off_percent(demodulate(capture_of(run, 1), 0.0, discard_s=0.1)) < 0.1
 
 
 @pytest.mark.parametrize("delay", [1, 3])

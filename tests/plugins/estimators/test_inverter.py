@@ -1,9 +1,14 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from plugins.estimators._inverter import fit_voltage, step_ab
+from tests.orchestrator.analysis.plant import Array
+
+PHASES = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
 
 SIZES = np.array([0.1, 0.3, 1.0, 2.0, 3.0])
 HELD = np.concatenate([np.outer(sign * SIZES, e) for e in np.eye(2) for sign in (1.0, -1.0)])
@@ -26,6 +31,31 @@ def test_resistance_step_bias_and_drift_are_told_apart() -> None:
     assert fit.error_v[10e3] == pytest.approx(0.8, rel=0.01)
     assert fit.error_v[20e3] == pytest.approx(1.6, rel=0.01)
     np.testing.assert_allclose(fit.bias_v, [0.1, -0.2], atol=2e-3)
+
+
+def clipped(i_ab: Array) -> Array:
+    """A step that is complete at 60 mA."""
+    x = np.clip(i_ab @ PHASES.T / 0.06, -1.0, 1.0)
+    taken: Array = (x * (1.5 - 0.5 * x**2)) @ (2 / 3 * PHASES)
+    return taken
+
+
+def rounded(i_ab: Array) -> Array:
+    """A step that never is complete."""
+    x = i_ab @ PHASES.T / 0.03
+    taken: Array = (x / np.sqrt(1.0 + x**2)) @ (2 / 3 * PHASES)
+    return taken
+
+
+@pytest.mark.parametrize("step", [clipped, rounded])
+def test_a_step_of_another_shape_does_not_bend_the_resistance(step: Callable[[Array], Array]) -> None:
+    held = np.concatenate([HELD, HELD * 0.5, HELD * 0.15])
+    inside = []
+    for seed in range(30):
+        noise = 1e-3 * np.random.default_rng(seed).normal(size=held.shape)
+        fit = fit_voltage(held, 4.0 * held + 0.8 * step(held) + noise, np.zeros(len(held)), np.full(len(held), 10e3))
+        inside.append(abs(fit.resistance_ohm - 4.0) < 2.1 * fit.std_ohm)
+    assert np.mean(inside) > 0.8
 
 
 def test_the_interval_is_that_of_repetitions() -> None:

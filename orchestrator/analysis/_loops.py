@@ -1,0 +1,150 @@
+"""The voltage that never reaches the windings, told from swept currents alone: the flux has to come back.
+
+Along a sweep psi is a function of the current, so at the same current all branches must agree:
+
+    integral of (v - R_s(t) i - T e(i_abc) - v_0) dt  =  the same on every branch.
+
+R_s runs straight between the sweeps' starts, e is one odd shape for all phases, straight between knots and constant
+beyond the last, v_0 is one vector a sweep; all of that is linear, and fitted to all sweeps at once. A loop that
+hysteresis leaves does not look like any of it. What is constant in e and proportional to i is R_s by convention.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._sweep import SweepTrace, branch_table
+
+Array = NDArray[np.float64]
+
+KNOTS: Array = np.array([0.004, 0.01, 0.02, 0.03, 0.045, 0.07, 0.12, 0.25])
+"""Knots of the inverter's shape in units of the largest current: dead times act below some per cent of it."""
+
+
+_ALIKE = 10.0  # neighbouring levels err alike: so many count as one
+
+
+@dataclass(frozen=True)
+class VoltageLosses:
+    """What the loops say of the voltage.
+
+    Attributes
+    ----------
+    knots_a, error_v : array, shape (k,)
+        What each phase loses at these phase currents [V].
+    node_s, node_ohm : array, shape (m,)
+        R_s at times since the start of the experiment.
+    bias_v : dict
+        v_0 in the dq frame by segment, shape (2,).
+    """
+
+    knots_a: Array
+    error_v: Array
+    node_s: Array
+    node_ohm: Array
+    bias_v: dict[str, Array]
+
+    def flux(self, trace: SweepTrace) -> Array:
+        """Integral of the voltage that is left for the flux, shape (n, 2)."""
+        resistive = np.einsum("nmx,m->nx", _resistive(trace, self.node_s), self.node_ohm)
+        lost = np.einsum("nkx,k->nx", trace.steps, self.error_v)
+        psi: Array = trace.impulse - resistive - lost - np.outer(trace.time, self.bias_v[trace.where])
+        return psi
+
+
+def close_loops(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
+    """Fit R_s(t), e and v_0 so that the branches of every sweep agree at equal currents, least squares.
+
+    Parameters
+    ----------
+    traces : list of SweepTrace
+        With `knots_a` made, in order of time.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where a current is not swept to and fro.
+    """
+    starts = np.array([trace.start_s for trace in traces])
+    node_s = np.append(starts, starts[-1] + traces[-1].time[-1])
+    nodes, knots = len(node_s), len(knots_a)
+    shared = nodes + knots
+    own = 4  # v_0, and two inductances for what the other axis' current was off
+    rows, right = [], []
+    for n, trace in enumerate(traces):
+        apart, target = _disagreement(trace, node_s)
+        design = np.zeros((len(target), shared + own * len(traces)))
+        design[:, :shared] = apart[:, :shared]
+        design[:, shared + own * n : shared + own * (n + 1)] = apart[:, shared:]
+        rows.append(design)
+        right.append(target)
+    every, target = np.concatenate(rows), np.concatenate(right)
+    answer = _least_squares(every, target)
+    # The smallest currents are passed too fast to tell much: what the others lose is how far they may stand out.
+    usual_v = float(np.abs(answer[nodes:shared][knots // 2 :]).max(initial=0.0))
+    left_wb = float(np.sqrt(np.mean((target - every @ answer) ** 2)))
+    if usual_v > 0.0:
+        bends = np.zeros((knots, every.shape[1]))
+        bends[:, nodes:shared] = _bends(knots_a) * (_ALIKE**0.5 * left_wb / usual_v)
+        answer = _least_squares(np.concatenate([every, bends]), np.append(target, np.zeros(knots)))
+    return VoltageLosses(
+        knots_a=knots_a,
+        error_v=answer[nodes:shared],
+        node_s=node_s,
+        node_ohm=answer[:nodes],
+        bias_v={trace.where: answer[shared + own * n :][:2] for n, trace in enumerate(traces)},
+    )
+
+
+def _least_squares(design: Array, target: Array) -> Array:
+    size = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    # What no sweep tells apart (a shape that no phase current passes) stays zero.
+    out: Array = np.linalg.lstsq(design / size, target, rcond=1e-7)[0] / size
+    return out
+
+
+def _bends(knots_a: Array) -> Array:
+    """How far each value stands out from the straight line between its neighbours, shape (k, k)."""
+    place = np.concatenate([[0.0], knots_a, [2.0 * knots_a[-1]]])
+    out = np.eye(len(knots_a))
+    for k in range(len(knots_a)):
+        low, here, high = place[k : k + 3]
+        share = (here - low) / (high - low)
+        if k > 0:
+            out[k, k - 1] -= 1.0 - share
+        # Beyond the last knot the shape is constant.
+        out[k, min(k + 1, len(knots_a) - 1)] -= share
+    return out
+
+
+def _resistive(trace: SweepTrace, node_s: Array) -> Array:
+    """Integral of the current, weighted by each node's share in R_s(t), shape (n, nodes, 2)."""
+    time = trace.start_s + trace.time
+    shares = np.stack([np.interp(time, node_s, one) for one in np.eye(len(node_s))], axis=1)
+    pieces = np.diff(trace.charge, axis=0, prepend=np.zeros((1, 2)))
+    return np.cumsum(shares[:, :, None] * pieces[:, None, :], axis=0)
+
+
+def _disagreement(trace: SweepTrace, node_s: Array) -> tuple[Array, Array]:
+    """Equations that all branches agree with their mean: matrix (R nodes, knots, v_0, L across), right-hand side."""
+    resistive = _resistive(trace, node_s)
+    nodes, knots, n = resistive.shape[1], trace.steps.shape[1], len(trace.time)
+    columns = [trace.impulse, resistive.reshape(n, -1), trace.steps.reshape(n, -1), trace.time[:, None], trace.i]
+    table = branch_table(trace, np.column_stack(columns))[1]
+    missing: NDArray[np.bool_] = np.asarray(np.isnan(table).any(axis=2))
+    there = (~missing)[:, :, None]
+    count = np.maximum(there.sum(axis=0), 1)
+    apart = np.where(there, table - np.where(there, table, 0.0).sum(axis=0) / count, 0.0).reshape(-1, table.shape[2])
+    apart = apart[~missing.ravel()]
+    paired = apart[:, 2 : 2 + 2 * (nodes + knots)].reshape(len(apart), nodes + knots, 2)
+    out = np.zeros((len(apart), 2, nodes + knots + 4))
+    out[:, :, : nodes + knots] = paired.transpose(0, 2, 1)
+    time, i = apart[:, -3], apart[:, -2:]
+    across = i @ np.array([-trace.axis[1], trace.axis[0]])
+    for x in range(2):
+        out[:, x, nodes + knots + x] = time
+        out[:, x, nodes + knots + 2 + x] = across
+    return out.reshape(2 * len(apart), -1), apart[:, :2].ravel()

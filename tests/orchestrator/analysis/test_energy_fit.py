@@ -1,0 +1,117 @@
+"""The energy fit on exact and on noisy inductances and paths of a motor whose flux is known."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
+from tests.orchestrator.analysis.plant import Array, flux_for, rotated, saturated_current, saturated_hessian
+from tests.orchestrator.analysis.test_integration import PLANE, exact
+from tests.orchestrator.analysis.test_sweep import RATED_WB
+
+RANDOM = np.random.default_rng(8)
+PLACES = RANDOM.uniform(-2.9, 2.9, (80, 2))
+STD = 0.02
+"""Of the Hessian's entries [1/H], a thousandth of them."""
+
+
+@cache
+def measured(std: float = STD, seed: int = 1, angle: float = 0.0, stiffening: float = 0.0) -> Inductances:
+    """Inductances at a 5 x 5 grid in a frame that is believed to be at `angle` less than it is."""
+    clean = exact(rotated(PLANE, -angle), std)
+    symmetric = np.random.default_rng(seed).normal(size=(len(PLANE), 3))[:, [[0, 1], [1, 2]]] * std
+    matrix = np.linalg.inv(np.linalg.inv(clean.matrix) + symmetric + stiffening * np.eye(2))
+    kept = matrix @ np.linalg.inv(clean.matrix)
+    slope = np.einsum("nai,nbj,nck,nijk->nabc", kept, kept, kept, clean.slope)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    covariance = clean.covariance + 1e-9 * np.diag([0, 0, 0, 1, 1, 1, 1])
+    return Inductances(
+        PLANE, turn @ matrix @ turn.T, np.einsum("ai,bj,ck,nijk->nabc", turn, turn, turn, slope), covariance
+    )
+
+
+@cache
+def paths(std: float = 3e-5, seed: int = 1) -> tuple[FluxPath, ...]:
+    """Five paths along each axis, each with a constant of its own."""
+    random = np.random.default_rng(seed)
+    out = []
+    for held in np.linspace(-3.0, 3.0, 5):
+        for axis in range(2):
+            current = np.full((61, 2), held)
+            current[:, axis] = np.linspace(-3.0, 3.0, 61)
+            off = std * np.outer(np.sin(np.linspace(0.0, np.pi, 61)), random.normal(size=2)) + random.normal(size=2)
+            out.append(FluxPath(current, flux_for(current, saturated_current) + off, np.full(2, std)))
+    return tuple(out)
+
+
+def flux_off(fit: EnergyFit, angle: float = 0.0) -> Array:
+    truth = rotated(flux_for(rotated(PLACES, -angle), saturated_current), angle)
+    return fit.flux(PLACES)[0] - truth
+
+
+def test_exact_inductances_give_the_exact_flux() -> None:
+    assert np.abs(flux_off(fit_energy(measured(1e-5), ()))).max() < 1e-3 * RATED_WB
+
+
+def test_paths_alone_give_flux_and_inductance() -> None:
+    fit = fit_energy(None, paths())
+    assert np.abs(flux_off(fit)).max() < 3e-3 * RATED_WB
+    inductance = np.linalg.inv(saturated_hessian(flux_for(PLACES, saturated_current)))[:, [0, 0, 1], [0, 1, 1]]
+    assert np.abs(fit.inductance(PLACES)[0] - inductance).max() < 0.03 * inductance.max()
+
+
+def test_both_together_are_no_worse_than_the_better() -> None:
+    alone = [np.abs(flux_off(fit_energy(*kinds))).max() for kinds in ((measured(), ()), (None, paths()))]
+    assert np.abs(flux_off(fit_energy(measured(), paths()))).max() < 1.3 * min(alone)
+
+
+def test_flux_and_inductance_are_of_one_even_energy() -> None:
+    fit = fit_energy(measured(), paths())
+    for axis, e in enumerate(1e-4 * np.eye(2)):
+        slope = (fit.flux(PLACES + e)[0] - fit.flux(PLACES - e)[0]) / 2e-4
+        np.testing.assert_allclose(slope, fit.inductance(PLACES)[0][:, axis : axis + 2], atol=1e-7)
+    mirrored = fit.flux(PLACES * np.array([1.0, -1.0]))[0]
+    np.testing.assert_allclose(mirrored, fit.flux(PLACES)[0] * np.array([1.0, -1.0]), atol=1e-12)
+    np.testing.assert_allclose(fit.flux(np.zeros((1, 2)))[0], 0.0, atol=1e-12)
+
+
+def test_intervals_hold_what_they_say() -> None:
+    inside = []
+    for seed in range(12):
+        fit = fit_energy(measured(seed=seed), ())
+        inside.append(np.abs(flux_off(fit)) < 1.96 * fit.flux(PLACES)[1])
+    assert 0.88 < np.mean(inside) < 0.995
+
+
+def test_errors_larger_than_stated_are_noticed() -> None:
+    points = measured()
+    modest = replace(points, covariance=points.covariance / 100.0)
+    fit = fit_energy(modest, ())
+    assert fit.scales[0] == pytest.approx(10.0, rel=0.3)
+    assert np.mean(np.abs(flux_off(fit)) < 1.96 * fit.flux(PLACES)[1]) > 0.7
+
+
+@pytest.mark.parametrize("degrees", [-1.7, 3.0])
+def test_a_turned_axis_of_symmetry_is_found(degrees: float) -> None:
+    angle = np.radians(degrees)
+    fit = fit_energy(measured(angle=angle), ())
+    assert np.degrees(fit.angle_rad) == pytest.approx(degrees, abs=0.15)
+    assert np.abs(flux_off(fit, angle)).max() < 2e-3 * RATED_WB
+
+
+def test_a_straight_one_is_left_alone() -> None:
+    assert fit_energy(measured(), ()).angle_rad == 0.0
+
+
+def test_what_hysteresis_adds_to_the_ripples_hessian_is_taken_out() -> None:
+    fit = fit_energy(measured(stiffening=1.0), paths())
+    assert fit.stiffening_per_h == pytest.approx(1.0, rel=0.15)
+    assert np.abs(flux_off(fit)).max() < 5e-3 * RATED_WB
+    assert fit_energy(measured(), paths()).stiffening_per_h == 0.0
+    # A ripple that is softer than the sweeps is something else.
+    assert fit_energy(measured(stiffening=-1.0), paths()).stiffening_per_h == 0.0
