@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
@@ -44,7 +44,8 @@ def estimate_recording(
     ----------
     recording : RecordingReader
     estimators : sequence of Estimator
-        Those of the resistance run first, an energy's last; the others see what they found. A map of an energy that
+        Those of the resistance run first, and the narrowest interval is used; an energy's run last; the others see
+        what they found. A map of an energy that
         explains the measurements is recommended before one by injection, that before a classical one, any other
         after them.
     out : Path
@@ -60,6 +61,7 @@ def estimate_recording(
         Where a result cannot be written.
     """
     resistance: ResistanceEstimate | None = None
+    resistances: dict[str, ResistanceEstimate] = {}
     maps: dict[str, FluxMapEstimate] = {}
     missing: list[str] = []
     for estimator in sorted(estimators, key=lambda e: (e.produces != "resistance", e.name == "energy")):
@@ -69,7 +71,8 @@ def estimate_recording(
             missing.append(f"{estimator.name}: {error}")
             continue
         if isinstance(found, ResistanceEstimate):
-            resistance = resistance or found
+            resistances[estimator.name] = found
+            resistance = min(resistances.values(), key=lambda r: r.high - r.low)
         elif isinstance(found, FluxMapEstimate):
             maps[found.map.method] = found
         else:
@@ -79,8 +82,18 @@ def estimate_recording(
     if resistance is None and not maps:
         problem = "; ".join(missing) or "no estimator was asked"
         raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
+    missing += _other_resistances(resistance, resistances)
     report = _report(recording, resistance, maps, missing)
     return _written(report, recording, maps, out / "results")
+
+
+def _other_resistances(chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]) -> list[str]:
+    """The one with the narrowest interval is chosen; what the others say is told."""
+    return [
+        f"{name}: R_s = {r.value_ohm:.4g} ohm (95 %: {r.low:.4g} to {r.high:.4g}), a wider interval: not used"
+        for name, r in resistances.items()
+        if r is not chosen
+    ]
 
 
 def _recommended(maps: dict[str, FluxMapEstimate], rated_a: float | None) -> FluxMapEstimate | None:

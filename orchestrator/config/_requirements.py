@@ -19,6 +19,8 @@ from protocols import (
 INVERTER_ERROR = 0.02
 """Of the bus voltage: what dead time and drops may take away from what is commanded."""
 _LEAST_PER_PERIOD = 4
+_FASTEST_ROTATION = 0.2
+"""Of the injection's frequency: a period has nearly one direction then."""
 _LEAST_PER_TRAPEZOID = 1000
 _LEAST_PER_CONTROL_PERIOD = 20
 
@@ -147,6 +149,10 @@ class Requirements:
             needed = f"{kind} of at least {_LEAST_PER_PERIOD} is needed"
             nearest = f"the nearest is {sampling_hz / fitting:.10g} Hz"
             raise self._at(point, "frequency_hz", f"{found}; {needed}: {nearest}")
+        fastest = _FASTEST_ROTATION * injection.frequency_hz
+        if injection.rotation_hz > fastest:
+            problem = f"{injection.rotation_hz:g} Hz is too fast for an injection at {injection.frequency_hz:g} Hz"
+            raise self._at(point, "rotation_hz", f"{problem}: at most {fastest:g} Hz")
 
     def _current_field(self, point: PlannedPoint) -> str:
         if point.stage.value in _CURRENT_FIELDS:
