@@ -76,14 +76,14 @@ def suggestion(name: str, candidates: Iterable[str]) -> str:
     return f"valid: {', '.join(names)}" if names else "none is valid here"
 
 
-def _path_in(raw: object, location: Sequence[str | int], *, missing: bool) -> KeyPath:
+def _path_in(raw: Any, location: Sequence[str | int], *, missing: bool) -> KeyPath:
     path: list[str | int] = []
     for place, key in enumerate(location):
         is_last = place == len(location) - 1
         in_dict = isinstance(raw, dict) and key in raw
         in_list = isinstance(raw, list) and isinstance(key, int) and key < len(raw)
         if in_dict or in_list:
-            raw = raw[key]  # type: ignore[index]
+            raw = raw[key]
         elif not (missing and is_last):
             continue  # the tag of a union: not a key that anybody wrote
         path.append(key)

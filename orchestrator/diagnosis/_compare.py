@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from operator import is_
 from pathlib import Path
 
 import numpy as np
@@ -89,7 +91,7 @@ def _worst(fit: Fit, pieces: Sequence[Piece]) -> tuple[WorstSegment, ...]:
     rows = []
     for piece in pieces:
         i_d, i_q = believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
-        rms = mean_rms_v(fit, lambda p, piece=piece: p is piece)  # type: ignore[misc]
+        rms = mean_rms_v(fit, partial(is_, piece))
         rows.append(WorstSegment(segment=piece.segment.id, i_d_a=float(i_d), i_q_a=float(i_q), rms_v=rms))
     return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:WORST])
 

@@ -151,7 +151,7 @@ def linear_magnetics(grid: SplineGrid, l_d_h: float, l_q_h: float) -> Magnetics:
 
 
 @njit(cache=True, nogil=True)
-def _functions(x: float, low: float, step: float, intervals: int, pieces: Array, out: Array) -> int:  # pragma: no cover
+def _functions(x: float, low: float, step: float, intervals: int, pieces: Array, out: Array) -> int:
     """Values, first and second derivatives of the six functions at x -> out (3, 6); returns the first's index."""
     u = (x - low) / step
     m = math.floor(u)
@@ -175,9 +175,7 @@ def _functions(x: float, low: float, step: float, intervals: int, pieces: Array,
 
 
 @njit(cache=True, nogil=True)
-def _evaluate(
-    i_dq: Array, c: Array, numbers: Array, counts: NDArray[np.int64], pieces: Array
-) -> tuple[Array, Array]:  # pragma: no cover - compiled
+def _evaluate(i_dq: Array, c: Array, numbers: Array, counts: NDArray[np.int64], pieces: Array) -> tuple[Array, Array]:
     n = i_dq.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2
     psi = np.zeros((n, 2))
@@ -216,7 +214,7 @@ def sum_basis(
     numbers: Array,
     counts: NDArray[np.int64],
     pieces: Array,
-) -> Array:  # pragma: no cover - compiled
+) -> Array:
     """Weighted sums of -(psi_{k+1} - psi_k), one column a coefficient -> (hats, n_bins, 2, coefficients).
 
     Parameters

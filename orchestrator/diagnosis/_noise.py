@@ -148,7 +148,7 @@ def _pair_sums(
     hats: int,
     bins: NDArray[np.int64],
     n_bins: int,
-) -> Array:  # pragma: no cover - compiled
+) -> Array:
     """sum_k g_mk Sigma g_m'k^T before the carriers -> (hats, own/next hat, bins, bin -1/0/+1, 2, 2)."""
     n = inductance.shape[0]
     out = np.zeros((hats, 2, n_bins, 3, 2, 2))

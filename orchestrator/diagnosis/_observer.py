@@ -18,9 +18,7 @@ _TIME_CONSTANT_S = 0.005
 
 
 @njit(cache=True, nogil=True)
-def smooth_flux(
-    psi_ab: Array, v_ab: Array, i_ab: Array, resistance_ohm: Array, ts: float
-) -> Array:  # pragma: no cover - compiled
+def smooth_flux(psi_ab: Array, v_ab: Array, i_ab: Array, resistance_ohm: Array, ts: float) -> Array:
     """Flux linkage in the stator frame without the current's noise, shape (n, 2) [Wb].
 
     Parameters

@@ -129,7 +129,7 @@ def _summed(piece: Piece, x: Array) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _turned(x_ab: Array, believed: float, delta: Array) -> Array:  # pragma: no cover - compiled
+def _turned(x_ab: Array, believed: float, delta: Array) -> Array:
     out = np.empty_like(x_ab)
     c = math.cos(believed)
     s = math.sin(believed)
@@ -153,7 +153,7 @@ def _interval_terms(
     ts: float,
     pm_flux: float,
     nominal_ohm: float,
-) -> tuple[Array, Array]:  # pragma: no cover - compiled
+) -> tuple[Array, Array]:
     n = i_ab.shape[0]
     v_out = np.empty((n - 1, 2))
     r_out = np.empty((n - 1, 2))
@@ -208,7 +208,7 @@ def _interval_difference(
     believed: float,
     ts: float,
     pm_flux: float,
-) -> Array:  # pragma: no cover - compiled
+) -> Array:
     n = i_ab.shape[0]
     out = np.zeros((n - 1, 2))
     c = math.cos(believed)

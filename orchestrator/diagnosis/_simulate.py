@@ -83,7 +83,7 @@ def _simulate(
     ts: float,
     least: float,
     reach: float,
-) -> Array:  # pragma: no cover - compiled
+) -> Array:
     """Steps psi by the voltage; after each, one Newton step for the current that belongs to it."""
     n = v_ab.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2

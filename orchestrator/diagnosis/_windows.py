@@ -91,7 +91,7 @@ def periodic_windows(intervals: int, step: float, period: float) -> Windows | No
 
 
 @njit(cache=True, nogil=True)
-def hat_weights(k: int, step: float, hats: int) -> tuple[int, float, float]:  # pragma: no cover - compiled
+def hat_weights(k: int, step: float, hats: int) -> tuple[int, float, float]:
     """Index of the hat before interval k (-1 where none), its weight, and that of the next."""
     x = (k + 0.5) / step
     before = math.floor(x) - 1

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
+from operator import is_
 
 import numpy as np
 
@@ -49,7 +51,7 @@ def _where(diagnosis: Diagnosis) -> str:
     rows = []
     for piece in fit.prepared.pieces:
         if piece.stage is not SegmentStage.GATES_OFF:
-            rms = mean_rms_v(fit, lambda p, piece=piece: p is piece)  # type: ignore[misc]
+            rms = mean_rms_v(fit, partial(is_, piece))
             rows.append((rms or 0.0, piece))
     rms, piece = max(rows, key=lambda row: row[0])
     i_d, i_q = np.abs(believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)

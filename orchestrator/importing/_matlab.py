@@ -43,7 +43,7 @@ class _Step:
 
 def open_matlab(path: Path, wanted: Wanted) -> Source:
     """A .mat file of version 5 or 7.3."""
-    import h5py  # type: ignore[import-untyped]
+    import h5py
 
     blocks = _hdf5_blocks if h5py.is_hdf5(path) else _version_5_blocks
     return Source(guarded(path, "MATLAB", lambda: blocks(path, wanted)))

@@ -34,7 +34,7 @@ _SAME_INSTANT = 0.01
 def open_mf4(path: Path, wanted: Wanted) -> Source:
     """A measurement file in ASAM's MDF format; raises `InputError` where asammdf is not installed."""
     try:
-        from asammdf import MDF  # type: ignore[import-not-found,unused-ignore]
+        from asammdf import MDF
     except ImportError as error:
         raise InputError(
             str(path), "", f"ASAM MDF files are read by asammdf: pip install 'fluxbench[mf4]' ({error})"

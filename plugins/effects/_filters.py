@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)
-def low_pass(x: Array, decay: float) -> Array:  # pragma: no cover - compiled
+def low_pass(x: Array, decay: float) -> Array:
     """y_k+1 = decay y_k + (1 - decay)(x_k + x_k+1)/2 on each column of (n, m), from y_0 = x_0."""
     y = np.empty_like(x)
     y[0] = x[0]
@@ -25,7 +25,7 @@ def low_pass(x: Array, decay: float) -> Array:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _lagged_steps(times: Array, values: Array, time_constant: float) -> Array:  # pragma: no cover - compiled
+def _lagged_steps(times: Array, values: Array, time_constant: float) -> Array:
     y = np.zeros_like(values)
     for m in range(1, values.shape[0]):
         decay = math.exp(-(times[m] - times[m - 1]) / time_constant)

@@ -30,7 +30,7 @@ def _soft_sign(sharpness: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _look_up(table: Array, x: float) -> float:  # pragma: no cover - compiled
+def _look_up(table: Array, x: float) -> float:
     size = abs(x) / 0.01
     if size >= table.shape[0] - 2:
         value = table[-1]
@@ -41,7 +41,7 @@ def _look_up(table: Array, x: float) -> float:  # pragma: no cover - compiled
 
 
 @njit(cache=True, nogil=True)
-def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, table: Array) -> Array:  # pragma: no cover
+def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, table: Array) -> Array:
     """v - volts s(i_abc / threshold), s averaged over each interval by Simpson's rule."""
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)

@@ -56,7 +56,7 @@ class EddyCurrents:
 
 
 @njit(cache=True, nogil=True)
-def _stops(psi: Array, stiffness: Array, limits: Array) -> Array:  # pragma: no cover - compiled
+def _stops(psi: Array, stiffness: Array, limits: Array) -> Array:
     """Sum of vector stop operators of the flux (n, 2), after a first pass that brings them to their loop."""
     n = psi.shape[0]
     out = np.zeros((n, 2))

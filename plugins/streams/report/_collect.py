@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
@@ -110,7 +111,7 @@ def collect(directory: Path) -> Material:
     estimates = attempt(lambda: _estimates(estimates_file), wanted=estimates_file.is_file())
     maps: dict[str, FluxMap] = {}
     for file in sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name != "flux_map.nc", f.name)):
-        found = attempt(lambda file=file: load_flux_map(file), wanted=True)  # type: ignore[misc]
+        found = attempt(partial(load_flux_map, file), wanted=True)
         if found is not None:
             maps.setdefault(found.method or file.stem, found)
     achieved = {
