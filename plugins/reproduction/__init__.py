@@ -1,0 +1,1 @@
+"""The paper's experiment on the simulated drive, its figures and tables beside the printed numbers."""
