@@ -1,0 +1,85 @@
+"""Which segment of a recording answers an excitation; reads settings, never waveforms."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+from protocols import Excitation, ExcitationKind, GatesOff, Hold, Injection, Manifest, Segment, SegmentStage, Trapezoid
+
+KIND_OF: Mapping[SegmentStage, ExcitationKind] = {
+    SegmentStage.GATES_OFF: "gates_off",
+    SegmentStage.ALIGNMENT: "hold",
+    SegmentStage.RESISTANCE: "hold",
+    SegmentStage.CLASSICAL: "trapezoid",
+    SegmentStage.LOCK_CHECK: "injection",
+    SegmentStage.INJECTION: "injection",
+}
+ALIKE = 0.01
+"""Relative difference of two settings that count as one, and of two currents against the rated one."""
+
+_FIELDS: Mapping[ExcitationKind, tuple[str, ...]] = {
+    "gates_off": (),
+    "hold": ("current_d_a", "current_q_a"),
+    "trapezoid": ("held_a", "amplitude_a", "period_s"),
+    "injection": ("target_d_a", "target_q_a", "amplitude_v", "frequency_hz", "rotation_hz"),
+}
+_WORDS: Mapping[ExcitationKind, str | None] = {
+    "gates_off": None,
+    "hold": None,
+    "trapezoid": "swept_axis",
+    "injection": "waveform",
+}
+
+
+def rows_of(excitation: Excitation, sampling_frequency_hz: float) -> int:
+    """Rows that the excitation captures."""
+    match excitation:
+        case Trapezoid():
+            seconds = excitation.periods * excitation.period_s
+        case GatesOff() | Hold() | Injection():
+            seconds = excitation.duration_s
+    return round(seconds * sampling_frequency_hz)
+
+
+def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_a: float) -> bool:
+    """Whether a segment holds what the excitation asks for, and enough of it.
+
+    What the segment's settings leave out is taken to fit.
+
+    Parameters
+    ----------
+    scale_a : float
+        Currents may differ by a hundredth of this.
+    """
+    if KIND_OF[segment.stage] != excitation.kind:
+        return False
+    if segment.samples < rows_of(excitation, manifest.drive.sampling_frequency_hz):
+        return False
+    if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > ALIKE:
+        return False
+    asked, settings = excitation.model_dump(), segment.settings
+    pwm_hz = settings.get("pwm_frequency_hz") or manifest.drive.pwm_frequency_hz
+    if not _alike(excitation.pwm_frequency_hz or manifest.drive.pwm_frequency_hz, pwm_hz, 0.0):
+        return False
+    word = _WORDS[excitation.kind]
+    if word is not None and settings.get(word, asked[word]) != asked[word]:
+        return False
+    return all(
+        _alike(asked[field], settings.get(field), scale_a if field.endswith("_a") else 0.0)
+        for field in _FIELDS[excitation.kind]
+        if not (field == "held_a" and asked["swept_axis"] == "dq")
+    )
+
+
+def _alike(asked: float | None, recorded: Any, scale: float) -> bool:
+    if asked is None or not isinstance(recorded, int | float):
+        return True
+    return abs(asked - recorded) <= ALIKE * max(abs(asked), abs(recorded), scale)
+
+
+def in_words(excitation: Excitation) -> str:
+    """What was asked for, as an error says it."""
+    told = ", ".join(f"{field} {getattr(excitation, field):g}" for field in _FIELDS[excitation.kind])
+    return f"{excitation.kind}" + (f" with {told}" if told else "")

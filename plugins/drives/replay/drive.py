@@ -1,0 +1,232 @@
+"""The drive `replay`: hands out a recording's segments as answers to a procedure's excitations.
+
+What the recording does not hold is refused; nothing is interpolated or made up. Good for showing a run again, live,
+and for trying estimators, streams and procedures on real measurements without a motor.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import ClassVar
+
+import numpy as np
+from pydantic import Field
+
+from orchestrator.recording import Recording, open_recording
+from plugins.drives.replay._matching import KIND_OF, answers, in_words, rows_of
+from protocols import (
+    Capabilities,
+    Capture,
+    DriveFault,
+    DriveRefused,
+    DriveSetup,
+    DriveState,
+    Excitation,
+    FaultCause,
+    FluxbenchError,
+    Limits,
+    Segment,
+    Strict,
+    Telemetry,
+)
+
+WATCHDOG_S = 0.2
+BLOCK_S = 0.1
+HEADROOM = 4.0
+"""Limits up to so many rated currents are taken: what is played never comes near."""
+
+
+class ReplayOptions(Strict):
+    """Options of the drive `replay`."""
+
+    recording: Path = Field(description="The recording, or run directory, to play.")
+    real_time: bool = False
+    """Take as long as the measurement took; else as fast as it can be read."""
+
+
+class ReplayDrive:
+    """A recording played back as a drive.
+
+    Parameters
+    ----------
+    setup : DriveSetup
+        With `ReplayOptions`.
+    """
+
+    name: ClassVar[str] = "replay"
+    Options: ClassVar[type[ReplayOptions]] = ReplayOptions
+    sealed_options: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, setup: DriveSetup) -> None:
+        self._options: ReplayOptions = setup.options
+        self._scale_a = setup.motor.rated_current_a or 0.0
+        self._recording: Recording | None = None
+        self._played: set[str] = set()
+        self._limits: Limits | None = None
+        self._fault: str | None = None
+        self._clock_s = 0.0
+        self._current = 0j
+        self._last_beat_s = time.monotonic()
+
+    def connect(self) -> Capabilities:
+        """Open the recording and say what is in it.
+
+        Raises
+        ------
+        RecordingError
+            Where it cannot be read.
+        """
+        recording = open_recording(self._options.recording)
+        manifest = recording.manifest
+        drive = manifest.drive
+        pwm_hz = drive.pwm_frequency_hz or drive.sampling_frequency_hz
+        others = {s.settings.get("pwm_frequency_hz") for s in manifest.segments}
+        pwm_all = sorted({pwm_hz, *(float(f) for f in others if isinstance(f, int | float) and f > 0)})
+        peak_a, peak_v = _peaks(recording)
+        self._recording = recording
+        kinds = frozenset(KIND_OF[s.stage] for s in manifest.segments)
+        return Capabilities(
+            name=f"replay of {manifest.name}",
+            sampling_frequency_hz=drive.sampling_frequency_hz,
+            pwm_frequency_hz=pwm_hz,
+            pwm_frequencies_hz=tuple(pwm_all),
+            dc_bus_voltage_v=drive.dc_bus_voltage_v,
+            voltage_delay_samples=drive.voltage_delay_samples or 0.0,
+            max_current_a=max(1.001 * peak_a, HEADROOM * self._scale_a),
+            max_voltage_v=max(1.001 * peak_v, drive.dc_bus_voltage_v / math.sqrt(3.0)),
+            excitations=kinds,
+            watchdog_s=WATCHDOG_S,
+            watchdog_covers=kinds,
+            motor_name=manifest.motor.name,
+        )
+
+    def arm(self, limits: Limits) -> None:
+        """Ready to play."""
+        if self._fault is not None:
+            raise DriveRefused(f"a fault is latched: {self._fault}")
+        self._limits = limits
+        self._last_beat_s = time.monotonic()
+
+    def heartbeat(self) -> None:
+        """The host is alive."""
+        self._last_beat_s = time.monotonic()
+
+    def execute(self, excitation: Excitation) -> Iterator[Capture]:
+        """Play the first segment that answers the excitation and was not played yet, else one that was.
+
+        Raises
+        ------
+        DriveRefused
+            Where the recording holds no such measurement.
+        """
+        recording, limits = self._recording, self._limits
+        if recording is None or limits is None:
+            raise DriveRefused(f"not armed{f': {self._fault}' if self._fault else ''}")
+        segment = self._choose(recording, excitation)
+        try:
+            capture = recording.load(segment)
+        except FluxbenchError as error:
+            raise DriveFault(FaultCause.WRONG_DATA, str(error)) from error
+        rows = rows_of(excitation, capture.sampling_frequency_hz)
+        longest = float(np.linalg.norm(capture.i_ab[:rows], axis=1).max())
+        if not longest <= limits.current_a:
+            raise DriveRefused(f"{segment.id} reaches {longest:.3g} A, above the limit of {limits.current_a:g} A")
+        self._played.add(segment.id)
+        start_s = segment.start_s if segment.start_s >= self._clock_s else self._clock_s
+        return self._play(capture, rows, start_s + (0.0 if start_s > self._clock_s else _settle_s(excitation)), segment)
+
+    def _choose(self, recording: Recording, excitation: Excitation) -> Segment:
+        fitting = [s for s in recording.segments() if answers(s, excitation, recording.manifest, self._scale_a)]
+        if not fitting:
+            raise DriveRefused(f"{recording.path}: holds no {in_words(excitation)} that is long enough")
+        return next((s for s in fitting if s.id not in self._played), fitting[-1])
+
+    def _play(self, capture: Capture, rows: int, start_s: float, segment: Segment) -> Iterator[Capture]:
+        fs = capture.sampling_frequency_hz
+        step = max(1, round(BLOCK_S * fs))
+        turn = np.exp(-1j * segment.rotor_angle_rad)
+        for first in range(0, rows, step):
+            stop = min(first + step, rows)
+            if self._options.real_time:
+                time.sleep((stop - first) / fs)
+            self._require_heartbeat()
+            block = Capture(
+                start_s=start_s + first / fs,
+                sampling_frequency_hz=fs,
+                i_ab=capture.i_ab[first:stop],
+                v_ab=capture.v_ab[first:stop],
+                v_dc=capture.v_dc[first:stop],
+                i_abc=None if capture.i_abc is None else capture.i_abc[first:stop],
+                temperature_c=None if capture.temperature_c is None else capture.temperature_c[first:stop],
+            )
+            self._clock_s = start_s + stop / fs
+            self._current = complex(*block.i_ab.mean(axis=0)) * turn
+            yield block
+
+    def _require_heartbeat(self) -> None:
+        silent_s = time.monotonic() - self._last_beat_s
+        if silent_s > WATCHDOG_S:
+            self._fault, self._limits, self._current = "heartbeat_lost", None, 0j
+            raise DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {silent_s:.2f} s")
+
+    def telemetry(self) -> Telemetry:
+        """A reading, now."""
+        if self._fault is not None:
+            state = DriveState.FAULTED
+        else:
+            state = DriveState.DISARMED if self._limits is None else DriveState.ARMED
+        bus_v = 0.0 if self._recording is None else self._recording.manifest.drive.dc_bus_voltage_v
+        return Telemetry(
+            state=state,
+            time_s=self._clock_s,
+            i_d_a=self._current.real,
+            i_q_a=self._current.imag,
+            v_dc_v=bus_v,
+            faults=() if self._fault is None else (self._fault,),
+        )
+
+    def ramp_down(self) -> None:
+        """Play nothing more."""
+        self._current = 0j
+
+    def disarm(self) -> None:
+        """Play nothing until armed again."""
+        self._limits, self._current = None, 0j
+
+    def clear_fault(self) -> None:
+        """Forget the fault."""
+        self._fault = None
+
+    def set_brake(self, engaged: bool) -> None:
+        """Refused: a recording has no brake to move."""
+        raise DriveRefused("a recording has no brake to move")
+
+    def close(self) -> None:
+        """Let go of the recording."""
+        self._recording = None
+
+    def checkpoint(self, point_id: str) -> None:
+        """Nothing to keep: what was played is told from the run's clock."""
+
+    def restore(self, point_id: str, start_s: float) -> None:
+        """Go on after what lies before the experiment's clock."""
+        self._clock_s = start_s
+        if self._recording is not None:
+            self._played = {s.id for s in self._recording.manifest.segments if s.start_s < start_s}
+
+
+def _settle_s(excitation: Excitation) -> float:
+    return float(getattr(excitation, "settle_s", 0.0)) + float(getattr(excitation, "discard_s", 0.0))
+
+
+def _peaks(recording: Recording) -> tuple[float, float]:
+    """Longest current and voltage vector of a recording."""
+    peak_a = peak_v = 0.0
+    for segment in recording.segments():
+        capture = recording.load(segment)
+        peak_a = max(peak_a, float(np.einsum("ij,ij->i", capture.i_ab, capture.i_ab).max()))
+        peak_v = max(peak_v, float(np.einsum("ij,ij->i", capture.v_ab, capture.v_ab).max()))
+    return math.sqrt(peak_a), math.sqrt(peak_v)
