@@ -71,6 +71,7 @@ class FaultCause(StrEnum):
     NO_ANSWER = "no_answer"
     WRONG_DATA = "wrong_data"
     PROGRAM_TOO_LONG = "program_too_long"
+    EMERGENCY_STOP = "emergency_stop"
     INTERNAL = "internal"
 
 

@@ -1,0 +1,95 @@
+"""Bulk data as blocks: how a capture is cut on each link. The fast path, a whole batch of frames at a time."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.drives.wire._codec import frame_id
+from protocols import InputError
+
+Bytes = NDArray[np.uint8]
+Numbers = NDArray[np.int64]
+
+DESCRIPTION = 0xFFFF
+"""The capture number under which the drive's description is read."""
+RIPPLE = 0x8000
+"""Added to a capture's number: its ripple rows."""
+LAST_CAPTURE = DESCRIPTION - RIPPLE - 1
+"""The highest capture number; 1 follows it."""
+WINDOWS = 64
+LONGEST_CAPTURE = (1 << 26) - 1
+"""Bytes of the longest capture that can be addressed."""
+
+
+class Blocks(NamedTuple):
+    """A batch of received blocks: the request's tag, the position, and the data, a row each."""
+
+    window: Numbers
+    position: Numbers
+    """Number of the block: in the request's answer (classic CAN), else in the capture."""
+    data: Bytes
+
+
+@dataclass(frozen=True)
+class BlockLayout:
+    """How one link carries a block."""
+
+    name: str
+    block: int
+    """Data bytes of a block."""
+    header: int
+    relative: bool
+    """Whether a frame counts blocks from the request's offset, not from the start of the capture."""
+    most: int
+    """Blocks that one request may ask for."""
+
+    @property
+    def frame_id(self) -> int:
+        """Identifier of the frames."""
+        return frame_id(self.name)
+
+    def parse(self, payloads: Sequence[bytes]) -> Blocks:
+        """Take payloads apart, all at once; those of another length are left out."""
+        size = self.header + self.block
+        joined = b"".join(payloads)
+        if len(joined) != size * len(payloads) or any(len(payload) != size for payload in payloads):
+            joined = b"".join(payload for payload in payloads if len(payload) == size)
+        table = np.frombuffer(joined, dtype=np.uint8).reshape(-1, size)
+        head = np.ascontiguousarray(table[:, : self.header]).view(f"<u{self.header}")[:, 0].astype(np.int64)
+        if self.relative:
+            return Blocks(head >> 10, head & 0x3FF, table[:, self.header :])
+        offset = head & LONGEST_CAPTURE
+        return Blocks(head >> 26, np.where(offset % self.block == 0, offset // self.block, -1), table[:, self.header :])
+
+    def build(self, capture: memoryview, offset: int, count: int, window: int) -> list[bytes]:
+        """Payloads of `count` blocks from `offset` on; zeros past the end of `capture`."""
+        data: Any = capture[offset : offset + count * self.block]
+        if len(data) < count * self.block:
+            data = bytes(data) + bytes(count * self.block - len(data))
+        if self.relative:
+            heads = (struct.pack("<H", index | window << 10) for index in range(count))
+        else:
+            heads = (struct.pack("<I", (offset + k * self.block) | window << 26) for k in range(count))
+        return [head + data[k * self.block : (k + 1) * self.block] for k, head in enumerate(heads)]
+
+
+CLASSIC = BlockLayout("Bulk", block=6, header=2, relative=True, most=1024)
+"""Classic CAN."""
+CAN_FD = BlockLayout("BulkFD", block=60, header=4, relative=False, most=65535)
+"""CAN FD."""
+
+
+def serial_blocks(block_bytes: int) -> BlockLayout:
+    """A serial line, with blocks as long as the drive's register bulk_block_bytes says.
+
+    Raises `InputError` where the length is not between 60 and 4080.
+    """
+    if not 60 <= block_bytes <= 4080:
+        raise InputError("wire", "bulk_block_bytes", f"expected 60 to 4080, got {block_bytes}")
+    return BlockLayout("BulkFD", block=block_bytes, header=4, relative=False, most=65535)

@@ -1,0 +1,38 @@
+"""`fluxbench wire`: the protocol's page, its DBC, or C code for firmware."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def wire(
+    c: Annotated[Path | None, typer.Option("--c", help="Write the C codec for firmware here.", metavar="DIR")] = None,
+    dbc: Annotated[bool, typer.Option("--dbc", help="Print the DBC instead.")] = False,
+) -> int:
+    """Print the page that documents the drive protocol, or write what firmware needs of it."""
+    if c is not None:
+        from plugins.drives.wire._firmware import write_firmware
+
+        for path in write_firmware(c):
+            print(path)
+    elif dbc:
+        from plugins.drives.wire._dbc import dbc_text
+
+        print(dbc_text(), end="")
+    else:
+        from plugins.drives.wire._page import page
+
+        print(page(), end="")
+    return 0
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    return int(app(list(arguments), prog_name="fluxbench wire", standalone_mode=False) or 0)

@@ -1,0 +1,77 @@
+"""Reads the layout of messages out of the protocol's own DBC.
+
+Not a DBC parser for the world: it knows the little-endian, unmultiplexed subset that
+`protocols/wire/fluxbench.dbc` keeps to. Documents and C code are made from the same file with cantools.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from cantools.database.can import Database
+
+_MESSAGE = re.compile(r"^BO_ (\d+) (\w+): (\d+) (\w+)")
+_SIGNAL = re.compile(r"^ SG_ (\w+) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\)")
+_FLOAT = re.compile(r"^SIG_VALTYPE_ (\d+) (\w+) : 1;")
+
+
+@dataclass(frozen=True)
+class SignalLayout:
+    """Where a signal's bits are and what a count of it is worth."""
+
+    name: str
+    start: int
+    bits: int
+    signed: bool
+    factor: float
+    is_float: bool = False
+
+
+@dataclass(frozen=True)
+class MessageLayout:
+    """Identifier, length in bytes, and signals in order."""
+
+    frame_id: int
+    name: str
+    length: int
+    sender: str
+    signals: tuple[SignalLayout, ...]
+
+
+def dbc_text() -> str:
+    """The message set as a DBC file."""
+    return (files("protocols") / "wire" / "fluxbench.dbc").read_text(encoding="utf-8")
+
+
+def message_database() -> Database:
+    """The same with cantools: comments and value tables too. Slow to import; for documents and C code."""
+    import cantools
+
+    database = cantools.database.load_string(dbc_text(), "dbc", strict=True)
+    assert isinstance(database, cantools.database.can.Database)
+    return database
+
+
+@cache
+def layouts() -> dict[str, MessageLayout]:
+    """Layout of every message, by name."""
+    text = dbc_text()
+    floats = {(int(frame), name) for frame, name in (m.groups() for m in map(_FLOAT.match, text.splitlines()) if m)}
+    found: dict[str, MessageLayout] = {}
+    for block in text.split("\n\n"):
+        head = _MESSAGE.match(block)
+        if head is None:
+            continue
+        frame_id, name, length, sender = int(head[1]), head[2], int(head[3]), head[4]
+        signals = tuple(
+            SignalLayout(m[1], int(m[2]), int(m[3]), m[4] == "-", float(m[5]), (frame_id, m[1]) in floats)
+            for m in map(_SIGNAL.match, block.splitlines())
+            if m
+        )
+        found[name] = MessageLayout(frame_id, name, length, sender, signals)
+    return found

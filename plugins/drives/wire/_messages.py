@@ -1,0 +1,306 @@
+"""The messages of the drive protocol as Python types; the layout of their bits is the DBC's alone.
+
+Field names are the DBC's signal names. A field that is an enumeration here is a value table there.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum, IntFlag
+from typing import NamedTuple
+
+PROTOCOL_MAJOR, PROTOCOL_MINOR = 1, 0
+
+HEARTBEAT_S = 0.05
+"""Period of the heartbeat [s]."""
+TELEMETRY_S = 0.05
+"""Period of Status and Measurement unless the register telemetry_period_s says otherwise [s]."""
+STALE_PERIODS = 3
+"""Telemetry that is older than this many periods is stale, and means stop."""
+
+
+class Op(IntEnum):
+    """What a `Command` asks for; from 16 on, what else an `Ack` may answer."""
+
+    IDENTIFY = 1
+    ARM = 2
+    DISARM = 3
+    CLEAR_FAULT = 4
+    RUN_PROGRAM = 5
+    STOP = 6
+    CAPTURE_ARM = 7
+    CAPTURE_TRIGGER = 8
+    TIME_SYNC = 9
+    PARAMETER_WRITE = 16
+    PARAMETER_READ = 17
+    READ_BLOCK = 18
+    SETPOINT = 19
+
+
+class AckStatus(IntEnum):
+    """Done, or why not."""
+
+    OK = 0
+    WRONG_STATE = 1
+    PAST_LIMIT = 2
+    NOT_A_NUMBER = 3
+    OUT_OF_RANGE = 4
+    READ_ONLY = 5
+    UNKNOWN = 6
+    NOT_SUPPORTED = 7
+    STALE_SESSION = 8
+    BUSY = 9
+    FAULT_LATCHED = 10
+    WRONG_VERSION = 11
+    NOT_CAPTURED = 12
+    OVERWRITTEN = 13
+    NO_MEMORY = 14
+    TOO_LONG = 15
+
+
+class PowerState(IntEnum):
+    """State of the power stage; all but the first and the last are energised."""
+
+    DISARMED = 0
+    HOLDING = 1
+    RUNNING = 2
+    STOPPING = 3
+    FAULTED = 4
+
+
+class Fault(IntEnum):
+    """Why a drive tripped; also the number of the bit in `Status.faults`."""
+
+    NONE = 0
+    OVERCURRENT = 1
+    OVERLOAD = 2
+    WATCHDOG = 3
+    BUS_VOLTAGE = 4
+    OVERTEMPERATURE = 5
+    PROGRAM_TOO_LONG = 6
+    SENSOR = 7
+    LIMIT = 8
+    EMERGENCY_STOP = 9
+    ENCODER = 10
+    GATE_DRIVER = 11
+    INTERNAL = 12
+
+
+class Phase(IntEnum):
+    """Where a program is."""
+
+    IDLE = 0
+    RAMPING = 1
+    SETTLING = 2
+    CAPTURING = 3
+    COMPLETE = 4
+    GIVEN_UP = 5
+
+
+class SetpointKind(IntEnum):
+    """What `x` and `y` of a set-point are."""
+
+    CURRENT = 0
+    VOLTAGE = 1
+
+
+class StopReason(IntEnum):
+    """Why an emergency stop was sent; the drive does not look at it."""
+
+    UNSPECIFIED = 0
+    OPERATOR = 1
+    HOST_ERROR = 2
+
+
+class Capability(IntFlag):
+    """What a drive can do beyond the least (register capability_bits)."""
+
+    RIPPLE_ON_DRIVE = 1
+    RAW_CAPTURE = 2
+    CAPTURE_RING = 4
+    F32_CAPTURE = 8
+    SETPOINTS = 16
+    BRAKE = 32
+    TEMPERATURE = 64
+
+
+class EStop(NamedTuple):
+    """Emergency stop."""
+
+    reason: StopReason = StopReason.UNSPECIFIED
+
+
+class Heartbeat(NamedTuple):
+    """The host is alive."""
+
+    session: int
+    seq: int
+    host_ms: int
+
+
+class Command(NamedTuple):
+    """One operation, stop-and-wait."""
+
+    session: int
+    seq: int
+    op: Op
+    arg: int = 0
+
+
+class ParameterWrite(NamedTuple):
+    """Write a register."""
+
+    session: int
+    seq: int
+    parameter: int
+    value: float
+
+
+class ParameterRead(NamedTuple):
+    """Read a register."""
+
+    session: int
+    seq: int
+    parameter: int
+
+
+class Setpoint(NamedTuple):
+    """Move the held operating point; `theta` in rad, `x` and `y` in counts."""
+
+    seq: int
+    kind: SetpointKind
+    session_low: int
+    theta: float
+    x: int
+    y: int
+
+
+class ReadBlock(NamedTuple):
+    """Ask for blocks of a capture."""
+
+    offset: int
+    window: int
+    blocks: int
+    capture: int
+
+
+class Status(NamedTuple):
+    """State of the power stage; `v_dc` in V, `temperature` in °C (-128: not measured)."""
+
+    state: PowerState
+    cause: Fault
+    last_heartbeat: int
+    faults: int
+    v_dc: float
+    temperature: int
+    seq: int
+
+
+class Ack(NamedTuple):
+    """Answer to a command, and the refusal of anything else."""
+
+    session: int
+    seq: int
+    op: Op
+    status: AckStatus
+    state: PowerState
+    value: int = 0
+
+
+class ParameterValue(NamedTuple):
+    """What a register holds."""
+
+    session: int
+    seq: int
+    parameter: int
+    value: float
+
+
+class Tick(NamedTuple):
+    """The drive's clock."""
+
+    tick: int
+    t_us: int
+
+
+class Measurement(NamedTuple):
+    """Low-passed readings: currents in counts, `v_dc` in V."""
+
+    seq: int
+    i_d: int
+    i_q: int
+    v_dc: float
+
+
+class Progress(NamedTuple):
+    """How far the program is."""
+
+    seq: int
+    phase: Phase
+    capture: int
+    rows: int
+
+
+class RippleD(NamedTuple):
+    """One ripple row of the d axis, in counts."""
+
+    n: int
+    mean: int
+    ripple: int
+    v: int
+
+
+class RippleQ(NamedTuple):
+    """One ripple row of the q axis, in counts."""
+
+    n: int
+    mean: int
+    ripple: int
+    v: int
+
+
+class BulkEnd(NamedTuple):
+    """End of the answer to a `ReadBlock`."""
+
+    crc: int
+    length: int
+    window: int
+
+
+Message = (
+    EStop
+    | Heartbeat
+    | Command
+    | ParameterWrite
+    | ParameterRead
+    | Setpoint
+    | ReadBlock
+    | Status
+    | Ack
+    | ParameterValue
+    | Tick
+    | Measurement
+    | Progress
+    | RippleD
+    | RippleQ
+    | BulkEnd
+)
+"""All messages but the two that carry bulk data, which never become objects one by one."""
+
+MESSAGES: tuple[type[Message], ...] = (
+    EStop,
+    Heartbeat,
+    Command,
+    ParameterWrite,
+    ParameterRead,
+    Setpoint,
+    ReadBlock,
+    Status,
+    Ack,
+    ParameterValue,
+    Tick,
+    Measurement,
+    Progress,
+    RippleD,
+    RippleQ,
+    BulkEnd,
+)

@@ -1,0 +1,200 @@
+"""Excitations, limits and nameplates as registers, both ways, and faults as errors. Nothing is sent here."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import get_args
+
+from plugins.drives.wire._messages import Fault
+from plugins.drives.wire._rows import CaptureFormat, Channel
+from protocols import (
+    CurrentControl,
+    DriveFault,
+    Excitation,
+    ExcitationKind,
+    FaultCause,
+    GatesOff,
+    Hold,
+    Injection,
+    Limits,
+    Motor,
+    Trapezoid,
+)
+
+KINDS: tuple[ExcitationKind, ...] = get_args(ExcitationKind)
+"""Excitations in the order of their numbers (program_kind) and bits (excitations, watchdog_covers)."""
+AXES = ("d", "q", "dq")
+WAVEFORMS = ("square", "sine")
+
+Registers = dict[str, float]
+
+_CAUSES = {
+    Fault.OVERCURRENT: FaultCause.OVERCURRENT,
+    Fault.OVERLOAD: FaultCause.OVERTEMPERATURE,
+    Fault.WATCHDOG: FaultCause.HEARTBEAT_LOST,
+    Fault.BUS_VOLTAGE: FaultCause.BUS_VOLTAGE,
+    Fault.OVERTEMPERATURE: FaultCause.OVERTEMPERATURE,
+    Fault.PROGRAM_TOO_LONG: FaultCause.PROGRAM_TOO_LONG,
+    Fault.SENSOR: FaultCause.WRONG_DATA,
+    Fault.LIMIT: FaultCause.PROGRAM_TOO_LONG,
+    Fault.ENCODER: FaultCause.WRONG_DATA,
+    Fault.EMERGENCY_STOP: FaultCause.EMERGENCY_STOP,
+}
+_WORDS = {
+    Fault.OVERCURRENT: ("overcurrent", "A"),
+    Fault.OVERLOAD: ("overload (i²t)", ""),
+    Fault.WATCHDOG: ("no heartbeat", "s"),
+    Fault.BUS_VOLTAGE: ("DC-bus voltage", "V"),
+    Fault.OVERTEMPERATURE: ("temperature", "°C"),
+    Fault.PROGRAM_TOO_LONG: ("the program did not end", "s"),
+    Fault.LIMIT: ("the experiment's energy or duration is used up", ""),
+}
+
+
+# Programs
+
+
+def program_registers(excitation: Excitation, sampling_frequency_hz: float) -> Registers:
+    """What to write before run_program, capture and ripple settings apart.
+
+    Times are put on the sampling grid first, so that rounding to singles cannot change a number of rows.
+    """
+
+    def on_grid(seconds: float) -> float:
+        return round(seconds * sampling_frequency_hz) / sampling_frequency_hz
+
+    common = {
+        "program_kind": float(KINDS.index(excitation.kind)),
+        "rotor_angle_rad": excitation.rotor_angle_rad,
+        "pwm_frequency_asked_hz": excitation.pwm_frequency_hz or 0.0,
+        "control_bandwidth_hz": excitation.control.bandwidth_hz,
+        "control_damping": excitation.control.damping,
+    }
+    match excitation:
+        case GatesOff():
+            return {**common, "duration_s": on_grid(excitation.duration_s)}
+        case Hold():
+            return {
+                **common,
+                "current_d_a": excitation.current_d_a,
+                "current_q_a": excitation.current_q_a,
+                "settle_s": on_grid(excitation.settle_s),
+                "duration_s": on_grid(excitation.duration_s),
+            }
+        case Trapezoid():
+            return {
+                **common,
+                "swept_axis": float(AXES.index(excitation.swept_axis)),
+                "held_a": excitation.held_a,
+                "amplitude_a": excitation.amplitude_a,
+                "period_s": excitation.period_s,
+                "periods": float(excitation.periods),
+                "settle_s": on_grid(excitation.settle_s),
+            }
+        case Injection():
+            return {
+                **common,
+                "current_d_a": excitation.target_d_a,
+                "current_q_a": excitation.target_q_a,
+                "settle_s": on_grid(excitation.settle_s),
+                "discard_s": on_grid(excitation.discard_s),
+                "duration_s": on_grid(excitation.duration_s),
+                "amplitude_v": excitation.amplitude_v,
+                "frequency_hz": excitation.frequency_hz,
+                "rotation_hz": excitation.rotation_hz,
+                "waveform": float(WAVEFORMS.index(excitation.waveform)),
+            }
+
+
+def program_of(values: Mapping[str, float]) -> Excitation:
+    """The excitation that a drive's registers describe.
+
+    Raises pydantic's `ValidationError` (a `ValueError`) where they describe none: a drive then
+    refuses run_program with out_of_range.
+    """
+    kind = KINDS[int(values["program_kind"])]
+    fields: dict[str, object] = {
+        "rotor_angle_rad": values["rotor_angle_rad"],
+        "pwm_frequency_hz": values["pwm_frequency_asked_hz"] or None,
+        "control": CurrentControl(bandwidth_hz=values["control_bandwidth_hz"], damping=values["control_damping"]),
+    }
+    if kind == "gates_off":
+        return GatesOff.model_validate(fields | {"duration_s": values["duration_s"]})
+    if kind == "hold":
+        names = ("current_d_a", "current_q_a", "settle_s", "duration_s")
+        return Hold.model_validate(fields | {name: values[name] for name in names})
+    if kind == "trapezoid":
+        fields |= {name: values[name] for name in ("held_a", "amplitude_a", "period_s", "settle_s")}
+        return Trapezoid.model_validate(
+            fields | {"swept_axis": AXES[int(values["swept_axis"])], "periods": int(values["periods"])}
+        )
+    for name in ("settle_s", "discard_s", "duration_s", "amplitude_v", "frequency_hz", "rotation_hz"):
+        fields[name] = values[name]
+    target = {"target_d_a": values["current_d_a"], "target_q_a": values["current_q_a"]}
+    return Injection.model_validate(fields | target | {"waveform": WAVEFORMS[int(values["waveform"])]})
+
+
+def captured_rows(excitation: Excitation, sampling_frequency_hz: float) -> int:
+    """Rows that an excitation captures, as both ends count them."""
+    seconds = excitation.periods * excitation.period_s if isinstance(excitation, Trapezoid) else excitation.duration_s
+    return round(seconds * sampling_frequency_hz)
+
+
+# Limits and nameplate
+
+
+def limit_registers(limits: Limits) -> Registers:
+    """What to write, and to read back, before arming."""
+    return {
+        "limit_current_a": limits.current_a,
+        "limit_voltage_v": limits.voltage_v,
+        "limit_energy_j": limits.energy_j or 0.0,
+        "limit_duration_s": limits.duration_s or 0.0,
+    }
+
+
+def limits_of(values: Mapping[str, float]) -> Limits:
+    """The limits that a drive's registers hold; raises `ValidationError` where current or voltage is 0."""
+    return Limits(
+        current_a=values["limit_current_a"],
+        voltage_v=values["limit_voltage_v"],
+        energy_j=values["limit_energy_j"] or None,
+        duration_s=values["limit_duration_s"] or None,
+    )
+
+
+def motor_registers(motor: Motor) -> Registers:
+    """The nameplate for the drive's current control and i²t; 0 for what is not known."""
+    return {
+        "motor_pole_pairs": float(motor.pole_pairs),
+        "motor_resistance_ohm": motor.stator_resistance_ohm or 0.0,
+        "motor_inductance_d_h": motor.d_inductance_h or 0.0,
+        "motor_inductance_q_h": motor.q_inductance_h or 0.0,
+        "motor_flux_wb": motor.pm_flux_wb or 0.0,
+        "motor_rated_current_a": motor.rated_current_a or 0.0,
+    }
+
+
+# Captures and faults
+
+
+def capture_registers(
+    channels: Channel, form: CaptureFormat = CaptureFormat.INT16, *, ripple_periods: int = 0, ripple_live: bool = False
+) -> Registers:
+    """What a program shall capture and demodulate."""
+    return {
+        "capture_mask": float(channels),
+        "capture_format": float(form),
+        "ripple_periods": float(ripple_periods),
+        "ripple_live": float(ripple_live),
+    }
+
+
+def drive_fault(cause: Fault, value: float = 0.0, limit: float = 0.0, faults: int = 0) -> DriveFault:
+    """The project's error for a drive's fault: the first cause in words, then what followed from it."""
+    words, unit = _WORDS.get(cause, (cause.name.lower().replace("_", " "), ""))
+    detail = f"{words}: {value:.4g} {unit} against {limit:.4g} {unit}".replace("  ", " ").rstrip() if unit else words
+    others = [fault.name.lower() for fault in Fault if fault not in (Fault.NONE, cause) and faults >> fault & 1]
+    if others:
+        detail += f" (then {', '.join(others)})"
+    return DriveFault(_CAUSES.get(cause, FaultCause.INTERNAL), detail)

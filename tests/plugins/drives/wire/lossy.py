@@ -1,0 +1,88 @@
+"""A link that loses, repeats, reorders and damages frames on purpose; for tests of both ends of an upload."""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+from plugins.drives.wire import (
+    Ack,
+    AckStatus,
+    Answer,
+    BlockLayout,
+    CaptureSource,
+    Frame,
+    Op,
+    PowerState,
+    ReadBlock,
+    decode,
+    encode,
+)
+
+
+@dataclass
+class Lossy:
+    """Rates are parts of one; a damaged payload goes through as a link without a CRC would let it."""
+
+    rng: random.Random
+    drop: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+
+    def __call__(self, frames: Sequence[Frame]) -> list[Frame]:
+        out: list[Frame] = []
+        held: list[Frame] = []
+        chance = self.rng.random
+        for frame in frames:
+            if self.drop and chance() < self.drop:
+                continue
+            if self.corrupt and chance() < self.corrupt:
+                frame = self._damaged(frame)
+            if self.reorder and chance() < self.reorder:
+                held.append(frame)
+                continue
+            out.append(frame)
+            if self.duplicate and chance() < self.duplicate:
+                out.append(frame)
+            if held and chance() < 0.2:
+                out.append(held.pop(0))
+        return out + held
+
+    def _damaged(self, frame: Frame) -> Frame:
+        payload = bytearray(frame.payload)
+        payload[self.rng.randrange(len(payload))] ^= 1 << self.rng.randrange(8)
+        return Frame(frame.frame_id, bytes(payload))
+
+
+@dataclass
+class Device:
+    """A capture behind a lossy link, with a clock that only moves while somebody listens."""
+
+    source: CaptureSource
+    layout: BlockLayout
+    there: Callable[[Sequence[Frame]], list[Frame]]
+    back: Callable[[Sequence[Frame]], list[Frame]]
+    now_s: float = 0.0
+    sent: int = 0
+    _queue: list[Frame] = field(default_factory=list)
+
+    def send(self, request: ReadBlock) -> None:
+        for frame in self.there([encode(request)]):
+            asked = decode(*frame)
+            if isinstance(asked, ReadBlock):
+                self._queue += self._answer(asked)
+
+    def receive(self) -> list[Frame]:
+        """All that is under way, through the link; time passes where there is nothing."""
+        frames, self._queue = self.back(self._queue), []
+        self.sent += len(frames)
+        self.now_s += 1e-3 if frames else 0.1
+        return frames
+
+    def _answer(self, asked: ReadBlock) -> list[Frame]:
+        answer = self.source.answer(asked, self.layout)
+        if isinstance(answer, Answer):
+            return [*(Frame(self.layout.frame_id, payload) for payload in answer.payloads), encode(answer.end)]
+        return [encode(Ack(0, asked.window, Op.READ_BLOCK, AckStatus(answer), PowerState.HOLDING))]
