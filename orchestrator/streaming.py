@@ -33,6 +33,8 @@ class StreamTally:
     first_error: str
     closed: bool
     """Whether it came to its end in time."""
+    notes: tuple[str, ...] = ()
+    """What the stream itself has to say at its end (its attribute `notes`, where it has one)."""
 
 
 class Dispatcher:
@@ -81,6 +83,7 @@ class _Listener:
         self._wants_samples = True
         self._delivered = self._dropped = self._errors = 0
         self._first_error = ""
+        self._notes: tuple[str, ...] = ()
         self._thread = threading.Thread(target=self._work, name=f"stream {name}", daemon=True)
 
     def start(self) -> None:
@@ -103,7 +106,13 @@ class _Listener:
     def finish(self, deadline: float) -> StreamTally:
         self._thread.join(max(0.0, deadline - time.monotonic()))
         return StreamTally(
-            self._name, self._delivered, self._dropped, self._errors, self._first_error, not self._thread.is_alive()
+            name=self._name,
+            delivered=self._delivered,
+            dropped=self._dropped,
+            errors=self._errors,
+            first_error=self._first_error,
+            closed=not self._thread.is_alive(),
+            notes=self._notes,
         )
 
     def _next(self) -> Message | None:
@@ -126,6 +135,7 @@ class _Listener:
             self._delivered += self._errors == before
         if stream is not None:
             self._guarded(stream.close)
+            self._notes = tuple(str(note) for note in getattr(stream, "notes", ()))
         with self._changed:
             self._busy = False
             self._changed.notify_all()
@@ -133,7 +143,7 @@ class _Listener:
     def _guarded(self, call: Callable[[], T]) -> T | None:
         try:
             return call()
-        except Exception as error:  # a third party's code: whatever it raises stays on its side
+        except (Exception, SystemExit) as error:  # a third party's code: whatever it raises stays on its side
             self._errors += 1
             self._first_error = self._first_error or f"{type(error).__name__}: {error}"
             return None

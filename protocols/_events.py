@@ -7,9 +7,11 @@ from typing import Annotated, Any, Literal
 from pydantic import Field
 
 from protocols._base import ArrayModel, Strict
+from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentProposed
 from protocols._drive import Limits
 from protocols._estimates import FluxMapEstimate, ResistanceEstimate
 from protocols._motor import Motor
+from protocols._procedure import Stage
 from protocols._recording import Capture, Segment
 
 
@@ -43,6 +45,18 @@ class StageStarted(Strict):
     """Place of the stage in the procedure."""
     stage: str
     points: int
+
+
+class StagesAppended(Strict):
+    """Stages more than the procedure has: from here on the run goes on with them after its last one.
+
+    The journal alone holds them; the procedure in `run.json` stays what it was.
+    """
+
+    kind: Literal["stages_appended"] = "stages_appended"
+    by: int | None
+    """Place of the diagnose stage that asked for them. None: a person went on with the finished run."""
+    stages: tuple[Stage, ...]
 
 
 class PointStarted(Strict):
@@ -94,7 +108,8 @@ class LockChecked(Strict):
     """Verdict of the lock check."""
 
     kind: Literal["lock_checked"] = "lock_checked"
-    locked: bool
+    locked: bool | None
+    """None: not known; the rotation cannot be seen well enough to tell."""
     confidence: float
     """Probability that the lasting rotation is within the tolerance."""
     moved_rad: float
@@ -134,6 +149,7 @@ Message = (
     RunStarted
     | StateChanged
     | StageStarted
+    | StagesAppended
     | PointStarted
     | PointDone
     | SamplesCaptured
@@ -142,6 +158,10 @@ Message = (
     | LockChecked
     | ResistanceEstimated
     | MapEstimated
+    | Compared
+    | DiagnosisStep
+    | Diagnosed
+    | ExperimentProposed
     | Note
     | RunEnded
 )
@@ -150,12 +170,16 @@ JournalledMessage = Annotated[
     RunStarted
     | StateChanged
     | StageStarted
+    | StagesAppended
     | PointStarted
     | PointDone
     | OperatorAsked
     | OperatorAnswered
     | LockChecked
     | ResistanceEstimated
+    | Compared
+    | Diagnosed
+    | ExperimentProposed
     | Note
     | RunEnded,
     Field(discriminator="kind"),

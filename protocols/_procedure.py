@@ -69,6 +69,8 @@ class LockCheckStage(_EnergisedStage):
     duration_s: Positive | None = None
     tolerance_rad: Positive = 0.02
     """Largest lasting rotation (electrical) that still counts as locked."""
+    accept_not_known: Literal["I have seen that the rotor is held"] | None = None
+    """Where the motor shows too little saliency to tell, the run asks the operator, unless this is written out."""
 
 
 class ResistanceStage(_EnergisedStage):
@@ -135,6 +137,21 @@ class EstimateStage(_Stage):
     """None: every installed one."""
 
 
+class DiagnoseStage(_Stage):
+    """Hold the model against what has been measured so far, and name what it lacks; disarmed meanwhile.
+
+    Where two effects cannot be told apart and `rounds` allows it, the experiment that parts them is measured
+    (a stage more, of the run's own recording), the estimators run anew, and so does the diagnosis.
+    """
+
+    kind: Literal["diagnose"]
+    model: Literal["saturated", "linear"] = "saturated"
+    without: tuple[str, ...] = ()
+    """Effects taken out of the library."""
+    rounds: Annotated[int, Field(ge=0, le=10)] = 0
+    """Most proposed experiments that may follow."""
+
+
 Stage = Annotated[
     GatesOffStage
     | AlignmentStage
@@ -143,7 +160,8 @@ Stage = Annotated[
     | ResistanceStage
     | ClassicalStage
     | InjectionStage
-    | EstimateStage,
+    | EstimateStage
+    | DiagnoseStage,
     Field(discriminator="kind"),
 ]
 

@@ -28,7 +28,11 @@ class StreamSetup(BaseModel):
 
 @runtime_checkable
 class Stream(Protocol):
-    """A listener; all methods are called from the stream's own thread, in order."""
+    """A listener; all methods are called from the stream's own thread, in order.
+
+    A stream that has something to say at its end may have an attribute `notes`, a sequence of lines that is read after
+    `close`.
+    """
 
     name: ClassVar[str]
     Options: ClassVar[type[BaseModel]]

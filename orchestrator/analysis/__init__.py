@@ -8,13 +8,16 @@ from orchestrator.analysis._checks import check_map, difference_percent, flux_at
 from orchestrator.analysis._crossings import Network, join_paths
 from orchestrator.analysis._dwells import Dwell, dwell
 from orchestrator.analysis._energy_fit import EnergyFit
+from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
 from orchestrator.analysis._energy_search import fit_energy
 from orchestrator.analysis._estimation import estimate_recording
 from orchestrator.analysis._flux_map_file import load_flux_map, save_flux_map
 from orchestrator.analysis._frames import to_ab, to_dq
+from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
 from orchestrator.analysis._lock import judge_lock
 from orchestrator.analysis._loops import KNOTS, VoltageLosses, close_loops
+from orchestrator.analysis._passes import each_capture
 from orchestrator.analysis._report import EstimationReport, ResistanceReport
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._surface import SmoothSurface, TaylorSurface, current_axes, inside_hull, require_area
@@ -30,6 +33,7 @@ from orchestrator.analysis._sweep import (
 )
 
 __all__ = [
+    "COPPER_PER_K",
     "KNOTS",
     "Dwell",
     "EnergyFit",
@@ -38,6 +42,7 @@ __all__ = [
     "Inductances",
     "IntegratedFlux",
     "Network",
+    "PolynomialFit",
     "ResistanceReport",
     "Ripple",
     "SmoothSurface",
@@ -52,10 +57,12 @@ __all__ = [
     "demodulate",
     "difference_percent",
     "dwell",
+    "each_capture",
     "estimate_recording",
     "evaluate_sweep",
     "find_dwells",
     "fit_energy",
+    "fit_polynomial",
     "flux_at",
     "flux_by_rests",
     "flux_ratio",
@@ -70,6 +77,7 @@ __all__ = [
     "require_area",
     "save_flux_map",
     "sweep_of",
+    "temperature_rise",
     "to_ab",
     "to_dq",
     "trace_sweep",

@@ -35,36 +35,30 @@ class Dwell:
     v_covariance: Array
 
 
-def acting_voltage(v_ab: NDArray[np.floating[Any]], delay: float) -> Array:
-    """Mean voltage that acts over each sampling interval, v[k] acting from t_k + `delay` Ts on.
-
-    The rows before anything commanded in the capture has acted repeat the first command.
-    """
-    whole = int(np.floor(delay))
-    part = delay - whole
-    rows = np.arange(len(v_ab)) - whole
-    v = np.asarray(v_ab, dtype=np.float64)
-    newer = v[np.maximum(rows, 0)] if whole else v
-    out: Array = newer if part == 0.0 else (1.0 - part) * newer + part * v[np.maximum(rows - 1, 0)]
-    return out
-
-
 def dwell(capture: Capture, first: int = 0, last: int | None = None, delay: float = 0.0) -> Dwell:
     """Means over rows `first` to `last`."""
     last = len(capture) if last is None else last
     # The mean voltage of a steady stretch does not depend on a delay, but for what was commanded before it.
     first = min(first + int(np.ceil(delay)), last - 1)
     i, v = capture.i_ab[first:last], capture.v_ab[first:last]
-    parts = np.array([part.mean(axis=0, dtype=np.float64) for part in np.array_split(v, min(8, len(v)))])
+    parts = np.array([_mean(part) for part in np.array_split(v, min(8, len(v)))])
     off = parts - parts.mean(axis=0)
     rate = capture.sampling_frequency_hz
     return Dwell(
         start_s=capture.start_s + first / rate,
         seconds=len(v) / rate,
-        i_ab=i.mean(axis=0, dtype=np.float64),
+        i_ab=_mean(i),
         v_ab=parts.mean(axis=0),
         v_covariance=off.T @ off / max(len(parts) - 1, 1) / len(parts),
     )
+
+
+def _mean(x: NDArray[np.floating[Any]]) -> Array:
+    """Mean vector; as complex numbers, whose sum numpy takes many times faster than that of short rows."""
+    kind = (np.float32, np.complex64) if x.dtype == np.float32 else (np.float64, np.complex128)
+    vectors = np.ascontiguousarray(x, dtype=kind[0]).view(kind[1])
+    mean: Array = (vectors.sum(axis=0, dtype=np.complex128) / len(x)).view(np.float64)
+    return mean
 
 
 def rests(travel: Array, period: float) -> Iterator[tuple[int, int]]:

@@ -2,9 +2,8 @@
 
 W is a tensor spline, even in i_q in the rotor's frame, which may be turned by a small angle from the believed one.
 Inductances with their slopes and the flux along swept paths are fitted together, each weighted by its own errors,
-whose sizes are estimated as well. How smooth W is the data say: the roughness' weight is that of the largest
-marginal likelihood (G. Wahba, "Spline Models for Observational Data", SIAM 1990, doi:10.1137/1.9781611970128,
-section 4.8); the posterior covariance then holds the error of interpolating between points, too.
+whose sizes are estimated as well; a point or a path that nothing else confirms counts for less. How smooth W is the
+data say (see `_most_likely`); the posterior covariance then holds the error of interpolating between points, too.
 """
 
 from __future__ import annotations
@@ -17,17 +16,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._integration import Inductances
+from orchestrator.analysis._most_likely import Solution, most_likely
+from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_apart, waves
+from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.analysis._tensor_spline import EvenSpline
 
 Array = NDArray[np.float64]
 
-_CELLS = 12
-_THINNED = 4  # every so-manieth point of a path
-_ALIKE = 20.0  # so many of these, of neighbouring paths too, err alike
-_ROUNDS = 4  # of smoothness and sizes of the errors in turn
+COARSE = (12, 12)
+"""Intervals of a spline, along d and over the whole of q."""
+_UNSEEN = 2  # the energy's constant, and the flux of the magnet
+_ROUNDS = 6  # of smoothness, sizes of the errors and outliers in turn
+_SETTLED = 0.01  # change of the sizes with which they are found
 _PERFECT = 1e-4  # of the inductances: better than any measurement
+_STATED = 20.0  # data that a stated size of error is worth
 _MARGIN = 0.06  # of the spline's rectangle round the currents, relative to their range
+_DOUBTED = 0.99  # of all data are not beyond what makes one doubted
 
 
 @dataclass(frozen=True)
@@ -41,12 +46,19 @@ class EnergyFit:
         Of the axis about which W is even, from the believed d axis.
     coefficients : array, shape (k,)
     covariance : array, shape (k, k)
-    scales : array, shape (3,)
-        How much larger the scatter of inductances, of their slopes and of the flux is than their stated errors.
+    scales : array, shape (4,)
+        How much larger the scatter of inductances, of their slopes, and of the flux along and across the swept
+        direction is than their stated errors.
     stiffening_per_h : float
         What hysteresis added to the Hessian that the ripple saw [1/H]; taken out.
     correlation : float
         Of neighbouring inductances' residuals; near zero where nothing is left to be explained.
+    dead_time : float
+        Relative size of what dead time does to inductances where a phase current passes zero; taken out.
+    taken_out : array, shape (n, 7)
+        Of the inductances and their slopes, before all else: a common gain, and dead time.
+    trust : array, shape (n,)
+        By what each point's information counts; less than one where nothing else confirms it.
     """
 
     spline: EvenSpline
@@ -56,6 +68,9 @@ class EnergyFit:
     scales: Array
     stiffening_per_h: float
     correlation: float
+    dead_time: float
+    taken_out: Array
+    trust: Array
 
     def flux(self, at: Array) -> tuple[Array, Array]:
         """psi(i) - psi(0) and its standard deviation, shape (n, 2) each [Wb]."""
@@ -88,45 +103,107 @@ def _rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Array:
 
 
 @dataclass(frozen=True)
+class Errors:
+    """What is believed of the measurements' errors.
+
+    Attributes
+    ----------
+    scales : (float, float, float, float)
+        Of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
+    points, paths : array, shapes (n,), (p,), or None
+        By what the information of each is reduced; None: by nothing.
+    dead_time : float
+        Size of what dead time does to inductances where a phase current passes zero, relative; 0: nothing.
+    """
+
+    scales: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
+    points: Array | None = None
+    paths: Array | None = None
+    dead_time: float = 0.0
+
+
+@dataclass(frozen=True)
 class EnergyProblem:
-    """What is to be fitted, and how; the rows are made once for all weights. Attributes as of `EnergyFit`."""
+    """What is to be fitted, and how; the rows are made once for all errors. Attributes as of `EnergyFit`."""
 
     spline: EvenSpline
     points: Inductances | None
     paths: tuple[FluxPath, ...]
+    rotor_angle_rad: Array | float = 0.0
     angle_rad: float = 0.0
     stiffening_per_h: float = 0.0
-    scales: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    errors: Errors = Errors()
+
+    @property
+    def free(self) -> int:
+        """How many modes come first that are free, or have an own size."""
+        return self.spline.smooth - _UNSEEN + self.wrong
+
+    @cached_property
+    def wrong(self) -> int:
+        """How many of them are the measurements' and not the energy's; they are the last of the free ones."""
+        return 0 if self.points is None else self._wrong.shape[2]
+
+    @cached_property
+    def modes(self) -> Array:
+        """Coefficients of each mode's spline, shape (size, modes); none for those of the measurements."""
+        own = self.spline.modes[:, _UNSEEN:]
+        return np.insert(own, [self.free - self.wrong] * self.wrong, 0.0, axis=1)
+
+    @cached_property
+    def _wrong(self) -> Array:
+        assert self.points is not None
+        return error_modes(self.points, np.broadcast_to(self.rotor_angle_rad, len(self.points.current)))
 
     @cached_property
     def _inductance_rows(self) -> Array:
         assert self.points is not None
         at = self.points.current
-        return np.concatenate([_rows(self.spline, at, self.angle_rad, order) for order in (2, 3)], axis=1)
+        rows = np.concatenate([_rows(self.spline, at, self.angle_rad, order) for order in (2, 3)], axis=1)
+        out = np.asarray(rows @ self.modes)
+        out[:, :, self.free - self.wrong : self.free] = self._wrong
+        return out
 
     @cached_property
-    def _path_rows(self) -> list[Array]:
-        rows = (_rows(self.spline, path.current[::_THINNED], self.angle_rad, 1) for path in self.paths)
-        # Each path has its own constant, which its mean takes with it.
-        return [one - one.mean(axis=0) for one in rows]
+    def _path_rows(self) -> Array:
+        """Waves of what each mode's flux does, along each path's direction and across, shape (p, 2, waves, modes)."""
+        each = [
+            np.einsum("wm,mck,xc->xwk", waves(len(path.psi)), _rows(self.spline, path.current, self.angle_rad, 1), way)
+            for path, way in zip(self.paths, directions(self.paths), strict=True)
+        ]
+        return np.stack(each) @ self.modes
 
-    def scaled(self, scales: tuple[float, float, float]) -> EnergyProblem:
-        """The same with other weights; the rows stay."""
-        other = replace(self, scales=scales)
-        for name in ("_inductance_rows", "_path_rows"):
-            if name in self.__dict__:
-                other.__dict__[name] = self.__dict__[name]
+    def varied(
+        self, *, errors: Errors | None = None, angle_rad: float | None = None, stiffening_per_h: float | None = None
+    ) -> EnergyProblem:
+        """The same with other errors, angle or stiffening; rows that do not depend on it stay."""
+        other = replace(
+            self,
+            errors=self.errors if errors is None else errors,
+            angle_rad=self.angle_rad if angle_rad is None else angle_rad,
+            stiffening_per_h=self.stiffening_per_h if stiffening_per_h is None else stiffening_per_h,
+        )
+        kept = ["wrong", "modes", "_wrong"]
+        if other.angle_rad == self.angle_rad:
+            kept += ["_inductance_rows", "_path_rows"]
+        other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
-    def inductances(self) -> tuple[Array, Array]:
-        """Weighted rows (n, 7, size) and right-hand sides (n, 7) of the inductances and their slopes."""
+    def taken_out(self, solution: Solution) -> Array:
+        """What the measurements' own modes are of the inductances and their slopes, shape (n, 7)."""
         if self.points is None:
-            return np.zeros((0, 7, self.spline.size)), np.zeros((0, 7))
+            return np.zeros((0, 7))
+        return np.asarray(self._wrong @ solution.modes[self.free - self.wrong : self.free])
+
+    def inductances(self) -> tuple[Array, Array]:
+        """Rows (n, 7, modes) and right-hand sides (n, 7) of the inductances and their slopes, in stated errors."""
+        if self.points is None:
+            return np.zeros((0, 7, self.modes.shape[1])), np.zeros((0, 7))
         m, t = self._softened(self.points)
         target = np.column_stack(
             [m[:, 0, 0], m[:, 0, 1], m[:, 1, 1], t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]
         )
-        grown = np.repeat(self.scales[:2], (3, 4))
+        grown = np.repeat(self.errors.scales[:2], (3, 4))
         covariance = self.points.covariance * np.outer(grown, grown)
         # Slopes that were not told carry no information, not perfect information; and nothing is perfect.
         least = _PERFECT * float(np.abs(m).mean()) * np.repeat([1.0, 10.0 / float(np.ptp(self.points.current))], (3, 4))
@@ -142,102 +219,127 @@ class EnergyProblem:
         return np.asarray(points.matrix @ grown), slope
 
     def fluxes(self) -> tuple[Array, Array]:
-        """Weighted rows (n, 2, size) and right-hand sides (n, 2) of the flux along all paths."""
+        """Rows (p, 2 waves, modes) and right-hand sides (p, 2 waves) of the flux along all paths.
+
+        What is wrong with an integral is a random walk: independent waves, the k-th falling as 1/k.
+        """
         if not self.paths:
-            return np.zeros((0, 2, self.spline.size)), np.zeros((0, 2))
-        rows, right = [], []
-        for path, own in zip(self.paths, self._path_rows, strict=True):
-            psi = path.psi[::_THINNED]
-            floor = 1e-4 * float(np.ptp(psi, axis=0).max())
-            std = self.scales[2] * np.sqrt(_ALIKE) * np.hypot(path.std, floor)
-            rows.append(own / std[:, None])
-            right.append((psi - psi.mean(axis=0)) / std)
-        return np.concatenate(rows), np.concatenate(right)
+            return np.zeros((0, 2 * WAVES, self.modes.shape[1])), np.zeros((0, 2 * WAVES))
+        ways = directions(self.paths)
+        psi = np.stack([way @ (waves(len(p.psi)) @ p.psi).T for p, way in zip(self.paths, ways, strict=True)])
+        size = sizes(self.paths) * np.array(self.errors.scales[2:])[:, None]
+        count = len(self.paths)
+        return (self._path_rows / size[..., None]).reshape(count, 2 * WAVES, -1), (psi / size).reshape(count, -1)
 
+    def prior(self) -> tuple[Array, float]:
+        """Rows that say how large the measurements' own modes may be, and twice the logarithm of their sizes."""
+        if self.points is None:
+            return np.zeros((0, self.modes.shape[1])), 0.0
+        # What is not there has to have some size, for it is the same modes all the time.
+        size = np.append(GAIN_STD, np.full(self.wrong - 1, max(self.errors.dead_time, 1e-7)))
+        return np.eye(self.modes.shape[1])[self.free - self.wrong : self.free] / size[:, None], 2.0 * float(
+            np.log(size).sum()
+        )
 
-@dataclass(frozen=True)
-class Solution:
-    """Least squares at one weight of the roughness.
-
-    Attributes
-    ----------
-    coefficients : array, shape (k,)
-    root : array, shape (k, k)
-        Whose product with its transpose is the covariance.
-    cost : float
-        Minus twice the logarithm of the marginal likelihood, but for constants.
-    """
-
-    coefficients: Array
-    root: Array
-    cost: float
+    def blocks(self) -> list[tuple[Array, Array, Array]]:
+        """Rows, right-hand sides and the roots of their weights: a block each of points and of paths."""
+        out = []
+        for (rows, target), weight in zip(
+            (self.inductances(), self.fluxes()), (self.errors.points, self.errors.paths), strict=True
+        ):
+            out.append((rows, target, np.ones(len(rows)) if weight is None else np.sqrt(weight)))
+        return out
 
 
 def smoothed(problem: EnergyProblem) -> Solution:
     """Least squares at the most likely smoothness."""
-    from scipy.linalg import eigh
-    from scipy.optimize import minimize_scalar
+    (points, told, sure), (paths, flux, known) = problem.blocks()
+    paths, flux = paths * known[:, None, None], flux * known[:, None]
+    if len(paths):
+        along, apart = slice(0, WAVES), told_apart(problem.paths)
+        paths[:, along], flux[:, along] = np.tensordot(apart, paths[:, along], (1, 0)), apart @ flux[:, along]
+    prior, size = problem.prior()
+    rows = np.concatenate(
+        [(points * sure[:, None, None]).reshape(-1, points.shape[2]), paths.reshape(-1, points.shape[2]), prior]
+    )
+    target = np.concatenate([(told * sure[:, None]).ravel(), flux.ravel(), np.zeros(len(prior))])
+    solution = most_likely(rows, target, problem.free)
+    return replace(solution, cost=solution.cost + size)
 
-    blocks = [problem.inductances(), problem.fluxes()]
-    rows = np.concatenate([a.reshape(-1, problem.spline.size) for a, _ in blocks])
-    target = np.concatenate([b.ravel() for _, b in blocks])
-    normal = rows.T @ rows
-    unit = problem.spline.roughness * (np.trace(normal) / np.trace(problem.spline.roughness))
-    # What no datum sees (the energy's constant, and the flux of the magnet) needs some value.
-    faint = 1e-11 * np.trace(normal) / len(normal) * np.eye(len(normal))
-    # In the basis that makes both diagonal every weight of the roughness is one division.
-    share, basis = eigh(normal, normal + unit + faint)
-    share = np.clip(share, 0.0, 1.0)
-    right = basis.T @ (rows.T @ target)
-    squares, rough = float(target @ target), len(normal) - problem.spline.smooth
-    constant = -2.0 * float(np.linalg.slogdet(basis)[1])
 
-    def cost(log_weight: float) -> float:
-        whole = share + 10.0**log_weight * (1.0 - share) + 1e-300
-        return float(
-            squares - (right**2 / whole).sum() + np.log(whole).sum() - rough * np.log(10.0) * log_weight + constant
-        )
+def evidence(problem: EnergyProblem, solution: Solution) -> float:
+    """Minus twice the logarithm of the likelihood, the errors' sizes and outliers counted; of like data only."""
+    total = solution.cost
+    kinds = ((problem.errors.scales[:2], (3, 4)), (problem.errors.scales[2:], (WAVES, WAVES)))
+    for (_, _, root), (scales, counts) in zip(problem.blocks(), kinds, strict=True):
+        total += 2.0 * len(root) * float(np.log(scales) @ counts)
+        # An outlier costs the logarithm of how far it is off, where others cost the square.
+        total -= 2.0 * _limit(sum(counts)) * float(np.log(root).sum())
+    return total
 
-    best = minimize_scalar(cost, bounds=(-10.0, 1.0), method="bounded", options={"xatol": 0.05})
-    weight = 1.0 / (share + 10.0 ** float(best.x) * (1.0 - share) + 1e-300)
-    return Solution(basis @ (weight * right), basis * np.sqrt(weight), float(best.fun))
+
+def _limit(count: int) -> float:
+    """Sum of squares of so many normal deviates beyond which they are doubted."""
+    from scipy.stats import chi2
+
+    return float(chi2.ppf(_DOUBTED, count))
 
 
 def settled(problem: EnergyProblem) -> tuple[EnergyProblem, Solution]:
     """The sizes of the errors found from their own scatter, and the solution with them."""
     solution = smoothed(problem)
     for _ in range(_ROUNDS):
-        problem = problem.scaled(_grown(problem, solution))
+        before = np.array(problem.errors.scales)
+        problem = problem.varied(errors=_judged(problem, solution))
         solution = smoothed(problem)
+        if np.allclose(problem.errors.scales, before, rtol=_SETTLED, atol=0.0):
+            break
     return problem, solution
 
 
-def _grown(problem: EnergyProblem, solution: Solution) -> tuple[float, float, float]:
-    """Scales that make each kind's residuals as large as their weights say."""
-    rows, target = problem.inductances()
-    kinds = [(rows[:, :3], target[:, :3]), (rows[:, 3:], target[:, 3:]), problem.fluxes()]
-    scales = []
-    for scale, (a, b) in zip(problem.scales, kinds, strict=True):
-        used = float(((a @ solution.root) ** 2).sum())
-        squares = float(((b - a @ solution.coefficients) ** 2).sum())
-        growth = squares / max(b.size - used, 0.2 * b.size) if b.size else 1.0
-        scales.append(max(scale * float(np.sqrt(growth)), 1.0))
-    return scales[0], scales[1], scales[2]
+def _judged(problem: EnergyProblem, solution: Solution) -> Errors:
+    """Errors such that each kind's residuals are as large as they say, and outliers count for less."""
+    weights: list[Array] = []
+    growth: list[float] = []
+    for (rows, target, root), kinds in zip(
+        problem.blocks(), ((slice(0, 3), slice(3, 7)), (slice(0, WAVES), slice(WAVES, None))), strict=True
+    ):
+        if not len(rows):
+            weights.append(np.ones(0))
+            growth += [1.0] * len(kinds)
+            continue
+        off = target - rows @ solution.modes
+        hat = np.square(rows @ solution.root).sum(axis=2)
+        for kind in kinds:
+            squares = float(np.square(off[:, kind] * root[:, None]).sum())
+            count = float(off[:, kind].size)
+            free = max(count - float((hat[:, kind] * root[:, None] ** 2).sum()), 0.2 * count)
+            growth.append((_STATED + squares) / (_STATED + free))
+        size = np.square(off).sum(axis=1)
+        weights.append(np.minimum(1.0, _limit(off.shape[1]) / np.maximum(size, 1e-300)))
+    a, b, c, d = (max(float(s * np.sqrt(g)), 1.0) for s, g in zip(problem.errors.scales, growth, strict=True))
+    return replace(problem.errors, scales=(a, b, c, d), points=weights[0], paths=weights[1])
 
 
 def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
     """The fit, its covariance widened where neighbours err alike: then there are fewer data than points."""
     correlation = _neighbour_correlation(problem, solution)
-    count = 3 * len(problem.points.current) if problem.points is not None else 1
-    sure = np.clip(correlation - 2.0 / np.sqrt(count), 0.0, 0.95)
+    count = 0 if problem.points is None else len(problem.points.current)
+    sure = np.clip(correlation - 2.0 / np.sqrt(max(3 * count, 1)), 0.0, 0.95)
+    modes = problem.modes
+    root = modes @ solution.root
+    weight = problem.errors.points
     return EnergyFit(
         spline=problem.spline,
         angle_rad=problem.angle_rad,
-        coefficients=solution.coefficients,
-        covariance=solution.root @ solution.root.T * ((1.0 + sure) / (1.0 - sure)),
-        scales=np.array(problem.scales),
+        coefficients=modes @ solution.modes,
+        covariance=root @ root.T * ((1.0 + sure) / (1.0 - sure)),
+        scales=np.array(problem.errors.scales),
         stiffening_per_h=problem.stiffening_per_h,
         correlation=correlation,
+        dead_time=problem.errors.dead_time,
+        taken_out=problem.taken_out(solution),
+        trust=np.ones(count) if weight is None else weight,
     )
 
 
@@ -246,17 +348,22 @@ def _neighbour_correlation(problem: EnergyProblem, solution: Solution) -> float:
 
     if problem.points is None or len(problem.points.current) < 3:
         return 0.0
-    rows, target = problem.inductances()
-    off = target[:, :3] - rows[:, :3] @ solution.coefficients
+    rows, target, root = problem.blocks()[0]
+    off = (target[:, :3] - rows[:, :3] @ solution.modes) * root[:, None]
     nearest = np.asarray(cKDTree(problem.points.current).query(problem.points.current, k=2)[1])[:, 1]
     return float((off * off[nearest]).sum() / max(float((off**2).sum()), 1e-300))
 
 
-def pose(points: Inductances | None, paths: Sequence[FluxPath]) -> EnergyProblem:
+def pose(
+    points: Inductances | None,
+    paths: Sequence[FluxPath],
+    rotor_angle_rad: Array | float = 0.0,
+    cells: tuple[int, int] = COARSE,
+) -> EnergyProblem:
     """The problem of fitting these, with a spline that covers them."""
     current = np.concatenate([*([] if points is None else [points.current]), *(path.current for path in paths)])
     low, high = current.min(axis=0), current.max(axis=0)
     margin = _MARGIN * (high - low)
     reach = float(np.abs(current[:, 1]).max() + margin[1])
-    spline = EvenSpline(float(low[0] - margin[0]), float(high[0] + margin[0]), reach, (_CELLS, _CELLS))
-    return EnergyProblem(spline, points, tuple(paths))
+    spline = EvenSpline(float(low[0] - margin[0]), float(high[0] + margin[0]), reach, cells)
+    return EnergyProblem(spline, points, tuple(paths), rotor_angle_rad)

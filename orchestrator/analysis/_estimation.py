@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
 from orchestrator.analysis._flux_map_file import save_flux_map
+from orchestrator.analysis._heating import temperature_rise
 from orchestrator.analysis._report import EstimationReport, ResistanceReport
 from orchestrator.recording import replace_file
 from protocols import (
@@ -22,7 +24,9 @@ from protocols import (
     StorageError,
 )
 
+_REPORT = "estimates.json"
 _PREFERRED = ("energy", "injection", "classical")
+_LAST = ("energy", "polynomial")  # they build on the others' maps, and on each other's fit
 _BAD_ENERGY_PERCENT = 2.0  # rms, off every map of the measurements it was fitted to
 _BAD_CROSSINGS_PERCENT = 5.0
 _BAD_PARITY_PERCENT = 5.0
@@ -39,6 +43,8 @@ def estimate_recording(
     on_estimate: Callable[[Estimate], None] | None = None,
 ) -> EstimationReport:
     """Run the estimators and write results/flux_map.nc, flux_map_<method>.nc and estimates.json below `out`.
+
+    These replace the maps and the report of an earlier pass as one set; other files there stay.
 
     Parameters
     ----------
@@ -64,7 +70,7 @@ def estimate_recording(
     resistances: dict[str, ResistanceEstimate] = {}
     maps: dict[str, FluxMapEstimate] = {}
     missing: list[str] = []
-    for estimator in sorted(estimators, key=lambda e: (e.produces != "resistance", e.name == "energy")):
+    for estimator in sorted(estimators, key=_turn):
         try:
             found = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=dict(maps)))
         except NotMeasuredError as error:
@@ -87,6 +93,11 @@ def estimate_recording(
     return _written(report, recording, maps, out / "results")
 
 
+def _turn(estimator: Estimator) -> tuple[bool, int]:
+    """Resistances first, energies last."""
+    return estimator.produces != "resistance", _LAST.index(estimator.name) + 1 if estimator.name in _LAST else 0
+
+
 def _other_resistances(chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]) -> list[str]:
     """The one with the narrowest interval is chosen; what the others say is told."""
     return [
@@ -107,7 +118,7 @@ def _explains(maps: dict[str, FluxMapEstimate], rated_a: float | None) -> bool:
     """Whether an energy agrees with one of the maps at least; one that does is better than any of them alone."""
     energy = maps["energy"].map
     rated = rated_flux_wb(energy, rated_a)
-    off = [difference_percent(energy, other.map, rated) for method, other in maps.items() if method != "energy"]
+    off = [difference_percent(energy, other.map, rated) for method, other in maps.items() if method not in _LAST]
     known = [one for one in off if one is not None]
     return not known or min(known) <= _BAD_ENERGY_PERCENT
 
@@ -126,9 +137,8 @@ def _report(
     unscaled = best is not None and rated_flux_wb(best.map, recording.manifest.motor.rated_current_a) is None
     notes = ["the map does not reach the rated current: no percentages"] if unscaled else []
     notes += [f"{method}: {note}" for method, found in maps.items() for note in found.notes]
-    fields = ("value_ohm", "low", "high", "first_ohm", "last_ohm")
     return EstimationReport(
-        resistance=ResistanceReport(**{f: getattr(resistance, f) for f in fields}) if resistance else None,
+        resistance=_resistance_report(resistance) if resistance else None,
         method=best.map.method if best else None,
         crossings=checks.crossings,
         parity=checks.parity,
@@ -136,6 +146,18 @@ def _report(
         classical_against_injection_percent=difference,
         usable=best is not None and not against,
         reasons=[*against, *remarks, *missing, *(resistance.notes if resistance else ()), *notes],
+    )
+
+
+def _resistance_report(found: ResistanceEstimate) -> ResistanceReport:
+    return ResistanceReport(
+        value_ohm=found.value_ohm,
+        low=found.low,
+        high=found.high,
+        first_ohm=found.first_ohm,
+        last_ohm=found.last_ohm,
+        temperature_rise_k=temperature_rise(found.readings),
+        readings=found.readings,
     )
 
 
@@ -185,17 +207,23 @@ def _remarks(difference: float | None, maps: dict[str, FluxMapEstimate]) -> list
 def _written(
     report: EstimationReport, recording: RecordingReader, maps: dict[str, FluxMapEstimate], folder: Path
 ) -> EstimationReport:
-    names = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
-    files: dict[str, str] = {}
+    """Replace the results in `folder` as one set: a kill leaves the old one, the new one, or no report."""
+    about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
+    named = {"flux_map" if m == report.method else f"flux_map_{m}": found.map for m, found in maps.items()}
+    files = {**{name: str(folder / f"{name}.nc") for name in named}, "estimates": str(folder / _REPORT)}
+    report = report.model_copy(update={"files": files})
     try:
         folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".estimating-", dir=folder) as staging:
+            for name, flux_map in named.items():
+                save_flux_map(Path(staging) / f"{name}.nc", flux_map, **about)
+            # The report goes first and comes last: where it is, all maps are those that it speaks of.
+            (folder / _REPORT).unlink(missing_ok=True)
+            for old in folder.glob("flux_map*.nc"):
+                old.unlink()
+            for new in Path(staging).iterdir():
+                new.replace(folder / new.name)
     except OSError as error:
-        raise StorageError(f"{folder}: cannot be made: {error.strerror or error}") from error
-    for method, found in maps.items():
-        name = "flux_map" if method == report.method else f"flux_map_{method}"
-        save_flux_map(folder / f"{name}.nc", found.map, **names)
-        files[name] = str(folder / f"{name}.nc")
-    files["estimates"] = str(folder / "estimates.json")
-    report = report.model_copy(update={"files": files})
-    replace_file(folder / "estimates.json", (report.model_dump_json(indent=2) + "\n").encode())
+        raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    replace_file(folder / _REPORT, (report.model_dump_json(indent=2) + "\n").encode())
     return report

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.recording import replace_file
 from protocols import FluxMap, RecordingError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+Array = NDArray[np.float64]
 
 _UNITS = {"psi_d": "Wb", "psi_q": "Wb", "l_dd": "H", "l_dq": "H", "l_qq": "H"}
 _NAMES = {
@@ -65,10 +72,13 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
 def load_flux_map(path: Path) -> FluxMap:
     """Read a map that `save_flux_map` (or anybody, with these names) wrote.
 
+    Inductances that are not there are the slopes of the flux: exact in the middle of a grid's step, and half the
+    sum of both mutual ones for `l_dq`.
+
     Raises
     ------
     RecordingError
-        Where the file is missing, not NetCDF, or lacks a variable or dimension.
+        Where the file is missing, not NetCDF, lacks i_d, i_q, psi_d or psi_q, or an axis does not increase.
     """
     import xarray as xr
 
@@ -77,21 +87,48 @@ def load_flux_map(path: Path) -> FluxMap:
     try:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
             held = dataset.load()
-    except (OSError, ValueError, KeyError) as error:
+    # The HDF5 library says RuntimeError of a file that is cut off, and more of one that is something else.
+    except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, EOFError) as error:
         problem = f"not a readable NetCDF file: {str(error).splitlines()[0] if str(error) else error!r}"
         raise RecordingError(str(path), "", problem) from None
-    for name in ("i_d", "i_q", *_UNITS):
+    for name in ("i_d", "i_q", "psi_d", "psi_q"):
         if name not in held.variables:
             raise RecordingError(
-                str(path), name, f"variable missing; the file has {', '.join(map(str, held.variables))}"
+                str(path), name, f"variable missing; the file has {', '.join(map(str, held.variables)) or 'none'}"
             )
-    grids = {}
-    for name in (n for unit in _UNITS for n in (unit, f"{unit}_std")):
-        if name not in held:
-            grids[name] = np.full((held.sizes["i_d"], held.sizes["i_q"]), np.nan)
-        elif set(held[name].dims) != {"i_d", "i_q"}:
-            raise RecordingError(str(path), name, f"expected dimensions (i_d, i_q), got {held[name].dims}")
-        else:
-            grids[name] = held[name].transpose("i_d", "i_q").to_numpy().astype(np.float64)
-    axes = {name: held[name].to_numpy().astype(np.float64) for name in ("i_d", "i_q")}
+    axes = {name: _axis(path, held, name) for name in ("i_d", "i_q")}
+    names = [name for quantity in _UNITS for name in (quantity, f"{quantity}_std")]
+    grids = {name: _grid(path, held, name) for name in names if name in held.variables}
+    shape = (len(axes["i_d"]), len(axes["i_q"]))
+    slopes = _slopes(axes["i_d"], axes["i_q"], grids["psi_d"], grids["psi_q"])
+    grids.update({name: slope for name, slope in slopes.items() if name not in grids})
+    grids.update({name: np.full(shape, np.nan) for name in names if name not in grids})
     return FluxMap(method=str(held.attrs.get("method", "")), **axes, **grids)
+
+
+def _axis(path: Path, held: xr.Dataset, name: str) -> Array:
+    values = _numbers(path, held, name)
+    if held[name].dims != (name,) or len(values) < 2 or not (np.diff(values) > 0.0).all():
+        raise RecordingError(str(path), name, "expected a coordinate of at least two increasing currents")
+    return values
+
+
+def _grid(path: Path, held: xr.Dataset, name: str) -> Array:
+    if set(held[name].dims) != {"i_d", "i_q"}:
+        raise RecordingError(str(path), name, f"expected dimensions (i_d, i_q), got {held[name].dims}")
+    return _numbers(path, held.transpose("i_d", "i_q", ...), name)
+
+
+def _numbers(path: Path, held: xr.Dataset, name: str) -> Array:
+    try:
+        return held[name].to_numpy().astype(np.float64)
+    except (TypeError, ValueError):
+        raise RecordingError(str(path), name, f"expected numbers, got {held[name].dtype}") from None
+
+
+def _slopes(i_d: Array, i_q: Array, psi_d: Array, psi_q: Array) -> dict[str, Array]:
+    return {
+        "l_dd": np.gradient(psi_d, i_d, axis=0),
+        "l_dq": 0.5 * (np.gradient(psi_d, i_q, axis=1) + np.gradient(psi_q, i_d, axis=0)),
+        "l_qq": np.gradient(psi_q, i_q, axis=1),
+    }

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
+
+from orchestrator.analysis._samples import Samples, for_kernels
 
 Array = NDArray[np.float64]
 
@@ -19,6 +20,8 @@ FEATURES = 11
 """P (2), Q (2), second-order products of the flux ripple P - R Q (3), third-order ones (4)."""
 
 _NO_DROP = np.zeros((2, 2))
+
+_RAMP = 13  # the row after the features and the two currents
 
 
 @dataclass(frozen=True)
@@ -45,8 +48,8 @@ class Moments:
 
 
 def ripple_moments(
-    i_ab: NDArray[np.floating[Any]],
-    v_ab: NDArray[np.floating[Any]],
+    i_ab: Samples,
+    v_ab: Samples,
     *,
     sampling_s: float,
     angle_rad: float,
@@ -62,7 +65,7 @@ def ripple_moments(
     """
     whole = math.floor(delay)
     windows = (len(i_ab) - first) // width
-    i, v = (np.ascontiguousarray(x, dtype=np.float64) for x in (i_ab, v_ab))
+    i, v = for_kernels(i_ab, v_ab)
     frame = (math.cos(angle_rad), math.sin(angle_rad))
     lag = (whole, delay - whole)
     normal, squares, mean_i, v2 = _accumulate(i, v, sampling_s, frame, lag, drop_ohm, first, width, windows)
@@ -72,8 +75,8 @@ def ripple_moments(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _accumulate(
-    i_ab: Array,
-    v_ab: Array,
+    i_ab: Samples,
+    v_ab: Samples,
     sampling_s: float,
     frame: tuple[float, float],
     delay: tuple[int, float],
@@ -83,33 +86,26 @@ def _accumulate(
     windows: int,
 ) -> tuple[Array, Array, Array, float]:
     normal = np.zeros((13, 13))
-    level, slope = np.zeros(13), np.zeros(13)
     squares, mean_i, v2 = np.zeros(3), np.zeros(2), 0.0
-    z = np.empty((13, width))  # one row a feature, so that the products run along the samples
+    z = np.empty((14, width))  # one row a feature, so that the products run along the samples
+    z[_RAMP] = np.arange(width) - 0.5 * (width - 1)
+    tt = (z[_RAMP] * z[_RAMP]).sum()
     v = np.empty((2, width))
-    ramp = np.arange(width) - 0.5 * (width - 1)
-    tt = (ramp * ramp).sum()
+    product, level = np.empty((14, 14)), np.zeros(13)
     for window in range(windows):
-        start = first + window * width
-        _rotate_window(i_ab, v_ab, frame, delay, start, z[11:], v)
+        _rotate_window(i_ab, v_ab, frame, delay, first + window * width, z[11:13], v)
         for axis in range(2):
             i_mean, v_mean = z[11 + axis].mean(), v[axis].mean()
             mean_i[axis] += width * i_mean
             z[11 + axis] -= i_mean
             v[axis] -= v_mean
             v2 += (v[axis] * v[axis]).sum()
-        _fill_features(z, v, drop_ohm, sampling_s)
+        _fill_features(z, v, drop_ohm, sampling_s, level)
+        _multiply(z, product)
         for a in range(13):
-            along, up = 0.0, 0.0
-            for k in range(width):
-                along += z[a, k]
-                up += ramp[k] * z[a, k]
-            level[a], slope[a] = along, up
+            along, up = level[a] / width, product[_RAMP, a] / tt
             for b in range(a + 1):
-                product = 0.0
-                for k in range(width):
-                    product += z[a, k] * z[b, k]
-                normal[a, b] += product - along * level[b] / width - up * slope[b] / tt
+                normal[a, b] += product[a, b] - along * level[b] - up * product[_RAMP, b]
         squares += level[4:7]
     for a in range(13):
         for b in range(a):
@@ -119,16 +115,16 @@ def _accumulate(
 
 @njit(cache=True, nogil=True, fastmath=True)
 def _rotate_window(
-    i_ab: Array, v_ab: Array, frame: tuple[float, float], delay: tuple[int, float], start: int, i: Array, v: Array
+    i_ab: Samples, v_ab: Samples, frame: tuple[float, float], delay: tuple[int, float], start: int, i: Array, v: Array
 ) -> None:
     """Current, and the voltage that acts, of one window in the dq frame: rows d, q."""
     cos, sin = frame
     whole, part = delay
     for k in range(v.shape[1]):
         row = start + k
-        a, b = i_ab[row, 0], i_ab[row, 1]
+        a, b = np.float64(i_ab[row, 0]), np.float64(i_ab[row, 1])
         i[0, k], i[1, k] = cos * a + sin * b, cos * b - sin * a
-        a, b = v_ab[row - whole, 0], v_ab[row - whole, 1]
+        a, b = np.float64(v_ab[row - whole, 0]), np.float64(v_ab[row - whole, 1])
         if part > 0.0:
             a += part * (v_ab[row - whole - 1, 0] - a)
             b += part * (v_ab[row - whole - 1, 1] - b)
@@ -136,19 +132,51 @@ def _rotate_window(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fill_features(z: Array, v: Array, drop_ohm: Array, sampling_s: float) -> None:
-    """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current in rows 11 and 12."""
-    for axis in range(2):
-        p, q = 0.0, 0.0
-        for k in range(v.shape[1]):
-            z[axis, k] = p
-            p += sampling_s * v[axis, k]
-            z[2 + axis, k] = q + 0.5 * sampling_s * z[11 + axis, k]
-            q += sampling_s * z[11 + axis, k]
-        z[axis] -= z[axis].mean()
-        z[2 + axis] -= z[2 + axis].mean()
+def _fill_features(z: Array, v: Array, drop_ohm: Array, sampling_s: float, level: Array) -> None:
+    """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current in rows 11 and 12.
+
+    `level` gets the sums of the rows that do not have zero mean.
+    """
+    p_d, p_q, q_d, q_q = 0.0, 0.0, 0.0, 0.0
     for k in range(v.shape[1]):
-        d = z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
-        q = z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
-        z[4, k], z[5, k], z[6, k] = d * d, d * q, q * q
-        z[7, k], z[8, k], z[9, k], z[10, k] = d * d * d, d * d * q, d * q * q, q * q * q
+        z[0, k], z[1, k] = p_d, p_q
+        p_d += sampling_s * v[0, k]
+        p_q += sampling_s * v[1, k]
+        z[2, k] = q_d + 0.5 * sampling_s * z[11, k]
+        z[3, k] = q_q + 0.5 * sampling_s * z[12, k]
+        q_d += sampling_s * z[11, k]
+        q_q += sampling_s * z[12, k]
+    for row in range(4):
+        z[row] -= z[row].mean()
+    # The voltage has done its work: its rows hold the flux ripple from here on.
+    for k in range(v.shape[1]):
+        v[0, k] = z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
+        v[1, k] = z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
+    level[4], level[5], level[6] = _times(v, 0, v, 0, z, 4), _times(v, 0, v, 1, z, 5), _times(v, 1, v, 1, z, 6)
+    level[7], level[8] = _times(z, 4, v, 0, z, 7), _times(z, 4, v, 1, z, 8)
+    level[9], level[10] = _times(z, 6, v, 0, z, 9), _times(z, 6, v, 1, z, 10)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _times(x: Array, a: int, y: Array, b: int, z: Array, out: int) -> float:
+    """Row `out` of z becomes the product of two others, whose sum is returned; one by one they go four at a time."""
+    total = 0.0
+    for k in range(x.shape[1]):
+        product = x[a, k] * y[b, k]
+        z[out, k] = product
+        total += product
+    return total
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _multiply(z: Array, product: Array) -> None:
+    """Lower triangle of z z^T, two rows by two at a time: what is loaded is used twice."""
+    for a in range(0, z.shape[0], 2):
+        for b in range(0, a + 1, 2):
+            s00, s01, s10, s11 = 0.0, 0.0, 0.0, 0.0
+            for k in range(z.shape[1]):
+                s00 += z[a, k] * z[b, k]
+                s01 += z[a, k] * z[b + 1, k]
+                s10 += z[a + 1, k] * z[b, k]
+                s11 += z[a + 1, k] * z[b + 1, k]
+            product[a, b], product[a, b + 1], product[a + 1, b], product[a + 1, b + 1] = s00, s01, s10, s11

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from protocols import AxisPercent, Strict
+from protocols import AxisPercent, Interval, ResistanceReading, Strict
 
 
 class ResistanceReport(Strict):
@@ -16,6 +16,10 @@ class ResistanceReport(Strict):
     """95 % interval of `value_ohm`."""
     first_ohm: float
     last_ohm: float
+    temperature_rise_k: Interval | None = None
+    """Of a copper winding that started at 20 C, from the first reading to the last."""
+    readings: tuple[ResistanceReading, ...] = ()
+    """In order of time."""
 
 
 class EstimationReport(Strict):

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -86,11 +87,21 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     n = len(vectors)
     if n < 16:
         raise NotMeasuredError(where, "v_alpha, v_beta", f"{n} samples are too few to find an injection in")
-    spectrum = np.abs(np.fft.fft((vectors - vectors.mean()) * np.hanning(n)))
-    if spectrum.max() <= 1e-9 * max(1.0, float(np.abs(vectors).max())) * n:
+    turning = np.fft.fft((vectors - vectors.mean()) * _hann(n))
+    spectrum = turning.real**2 + turning.imag**2
+    largest = max(1.0, float(np.abs(v_ab[:_ROWS]).max()))
+    if spectrum.max() <= (1e-9 * largest * n) ** 2:
         raise NotMeasuredError(where, "v_alpha, v_beta", "no injected voltage was found")
     ahead, behind = (_peak(half) for half in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
     return 0.5 * (ahead + behind + 1.0) * sampling_frequency_hz / n
+
+
+@lru_cache(maxsize=4)
+def _hann(n: int) -> Array:
+    """The window for n samples, made once for all captures of one length."""
+    window = np.hanning(n)
+    window.flags.writeable = False
+    return window
 
 
 def _peak(spectrum: Array) -> float:

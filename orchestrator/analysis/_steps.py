@@ -6,18 +6,16 @@ at zero current make of it, it is linear in the values at the knots. Nothing is 
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.analysis._samples import Samples, for_kernels
+
 Array = NDArray[np.float64]
 
 
-def step_integrals(
-    i_ab: NDArray[np.floating[Any]], knots_a: Array, sampling_s: float, block: int, blocks: int
-) -> Array:
+def step_integrals(i_ab: Samples, knots_a: Array, sampling_s: float, block: int, blocks: int) -> Array:
     """Block means of the running integral of T hat_k(i_abc), shape (blocks, knots, 2), stator frame [s].
 
     Parameters
@@ -27,18 +25,19 @@ def step_integrals(
     knots_a : array, shape (k,)
         Phase currents at which the shape is known [A], increasing and positive.
     """
-    return _integrate(np.ascontiguousarray(i_ab, dtype=np.float64), knots_a, sampling_s, block, blocks)
+    (i,) = for_kernels(i_ab)
+    return _integrate(i, knots_a, sampling_s, block, blocks)
 
 
 @njit(cache=True, nogil=True)
-def _integrate(i_ab: Array, knots: Array, sampling_s: float, block: int, blocks: int) -> Array:
+def _integrate(i_ab: Samples, knots: Array, sampling_s: float, block: int, blocks: int) -> Array:
     n = len(knots)
     out = np.zeros((blocks, n, 2))
     total, share = np.zeros((n, 2)), np.zeros((n, 3))
     half = np.sqrt(0.75)
     for b in range(blocks):
         for k in range(b * block, (b + 1) * block):
-            alpha, beta = i_ab[k, 0], i_ab[k, 1]
+            alpha, beta = np.float64(i_ab[k, 0]), np.float64(i_ab[k, 1])
             share[:] = 0.0
             for phase in range(3):
                 i = alpha if phase == 0 else (-0.5 * alpha + half * beta if phase == 1 else -0.5 * alpha - half * beta)

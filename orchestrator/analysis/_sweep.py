@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis._dwells import Dwell, acting_voltage, dwell, rests
+from orchestrator.analysis._dwells import Dwell, dwell, rests
 from orchestrator.analysis._frames import to_dq
 from protocols import Capture, NotMeasuredError
 
@@ -198,14 +198,14 @@ def trace_sweep(
 
     With `knots_a`, shape (k,), the phase currents at which the inverter's shape is to be known [A], its integrals too.
     """
+    # numba stays out of an import that only wants the names
+    from orchestrator.analysis._block_means import block_means
+
     step = 1.0 / capture.sampling_frequency_hz
-    i = to_dq(capture.i_ab, angle_rad)
-    v = to_dq(acting_voltage(capture.v_ab, delay), angle_rad)
-    charge = step * (np.cumsum(i, axis=0) - 0.5 * i)
-    impulse = step * (np.cumsum(v, axis=0) - v)
-    block = max(1, len(i) // _BLOCKS)
-    n = len(i) // block
-    means = [x[: n * block].reshape(n, block, 2).mean(axis=1) for x in (i, charge, impulse)]
+    block = max(1, len(capture) // _BLOCKS)
+    n = len(capture) // block
+    stator = block_means(capture.i_ab, capture.v_ab, sampling_s=step, delay=delay, block=block)
+    means = [to_dq(x, angle_rad) for x in stator]
     spread = np.linalg.eigh(np.cov(means[0].T))[1][:, -1]
     axis = spread * np.sign(spread[np.argmax(np.abs(spread))])
     travel = means[0] @ axis

@@ -66,6 +66,28 @@ class EvenSpline:
         """Dimension of what has no roughness: even polynomials of the fourth degree."""
         return sum(_ROUGHNESS_ORDER - k for k in range(0, _ROUGHNESS_ORDER, 2))
 
+    @cached_property
+    def modes(self) -> Array:
+        """Coefficients of all functions in another basis, shape (size, size), one mode a column.
+
+        First come `smooth` polynomials, by degree: the constant, the first variable, its square, the second's square
+        and so on, in units of the half ranges. The others are orthogonal to them (as coefficients), and the sum of
+        their squares is the roughness.
+        """
+        smooth = self._polynomials()
+        rest = np.linalg.qr(smooth, mode="complete")[0][:, self.smooth :]
+        root = np.linalg.cholesky(rest.T @ self.roughness @ rest)
+        return np.concatenate([smooth, np.linalg.solve(root, rest.T).T], axis=1)
+
+    def _polynomials(self) -> Array:
+        d = np.linspace(self._low, self._high, 3 * _DEGREE + len(self._first.c))
+        q = np.linspace(0.0, self._reach, 3 * _DEGREE + len(self._second.c))
+        at = np.stack(np.meshgrid(d, q, indexing="ij"), axis=-1).reshape(-1, 2)
+        x, y = (2.0 * at[:, 0] - self._low - self._high) / (self._high - self._low), at[:, 1] / self._reach
+        degrees = [(n - k, k) for n in range(_ROUGHNESS_ORDER) for k in range(0, n + 1, 2)]
+        values = np.stack([x**m * y**n for m, n in degrees], axis=1)
+        return np.asarray(np.linalg.lstsq(self.rows(at, 0, 0), values, rcond=None)[0])
+
 
 def _basis(low: float, high: float, cells: int) -> BSpline:
     from scipy.interpolate import BSpline

@@ -30,6 +30,13 @@ SetOption = Annotated[
 ]
 JsonOption = Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")]
 QuietOption = Annotated[bool, typer.Option("--quiet", "-q", help="Print only what went wrong.")]
+LogOption = Annotated[
+    str, typer.Option("--log", help="How the run is told while it lasts: text, or json (one object a line).")
+]
+ViewOption = Annotated[bool, typer.Option("--view", help="Open the viewer, and follow the run in it.")]
+StreamOption = Annotated[
+    list[str] | None, typer.Option("--stream", help="Let this installed stream listen as well (may be repeated).")
+]
 AbsentOption = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: a question that the procedure leaves open ends the run.")
 ]
@@ -37,11 +44,22 @@ AbsentOption = Annotated[
 
 @app.command("run")
 def run_command(
-    procedure: ProcedureArgument = "demo",
+    procedure: Annotated[
+        str | None, typer.Argument(help="Name of a shipped procedure, or a YAML file.", show_default="demo")
+    ] = None,
     drive: DriveOption = None,
     motor: MotorOption = None,
     settings: SetOption = None,
     out: Annotated[Path | None, typer.Option(help="Run directory to make; by default runs/<name>-<time>.")] = None,
+    source: Annotated[
+        Path | None, typer.Option("--from", help="Go on with this run: measure what its diagnosis proposes.")
+    ] = None,
+    rounds: Annotated[
+        int | None, typer.Option(min=1, max=10, help="With --from: most experiments that may follow.", show_default="1")
+    ] = None,
+    view: ViewOption = False,
+    streams: StreamOption = None,
+    log: LogOption = "text",
     unattended: AbsentOption = False,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
@@ -49,23 +67,44 @@ def run_command(
     """Commission a motor end to end.
 
     The main job: align, check the lock, measure, estimate. Where no procedure is named: the demo.
-    """
-    from orchestrator.cli._commission import run
 
-    return run(procedure, drive, motor, settings or [], out, unattended, quiet, as_json)
+    With --from: measure what the diagnosis of a finished run proposes, into the same recording, and diagnose again.
+    """
+    from orchestrator.cli._commission import Audience, run, run_further
+
+    audience = Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()))
+    if source is None:
+        if rounds is not None:
+            raise typer.BadParameter("goes with --from only", param_hint="--rounds")
+        return run(procedure or "demo", drive, motor, settings or [], out, audience)
+    if any(given is not None for given in (procedure, drive, motor, settings or None, out)):
+        raise typer.BadParameter("goes on with the run's own procedure, drive and directory", param_hint="--from")
+    return run_further(source, rounds or 1, audience)
 
 
 @app.command("resume")
 def resume_command(
-    path: RunArgument, unattended: AbsentOption = False, quiet: QuietOption = False, as_json: JsonOption = False
+    path: RunArgument,
+    view: ViewOption = False,
+    streams: StreamOption = None,
+    log: LogOption = "text",
+    unattended: AbsentOption = False,
+    quiet: QuietOption = False,
+    as_json: JsonOption = False,
 ) -> int:
     """Go on with an interrupted run.
 
     It starts at the first point that is not done, and energises only on your word.
     """
-    from orchestrator.cli._commission import resume
+    from orchestrator.cli._commission import Audience, resume
 
-    return resume(path, unattended, quiet, as_json)
+    return resume(path, Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ())))
+
+
+def _log_of(log: str) -> str:
+    if log not in ("text", "json"):
+        raise typer.BadParameter(f"{log!r}; expected text or json", param_hint="--log")
+    return log
 
 
 @app.command("check")
@@ -204,6 +243,21 @@ def import_command(
     return import_(mapping, files, out, as_json)
 
 
+@app.command("new")
+def new_command(
+    kind: Annotated[str, typer.Argument(help="drive, estimator, effect or stream.")],
+    name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
+    out: Annotated[Path | None, typer.Option(help="Folder to make; by default fluxbench-NAME.")] = None,
+) -> int:
+    """A package for a plugin of your own.
+
+    It passes its conformance kit as it is; from there, change it step by step.
+    """
+    from orchestrator.cli._new import new
+
+    return new(kind, name, out)
+
+
 @app.command("plugins")
 def plugins_command(as_json: JsonOption = False) -> int:
     """What is installed, and whether it loads."""
@@ -235,17 +289,29 @@ def schema_command(
 def run_app(arguments: Sequence[str]) -> int:
     """Run one command; what is wrong becomes one line on stderr and an exit code."""
     from orchestrator.cli._foreign import with_plugin_commands
+    from orchestrator.cli._output import give_up_broken_output
 
     try:
-        code = with_plugin_commands(app)(list(arguments), standalone_mode=False)
+        code = int(with_plugin_commands(app)(list(arguments), standalone_mode=False) or 0)
+        sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt):
         return _say("interrupted", 130)
+    except SystemExit as error:  # no command of ours leaves like that; typer does where the pipe is broken
+        if isinstance(error.__context__, BrokenPipeError):
+            give_up_broken_output()
+            return 0
+        return _say(f"a plugin called exit({error.code}) in the middle of the command", 3)
     except BrokenPipeError:  # whoever read the output has had enough
-        sys.stderr.close()
+        give_up_broken_output()
         return 0
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        give_up_broken_output()
+        return _say(f"standard output: cannot be written: {error.strerror or error}", 3)
     except Exception as error:
         return _explain(error)
-    return int(code or 0)
+    return code
 
 
 def _explain(error: Exception) -> int:

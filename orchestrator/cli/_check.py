@@ -6,15 +6,17 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.cli._tables import amount, duration, print_table
-from orchestrator.config import PlanSummary, check_plan, load_procedure, make_plan
-from orchestrator.engine import chosen_estimators, connected_drive
+from orchestrator.config import PlanSummary, check_plan, make_plan, read_procedure
+from orchestrator.engine import chosen_effects, chosen_estimators, connected_drive
 
 
 def check(source: str, drive: str | None, motor: Path | None, overrides: Sequence[str], as_json: bool) -> int:
     """Plan, hold the plan against limits and the drive's capabilities, print what would happen."""
-    procedure = load_procedure(source, overrides=overrides, drive=drive, motor=motor)
+    loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
+    procedure = loaded.procedure
     chosen_estimators(procedure)
-    with connected_drive(procedure, private=None) as (_, capabilities):
+    chosen_effects(procedure)
+    with loaded.naming_its_places(), connected_drive(procedure, private=None) as (_, capabilities):
         summary = check_plan(make_plan(procedure, capabilities), capabilities)
     if as_json:
         print(summary.model_dump_json(indent=2))
@@ -24,10 +26,11 @@ def check(source: str, drive: str | None, motor: Path | None, overrides: Sequenc
 
 
 def _print_summary(summary: PlanSummary) -> None:
-    headings = ("stage", "points", "duration", "captured", "peak current", "peak voltage", "heat")
+    headings = ("stage", "written as", "points", "duration", "captured", "peak current", "peak voltage", "heat")
     rows = [
         (
-            f"{row.index} {row.stage}",
+            f"{row.index + 1} {row.stage}",
+            f"stages.{row.index}",
             str(row.points),
             duration(row.duration_s),
             duration(row.captured_s),
@@ -39,6 +42,7 @@ def _print_summary(summary: PlanSummary) -> None:
     ]
     total = (
         "all",
+        "",
         str(summary.points),
         duration(summary.duration_s),
         duration(summary.captured_s),

@@ -2,24 +2,63 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TextIO
 
-from orchestrator.config import load_procedure
+from orchestrator.cli._output import give_up_broken_output
+from orchestrator.cli._results import refuse_file
+from orchestrator.config import read_procedure
 from orchestrator.engine import (
+    NOTHING_LEFT,
     AbsentOperator,
     Crew,
     Operator,
     RunResult,
     TerminalOperator,
+    extend_run,
     handling_signals,
     resume_run,
     start_run,
 )
+from orchestrator.streaming import StreamTally
 from protocols import FluxbenchError
+
+
+@dataclass(frozen=True)
+class Audience:
+    """Who follows a run, and how it is told to them."""
+
+    unattended: bool = False
+    quiet: bool = False
+    as_json: bool = False
+    log: str = "text"
+    """text, or json: one object a line."""
+    view: bool = False
+    """In the viewer, live."""
+    streams: tuple[str, ...] = ()
+    """Others that listen as well."""
+
+    @property
+    def console_mode(self) -> str:
+        if self.log == "json":
+            return "jsonl"
+        return "quiet" if self.quiet or self.as_json else "auto"
+
+    def options(self) -> dict[str, dict[str, Any]]:
+        """Options of each stream, by its plugin's name."""
+        # With --json the result alone goes to standard output.
+        output = "stderr" if self.as_json and self.log == "json" else "stdout"
+        return {
+            "console": {"mode": self.console_mode, "output": output},
+            "report": {},
+            "rerun": {"view": "auto" if self.view else "none"},
+            **{name: {} for name in self.streams},
+        }
 
 
 def run(
@@ -28,51 +67,69 @@ def run(
     motor: Path | None,
     overrides: Sequence[str],
     out: Path | None,
-    unattended: bool,
-    quiet: bool,
-    as_json: bool,
+    audience: Audience,
 ) -> int:
     """Commission into a new directory; returns the exit code."""
-    procedure = load_procedure(source, overrides=overrides, drive=drive, motor=motor)
-    path = out if out is not None else Path("runs") / f"{procedure.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    return _with_crew(lambda crew: start_run(procedure, path, crew), unattended, quiet, as_json)
+    loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
+    path = out if out is not None else Path("runs") / f"{loaded.procedure.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    refuse_file(path)
+    with loaded.naming_its_places():
+        return _with_crew(lambda crew: start_run(loaded.procedure, path, crew), audience)
 
 
-def resume(path: Path, unattended: bool, quiet: bool, as_json: bool) -> int:
+def run_further(source: Path, rounds: int, audience: Audience) -> int:
+    """Measure the experiment that a run's diagnosis proposes, and diagnose again."""
+    from orchestrator.cli._further import stages_to_go_on_with
+
+    path, stages = stages_to_go_on_with(source, rounds)
+    return _with_crew(lambda crew: extend_run(path, stages, crew), audience)
+
+
+def resume(path: Path, audience: Audience) -> int:
     """Go on with an interrupted run; energises only on the operator's word."""
-    return _with_crew(lambda crew: resume_run(path, crew), unattended, quiet, as_json)
+    return _with_crew(lambda crew: resume_run(path, crew), audience)
 
 
-def _with_crew(commission: Callable[[Crew], RunResult], unattended: bool, quiet: bool, as_json: bool) -> int:
-    operator: Operator = AbsentOperator() if unattended or not sys.stdin.isatty() else TerminalOperator()
-    mode = "quiet" if quiet or as_json else "auto"
-    streams: dict[str, dict[str, Any]] = {"console": {"mode": mode}, "report": {}}
+def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> int:
+    # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
+    os.environ.setdefault("RUST_LOG", "off")
+    alone = audience.unattended or not sys.stdin.isatty()
+    operator: Operator = AbsentOperator() if alone else TerminalOperator()
     with handling_signals() as interrupts:
-        result = commission(Crew(operator, interrupts, streams))
-    for tally in result.streams:
-        if tally.dropped or tally.errors or not tally.closed:
-            _warn(
-                f"stream {tally.name}: {tally.delivered} delivered, {tally.dropped} dropped, {tally.errors} errors"
-                + (f" (first: {tally.first_error})" if tally.first_error else "")
-            )
+        result = commission(Crew(operator, interrupts, audience.options()))
+    troubles = [_trouble(tally) for tally in result.streams if tally.dropped or tally.errors or not tally.closed]
+    troubles += [f"stream {tally.name}: {note}" for tally in result.streams for note in tally.notes]
+    if result.outcome.error is None:
+        for trouble in troubles:
+            _warn(trouble)
     report = result.path / "report.html"
-    if mode == "auto" and report.is_file():
+    if audience.console_mode == "auto" and report.is_file():
         _tell(f"report: {report}", sys.stdout)
-    return _exit_code(result, as_json)
+    code = _exit_code(result, troubles, audience.as_json)
+    give_up_broken_output()
+    return code
 
 
-def _exit_code(result: RunResult, as_json: bool) -> int:
+def _trouble(tally: StreamTally) -> str:
+    told = f"stream {tally.name}: {tally.delivered} delivered, {tally.dropped} dropped, {tally.errors} errors"
+    return told + (f" (first: {tally.first_error})" if tally.first_error else "")
+
+
+def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int:
     outcome = result.outcome
     if as_json:
         import json
 
         found = {"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason}
-        print(json.dumps(found | {"estimates": dict(outcome.estimates)}, indent=2))
+        _tell(json.dumps(found | {"estimates": dict(outcome.estimates)}, indent=2), sys.stdout)
     if outcome.error is None:
+        if outcome.reason == NOTHING_LEFT and not as_json:
+            _tell(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute anew", sys.stdout)
         return 0
     if not isinstance(outcome.error, FluxbenchError):
         raise outcome.error  # a defect: its traceback is wanted, now that the drive is safe
-    _warn(f"{outcome.ending}: {outcome.reason}; `fluxbench resume {result.path}` goes on at the first point not done")
+    goes_on = f"`fluxbench resume {result.path}` goes on at the first point not done"
+    _warn("; ".join([f"{outcome.ending}: {outcome.reason}", goes_on, *troubles]))
     return max(outcome.error.exit_code, 3)
 
 

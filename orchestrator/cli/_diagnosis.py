@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from orchestrator.cli._results import open_any
-from orchestrator.cli._tables import amount, print_table
+from orchestrator.cli._tables import amount, print_table, stage_as_yaml
 from orchestrator.diagnosis import (
     AddReport,
     CompareReport,
     DiagnosisReport,
     ModelChoice,
-    Words,
     add_effects,
     compare_recording,
-    diagnose_recording,
-    in_words,
+    diagnose_and_keep,
     remove_effect,
 )
 from orchestrator.exporting import load_map
@@ -46,13 +44,13 @@ def diagnose(
     path: Path, model: str | None, effects: Path | None, without: Sequence[str], out: Path | None, as_json: bool
 ) -> int:
     """Name what the model lacks."""
-    diagnosis = diagnose_recording(
+    diagnosis, kept = diagnose_and_keep(
         open_any(path), _library(effects), model=_model(model) or "saturated", without=without, out=out
     )
     if as_json:
         print(diagnosis.report.model_dump_json(indent=2))
     else:
-        _print_diagnosis(diagnosis.report, in_words(diagnosis))
+        _print_diagnosis(diagnosis.report, kept.words)
     return 0
 
 
@@ -96,16 +94,19 @@ def _print_comparison(report: CompareReport) -> None:
     _print_notes(report.notes)
 
 
-def _print_diagnosis(report: DiagnosisReport, words: Words) -> None:
+def _print_diagnosis(report: DiagnosisReport, words: Mapping[str, str]) -> None:
     print(f"{report.recording}: {report.verdict.replace('_', ' ')}")
     print()
     for field, title in SLOTS.items():
-        print(f"{title:<19} {getattr(words, field)}")
+        print(f"{title:<19} {words[field]}")
     print()
     _print_ladder(report)
     if report.traces:
         print(f"traces, below what deserves a name: {', '.join(report.traces)}")
     _print_notes(report.notes)
+    if report.next_experiment is not None:
+        print("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")
+        print(stage_as_yaml(report.next_experiment.stage))
 
 
 def _say_added(report: AddReport, as_json: bool) -> None:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.analysis import EstimationReport, estimate_recording
 from orchestrator.cli._tables import print_table
 from orchestrator.engine import installed_estimators
-from orchestrator.recording import Recording, open_recording
+from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
 from orchestrator.registry import PluginKind, load_plugin
 from orchestrator.runs import RunDirectory, is_run
-from protocols import AxisPercent
+from protocols import AxisPercent, InputError, RecordingError
 
 PAPER = {"crossings": "1.3 % d, 2.9 % q"}
 """What the paper prints of its own measurement."""
@@ -19,8 +20,11 @@ PAPER = {"crossings": "1.3 % d, 2.9 % q"}
 
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the estimators; results go into the recording's own results/, or below `out`."""
+    target = out if out is not None else path
+    refuse_file(target)
+    refuse_file(target / "results")
     estimators = [load_plugin(PluginKind.ESTIMATORS, name)() for name in (names or installed_estimators())]
-    report = estimate_recording(open_any(path, keep=out is None), estimators, out if out is not None else path)
+    report = estimate_recording(open_any(path, keep=out is None), estimators, target)
     if as_json:
         print(report.model_dump_json(indent=2))
     else:
@@ -28,8 +32,18 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
     return 0
 
 
+def refuse_file(path: Path) -> None:
+    """Raise `InputError` where something that is no directory is in the way of one."""
+    for place in (path, *path.parents):
+        if os.path.lexists(place) and not place.is_dir():
+            raise InputError(str(place), "", "is not a directory, and nothing is overwritten: name another place")
+
+
 def open_any(path: Path, *, keep: bool = False) -> Recording:
     """Open a recording; a run's manifest is made from its journal, which knows best, and with `keep` written too."""
+    manifest = path / MANIFEST_NAME
+    if manifest.exists() and not manifest.is_file():
+        raise RecordingError(str(manifest), "", "is not a plain file")
     if not is_run(path):
         return open_recording(path)
     run = RunDirectory.open(path)

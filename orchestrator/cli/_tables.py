@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 
 def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -27,3 +28,11 @@ def duration(seconds: float) -> str:
         return f"{seconds:.3g} s"
     minutes, rest = divmod(round(seconds), 60)
     return f"{minutes} min {rest:02d} s"
+
+
+def stage_as_yaml(stage: Mapping[str, Any]) -> str:
+    """A stage as it stands in a procedure's `stages`, ready to paste."""
+    import yaml
+
+    lines = yaml.safe_dump([dict(stage)], sort_keys=False, default_flow_style=None, width=100).splitlines()
+    return "\n".join(f"  {line}" for line in lines)

@@ -1,10 +1,12 @@
 """Procedures from words to a checked plan: read, scaled to the motor, laid out in points, held against limits."""
 
 from orchestrator.config._checking import PlanSummary, StageRow, check_plan
-from orchestrator.config._loading import load_motor, load_procedure
+from orchestrator.config._loading import LoadedProcedure, load_motor, load_procedure, read_procedure
+from orchestrator.config._loads import nominal_ripple_a
 from orchestrator.config._planning import Plan, PlannedPoint, make_plan
 
 __all__ = [
+    "LoadedProcedure",
     "Plan",
     "PlanSummary",
     "PlannedPoint",
@@ -13,4 +15,6 @@ __all__ = [
     "load_motor",
     "load_procedure",
     "make_plan",
+    "nominal_ripple_a",
+    "read_procedure",
 ]

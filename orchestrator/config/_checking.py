@@ -12,6 +12,7 @@ from protocols import Capabilities, CapabilityError, Point, Strict
 
 _COPPER = 3 / 2
 _OVERLOAD = 1.25
+LONGEST_RUN_S = 7 * 86_400.0
 _BYTES_PER_ROW = 11.0
 """Of a capture with a sensor's noise in it: measured 8 to 14."""
 
@@ -132,6 +133,10 @@ def _peak_voltage(load: Load, limit: float) -> float | None:
 
 def _check_totals(plan: Plan, summary: PlanSummary) -> None:
     limits, name = plan.procedure.limits, plan.procedure.name
+    if summary.duration_s > LONGEST_RUN_S:
+        longest = max(summary.stages, key=lambda row: row.duration_s)
+        days = f"the plan takes {summary.duration_s / 86_400:.3g} days, more than anybody waits for"
+        raise CapabilityError(name, f"stages.{longest.index}", f"{days}; most of it is this stage ({longest.stage})")
     if limits.duration_s is not None and summary.duration_s > limits.duration_s:
         longest = max(summary.stages, key=lambda row: row.duration_s)
         raise CapabilityError(

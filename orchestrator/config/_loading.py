@@ -3,22 +3,62 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
 from orchestrator._validation import KeyPath, first_problem, suggestion
+from orchestrator.config._plausibility import implausible
 from orchestrator.registry import PluginKind, installed
-from protocols import Motor, Procedure, ProcedureError, ProcedureMotor, shipped_procedure, shipped_procedures
+from protocols import (
+    InputError,
+    Motor,
+    Procedure,
+    ProcedureError,
+    ProcedureMotor,
+    shipped_procedure,
+    shipped_procedures,
+)
 
+_MAGNETIC = ("saturation", "cross_saturation")
+"""Rungs of a diagnosis that are no plugins."""
 _OVERLAY_SECTIONS = ("motor", "limits", "drive")
+
+
+@dataclass(frozen=True)
+class LoadedProcedure:
+    """A procedure, and where each of its settings was written."""
+
+    procedure: Procedure
+    document: Document
+
+    @contextmanager
+    def naming_its_places(self) -> Iterator[None]:
+        """Errors that know the procedure by its name alone are told with file and line of what they are about."""
+        try:
+            yield
+        except InputError as error:
+            prefix = {self.procedure.name: "", "drive": "drive."}.get(error.where)
+            if prefix is None:
+                raise
+            field = prefix + error.field
+            raise type(error)(self.document.place(_keys(field)), field.rstrip("."), error.problem) from None
 
 
 def load_procedure(
     source: str, *, overrides: Sequence[str] = (), drive: str | None = None, motor: Path | None = None
 ) -> Procedure:
+    """The procedure alone of `read_procedure`, which see."""
+    return read_procedure(source, overrides=overrides, drive=drive, motor=motor).procedure
+
+
+def read_procedure(
+    source: str, *, overrides: Sequence[str] = (), drive: str | None = None, motor: Path | None = None
+) -> LoadedProcedure:
     """Read a procedure and everything that is laid over it, in this order: motor, drive, overrides.
 
     Parameters
@@ -47,7 +87,9 @@ def load_procedure(
         apply_override(document, override)
     procedure = _validated(document)
     _check_plugins(document, procedure)
-    return procedure
+    for path, problem in implausible(procedure):
+        raise ProcedureError(document.place(path), ".".join(map(str, path)), problem)
+    return LoadedProcedure(procedure, document)
 
 
 def load_motor(path: Path) -> Motor:
@@ -127,10 +169,14 @@ def _validated(document: Document) -> Procedure:
     path, text = problem.path, problem.text
     if not path:
         named, colon, rest = text.partition(": ")
-        keys: KeyPath = tuple(int(key) if key.isdecimal() else key for key in named.split("."))
+        keys = _keys(named)
         if colon and keys in document.places:
             path, text = keys, rest
     raise ProcedureError(document.place(path), ".".join(map(str, path)), text)
+
+
+def _keys(dotted: str) -> KeyPath:
+    return tuple(int(key) if key.isdecimal() else key for key in dotted.split("."))
 
 
 def _check_plugins(document: Document, procedure: Procedure) -> None:
@@ -139,6 +185,10 @@ def _check_plugins(document: Document, procedure: Procedure) -> None:
         if stage.kind == "estimate":
             for place, name in enumerate(stage.estimators or ()):
                 _check_plugin(document, ("stages", index, "estimators", place), PluginKind.ESTIMATORS, name)
+        if stage.kind == "diagnose":
+            for place, name in enumerate(stage.without):
+                if name not in _MAGNETIC:
+                    _check_plugin(document, ("stages", index, "without", place), PluginKind.EFFECTS, name)
 
 
 def _check_plugin(document: Document, path: KeyPath, kind: PluginKind, name: str) -> None:

@@ -43,7 +43,7 @@ def load_of(point: PlannedPoint, before: Point, motor: Motor) -> Load:
     """The load of a point that is approached from the current `before` (i_d, i_q)."""
     excitation = point.excitation
     longest = _longest_current(excitation)
-    ripple = _ripple(excitation, motor)
+    ripple = nominal_ripple_a(excitation, motor)
     resistance = motor.stator_resistance_ohm
     steady = control = None
     if resistance is not None:
@@ -73,7 +73,8 @@ def _longest_current(excitation: Excitation) -> float:
     return math.hypot(start, excitation.amplitude_a) if isinstance(excitation, Trapezoid) else start
 
 
-def _ripple(excitation: Excitation, motor: Motor) -> float:
+def nominal_ripple_a(excitation: Excitation, motor: Motor) -> float:
+    """Peak of an injection's ripple on the axis of the nameplate's smaller inductance [A]; 0 where none is known."""
     known = [value for value in (motor.d_inductance_h, motor.q_inductance_h) if value is not None]
     if not isinstance(excitation, Injection) or not known:
         return 0.0

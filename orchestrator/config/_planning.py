@@ -12,6 +12,7 @@ from protocols import (
     AlignmentStage,
     Capabilities,
     ClassicalStage,
+    DiagnoseStage,
     EstimateStage,
     Excitation,
     GatesOff,
@@ -71,6 +72,7 @@ class Plan:
     """A procedure with nothing left open."""
 
     procedure: Procedure
+    """With the stages that were appended to it."""
     stages: tuple[Stage, ...]
     """The procedure's stages, with all settings filled in."""
     points: tuple[PlannedPoint, ...]
@@ -83,16 +85,19 @@ class Plan:
         return tuple(point for point in self.points if point.stage_index == stage_index)
 
 
-def make_plan(procedure: Procedure, capabilities: Capabilities | None) -> Plan:
+def make_plan(procedure: Procedure, capabilities: Capabilities | None, appended: Sequence[Stage] = ()) -> Plan:
     """Fill in what the procedure leaves out and lay out its points.
 
-    The same procedure and capabilities give the same plan, so that a resumed run finds its points.
+    The same procedure and capabilities give the same plan, so that a resumed run finds its points; stages appended
+    to it change nothing of what is before them.
 
     Parameters
     ----------
     procedure : Procedure
     capabilities : Capabilities, optional
         What the drive said of itself; without it the sampling frequency is taken to be 10 kHz.
+    appended : sequence of Stage
+        What a run goes on with after the procedure's last stage.
 
     Raises
     ------
@@ -100,7 +105,7 @@ def make_plan(procedure: Procedure, capabilities: Capabilities | None) -> Plan:
         Where the nameplate lacks a value that a setting left out is derived from.
     """
     scaling = Scaling(procedure, capabilities.sampling_frequency_hz if capabilities else NOMINAL_SAMPLING_HZ)
-    stages = scaling.fill_all()
+    stages = scaling.fill_all(appended)
     own_pwm = capabilities.pwm_frequency_hz if capabilities else None
     counter: Counter[SegmentStage] = Counter()
     points: list[PlannedPoint] = []
@@ -109,14 +114,15 @@ def make_plan(procedure: Procedure, capabilities: Capabilities | None) -> Plan:
         if isinstance(stage, AlignmentStage):
             angle = stage.angle_rad
         drafts = list(_drafts(stage, angle, own_pwm))
-        if not drafts and not isinstance(stage, OperatorStage | EstimateStage):
+        if not drafts and not isinstance(stage, OperatorStage | EstimateStage | DiagnoseStage):
             raise ProcedureError(procedure.name, f"stages.{index}", f"{stage.kind} without a point to measure")
         for draft in drafts:
             kind = SegmentStage(stage.kind)
             identifier = f"{kind.value}-{counter[kind]:03d}"
             counter[kind] += 1
             points.append(PlannedPoint(identifier, index, kind, draft.excitation, draft.settings, draft.target))
-    return Plan(procedure, stages, tuple(points), tuple(scaling.notes))
+    whole = procedure.model_copy(update={"stages": (*procedure.stages, *appended)})
+    return Plan(whole, stages, tuple(points), tuple(scaling.notes))
 
 
 @dataclass(frozen=True)

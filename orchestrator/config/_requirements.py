@@ -18,6 +18,7 @@ from protocols import (
 
 INVERTER_ERROR = 0.02
 """Of the bus voltage: what dead time and drops may take away from what is commanded."""
+_LEAST_SAMPLES = 10
 _LEAST_PER_PERIOD = 4
 _FASTEST_ROTATION = 0.2
 """Of the injection's frequency: a period has nearly one direction then."""
@@ -122,14 +123,20 @@ class Requirements:
 
     def _check_sampling(self, point: PlannedPoint, sampling_hz: float) -> None:
         e = point.excitation
+        if point.captured_s * sampling_hz < _LEAST_SAMPLES:
+            field = "period_s" if isinstance(e, Trapezoid) else "duration_s"
+            problem = (
+                f"captures {point.captured_s:g} s, too little to average: at least {_LEAST_SAMPLES / sampling_hz:g} s"
+            )
+            raise self._at(point, field, problem)
         if isinstance(e, GatesOff):
             return
         self._check_control(point, e.control, sampling_hz)
         if isinstance(e, Injection):
             self._check_injection(point, e, sampling_hz)
         if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _LEAST_PER_TRAPEZOID:
-            least = _LEAST_PER_TRAPEZOID / sampling_hz
-            problem = f"{e.period_s:g} s is too short at {sampling_hz:g} Hz sampling: at least {least:g} s"
+            shortest = _LEAST_PER_TRAPEZOID / sampling_hz
+            problem = f"{e.period_s:g} s is too short at {sampling_hz:g} Hz sampling: at least {shortest:g} s"
             raise self._at(point, "period_s", problem)
 
     def _check_control(self, point: PlannedPoint, control: CurrentControl, sampling_hz: float) -> None:

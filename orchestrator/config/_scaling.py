@@ -58,8 +58,8 @@ class Scaling:
     sampling_hz: float
     notes: list[str] = field(default_factory=list)
 
-    def fill_all(self) -> tuple[Stage, ...]:
-        """Every stage with nothing left out.
+    def fill_all(self, appended: Sequence[Stage] = ()) -> tuple[Stage, ...]:
+        """Every stage with nothing left out, the appended ones after the procedure's.
 
         Raises
         ------
@@ -70,7 +70,8 @@ class Scaling:
         for index, stage in enumerate(stages):
             if stage.kind == "lock_check":
                 stages[index] = self._lock_check(index, stage, stages[index + 1 :])
-        return tuple(stages)
+        more = [self._fill(index, stage) for index, stage in enumerate(appended, start=len(stages))]
+        return (*stages, *more)
 
     def _fill(self, index: int, stage: Stage) -> Stage:
         if isinstance(stage, AlignmentStage):

@@ -7,10 +7,13 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 from orchestrator.diagnosis._compare import compare_recording
 from orchestrator.diagnosis._course import ModelChoice
 from orchestrator.diagnosis._diagnose import Diagnosis, add_effects, diagnose_recording, remove_effect
+from orchestrator.diagnosis._keeping import diagnose_and_keep
 from orchestrator.diagnosis._ladder import DETECTED
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics
 from orchestrator.diagnosis._model_file import MODEL_NAME, SavedModel, read_model
+from orchestrator.diagnosis._pictures import diagnosis_step
+from orchestrator.diagnosis._pictures_file import SavedDiagnosis, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis._reports import AddReport, CompareReport, DiagnosisReport, Words
 from orchestrator.diagnosis._simulate import simulated_current
 from orchestrator.diagnosis._words import in_words
@@ -26,15 +29,20 @@ __all__ = [
     "DiagnosisReport",
     "Magnetics",
     "ModelChoice",
+    "SavedDiagnosis",
     "SavedModel",
     "SplineGrid",
     "Words",
     "add_effects",
     "compare_recording",
+    "diagnose_and_keep",
     "diagnose_recording",
+    "diagnosis_step",
     "in_words",
     "linear_magnetics",
+    "load_diagnosis",
     "read_model",
     "remove_effect",
+    "save_diagnosis",
     "simulated_current",
 ]

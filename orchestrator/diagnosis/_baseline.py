@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis._fit import Fitter
 from orchestrator.diagnosis._fitted import Fit, MapSpace, Model
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
-from orchestrator.diagnosis._magnetics import SplineGrid, linear_magnetics
-from orchestrator.diagnosis._noise import sensor_covariance
+from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics, on_grid
+from orchestrator.diagnosis._noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis._pieces import Piece, Prepared, believed_dq, coarse, prepare
 from protocols import FluxMap, NotMeasuredError, RecordingReader, SegmentStage
 
@@ -24,7 +24,12 @@ Baseline = Literal["linear", "saturated"]
 ROUGHNESS = 3.0
 """Standard deviation of the map's fourth derivatives, in L / I^2."""
 INTERVALS = (6, 8, 10)
+ROUGH = 1.03
+"""chi2 per degree of freedom above which a finer map is tried on the whole recording."""
+COARSE = 10.0
+"""And below which."""
 _LEAST_CURRENT = 0.02
+_LEAST_ROWS, _LEAST_HOLDS = 12, 6
 
 
 @dataclass(frozen=True)
@@ -54,16 +59,21 @@ def open_for_diagnosis(recording: RecordingReader) -> Start:
     motor = prepared.manifest.motor
     low, high, q = prepared.current_range
     reach = max(-low, high, q)
-    sensor = sensor_covariance(prepared.pieces)
-    noise = math.sqrt(float(np.trace(sensor)))
-    if reach < max(_LEAST_CURRENT * (motor.rated_current_a or 0.0), 5.0 * noise):
+    noise = sensor_noise(prepared.pieces)
+    spread = math.sqrt(float(np.trace(noise.covariance)))
+    if reach < max(_LEAST_CURRENT * (motor.rated_current_a or 0.0), 5.0 * spread):
         raise NotMeasuredError(
             prepared.manifest.name, "i_alpha, i_beta", f"no excitation: currents stay below {reach:.3g} A"
         )
+    _enough(prepared)
     notes = list(prepared.notes)
     stages = {p.stage for p in prepared.pieces}
     if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
         notes.append("no sweep and no injection: flux and inductance cannot be seen, only the resistance")
+    elif SegmentStage.CLASSICAL not in stages:
+        notes.append("no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
+    if SegmentStage.RESISTANCE not in stages:
+        notes.append("no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure")
     if SegmentStage.GATES_OFF not in stages:
         notes.append("no gates-off reading: a current offset and a voltage bias cannot be told apart")
     if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
@@ -73,14 +83,38 @@ def open_for_diagnosis(recording: RecordingReader) -> Start:
         notes.append("no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
     elif max(amplitudes) < 1.3 * min(amplitudes):
         notes.append("one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+    notes += _of_noise(noise)
     current = motor.rated_current_a or reach
     l_d = motor.d_inductance_h or _rough_inductance(prepared)
     l_q = motor.q_inductance_h or l_d
     if motor.pm_flux_wb is None:
         notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
-    fitter = Fitter(prepared, sensor, motor.pm_flux_wb or 0.0)
-    search = Fitter(coarse(prepared), sensor, fitter.pm_flux_wb)
+    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0)
+    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb)
     return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
+
+
+def _enough(prepared: Prepared) -> None:
+    """Refuses what has fewer equations, or fewer currents, than any model has unknowns."""
+    used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and not p.held_out]
+    rows = sum(p.windows.rows for p in used)
+    moving = any(p.stage in (SegmentStage.CLASSICAL, SegmentStage.INJECTION) for p in used)
+    if rows < _LEAST_ROWS or (not moving and len(used) < _LEAST_HOLDS):
+        seconds = sum(len(p.signals.v_dc) / p.signals.sampling_frequency_hz for p in used)
+        expected = f"{_LEAST_HOLDS} holds, or a sweep or an injection of some periods"
+        problem = f"{len(used)} segments of {seconds:.3g} s are too little to tell a cause from; expected {expected}"
+        raise NotMeasuredError(prepared.manifest.name, "segments", problem)
+
+
+def _of_noise(noise: SensorNoise) -> list[str]:
+    """What is unusual about the current readings' noise; all of it is allowed for."""
+    notes = []
+    if noise.correlation != 0.0:
+        notes.append(f"the current readings' noise is correlated, {noise.correlation:.2f} from one to the next")
+    ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
+    if ratio > 1.1:
+        notes.append(f"the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)")
+    return notes
 
 
 def _swing(piece: Piece) -> float:
@@ -164,14 +198,10 @@ def given_model(start: Start, flux_map: FluxMap) -> Model:
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
     space = MapSpace(grid, coefficients, np.zeros((grid.coefficients, 0)), np.zeros((0, 0)))
-    from orchestrator.diagnosis._magnetics import Magnetics
-
     return Model(space, Magnetics(grid, coefficients), _resistance(start))
 
 
 def _flux_rows(grid: SplineGrid, i_dq: Array) -> Array:
-    from orchestrator.diagnosis._magnetics import Magnetics
-
     columns = []
     for k in range(grid.coefficients):
         unit = np.zeros(grid.coefficients)
@@ -181,25 +211,34 @@ def _flux_rows(grid: SplineGrid, i_dq: Array) -> Array:
 
 
 def fitted_baseline(start: Start) -> Fit:
-    """The free map, fitted, with as many intervals as a part of the data asks for."""
-    best = start.coarse.fit(saturated_model(start, INTERVALS[0]), renewals=1)
+    """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
+    part = with_detail(start, start.coarse, start.coarse.fit(saturated_model(start, INTERVALS[0]), renewals=1))
+    fit = start.fitter.fit(part.model, renewals=0)
+    # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
+    return with_detail(start, start.fitter, fit) if ROUGH < fit.chi2_per_dof < COARSE else fit
+
+
+def with_detail(start: Start, fitter: Fitter, fit: Fit) -> Fit:
+    """The same model on finer and finer maps, as long as each is worth its freedom."""
     for intervals in INTERVALS[1:]:
-        finer = finer_map(start, start.coarse, best, intervals)
+        finer = finer_map(start, fitter, fit, intervals)
         if finer is None:
-            break
-        best = finer
-    return start.fitter.fit(best.model, renewals=1)
+            if intervals > fit.model.space.grid.d_intervals:
+                break
+            continue
+        fit = finer
+    return fit
 
 
 def finer_map(start: Start, fitter: Fitter, fit: Fit, intervals: int) -> Fit | None:
     """The same model on a finer map, where that is worth its freedom; None where it is not."""
     if intervals <= fit.model.space.grid.d_intervals:
         return None
-    fine = saturated_model(start, intervals)
-    model = Model(fine.space, fine.magnetics, fit.model.r_s, fit.model.active)
-    trial = fitter.fit(model, steps=3, renewals=1)
+    space = saturated_model(start, intervals).space
+    model = replace(fit.model, space=space, magnetics=on_grid(fit.model.magnetics, space.grid))
+    trial = fitter.fit(model, steps=2, renewals=0)
     freed = fit.dof - trial.dof
-    gain = fit.chi2 - trial.chi2
+    gain = fit.objective - trial.objective
     return trial if gain > (6.0 * max(freed, 1.0) + 30.0) * max(trial.chi2_per_dof, 1.0) else None
 
 

@@ -6,14 +6,16 @@ import math
 from collections.abc import Sequence
 
 from orchestrator.diagnosis._baseline import (
-    INTERVALS,
     MAP_STEPS,
+    ROUGH,
     Start,
-    finer_map,
     fitted_baseline,
     given_model,
     linear_model,
+    with_detail,
 )
+from orchestrator.diagnosis._fit import Fitter
+from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import DETECTED, verdict_of
 from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate
 from orchestrator.diagnosis._search import LOG_EVIDENCE, Search, Step, forward
@@ -57,15 +59,16 @@ def map_steps(start: Start, model: ModelChoice, without: Sequence[str]) -> list[
 
 def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
-    model = steps[-1].fit.model
-    quick = forward(start.coarse, [Step(None, start.coarse.fit(model, renewals=0))], library)
+    part = start.coarse.fit(steps[-1].fit.model, renewals=0)
+    quick = forward(start.coarse, [Step(None, part)], library)
+    if quick.fit.model.active and quick.fit.chi2_per_dof > ROUGH and quick.fit.model.space.is_free:
+        quick = _finer(quick, with_detail(start, start.coarse, quick.fit), start.coarse, library)
     fits = list(steps)
     for step in quick.steps[1:]:
-        last = fits[-1].fit
-        fit = start.fitter.fit(step.fit.model, last.frame if not last.model.active else None, steps=3, renewals=1)
+        last = step is quick.steps[-1]
+        fit = start.fitter.fit(step.fit.model, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
         fits.append(Step(step.added, fit, step.log_evidence))
-    found = forward(start.fitter, fits, library)
-    found.rivals = {**quick.rivals, **found.rivals}
+    found = forward(start.fitter, fits, library, rivals=quick.rivals)
     found.traces = [n for n in dict.fromkeys([*quick.traces, *found.traces]) if n not in found.fit.model.names]
     return found
 
@@ -73,18 +76,18 @@ def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candid
 def on_a_finer_map(start: Start, search: Search, library: Sequence[Candidate]) -> Search:
     """Whether what is left is the map's own detail, which big effects hid at first."""
     fit = search.fit
-    if not fit.model.active or fit.chi2_per_dof < DETECTED or fit.model.space.directions.shape[1] < 20:
+    if not fit.model.active or fit.chi2_per_dof < DETECTED or not fit.model.space.is_free:
         return search
-    for intervals in INTERVALS[1:]:
-        finer = finer_map(start, start.fitter, fit, intervals)
-        if finer is None:
-            break
-        fit = finer
+    return _finer(search, with_detail(start, start.fitter, fit), start.fitter, library)
+
+
+def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate]) -> Search:
+    """The search gone on from its last step on a finer map; as it was where the map is the same."""
     if fit is search.fit:
         return search
     steps = [*search.steps[:-1], Step(search.steps[-1].added, fit, search.steps[-1].log_evidence)]
-    again = forward(start.fitter, steps, library)
-    again.rivals = {**search.rivals, **again.rivals}
+    again = forward(fitter, steps, library, rivals=search.rivals)
+    again.traces = [*search.traces, *again.traces]
     return again
 
 
@@ -102,7 +105,7 @@ def without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
         steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
         for active in kept:
             model = steps[-1].fit.model
-            fit = start.fitter.fit(model.with_active([*model.active, active]), steps[-1].fit.frame)
+            fit = start.fitter.fit(model.with_active([*model.active, active]), steps=4, renewals=0, tolerance=1e-3)
             gain = next(s.log_evidence for s in search.steps if s.added == active.name)
             steps.append(Step(active.name, fit, gain))
         search = Search(steps, search.traces, search.rivals)

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from orchestrator._validation import suggestion
-from orchestrator.diagnosis._baseline import (
-    Start,
-    open_for_diagnosis,
-)
+from orchestrator.diagnosis._baseline import Start, open_for_diagnosis
 from orchestrator.diagnosis._course import (
     ModelChoice,
     first_steps,
@@ -58,10 +55,12 @@ from orchestrator.diagnosis._search import (
 )
 from orchestrator.diagnosis._shape import leftover_shape
 from orchestrator.recording import Recording
-from protocols import Effect, PluginError
+from protocols import DiagnosisStep, Effect, PluginError
 
 SAME = 0.95
 """Correlation above which two effects are one in the joint fit."""
+QUIET = 0.8
+"""chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
 NOTEWORTHY = 1.5
 """chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
 
@@ -90,6 +89,7 @@ def diagnose_recording(
     model: ModelChoice = "saturated",
     without: Sequence[str] = (),
     out: Path | None = None,
+    on_step: Callable[[DiagnosisStep], None] | None = None,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -103,6 +103,8 @@ def diagnose_recording(
         Names taken out of the library.
     out : Path, optional
         Where `model.json` goes; the recording's own directory by default.
+    on_step : callable, optional
+        Called with each rung of the ladder in order, once the search is over.
 
     Raises
     ------
@@ -127,7 +129,13 @@ def diagnose_recording(
     left = _unexplained(start, first, last)
     if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > NOTEWORTHY and left.shape:
         notes.append(f"small beside what was found, but not noise: chi2 {last.chi2_per_dof:.3g}, {left.shape[0].group}")
+    if last.chi2_per_dof < QUIET:
+        notes.append(
+            f"chi2 {last.chi2_per_dof:.2g} is too small for random noise: the readings err from one to the next"
+        )
     ladder = tuple(rung(step) for step in search.steps)
+    if on_step is not None:
+        _show(start, search, ladder, on_step)
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
@@ -137,7 +145,7 @@ def diagnose_recording(
         joint=_joint(start, search, library),
         ladder=ladder,
         unexplained=left,
-        next_experiment=_proposal(start, found, verdict, [*doubtful, *search.traces]),
+        next_experiment=_proposal(start, last, library, found, verdict, [*doubtful, *search.traces]),
         notes=tuple(notes),
         seconds=time.monotonic() - began,
     )
@@ -209,6 +217,13 @@ def _refitted(
         notes.append(problem)
     left = _unexplained(start, steps[0].fit, search.fit)
     return AddReport(effects=found, ladder=ladder, unexplained=left, notes=tuple(notes))
+
+
+def _show(start: Start, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]) -> None:
+    from orchestrator.diagnosis._pictures import diagnosis_step
+
+    for index, (step, numbers) in enumerate(zip(search.steps, ladder, strict=True)):
+        on_step(diagnosis_step(index, step, start, known=numbers))
 
 
 def _known(names: Sequence[str], effects: Sequence[Effect]) -> None:
@@ -299,11 +314,16 @@ def _unexplained(start: Start, first: Fit, last: Fit) -> Unexplained:
 
 
 def _proposal(
-    start: Start, found: Sequence[FoundEffect], verdict: Verdict, suspects: Sequence[str]
+    start: Start,
+    fit: Fit,
+    library: Sequence[Candidate],
+    found: Sequence[FoundEffect],
+    verdict: Verdict,
+    suspects: Sequence[str],
 ) -> NextExperiment | None:
     for effect in found:
         for twin in effect.twins:
-            return next_experiment(start, effect.name, twin)
+            return next_experiment(start, effect.name, twin, fit, library)
     if verdict == "unknown_remains" and len(suspects) >= 2:
         return next_experiment(start, suspects[0], suspects[1])
     return None

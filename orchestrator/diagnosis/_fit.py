@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis._fitted import Fit, Frame, MapSpace, Model, PieceFrame, PieceRows
 from orchestrator.diagnosis._library import Active, Candidate, apply_effects, typical_coordinate
 from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid
-from orchestrator.diagnosis._noise import Slopes, Whitener, banded_covariance
+from orchestrator.diagnosis._noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis._observer import smooth_flux
 from orchestrator.diagnosis._pieces import Piece, Prepared
 from orchestrator.diagnosis._residual import (
@@ -29,7 +29,6 @@ from orchestrator.diagnosis._residual import (
     difference,
     flux_terms,
     local_map,
-    true_frame,
     voltage_and_resistance,
 )
 from protocols import EffectLayer, ParameterRole, Signals
@@ -40,6 +39,10 @@ _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
 
 
+LIKE = 0.01
+"""Relative change of the mean inductance that the noise's covariance bears."""
+
+
 @dataclass
 class Fitter:
     """One recording, ready to be fitted again and again.
@@ -47,18 +50,19 @@ class Fitter:
     Attributes
     ----------
     prepared : Prepared
-    sensor : array, shape (2, 2)
-        Covariance of the current noise [A^2].
+    noise : SensorNoise
     pm_flux_wb : float
     """
 
     prepared: Prepared
-    sensor: Array
+    noise: SensorNoise
     pm_flux_wb: float
     threads: int = 2
     _raw_basis: dict[str, tuple[SplineGrid, Array]] = field(default_factory=dict)
 
-    def fit(self, model: Model, frame: Frame | None = None, *, steps: int = 8, renewals: int = 2) -> Fit:
+    def fit(
+        self, model: Model, frame: Frame | None = None, *, steps: int = 8, renewals: int = 2, tolerance: float = 1e-4
+    ) -> Fit:
         """Fit R_s, the map and every free parameter, from where the model stands.
 
         Parameters
@@ -69,36 +73,49 @@ class Fitter:
             Most Gauss-Newton steps in one frame.
         renewals : int
             How often the frame is renewed and the fit continued.
+        tolerance : float
+            Gain of a step, as a part of the excess chi2, below which the fit ends.
         """
         if frame is None or frame.space is not model.space:
             frame = self.frame(model)
-        best = self._descend(self.evaluate(model, frame), steps)
+        best = self._descend(self.evaluate(model, frame), steps, tolerance)
         for _ in range(renewals):
             old = best
-            best = self._descend(self.evaluate(best.model, self.frame(best.model)), steps)
+            best = self._descend(self.evaluate(best.model, self.frame(best.model, best.frame)), steps, tolerance)
             if abs(best.chi2 - old.chi2) < 1e-3 * best.chi2:
                 break
         return best
 
-    def _descend(self, best: Fit, steps: int) -> Fit:
-        for _ in range(steps):
-            move = _gauss_newton(best)
-            length = 1.0
+    def _descend(self, best: Fit, steps: int, tolerance: float) -> Fit:
+        length = 1.0
+        for _ in range(steps if best.model.free else 0):
+            move, promise = _gauss_newton(best)
+            enough = 0.2 + tolerance * max(best.chi2 - best.dof, 0.0)
+            if promise < enough:
+                break
             while True:
                 trial = self.evaluate(_moved(best.model, length * move), best.frame)
                 if trial.objective < best.objective + 0.05 or length < 0.1:
                     break
-                length *= 0.35
+                length *= 0.3
             gain = best.objective - trial.objective
             if gain > -0.05:
                 best = trial
-            if gain < 0.2 + 1e-4 * max(best.chi2 - best.dof, 0.0):
+            if gain < enough:
                 break
+            # Where a step had to be shortened, the next one most likely has to be too.
+            length = min(1.0, 2.5 * length)
         return best
 
-    def frame(self, model: Model) -> Frame:
-        """All that is kept between steps, made anew where the model stands."""
-        pieces = tuple(self._map(lambda p: self._piece_frame(model, p), self.prepared.pieces))
+    def frame(self, model: Model, old: Frame | None = None) -> Frame:
+        """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
+        if old is not None and old.space is not model.space:
+            old = None
+        before = old.pieces if old is not None else (None,) * len(self.prepared.pieces)
+        jobs = list(zip(self.prepared.pieces, before, strict=True))
+        pieces = tuple(self._map(lambda job: self._piece_frame(model, *job), jobs))
+        if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
+            return Frame(model.space, pieces, old.gram)
         free = model.space.directions.shape[1]
         gram = np.zeros((free, free))
         for piece, kept in zip(self.prepared.pieces, pieces, strict=True):
@@ -119,23 +136,32 @@ class Fitter:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, jobs))
 
-    def _piece_frame(self, model: Model, piece: Piece) -> PieceFrame:
+    def _piece_frame(self, model: Model, piece: Piece, old: PieceFrame | None) -> PieceFrame:
         s = piece.signals
         scale = model.r_s / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
         losses = s.losses and s.losses.model_copy(update={"power_w": s.losses.power_w * scale})
         base = s.model_copy(
             update={"resistance_ohm": np.full(len(s.v_dc), model.r_s), "losses": losses, "heat_j": s.heat_j * scale}
         )
-        base = base.model_copy(update=self._flux(piece, base, model))
+        flux, seen = self._flux(piece, base, model)
+        base = base.model_copy(update=flux)
         corrected = apply_effects(base, model.active)
-        here = local_map(piece, corrected, model.magnetics)
+        same = corrected.i_m_ab is s.i_m_ab and corrected.theta_rad is s.theta_rad
+        here = seen if same else local_map(piece, corrected, model.magnetics)
+        mean = here.inductance.mean(axis=0)
         slopes = self._slopes(piece, base, model)
-        factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
-        whitener = Whitener(banded_covariance(piece, here, factor, self.sensor, model.r_s, slopes))
-        untouched = corrected.i_m_ab is s.i_m_ab and corrected.theta_rad is s.theta_rad
-        raw = self._untouched_basis(piece, here, model) if untouched else basis(piece, here, model.magnetics)
-        white = whitener(raw @ model.space.directions)
-        return PieceFrame(base, here, whitener, raw, white, model.magnetics.coefficients)
+        alike = old is not None and not old.shaped_noise and slopes is None
+        if old is not None and alike and np.abs(mean - old.mean_inductance).max() < LIKE * float(mean[[0, 2]].min()):
+            whitener, mean = old.whitener, old.mean_inductance
+        else:
+            factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
+            whitener = Whitener(banded_covariance(piece, here, factor, self.noise, model.r_s, slopes))
+        raw = self._untouched_basis(piece, here, model) if same else basis(piece, here, model.magnetics)
+        if old is not None and whitener is old.whitener and raw is old.basis:
+            white = old.white_basis
+        else:
+            white = whitener(raw if model.space.is_free else raw @ model.space.directions)
+        return PieceFrame(base, here, whitener, raw, white, mean, slopes is not None)
 
     def _untouched_basis(self, piece: Piece, here: LocalMap, model: Model) -> Array:
         known = self._raw_basis.get(piece.segment.id)
@@ -144,30 +170,22 @@ class Fitter:
             self._raw_basis[piece.segment.id] = known
         return known[1]
 
-    def _flux(self, piece: Piece, base: Signals, model: Model) -> dict[str, Array]:
-        """Flux linkage in the stator frame, magnet included, as the effects see it."""
+    def _flux(self, piece: Piece, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
+        """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from."""
         outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
         inner = apply_effects(base, outer) if outer else base
-        i_dq, _ = true_frame(piece, inner)
-        psi, inductance = model.magnetics.flux_and_inductance(i_dq)
-        angle = float(piece.segment.rotor_angle_rad)
-        c, s = math.cos(angle), math.sin(angle)
-        psi_ab = (psi + np.array([self.pm_flux_wb, 0.0])) @ np.array([[c, s], [-s, c]])
-        smooth = smooth_flux(
-            psi_ab,
+        here = local_map(piece, inner, model.magnetics)
+        psi_ab, smooth, i_smooth = smooth_flux(
+            here.psi,
+            here.inductance,
             np.ascontiguousarray(inner.v_ab),
             np.ascontiguousarray(inner.i_ab),
             np.ascontiguousarray(inner.resistance_ohm),
+            float(piece.segment.rotor_angle_rad),
+            self.pm_flux_wb,
             1.0 / base.sampling_frequency_hz,
         )
-        # The current that belongs to the smooth flux: i + L^-1 (psi_smooth - psi(i)).
-        step = (smooth - psi_ab) @ np.array([[c, -s], [s, c]])
-        l_dd, l_dq, l_qq = inductance.T
-        det = np.maximum(l_dd * l_qq - l_dq**2, 1e-3 * np.mean(l_dd) * np.mean(l_qq))
-        d = (l_qq * step[:, 0] - l_dq * step[:, 1]) / det
-        q = (l_dd * step[:, 1] - l_dq * step[:, 0]) / det
-        i_smooth = inner.i_ab + np.stack([c * d - s * q, s * d + c * q], axis=1)
-        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}
+        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, here
 
     def _slopes(self, piece: Piece, base: Signals, model: Model) -> Slopes | None:
         """How the inverter's effects multiply current noise, by shifting the measured current by its noise."""
@@ -177,9 +195,10 @@ class Fitter:
         c, s = math.cos(piece.segment.rotor_angle_rad), math.sin(piece.segment.rotor_angle_rad)
         turn = np.array([[c, s], [-s, c]])
         voltage = np.empty((len(base.v_dc), 2, 2))
+        sensor = self.noise.of(piece)
         for axis in range(2):
             shift = np.zeros(2)
-            shift[axis] = math.sqrt(self.sensor[axis, axis])
+            shift[axis] = math.sqrt(sensor[axis, axis])
             ahead = apply_effects(base.model_copy(update={"i_ab": base.i_ab + shift}), inverter)
             behind = apply_effects(base.model_copy(update={"i_ab": base.i_ab - shift}), inverter)
             voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])
@@ -190,14 +209,14 @@ class Fitter:
     ) -> PieceRows:
         base = kept.base
         corrected = apply_effects(base, model.active)
-        here = _moved_map(piece, corrected, kept)
+        here = local_map(piece, corrected, model.magnetics)
         known, resistance = voltage_and_resistance(
             piece,
             corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / base.resistance_ohm[0]}),
             here,
             self.pm_flux_wb,
         )
-        known = known + flux_terms(piece, here) + kept.basis @ (model.magnetics.coefficients - kept.coefficients)
+        known = known + flux_terms(piece, here)
         columns = [self._column(piece, base, corrected, here, model, a, n) for a, n in parameters]
         white = kept.whitener(np.column_stack([known, resistance, *columns]))
         return PieceRows(known, resistance, white)
@@ -242,12 +261,12 @@ class Fitter:
         solution = -np.linalg.solve(total, right)
         effective = float(np.trace(np.linalg.solve(total, normal)))
         r_s, change = float(solution[0]), solution[1:]
-        coefficients = model.magnetics.coefficients + space.directions @ change
-        fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, coefficients))
+        moved = space.directions @ change
+        fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, model.magnetics.coefficients + moved))
         residual, volts = [], []
         for piece, kept, row in zip(pieces, frame.pieces, rows, strict=True):
             residual.append(row.white[:, 0] + row.white[:, 1] * r_s + kept.white_basis @ change)
-            raw = row.known + row.resistance * r_s + kept.basis @ (space.directions @ change)
+            raw = row.known + row.resistance * r_s + kept.basis @ moved
             volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight())
         training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
         chi2 = float(sum(e @ e for e in training))
@@ -270,33 +289,22 @@ class Fitter:
         )
 
 
-def _moved_map(piece: Piece, corrected: Signals, kept: PieceFrame) -> LocalMap:
-    """Flux at currents that have moved a little since the frame was made, to first order."""
-    i_dq, delta = true_frame(piece, corrected)
-    step = i_dq - kept.here.i_dq
-    if not step.any():
-        return LocalMap(i_dq, delta, kept.here.psi, kept.here.inductance)
-    l_dd, l_dq, l_qq = kept.here.inductance.T
-    psi = kept.here.psi.copy()
-    psi[:, 0] += l_dd * step[:, 0] + l_dq * step[:, 1]
-    psi[:, 1] += l_dq * step[:, 0] + l_qq * step[:, 1]
-    return LocalMap(i_dq, delta, psi, kept.here.inductance)
-
-
 def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
     if space.directions.shape[1] == 0:
         return np.zeros(0)
+    if space.is_free:
+        return coefficients - space.origin
     return np.asarray(np.linalg.lstsq(space.directions, coefficients - space.origin, rcond=None)[0])
 
 
-def _gauss_newton(fit: Fit) -> Array:
-    """Step of all free coordinates, map and R_s following."""
+def _gauss_newton(fit: Fit) -> tuple[Array, float]:
+    """Step of all free coordinates, map and R_s following, and how far it would bring the objective down."""
     x = np.array([a.coordinate(n) for a, n in fit.model.free])
-    if not len(x):
-        return x
     own, right = fit.projected()
     count = len(x)
-    return np.asarray(np.linalg.solve(own[:count, :count] + np.eye(count), -right[:count] - x))
+    slope = right[:count] + x
+    move = np.asarray(np.linalg.solve(own[:count, :count] + np.eye(count), -slope))
+    return move, -float(slope @ move)
 
 
 def _moved(model: Model, move: Array) -> Model:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -36,6 +37,12 @@ class MapSpace:
     directions: Array
     prior: Array
 
+    @cached_property
+    def is_free(self) -> bool:
+        """Whether every coefficient is free by itself."""
+        rows, columns = self.directions.shape
+        return rows == columns and bool(np.array_equal(self.directions, np.eye(rows)))
+
 
 @dataclass(frozen=True)
 class Model:
@@ -66,12 +73,15 @@ class PieceFrame:
     base: Signals
     """As measured, with the model's resistance and flux."""
     here: LocalMap
+    """Where the effects are in the frame's model."""
     whitener: Whitener
     basis: Array
     white_basis: Array
     """Whitened, on the map's free directions."""
-    coefficients: Array
-    """Of the map that `here` was evaluated with."""
+    mean_inductance: Array
+    """Of the map that the noise was carried through, shape (3,)."""
+    shaped_noise: bool
+    """Whether the inverter's effects shape the noise."""
 
 
 @dataclass(frozen=True)

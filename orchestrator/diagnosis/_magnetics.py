@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -81,10 +82,14 @@ class SplineGrid:
     @property
     def layout(self) -> tuple[Array, NDArray[np.int64]]:
         """What the kernels take: (d_low, d_step, -q_high, q_step) and (d_intervals, q_intervals, folding...)."""
-        full = self.q_intervals + DEGREE
-        fold = [min(j, full - 1 - j) for j in range(full)]
         numbers = np.array([self.d_low, self.d_step, -self.q_high, self.q_step])
-        return numbers, np.array([self.d_intervals, self.q_intervals, *fold], dtype=np.int64)
+        return numbers, np.array([self.d_intervals, self.q_intervals, *self.fold], dtype=np.int64)
+
+    @property
+    def fold(self) -> list[int]:
+        """Which even function of i_q each spline along i_q belongs to."""
+        full = self.q_intervals + DEGREE
+        return [min(j, full - 1 - j) for j in range(full)]
 
     def roughness(self, inductance_h: float, current_a: float, strength: float) -> Array:
         """Rows of a weak prior on fourth derivatives of W, each with unit variance.
@@ -131,8 +136,16 @@ class Magnetics:
 
         Beyond the grid's rectangle the flux goes on linearly.
         """
-        numbers, counts = self.grid.layout
-        return _evaluate(np.ascontiguousarray(i_dq, dtype=np.float64), self.coefficients, numbers, counts, PIECES)
+        numbers, _ = self.grid.layout
+        return _evaluate(np.ascontiguousarray(i_dq, dtype=np.float64), self.patches, numbers)
+
+    @cached_property
+    def patches(self) -> Array:
+        """W as polynomials, one a cell: coefficients of t_d^m t_q^n, shape (d_intervals, q_intervals, 6, 6)."""
+        grid = self.grid
+        c = self.coefficients.reshape(grid.d_functions, grid.q_functions)[:, grid.fold]
+        cells = np.lib.stride_tricks.sliding_window_view(c, (_SUPPORT, _SUPPORT))
+        return np.ascontiguousarray(np.einsum("rm,abrs,sn->abmn", PIECES, cells, PIECES, optimize=True))
 
 
 def linear_magnetics(grid: SplineGrid, l_d_h: float, l_q_h: float) -> Magnetics:
@@ -150,147 +163,80 @@ def linear_magnetics(grid: SplineGrid, l_d_h: float, l_q_h: float) -> Magnetics:
     return Magnetics(grid, np.asarray(np.ascontiguousarray(w).reshape(-1), dtype=np.float64))
 
 
-@njit(cache=True, nogil=True)
-def _functions(x: float, low: float, step: float, intervals: int, pieces: Array, out: Array) -> int:
-    """Values, first and second derivatives of the six functions at x -> out (3, 6); returns the first's index."""
+def on_grid(magnetics: Magnetics, grid: SplineGrid) -> Magnetics:
+    """The same co-energy on another grid over the same rectangle, by least squares along each axis."""
+    old = magnetics.grid
+    d = np.linspace(grid.d_low, grid.d_high, 8 * max(old.d_intervals, grid.d_intervals))
+    q = np.linspace(-grid.q_high, grid.q_high, 8 * max(old.q_intervals, grid.q_intervals))
+
+    def change(x: Array, low: float, new_step: float, new: int, old_step: float, before: int) -> Array:
+        ahead, behind = _values(x, low, new_step, new), _values(x, low, old_step, before)
+        return np.asarray(np.linalg.lstsq(ahead, behind, rcond=None)[0])
+
+    along_d = change(d, grid.d_low, grid.d_step, grid.d_intervals, old.d_step, old.d_intervals)
+    along_q = change(q, -grid.q_high, grid.q_step, grid.q_intervals, old.q_step, old.q_intervals)
+    full = magnetics.coefficients.reshape(old.d_functions, old.q_functions)[:, old.fold]
+    moved = (along_d @ full @ along_q.T)[:, : grid.q_functions]
+    return Magnetics(grid, np.ascontiguousarray(moved).reshape(-1))
+
+
+def _values(x: Array, low: float, step: float, intervals: int) -> Array:
+    """All splines of one axis at points x, shape (points, intervals + DEGREE)."""
     u = (x - low) / step
-    m = math.floor(u)
-    m = min(max(m, 0), intervals - 1)
-    t = u - m
-    # Beyond the rectangle: second-order Taylor series from its edge, so that L stays what it is there.
-    edge = min(max(t, 0.0), 1.0)
-    beyond = t - edge
-    for r in range(6):
-        v = 0.0
-        d1 = 0.0
-        d2 = 0.0
-        for p in range(5, -1, -1):
-            d2 = d2 * edge + 2.0 * d1
-            d1 = d1 * edge + v
-            v = v * edge + pieces[r, p]
-        out[0, r] = v + beyond * (d1 + 0.5 * beyond * d2)
-        out[1, r] = (d1 + beyond * d2) / step
-        out[2, r] = d2 / (step * step)
-    return m
-
-
-@njit(cache=True, nogil=True)
-def _evaluate(i_dq: Array, c: Array, numbers: Array, counts: NDArray[np.int64], pieces: Array) -> tuple[Array, Array]:
-    n = i_dq.shape[0]
-    nq = (counts.shape[0] - 2 + 1) // 2
-    psi = np.zeros((n, 2))
-    inductance = np.zeros((n, 3))
-    fd = np.empty((3, 6))
-    fq = np.empty((3, 6))
-    for k in range(n):
-        a = _functions(i_dq[k, 0], numbers[0], numbers[1], counts[0], pieces, fd)
-        b = _functions(i_dq[k, 1], numbers[2], numbers[3], counts[1], pieces, fq)
-        for r in range(6):
-            s0 = 0.0
-            s1 = 0.0
-            s2 = 0.0
-            base = (a + r) * nq
-            for s in range(6):
-                w = c[base + counts[2 + b + s]]
-                s0 += w * fq[0, s]
-                s1 += w * fq[1, s]
-                s2 += w * fq[2, s]
-            psi[k, 0] += fd[1, r] * s0
-            psi[k, 1] += fd[0, r] * s1
-            inductance[k, 0] += fd[2, r] * s0
-            inductance[k, 1] += fd[1, r] * s1
-            inductance[k, 2] += fd[0, r] * s2
-    return psi, inductance
-
-
-@njit(cache=True, nogil=True)
-def sum_basis(
-    i_dq: Array,
-    delta: Array,
-    step: float,
-    hats: int,
-    bins: NDArray[np.int64],
-    n_bins: int,
-    numbers: Array,
-    counts: NDArray[np.int64],
-    pieces: Array,
-) -> Array:
-    """Weighted sums of -(psi_{k+1} - psi_k), one column a coefficient -> (hats, n_bins, 2, coefficients).
-
-    Parameters
-    ----------
-    i_dq : array, shape (n, 2)
-        Magnetising current in the true rotor frame.
-    delta : array, shape (n,) or (0,)
-        True minus believed angle; the flux is turned back into the believed frame by it. Empty: zero.
-    """
-    n = i_dq.shape[0]
-    nq = (counts.shape[0] - 2 + 1) // 2
-    out = np.zeros((hats, n_bins, 2, (counts[0] + 5) * nq))
-    fd = np.empty((3, 6))
-    fq = np.empty((3, 6))
-    hat = np.empty(6, dtype=np.int64)
-    slot = np.empty(6, dtype=np.int64)
-    weight = np.empty(6)
-    turned = delta.shape[0] > 0
-    last_j = 0
-    last_w0 = 0.0
-    last_w1 = 0.0
-    for k in range(n):
-        a = _functions(i_dq[k, 0], numbers[0], numbers[1], counts[0], pieces, fd)
-        b = _functions(i_dq[k, 1], numbers[2], numbers[3], counts[1], pieces, fq)
-        # psi_k enters interval k with +1 and interval k - 1 with -1.
-        used = 0
-        j = 0
-        w0 = 0.0
-        w1 = 0.0
-        if k < n - 1:
-            x = (k + 0.5) / step
-            j = math.floor(x) - 1
-            w1 = x - math.floor(x)
-            w0 = 1.0 - w1
-            if j < 0 or j >= hats:
-                w0 = 0.0
-            if j + 1 >= hats:
-                w1 = 0.0
-        merge = k > 0 and k < n - 1 and j == last_j and bins[k] == bins[k - 1]
-        if merge:
-            if w0 != last_w0:
-                hat[used], slot[used], weight[used] = j, bins[k], w0 - last_w0
-                used += 1
-            if w1 != last_w1:
-                hat[used], slot[used], weight[used] = j + 1, bins[k], w1 - last_w1
-                used += 1
-        else:
-            if w0 > 0.0:
-                hat[used], slot[used], weight[used] = j, bins[k], w0
-                used += 1
-            if w1 > 0.0:
-                hat[used], slot[used], weight[used] = j + 1, bins[k], w1
-                used += 1
-            if k > 0 and last_w0 > 0.0:
-                hat[used], slot[used], weight[used] = last_j, bins[k - 1], -last_w0
-                used += 1
-            if k > 0 and last_w1 > 0.0:
-                hat[used], slot[used], weight[used] = last_j + 1, bins[k - 1], -last_w1
-                used += 1
-        last_j, last_w0, last_w1 = j, w0, w1
-        if used == 0:
-            continue
-        cos = 1.0
-        sin = 0.0
-        if turned:
-            cos = math.cos(delta[k])
-            sin = math.sin(delta[k])
-        for r in range(6):
-            base = (a + r) * nq
-            for s in range(6):
-                col = base + counts[2 + b + s]
-                pd = fd[1, r] * fq[0, s]
-                pq = fd[0, r] * fq[1, s]
-                if turned:
-                    pd, pq = cos * pd - sin * pq, sin * pd + cos * pq
-                for u in range(used):
-                    out[hat[u], slot[u], 0, col] += weight[u] * pd
-                    out[hat[u], slot[u], 1, col] += weight[u] * pq
+    cell = np.clip(np.floor(u).astype(np.int64), 0, intervals - 1)
+    powers = (u - cell)[:, None] ** np.arange(_SUPPORT)
+    out = np.zeros((len(x), intervals + DEGREE))
+    np.put_along_axis(out, cell[:, None] + np.arange(_SUPPORT), powers @ PIECES.T, axis=1)
     return out
+
+
+@njit(cache=True, nogil=True, inline="always")
+def local_flux(x: float, y: float, patches: Array, numbers: Array) -> tuple[float, float, float, float, float]:
+    """psi_d, psi_q, L_dd, L_dq, L_qq at one current; beyond the rectangle linear from its edge."""
+    u = (x - numbers[0]) / numbers[1]
+    v = (y - numbers[2]) / numbers[3]
+    m = min(max(int(u), 0), patches.shape[0] - 1)
+    n = min(max(int(v), 0), patches.shape[1] - 1)
+    s = min(max(u - m, 0.0), 1.0)
+    t = min(max(v - n, 0.0), 1.0)
+    w1 = 0.0
+    w2 = 0.0
+    w = 0.0
+    b = 0.0
+    b1 = 0.0
+    c = 0.0
+    for r in range(5, -1, -1):
+        # Value and two derivatives along q of row r, then the same by Horner along d.
+        f = patches[m, n, r, 5]
+        g = 0.0
+        h = 0.0
+        for k in range(4, -1, -1):
+            h = h * t + g
+            g = g * t + f
+            f = f * t + patches[m, n, r, k]
+        w2 = w2 * s + w1
+        w1 = w1 * s + w
+        w = w * s + f
+        b1 = b1 * s + b
+        b = b * s + g
+        c = c * s + 2.0 * h
+    l_dd = 2.0 * w2 / (numbers[1] * numbers[1])
+    l_dq = b1 / (numbers[1] * numbers[3])
+    l_qq = c / (numbers[3] * numbers[3])
+    out_d = (u - m - s) * numbers[1]
+    out_q = (v - n - t) * numbers[3]
+    psi_d = w1 / numbers[1] + l_dd * out_d + l_dq * out_q
+    psi_q = b / numbers[3] + l_dq * out_d + l_qq * out_q
+    return psi_d, psi_q, l_dd, l_dq, l_qq
+
+
+@njit(cache=True, nogil=True)
+def _evaluate(i_dq: Array, patches: Array, numbers: Array) -> tuple[Array, Array]:
+    n = i_dq.shape[0]
+    psi = np.empty((n, 2))
+    inductance = np.empty((n, 3))
+    for k in range(n):
+        psi[k, 0], psi[k, 1], inductance[k, 0], inductance[k, 1], inductance[k, 2] = local_flux(
+            i_dq[k, 0], i_dq[k, 1], patches, numbers
+        )
+    return psi, inductance

@@ -21,30 +21,83 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._residual import LocalMap
-from orchestrator.diagnosis._windows import hat_weights
+from orchestrator.diagnosis._scatter import Scatter
+from orchestrator.diagnosis._windows import HARMONICS, hat_weights
 from protocols import SegmentStage
 
 Array = NDArray[np.float64]
 
+_LEAST_CORRELATION = 0.08
+"""Correlations below this are within what a recording's length makes of white noise."""
 
-def sensor_covariance(pieces: Sequence[Piece]) -> Array:
-    """Covariance of the noise of (i_alpha, i_beta) [A^2], shape (2, 2), from second differences.
 
-    From holds and gates-off readings; where there are none, from trapezoids. Second differences
-    cancel what is linear in time.
+@dataclass(frozen=True)
+class SensorNoise:
+    """Noise of the current readings, as the recording itself shows it.
+
+    Attributes
+    ----------
+    covariance : array, shape (2, 2)
+        Of one reading of (i_alpha, i_beta) [A^2], from the holds where there are any.
+    ripple : array, shape (2, 2)
+        The same while a ripple is injected, from repeated periods; jitter and PWM ripple show here.
+    correlation : float
+        From each reading to the next, as of a first-order process.
     """
-    steady = [p for p in pieces if p.stage in (SegmentStage.RESISTANCE, SegmentStage.GATES_OFF)]
-    steady = steady or [p for p in pieces if p.stage is SegmentStage.CLASSICAL] or list(pieces)
-    total, count = np.zeros((2, 2)), 0
-    for piece in steady:
-        i = piece.signals.i_ab
-        # Coefficients (1, -2, 1): the variance of the second difference of white noise is six-fold.
-        d = i[2:] - 2.0 * i[1:-1] + i[:-2]
-        total += d.T @ d / 6.0
-        count += len(d)
-    covariance = total / max(count, 1)
-    floor = 1e-12 + 1e-6 * float(np.trace(covariance))
-    return np.asarray(covariance + floor * np.eye(2))
+
+    covariance: Array
+    ripple: Array
+    correlation: float
+
+    def of(self, piece: Piece) -> Array:
+        """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
+        own = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
+        return np.asarray(own / piece.averaged)
+
+    def colour(self, piece: Piece) -> Array:
+        """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
+        w, rho = piece.windows, self.correlation
+        if rho == 0.0:
+            return np.ones(len(w.carriers))
+        order = np.array([0, *(h for h in HARMONICS for _ in range(2) if 0 < h < w.n_bins / 2)])
+        turn = 2.0 * np.pi * order[: len(w.carriers)] / max(w.period, 1.0)
+        return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
+
+
+def sensor_noise(pieces: Sequence[Piece]) -> SensorNoise:
+    """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
+
+    From holds and gates-off readings; where there are none, from trapezoids, then from the injection itself.
+    """
+    of = {stage: [p.scatter for p in pieces if p.stage is stage] for stage in SegmentStage}
+    steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
+    repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
+    lags = [s.lag for s in steady if math.isfinite(s.lag)]
+    rho = _correlation(float(np.median(lags))) if lags else 0.0
+    # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
+    seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
+    covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
+    return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho)
+
+
+def _typical(scatters: Sequence[Scatter]) -> Array:
+    covariance = np.median([s.covariance for s in scatters], axis=0)
+    return np.asarray(covariance + (1e-12 + 1e-6 * float(np.trace(covariance))) * np.eye(2))
+
+
+def _correlation(lag: float) -> float:
+    """rho of a first-order process whose second differences have this first autocorrelation; 0 where that is chance."""
+    low, high = -0.98, 0.98
+    if _lag(-_LEAST_CORRELATION) < lag < _lag(_LEAST_CORRELATION):
+        return 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _lag(middle) < lag else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _lag(rho: float) -> float:
+    return (-4.0 + 7.0 * rho - 4.0 * rho**2 + rho**3) / (6.0 - 8.0 * rho + 2.0 * rho**2)
 
 
 @dataclass(frozen=True)
@@ -64,7 +117,7 @@ class Slopes:
 
 
 def banded_covariance(
-    piece: Piece, here: LocalMap, resistance: Array, sensor: Array, r_s: float, slopes: Slopes | None
+    piece: Piece, here: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
 ) -> Array:
     """Covariance of a piece's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
 
@@ -72,8 +125,6 @@ def banded_covariance(
     ----------
     resistance : array, shape (n,)
         Of the corrected signals, in units of R_s.
-    sensor : array, shape (2, 2)
-        Covariance of (i_alpha, i_beta) [A^2].
     """
     w = piece.windows
     angle = float(piece.segment.rotor_angle_rad)
@@ -84,7 +135,7 @@ def banded_covariance(
         np.ascontiguousarray(resistance),
         slopes.current if slopes is not None else np.zeros((0, 2, 2)),
         slopes.voltage if slopes is not None else np.zeros((0, 2, 2)),
-        np.linalg.cholesky(turn @ sensor @ turn.T),
+        np.linalg.cholesky(turn @ noise.of(piece) @ turn.T),
         r_s,
         1.0 / piece.signals.sampling_frequency_hz,
         w.step,
@@ -95,7 +146,8 @@ def banded_covariance(
     shifted = np.stack([np.roll(w.carriers, -d, axis=1) for d in (-1, 0, 1)])
     blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.carriers, shifted, sums, optimize=True)
     size = 2 * len(w.carriers)
-    return _banded(blocks.reshape(w.hats, 2, size, size))
+    root = np.repeat(np.sqrt(noise.colour(piece)), 2)
+    return _banded(blocks.reshape(w.hats, 2, size, size) * np.outer(root, root))
 
 
 def _banded(blocks: Array) -> Array:

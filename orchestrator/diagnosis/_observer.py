@@ -18,24 +18,66 @@ _TIME_CONSTANT_S = 0.005
 
 
 @njit(cache=True, nogil=True)
-def smooth_flux(psi_ab: Array, v_ab: Array, i_ab: Array, resistance_ohm: Array, ts: float) -> Array:
-    """Flux linkage in the stator frame without the current's noise, shape (n, 2) [Wb].
+def smooth_flux(
+    psi_dq: Array,
+    inductance: Array,
+    v_ab: Array,
+    i_ab: Array,
+    resistance_ohm: Array,
+    angle: float,
+    pm_flux: float,
+    ts: float,
+) -> tuple[Array, Array, Array]:
+    """Flux linkage with its noise, without it, and the current that belongs to the latter, each (n, 2).
 
     Parameters
     ----------
-    psi_ab : array, shape (n, 2)
-        The map's flux at the measured current.
+    psi_dq : array, shape (n, 2)
+        The map's flux at the measured current, without the magnet's, in the frame turned by `angle` [Wb].
+    inductance : array, shape (n, 3)
+        L_dd, L_dq, L_qq there [H].
     v_ab, i_ab : array, shape (n, 2)
         Impressed voltage and stator current.
     resistance_ohm : array, shape (n,)
+
+    Returns
+    -------
+    psi_ab, smooth_ab : array
+        In the stator frame, magnet included [Wb].
+    i_smooth_ab : array
+        i + L^-1 (psi_smooth - psi(i)) [A].
     """
-    n = psi_ab.shape[0]
+    n = psi_dq.shape[0]
+    psi = np.empty((n, 2))
     out = np.empty((n, 2))
+    current = np.empty((n, 2))
     pull = 1.0 - math.exp(-ts / _TIME_CONSTANT_S)
-    for axis in range(2):
-        out[0, axis] = psi_ab[0, axis]
-        for k in range(1, n):
-            r = 0.25 * (resistance_ohm[k - 1] + resistance_ohm[k])
-            p = out[k - 1, axis] + ts * (v_ab[k - 1, axis] - r * (i_ab[k - 1, axis] + i_ab[k, axis]))
-            out[k, axis] = p + pull * (psi_ab[k, axis] - p)
-    return out
+    c = math.cos(angle)
+    s = math.sin(angle)
+    mean_d = 0.0
+    mean_q = 0.0
+    for k in range(n):
+        mean_d += inductance[k, 0] / n
+        mean_q += inductance[k, 2] / n
+    least = 1e-3 * mean_d * mean_q
+    for k in range(n):
+        d = psi_dq[k, 0] + pm_flux
+        psi[k, 0] = c * d - s * psi_dq[k, 1]
+        psi[k, 1] = s * d + c * psi_dq[k, 1]
+        for axis in range(2):
+            if k == 0:
+                out[k, axis] = psi[k, axis]
+            else:
+                r = 0.25 * (resistance_ohm[k - 1] + resistance_ohm[k])
+                p = out[k - 1, axis] + ts * (v_ab[k - 1, axis] - r * (i_ab[k - 1, axis] + i_ab[k, axis]))
+                out[k, axis] = p + pull * (psi[k, axis] - p)
+        x = out[k, 0] - psi[k, 0]
+        y = out[k, 1] - psi[k, 1]
+        step_d = c * x + s * y
+        step_q = -s * x + c * y
+        det = max(inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2, least)
+        i_d = (inductance[k, 2] * step_d - inductance[k, 1] * step_q) / det
+        i_q = (inductance[k, 0] * step_q - inductance[k, 1] * step_d) / det
+        current[k, 0] = i_ab[k, 0] + c * i_d - s * i_q
+        current[k, 1] = i_ab[k, 1] + s * i_d + c * i_q
+    return psi, out, current

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.diagnosis._scatter import Scatter, scatter_of
 from orchestrator.diagnosis._windows import Windows, periodic_windows, plain_windows
 from protocols import (
     LossHistory,
@@ -27,11 +28,24 @@ HAT_S = 0.010
 """Distance of the hats in trapezoids; a hat is twice as long."""
 HATS_PER_TURN = 8
 USABLE = (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
+_LEAST_SAMPLES = 17
+_FIRST = 5
 _SETTLE_S = 1.0
 """How long before a capture its first current is taken to have flowed, where nothing was captured."""
 _LOSS_STEP_S = 0.05
+_LOSS_STEPS = 2000
+"""About how many steps the history of the loss has at most, those at the gaps aside."""
 _SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
-MOST_SAMPLES = 6_000_000
+MOST_SAMPLES = 2_400_000
+"""Of injection that are read; longer recordings are thinned."""
+_COARSE_POINTS = 24
+_COARSE_TURN = 0.75
+"""Injection points, and the part of a turn of each, to search in."""
+_STEP = 0.002
+"""Largest step of the current between averaged samples, as a part of the largest current."""
+_QUIET = 0.2
+"""The same as a part of the noise."""
+_MOST_AVERAGED = {SegmentStage.GATES_OFF: 10, SegmentStage.RESISTANCE: 10, SegmentStage.CLASSICAL: 8}
 
 
 @dataclass(frozen=True)
@@ -45,13 +59,22 @@ class Piece:
         Kept out of every fit, to judge it by.
     signals : Signals
         As measured and commanded; `resistance_ohm` is 1 (a factor), to be scaled.
+        Of the slow stages each sample is the mean of `averaged` readings, at the middle of their times.
     windows : Windows
+    scatter : Scatter
+        What the readings say of the current noise.
+    averaged : int
+    before_ab : array, shape (2,)
+        Current at the first reading: what had flowed until then [A].
     """
 
     segment: Segment
     held_out: bool
     signals: Signals
     windows: Windows
+    scatter: Scatter
+    averaged: int
+    before_ab: Array
 
     @property
     def stage(self) -> SegmentStage:
@@ -98,13 +121,13 @@ def prepare(recording: RecordingReader) -> Prepared:
     manifest = recording.manifest
     notes: list[str] = []
     segments = [s for s in recording.segments() if s.stage in USABLE]
-    segments = _thinned(segments, notes)
+    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, notes)
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
     # Every fifth injection point, not of a sweep's first row or column, where the map would have to extrapolate.
     fifth = set(injections[2::5]) if len(injections) >= 10 else set()
     pieces: list[Piece] = []
     for segment in segments:
-        piece = _piece(recording, segment, segment.id in fifth)
+        piece = _piece(recording, segment, segment.id in fifth, wanted.get(segment.id))
         if piece is None:
             notes.append(f"{segment.id}: too short to be used")
         else:
@@ -116,8 +139,12 @@ def prepare(recording: RecordingReader) -> Prepared:
 
 
 def coarse(prepared: Prepared) -> Prepared:
-    """A part of every segment, to search in: one period of a trapezoid, one turn of the injection, half a hold."""
-    return Prepared(prepared.manifest, tuple(_part(p) for p in prepared.pieces), ())
+    """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points."""
+    points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
+    stride = max(1, len(points) - 1) / (_COARSE_POINTS - 1)
+    kept = {points[round(k * stride)] for k in range(_COARSE_POINTS)} if len(points) > _COARSE_POINTS else set(points)
+    pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in kept)
+    return Prepared(prepared.manifest, tuple(_part(p) for p in pieces), ())
 
 
 def _part(piece: Piece) -> Piece:
@@ -127,9 +154,7 @@ def _part(piece: Piece) -> Piece:
     if piece.stage is SegmentStage.CLASSICAL and settings.get("period_s"):
         count = round(float(settings["period_s"]) * fs)
     elif piece.stage is SegmentStage.INJECTION and settings.get("rotation_hz"):
-        count = round(1.25 * fs / float(settings["rotation_hz"]))
-    elif piece.stage in (SegmentStage.RESISTANCE, SegmentStage.GATES_OFF):
-        first, count = n // 4, n // 2
+        count = round(_COARSE_TURN * fs / float(settings["rotation_hz"]))
     stop = first + count + 1
     if stop >= n or count < 100:
         return piece
@@ -137,38 +162,52 @@ def _part(piece: Piece) -> Piece:
     # Without effects both are one and the same array, and the fit looks for that.
     signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"], "start_s": s.start_s + first / fs})
     windows = _windows(piece.segment, fs, signals.i_ab, signals.v_ab)
-    return piece if windows is None else Piece(piece.segment, piece.held_out, signals, windows)
+    return piece if windows is None else replace(piece, signals=signals, windows=windows)
 
 
-def _thinned(segments: Sequence[Segment], notes: list[str]) -> list[Segment]:
-    total = sum(s.samples for s in segments)
-    if total <= MOST_SAMPLES:
-        return list(segments)
-    stride = math.ceil(total / MOST_SAMPLES)
+def _thinned(segments: Sequence[Segment], fs: float, notes: list[str]) -> tuple[list[Segment], dict[str, int]]:
+    """The segments to be read, and how many samples of each injection point."""
     points = [s for s in segments if s.stage is SegmentStage.INJECTION]
-    kept = {s.id for s in points[::stride]}
-    notes.append(f"{len(kept)} of {len(points)} injection points are used, evenly spread")
-    return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in kept]
+    wanted = {s.id: s.samples for s in points}
+    if sum(wanted.values()) <= MOST_SAMPLES:
+        return list(segments), wanted
+    turns = {s.id: 1.25 * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
+    wanted = {s.id: min(s.samples, max(round(turns[s.id]), 1000)) for s in points}
+    stride = max(1.0, sum(wanted.values()) / MOST_SAMPLES)
+    kept = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
+    notes.append(f"{len(kept)} of {len(points)} injection points are used, evenly spread, and one turn of each")
+    return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in kept], wanted
 
 
-def _piece(recording: RecordingReader, segment: Segment, fifth: bool) -> Piece | None:
+def _piece(recording: RecordingReader, segment: Segment, fifth: bool, samples: int | None) -> Piece | None:
     drive = recording.manifest.drive
     capture = recording.load(segment)
     fs = drive.sampling_frequency_hz
-    i_ab = np.ascontiguousarray(capture.i_ab, dtype=np.float64)
-    v_ab = _delayed(np.ascontiguousarray(capture.v_ab, dtype=np.float64), drive.voltage_delay_samples or 0.0)
+    i_ab = np.ascontiguousarray(capture.i_ab[:samples], dtype=np.float64)
+    v_ab = np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
+    v_ab = _delayed(v_ab, drive.voltage_delay_samples or 0.0)
+    v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
+    if len(i_ab) < _LEAST_SAMPLES:
+        return None
+    ripple = segment.stage is SegmentStage.INJECTION
+    scatter = scatter_of(i_ab, _injection_period(segment, fs, v_ab) if ripple else None)
+    before, start = i_ab[:_FIRST].mean(axis=0), segment.start_s
+    width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))))
+    if width > 1:
+        i_ab, v_ab, v_dc = _averaged(i_ab, v_ab, v_dc, width)
+        start, fs = start + 0.5 * (width - 1) / fs, fs / width
     windows = _windows(segment, fs, i_ab, v_ab)
     if windows is None:
         return None
     n = len(i_ab)
-    pwm = segment.settings.get("pwm_frequency_hz") or drive.pwm_frequency_hz or fs
+    pwm = segment.settings.get("pwm_frequency_hz") or drive.pwm_frequency_hz or drive.sampling_frequency_hz
     signals = Signals(
-        start_s=segment.start_s,
+        start_s=start,
         sampling_frequency_hz=fs,
         pwm_frequency_hz=float(pwm),
         i_ab=i_ab,
         v_ab=v_ab,
-        v_dc=np.asarray(capture.v_dc, dtype=np.float64),
+        v_dc=v_dc,
         theta_rad=np.full(n, float(segment.rotor_angle_rad)),
         resistance_ohm=np.ones(n),
         i_m_ab=i_ab,
@@ -178,7 +217,38 @@ def _piece(recording: RecordingReader, segment: Segment, fifth: bool) -> Piece |
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and _sweeps_both(segment, i_ab)
-    return Piece(segment, fifth or diagonal, signals, windows)
+    return Piece(segment, fifth or diagonal, signals, windows, scatter, width, before)
+
+
+def _width(stage: SegmentStage, i_ab: Array, noise_a: float) -> int:
+    """How many readings of a slow stage may be averaged: so few that the current hardly moves from mean to mean."""
+    most = min(_MOST_AVERAGED.get(stage, 1), len(i_ab) // 200)
+    if most < 2:
+        return 1
+    # Means of 32 readings, so that noise is not taken for movement; a jump at the start of a capture is let pass.
+    length = len(i_ab) // 32 * 32
+    means = i_ab[:length].reshape(-1, 32, 2).mean(axis=1)
+    usual = float(np.quantile(np.abs(np.diff(means, axis=0)).max(axis=1), 0.95)) / 32.0
+    allowed = max(_STEP * float(np.abs(means).max()), _QUIET * noise_a)
+    return int(min(most, max(1.0, allowed / max(usual, 1e-12))))
+
+
+def _averaged(i_ab: Array, v_ab: Array, v_dc: Array, width: int) -> tuple[Array, Array, Array]:
+    """Means of `width` readings, and the voltage that acts between the middles of these means.
+
+    dpsi/dt = v - R i holds for means as for samples: the mean current of one block and the next differ by what
+    the voltage does in between, and each v_k of 2 width - 1 intervals counts by the share of readings it moves.
+    """
+    blocks = len(i_ab) // width
+    used = blocks * width
+    impulse = np.concatenate([np.zeros((1, 2)), np.cumsum(v_ab[:used], axis=0)])[:-1]
+    mean = impulse.reshape(blocks, width, 2).mean(axis=1)
+    between = np.diff(mean, axis=0) / width
+    return (
+        i_ab[:used].reshape(blocks, width, 2).mean(axis=1),
+        np.concatenate([between, v_ab[used - width : used].mean(axis=0)[None]]),
+        v_dc[:used].reshape(blocks, width).mean(axis=1),
+    )
 
 
 def _sweeps_both(segment: Segment, i_ab: Array) -> bool:
@@ -191,7 +261,7 @@ def _sweeps_both(segment: Segment, i_ab: Array) -> bool:
 
 def _windows(segment: Segment, fs: float, i_ab: RealArray, v_ab: RealArray) -> Windows | None:
     intervals = len(i_ab) - 1
-    if intervals < 16:
+    if intervals < 4:
         return None
     if segment.stage is SegmentStage.CLASSICAL:
         return plain_windows(intervals, HAT_S * fs)
@@ -232,6 +302,8 @@ def _delayed(v_ab: Array, samples: float) -> Array:
 def _with_heat(pieces: Sequence[Piece], manifest: Manifest) -> tuple[Piece, ...]:
     """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
     resistance = manifest.motor.stator_resistance_ohm or 1.0
+    last = pieces[-1].signals
+    step_s = max(_LOSS_STEP_S, (last.start_s + len(last.v_dc) / last.sampling_frequency_hz) / _LOSS_STEPS)
     times: list[Array] = []
     powers: list[Array] = []
     captured: list[Array] = []
@@ -243,16 +315,13 @@ def _with_heat(pieces: Sequence[Piece], manifest: Manifest) -> tuple[Piece, ...]
         power = 1.5 * resistance * np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
         gap = max(s.start_s - end, 0.0)
         settle = min(gap, _SETTLE_S)
-        # Before the capture there was no ripple: the loss of the mean current, not the mean loss.
-        part = len(power) // 10 if piece.stage is SegmentStage.INJECTION else len(power) // 50
-        current = s.i_ab[: max(1, part)].mean(axis=0)
-        first = 1.5 * resistance * float(current @ current) if s.bridge_on else 0.0
+        first = 1.5 * resistance * float(piece.before_ab @ piece.before_ab) if s.bridge_on else 0.0
         if gap > 0.0:
             times.append(np.array([end, s.start_s - settle]))
             powers.append(np.array([0.0, first]))
             captured.append(np.zeros(2))
             energy += first * settle
-        stride = max(1, round(_LOSS_STEP_S / ts))
+        stride = max(1, round(step_s / ts))
         starts = np.arange(0, len(power), stride)
         times.append(np.asarray(s.start_s + starts * ts, dtype=np.float64))
         powers.append(np.asarray(np.add.reduceat(power, starts) / np.diff(np.append(starts, len(power))), np.float64))
@@ -267,6 +336,5 @@ def _with_heat(pieces: Sequence[Piece], manifest: Manifest) -> tuple[Piece, ...]
         time_s=np.concatenate(times), power_w=np.concatenate(powers), captured=np.concatenate(captured)
     )
     return tuple(
-        Piece(p.segment, p.held_out, p.signals.model_copy(update={"heat_j": heat, "losses": losses}), p.windows)
-        for p, heat in warmed
+        replace(p, signals=p.signals.model_copy(update={"heat_j": heat, "losses": losses})) for p, heat in warmed
     )

@@ -15,7 +15,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._magnetics import PIECES, Magnetics, sum_basis
+from orchestrator.diagnosis._basis import sum_basis
+from orchestrator.diagnosis._magnetics import PIECES, Magnetics
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._windows import sum_intervals
 from protocols import Signals

@@ -7,7 +7,7 @@ refined before another is tried: the wrong shape of the right effect causes most
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis._fit import Fitter, absent_columns
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import Active, Candidate
+from orchestrator.diagnosis._separable import separable
 from protocols import ParameterRole
 
 Array = NDArray[np.float64]
@@ -30,6 +31,12 @@ LEAST_SHARE = 0.2
 """Least part of the excess chi2 - 1 that an effect has to remove to be added."""
 HOPEFUL = 0.3
 """Rivals whose linear gain is at least this part of the best one's are refitted too."""
+STAND_IN = 0.8
+"""Look-alikes that explain this part of what the best one does are its twins."""
+CLOSE = 2.0
+"""Rivals whose excess chi2 is within this factor of the best one's are fitted to the end."""
+NUDGE = 0.5
+"""Where the fit of a flexible form starts, in widths of the prior."""
 MOST_TRIALS = 5
 MOST_EFFECTS = 6
 
@@ -132,20 +139,30 @@ def forward(
     steps: Sequence[Step],
     candidates: Sequence[Candidate],
     *,
+    rivals: Mapping[str, Sequence[str]] | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Search:
-    """Add effects to the last of the steps until the data ask for no more."""
-    search = Search(list(steps))
-    rejected: set[str] = set()
+    """Add effects to the last of the steps until the data ask for no more.
+
+    Parameters
+    ----------
+    rivals : mapping, optional
+        Of the effects that the steps have already.
+    """
+    search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
+    # What did as well in the place of an accepted effect cannot be told to be there beside it.
+    rejected = {n for tied in (rivals or {}).values() for n in tied}
     while len(search.fit.model.active) < MOST_EFFECTS:
         fit = search.fit
-        search.view = linear_view(fitter, fit, candidates)
+        rejected |= _alike(fit, candidates)
+        if search.view is None or search.view.fit.model is not fit.model:
+            search.view = linear_view(fitter, fit, candidates)
         scores = [s for s in score(search.view) if s.candidate.name not in rejected]
         hopeful = _worth_trying(scores, fit)
         if not hopeful:
             search.traces += _faint(scores, fit)
             break
-        trials = [(s.candidate.name, _refit(fitter, fit, s)) for s in hopeful]
+        trials = _tried(fitter, fit, hopeful)
         inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
         before = log_evidence(fit, inflation)
         ranked = sorted(((log_evidence(t, inflation) - before, n, t) for n, t in trials), key=lambda item: -item[0])
@@ -157,11 +174,30 @@ def forward(
             rejected.update(n for g, n, _ in ranked if g > LOG_EVIDENCE)
             search.traces.append(name)
             continue
-        search.rivals[name] = [n for g, n, _ in ranked[1:] if gain - g < TIE]
-        search.steps.append(Step(name, polished(fitter, trial, inflation), gain))
-        rejected.clear()
+        search.rivals[name] = [n for g, n, t in ranked[1:] if gain - g < TIE or _stands_in(fit, trial, t, name, n)]
+        better = polished(fitter, trial, inflation)
+        search.steps.append(Step(name, repolished(fitter, better), gain))
+        rejected = {n for tied in search.rivals.values() for n in tied}
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
+
+
+def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:
+    """Candidates that this recording cannot tell from an effect that the model has."""
+    return {
+        c.name
+        for c in candidates
+        for a in fit.model.active
+        if c.name != a.name and not separable(fit.prepared, c.effect, a.candidate.effect)
+    }
+
+
+def _stands_in(before: Fit, best: Fit, other: Fit, name: str, rival: str) -> bool:
+    """Whether a rival that the recording cannot part from the best one explains nearly as much."""
+    effects = {a.name: a.candidate.effect for t in (best, other) for a in t.model.active}
+    if separable(before.prepared, effects[name], effects[rival]):
+        return False
+    return before.chi2 - other.chi2 > STAND_IN * (before.chi2 - best.chi2)
 
 
 def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
@@ -203,23 +239,52 @@ def with_effect(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
     return polished(fitter, _refit(fitter, fit, scored), 1.0)
 
 
+def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str, Fit]]:
+    """Refits with each of some effects; those that stay far behind the best are not fitted to the end."""
+    rough = [(s.candidate.name, _refit(fitter, fit, s)) for s in hopeful]
+    best = min(t.chi2 for _, t in rough)
+    near = CLOSE * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
+    if sum(t.chi2 < near for _, t in rough) < 2:
+        return rough
+    return [(n, fitter.fit(t.model, t.frame, steps=5, renewals=0) if t.chi2 < near else t) for n, t in rough]
+
+
 def _refit(fitter: Fitter, fit: Fit, scored: Score) -> Fit:
     """The model with one more effect, amplitudes started at the linear estimate, shapes free."""
     active = scored.candidate.absent()
     for name, x in zip(scored.candidate.amplitudes, scored.coordinates, strict=True):
         active = active.moved(name, float(x))
     active = active.freeing(*scored.candidate.of_role(ParameterRole.SHAPE))
-    return fitter.fit(fit.model.with_active([*fit.model.active, active]), fit.frame, steps=4, renewals=0)
+    model = fit.model.with_active([*fit.model.active, active])
+    return fitter.fit(model, fit.frame, steps=4, renewals=0, tolerance=0.03)
 
 
 def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
     """The newest effect's flexible form where the evidence asks for it, fitted to the end."""
-    newest = fit.model.active[-1]
-    names = newest.candidate.of_role(ParameterRole.REFINEMENT)
-    if names:
-        flexible: Active = newest.freeing(*names)
-        trial = fitter.fit(fit.model.with_active([*fit.model.active[:-1], flexible]), fit.frame, renewals=1)
-        inflation = max(1.0, min(inflation, trial.chi2_per_dof))
-        if log_evidence(trial, inflation) > log_evidence(fit, inflation) + TIE:
-            return trial
-    return fitter.fit(fit.model, fit.frame, renewals=1)
+    plain = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+    flexible = _flexible(fitter, plain, len(plain.model.active) - 1, inflation)
+    return plain if flexible is None else flexible
+
+
+def repolished(fitter: Fitter, fit: Fit) -> Fit:
+    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
+    for index in range(len(fit.model.active) - 1):
+        trial = _flexible(fitter, fit, index, 1.0)
+        fit = fit if trial is None else trial
+    return fit
+
+
+def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
+    """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
+    active = list(fit.model.active)
+    names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
+    if set(names) <= set(active[index].free):
+        return None
+    flexible = active[index].freeing(*names)
+    for name in names:
+        # Off the neutral form: there two halves of an effect may be alike, and no derivative tells them apart.
+        flexible = flexible.moved(name, flexible.coordinate(name) + NUDGE)
+    active[index] = flexible
+    trial = fitter.fit(fit.model.with_active(active), fit.frame, steps=9, renewals=1, tolerance=3e-4)
+    inflation = max(1.0, min(inflation, trial.chi2_per_dof))
+    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + TIE else None

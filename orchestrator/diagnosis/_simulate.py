@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import apply_effects
-from orchestrator.diagnosis._magnetics import PIECES, _functions
+from orchestrator.diagnosis._magnetics import local_flux
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._residual import true_frame
 from protocols import SegmentStage
@@ -36,7 +36,7 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     other = corrected.i_m_ab is not corrected.i_ab
     extra = (corrected.i_ab - corrected.i_m_ab)[:n] if other else np.zeros((0, 2))
     grid = fit.model.magnetics.grid
-    numbers, counts = grid.layout
+    numbers, _ = grid.layout
     predicted = _simulate(
         np.ascontiguousarray(corrected.v_ab[:n]),
         np.ascontiguousarray(extra),
@@ -44,10 +44,8 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
         * (fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]),
         np.ascontiguousarray(angle),
         i_dq[:n],
-        fit.model.magnetics.coefficients,
+        fit.model.magnetics.patches,
         numbers,
-        counts,
-        PIECES,
         1.0 / piece.signals.sampling_frequency_hz,
         0.2 * float(np.median(fit.frame.pieces[index].here.inductance[:, [0, 2]])),
         5.0 * max(-grid.d_low, grid.d_high, grid.q_high),
@@ -76,20 +74,15 @@ def _simulate(
     resistance: Array,
     angle: Array,
     measured: Array,
-    c: Array,
+    patches: Array,
     numbers: Array,
-    counts: NDArray[np.int64],
-    pieces: Array,
     ts: float,
     least: float,
     reach: float,
 ) -> Array:
     """Steps psi by the voltage; after each, one Newton step for the current that belongs to it."""
     n = v_ab.shape[0]
-    nq = (counts.shape[0] - 2 + 1) // 2
     out = np.empty((n, 2))
-    fd = np.empty((3, 6))
-    fq = np.empty((3, 6))
     i_d = measured[0, 0]
     i_q = measured[0, 1]
     psi_d = 0.0
@@ -98,28 +91,7 @@ def _simulate(
         # A model far off may drive the current anywhere; it is stopped well outside of what was measured.
         i_d = min(max(i_d, -reach), reach)
         i_q = min(max(i_q, -reach), reach)
-        a = _functions(i_d, numbers[0], numbers[1], counts[0], pieces, fd)
-        b = _functions(i_q, numbers[2], numbers[3], counts[1], pieces, fq)
-        pd = 0.0
-        pq = 0.0
-        ldd = 0.0
-        ldq = 0.0
-        lqq = 0.0
-        for r in range(6):
-            s0 = 0.0
-            s1 = 0.0
-            s2 = 0.0
-            base = (a + r) * nq
-            for s in range(6):
-                w = c[base + counts[2 + b + s]]
-                s0 += w * fq[0, s]
-                s1 += w * fq[1, s]
-                s2 += w * fq[2, s]
-            pd += fd[1, r] * s0
-            pq += fd[0, r] * s1
-            ldd += fd[2, r] * s0
-            ldq += fd[1, r] * s1
-            lqq += fd[0, r] * s2
+        pd, pq, ldd, ldq, lqq = local_flux(i_d, i_q, patches, numbers)
         if k == 0:
             psi_d = pd
             psi_q = pq

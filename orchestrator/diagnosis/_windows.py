@@ -34,12 +34,15 @@ class Windows:
         Bin of each interval within the injection period; zeros where nothing is injected.
     carriers : array, shape (carriers, n_bins)
         Value of each carrier in each bin.
+    period : float
+        Intervals in an injection period; 0 where nothing is injected.
     """
 
     hats: int
     step: float
     bins: NDArray[np.int64]
     carriers: Array
+    period: float = 0.0
 
     @property
     def n_bins(self) -> int:
@@ -52,6 +55,8 @@ class Windows:
 
     def combine(self, sums: Array) -> Array:
         """Carriers applied to sums of shape (hats, n_bins, 2, ...) -> (rows, ...): hat, carrier, axis."""
+        if self.carriers.size == 1:
+            return np.ascontiguousarray(sums).reshape(self.rows, *sums.shape[3:])
         mixed = np.tensordot(self.carriers, sums, axes=(1, 1))
         rows = np.moveaxis(mixed, 0, 1)
         return np.ascontiguousarray(rows).reshape(self.rows, *sums.shape[3:])
@@ -87,7 +92,7 @@ def periodic_windows(intervals: int, step: float, period: float) -> Windows | No
     for harmonic in HARMONICS:
         if 0 < harmonic < n_bins / 2:
             rows += [np.cos(harmonic * centre), np.sin(harmonic * centre)]
-    return Windows(hats, step, bins, np.array(rows))
+    return Windows(hats, step, bins, np.array(rows), period)
 
 
 @njit(cache=True, nogil=True)

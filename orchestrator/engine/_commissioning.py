@@ -11,34 +11,43 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from orchestrator.config import Plan, PlannedPoint
+from orchestrator.engine._agenda import Agenda
+from orchestrator.engine._diagnosing import compared, diagnosed, following_stages
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._measuring import Measurement
-from orchestrator.engine._operator import Operator
+from orchestrator.engine._operator import Operator, Questions
 from orchestrator.engine._power import SAFE, PowerStage, as_drive_errors
+from orchestrator.engine._probing import RippleProbe, weakened
 from orchestrator.engine._states import State, StateMachine, Trigger
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import RunDirectory
 from protocols import (
     AlignmentStage,
     Capabilities,
+    CapabilityError,
     ClassicalStage,
+    DiagnoseStage,
+    DiagnosisStep,
     Drive,
+    Effect,
     Estimate,
     EstimateStage,
     Estimator,
+    ExperimentProposed,
     FluxbenchError,
     GatesOffStage,
     InjectionStage,
+    LockChecked,
     LockCheckStage,
     MapEstimated,
     Note,
     NotMeasuredError,
-    OperatorAnswered,
-    OperatorAsked,
     OperatorStage,
+    PluginError,
     PointDone,
     PointStarted,
+    ProcedureError,
     ResistanceEstimate,
     ResistanceEstimated,
     ResistanceStage,
@@ -49,6 +58,7 @@ from protocols import (
     RunStarted,
     Segment,
     Stage,
+    StagesAppended,
     StageStarted,
     StateChanged,
 )
@@ -63,6 +73,10 @@ STAGE_TRIGGERS = {
     "classical": Trigger.SWEEP_CLASSICAL,
     "injection": Trigger.SWEEP_INJECTION,
 }
+
+LEAST_CONFIDENCE = 0.5
+"""Below it a lock that nothing speaks against is not known."""
+NOT_KNOWN = "Whether the rotor is locked cannot be measured on this motor. Have you seen that it is held?"
 
 Ending = Literal["finished", "faulted", "aborted"]
 ENDINGS: dict[Ending, Trigger] = {"finished": Trigger.FINISH, "faulted": Trigger.FAULT, "aborted": Trigger.ABORT}
@@ -94,6 +108,8 @@ class Commissioning:
     capabilities : Capabilities
     estimators : sequence of Estimator
         Installed ones; an estimate stage takes all, or those that it names.
+    effects : sequence of Effect
+        The library of a diagnose stage.
     operator : Operator
     interrupts : Interrupts
     log : RunLog
@@ -106,18 +122,21 @@ class Commissioning:
         drive: Drive,
         capabilities: Capabilities,
         estimators: Sequence[Estimator],
+        effects: Sequence[Effect],
         operator: Operator,
         interrupts: Interrupts,
         log: RunLog,
     ) -> None:
-        self._run, self._plan, self._drive, self._capabilities = run, plan, drive, capabilities
-        self._estimators, self._operator, self._interrupts, self._log = estimators, operator, interrupts, log
+        self._run, self._drive, self._capabilities = run, drive, capabilities
+        self._estimators, self._effects = estimators, effects
+        self._interrupts, self._log = interrupts, log
+        self._questions = Questions(operator, interrupts, log)
         limits = plan.procedure.limits
         self._power = PowerStage(drive, capabilities, limits, interrupts)
         self._measurement = Measurement(run, self._power, log, interrupts, capabilities, limits)
+        self._probe = RippleProbe(self._power, limits, plan.procedure.motor, interrupts)
         self._machine = StateMachine(self._on_change)
-        self._done = dict(run.completed())
-        self._seconds_left = sum(point.seconds for point in plan.points if point.id not in self._done)
+        self._agenda = Agenda(run, plan, capabilities)
         self._summary: dict[str, object] = {}
 
     @property
@@ -128,19 +147,24 @@ class Commissioning:
         """Run every stage that is left; never raises, and never leaves the drive energised."""
         try:
             self._begin()
-            for index, stage in enumerate(self._plan.procedure.stages):
-                self._enter(index, stage)
+            index = 0
+            while index < len(self._agenda.stages):  # a diagnosis may append to them
+                self._enter(index, self._agenda.stages[index])
+                index += 1
             outcome = Outcome("finished", "every stage is done", None)
         except (RunInterrupted, RunAborted) as error:
             outcome = Outcome("aborted", str(error), error)
         except FluxbenchError as error:
             outcome = Outcome("faulted", str(error), error)
+        except SystemExit as error:
+            plugin_error = PluginError("plugins", "", f"one of them called exit({error.code}) in the middle of the run")
+            outcome = Outcome("faulted", str(plugin_error), plugin_error)
         except BaseException as error:  # a defect: the drive comes first, the traceback after
             outcome = Outcome("faulted", f"{type(error).__name__}: {error}", error)
         return self._leave(outcome)
 
     def _begin(self) -> None:
-        procedure = self._plan.procedure
+        procedure = self._agenda.plan.procedure
         self._log.say(
             RunStarted(
                 run=str(self._run.path),
@@ -149,14 +173,14 @@ class Commissioning:
                 limits=procedure.limits,
                 drive=self._capabilities.name,
                 stages=len(procedure.stages),
-                points=len(self._plan.points),
-                points_done=len(self._done),
-                seconds=self._seconds_left,
+                points=len(self._agenda.plan.points),
+                points_done=len(self._agenda.done),
+                seconds=self._agenda.seconds_left,
             )
         )
         self._machine.fire(Trigger.CONNECT)
         self._power.verify_at_rest()
-        last = max(self._done.values(), key=lambda segment: segment.start_s, default=None)
+        last = max(self._agenda.done.values(), key=lambda segment: segment.start_s, default=None)
         if last is not None and isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.restore(last.id, self._run.end_s())
@@ -164,16 +188,16 @@ class Commissioning:
     def _enter(self, index: int, stage: Stage) -> None:
         self._interrupts.check()
         if isinstance(stage, OperatorStage):
-            if not self._measured_after(index):
+            if not self._agenda.passed(index):
                 self._ask(stage)
         elif isinstance(stage, EstimateStage):
-            self._estimate(stage)
+            if not self._agenda.estimated_later(index):
+                self._estimate(stage)
+        elif isinstance(stage, DiagnoseStage):
+            if not self._agenda.passed(index):
+                self._diagnose(index, stage)
         else:
             self._measure(index, stage)
-
-    def _measured_after(self, index: int) -> bool:
-        """Whether a later stage has points already: then the operator did this deed in the run's first life."""
-        return any(point.id in self._done for point in self._plan.points if point.stage_index > index)
 
     def _stand_down(self, reason: str) -> None:
         if self._power.armed:
@@ -181,33 +205,37 @@ class Commissioning:
             self._log.say(Note(level="info", text=self._power.stand_down()))
 
     def _ask(self, stage: OperatorStage) -> None:
-        self._stand_down("the operator is needed")
+        self._stand_down("the drive is disarmed while the operator is asked")
         self._machine.fire(Trigger.ASK_OPERATOR)
-        self._log.say(OperatorAsked(prompt=stage.prompt))
-        if stage.answer is not None:
-            self._log.say(OperatorAnswered(answer=stage.answer, by="procedure"), durable=True)
-        else:
-            self._log.before_prompt()
-            agreed = self._operator.confirm(stage.prompt, self._interrupts)
-            self._log.say(OperatorAnswered(answer="yes" if agreed else "no", by="operator"), durable=True)
-            if not agreed:
-                raise RunAborted(f"the operator said no to: {stage.prompt}")
+        self._questions.put(stage.prompt, answered=stage.answer is not None)
         if stage.brake is not None:
             self._power.set_brake(stage.brake == "engage")
 
     def _measure(self, index: int, stage: MeasuringStage) -> None:
-        points = self._plan.points_of(index)
-        left = [point for point in points if point.id not in self._done]
+        left = self._agenda.points_left(index)
         if left:
             self._log.say(StageStarted(index=index, stage=stage.kind, points=len(left)))
             self._machine.fire(STAGE_TRIGGERS[stage.kind])
             self._power.arm()
+            left = self._within_limits(index, left)
         for point in left:
             if self._interrupts.pause_wanted:
                 self._pause(stage)
             self._measure_point(point)
-        if isinstance(stage, LockCheckStage):
-            self._judge_lock(stage, points)
+        if isinstance(stage, LockCheckStage) and not self._agenda.passed(index):
+            self._judge_lock(stage, self._agenda.plan.points_of(index))
+
+    def _within_limits(self, index: int, left: list[PlannedPoint]) -> list[PlannedPoint]:
+        """The points with their injection as weak as the ripple at the rim makes necessary."""
+        factor = self._agenda.factor(index)
+        if factor is None:
+            factor = self._probe.factor(left)
+            if factor < 1.0:
+                told = (
+                    f"the ripple at the rim is stronger than the nameplate says: injection at {factor:.0%} of the plan"
+                )
+                self._log.say(Note(level="info", text=told))
+        return [weakened(point, factor) for point in left]
 
     def _measure_point(self, point: PlannedPoint) -> None:
         target_d_a, target_q_a = point.target if point.target is not None else (None, None)
@@ -224,8 +252,7 @@ class Commissioning:
         if isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.checkpoint(point.id)
-        self._done[point.id] = segment
-        self._seconds_left -= point.seconds
+        self._agenda.tick_off(point, segment)
         self._log.say(
             PointDone(
                 id=point.id,
@@ -233,9 +260,9 @@ class Commissioning:
                 segment=segment,
                 achieved_d_a=achieved_d_a,
                 achieved_q_a=achieved_q_a,
-                points_done=len(self._done),
-                points=len(self._plan.points),
-                seconds_left=max(0.0, self._seconds_left),
+                points_done=len(self._agenda.done),
+                points=len(self._agenda.plan.points),
+                seconds_left=self._agenda.seconds_left,
             ),
             durable=True,
         )
@@ -253,22 +280,30 @@ class Commissioning:
 
         self._compute()
         recording = self._recording()
-        segments: list[Segment] = [self._done[point.id] for point in points]
+        segments: list[Segment] = [self._agenda.done[point.id] for point in points]
         verdict = judge_lock(
             [(segment, recording.load(segment)) for segment in segments],
             stage.tolerance_rad,
             voltage_delay_samples=self._capabilities.voltage_delay_samples,
         )
+        if verdict.locked and verdict.confidence < LEAST_CONFIDENCE:
+            verdict = verdict.model_copy(update={"locked": None})
         self._log.say(verdict, durable=True)
-        if verdict.locked and verdict.confidence < 0.5:
-            self._log.say(Note(level="warning", text=verdict.summary))
-        if not verdict.locked:
+        if verdict.locked is None:
+            self._trust_the_brake(stage, verdict)
+        elif not verdict.locked:
             raise RunAborted(f"the rotor is not locked: {verdict.summary}")
 
-    def _compute(self) -> None:
+    def _trust_the_brake(self, stage: LockCheckStage, verdict: LockChecked) -> None:
+        """What cannot be measured has to be known by a person, here or in the procedure."""
+        self._log.say(Note(level="warning", text=f"{verdict.summary}; lock_check.accept_not_known accepts that"))
+        self._machine.fire(Trigger.ASK_OPERATOR)
+        self._questions.put(NOT_KNOWN, answered=stage.accept_not_known is not None)
+
+    def _compute(self, trigger: Trigger = Trigger.ESTIMATE) -> None:
         """Stand down first: nobody knows how long a computation takes on a machine that is busy."""
-        self._stand_down("computing needs no current")
-        self._machine.fire(Trigger.ESTIMATE)
+        self._stand_down("the drive is disarmed while the computer works on what was measured")
+        self._machine.fire(trigger)
 
     def _recording(self) -> Recording:
         self._run.write_manifest()
@@ -286,6 +321,39 @@ class Commissioning:
             return
         self._summary = report.model_dump(mode="json")
 
+    def _diagnose(self, index: int, stage: DiagnoseStage) -> None:
+        self._compute(Trigger.COMPARE)
+        recording = self._recording()
+        try:
+            self._log.say(compared(recording, stage), durable=True)
+            self._machine.fire(Trigger.DIAGNOSE)
+            found, proposal = diagnosed(recording, stage, self._effects, self._agenda.experiments, self._say_step)
+        except NotMeasuredError as error:
+            self._log.say(Note(level="warning", text=f"no diagnosis: {error}"))
+            return
+        self._log.say(found, durable=True)
+        if proposal is not None:
+            self._machine.fire(Trigger.PROPOSE)
+            self._propose(index, stage, proposal)
+
+    def _propose(self, index: int, stage: DiagnoseStage, proposal: ExperimentProposed) -> None:
+        """Append the experiment to the plan, where the stage has rounds left and the limits allow it."""
+        longer: tuple[StagesAppended, Plan] | None = None
+        if stage.rounds > 0:
+            try:
+                more = following_stages(stage, proposal.stage, self._agenda.plan.procedure)
+                longer = StagesAppended(by=index, stages=more), self._agenda.longer(more)
+            except (ProcedureError, CapabilityError) as error:
+                self._log.say(Note(level="warning", text=f"the proposed experiment cannot be run here: {error}"))
+        self._log.say(proposal.model_copy(update={"accepted": longer is not None}), durable=True)
+        if longer is not None:
+            self._log.say(longer[0], durable=True)
+            self._agenda.append(*longer)
+
+    def _say_step(self, step: DiagnosisStep) -> None:
+        self._interrupts.check()
+        self._log.say(step)
+
     def _say_estimate(self, estimate: Estimate) -> None:
         self._interrupts.check()
         if isinstance(estimate, ResistanceEstimate):
@@ -300,7 +368,7 @@ class Commissioning:
         if stood_down:
             level: Literal["info", "error"] = "info" if stood_down == SAFE else "error"
             trouble.append(self._last_word(lambda: self._log.say(Note(level=level, text=stood_down))))
-        if self._done:
+        if self._agenda.done:
             trouble.append(self._last_word(self._run.write_manifest))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         self._last_word(lambda: self._machine.fire(ENDINGS[outcome.ending], reason))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from orchestrator.runs import Journal
 from orchestrator.streaming import Dispatcher
-from protocols import MapEstimated, Message, SamplesCaptured
+from protocols import DiagnosisStep, MapEstimated, Message, SamplesCaptured
 
 
 class RunLog:
@@ -28,7 +28,7 @@ class RunLog:
         message all the same.
         """
         self._dispatcher.publish(message)
-        if not isinstance(message, SamplesCaptured | MapEstimated):
+        if not isinstance(message, SamplesCaptured | MapEstimated | DiagnosisStep):
             self._journal.append(message, durable=durable)
 
     def before_prompt(self) -> None:

@@ -7,7 +7,8 @@ import sys
 from typing import Protocol
 
 from orchestrator.engine._interrupts import Interrupts
-from protocols import RunAborted
+from orchestrator.engine._log import RunLog
+from protocols import OperatorAnswered, OperatorAsked, RunAborted
 
 
 class Operator(Protocol):
@@ -45,3 +46,28 @@ class TerminalOperator:
                 interrupts.check()
                 raise RunAborted(f"nobody is there any more to answer: {prompt}")
             print("please answer yes or no: ", end="", flush=True)
+
+
+class Questions:
+    """Puts questions to the operator, and keeps them and their answers in the journal."""
+
+    def __init__(self, operator: Operator, interrupts: Interrupts, log: RunLog) -> None:
+        self._operator, self._interrupts, self._log = operator, interrupts, log
+
+    def put(self, prompt: str, *, answered: bool) -> None:
+        """Have a question answered with yes, by the procedure where that has `answered` it.
+
+        Raises
+        ------
+        RunAborted
+            The answer is no, or nobody is there.
+        """
+        self._log.say(OperatorAsked(prompt=prompt))
+        if answered:
+            self._log.say(OperatorAnswered(answer="yes", by="procedure"), durable=True)
+            return
+        self._log.before_prompt()
+        agreed = self._operator.confirm(prompt, self._interrupts)
+        self._log.say(OperatorAnswered(answer="yes" if agreed else "no", by="operator"), durable=True)
+        if not agreed:
+            raise RunAborted(f"the operator said no to: {prompt}")

@@ -147,7 +147,7 @@ def as_drive_errors(name: str) -> Iterator[None]:
         yield
     except (FluxbenchError, GeneratorExit):
         raise
-    except Exception as error:
+    except (Exception, SystemExit) as error:  # a plugin that leaves must not take the run with it
         raise DriveFault(
             FaultCause.INTERNAL, f"the drive plugin {name!r} raised {type(error).__name__}: {error}"
         ) from error

@@ -21,7 +21,23 @@ from orchestrator.engine._power import as_drive_errors
 from orchestrator.registry import PluginKind, installed, load_plugin, make_options
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.streaming import Dispatcher, StreamTally
-from protocols import Capabilities, Drive, DriveSetup, Estimator, FluxbenchError, Procedure, Stream, StreamSetup
+from protocols import (
+    Capabilities,
+    Drive,
+    DriveSetup,
+    Effect,
+    Estimator,
+    FluxbenchError,
+    PluginError,
+    Procedure,
+    RecordingError,
+    Stage,
+    StagesAppended,
+    Stream,
+    StreamSetup,
+)
+
+NOTHING_LEFT = "the run is finished: there is nothing left to do"
 
 
 @dataclass(frozen=True)
@@ -64,7 +80,7 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
         Something that was handed in is wrong, or the drive does not answer. Nothing was energised, and
         no run directory is left behind.
     """
-    estimators = chosen_estimators(procedure)
+    plugins = Analysts.of(procedure)
     streams = _stream_makers(crew.streams, path)
     path = path.resolve()
     sealed = load_plugin(PluginKind.DRIVES, procedure.drive.name).sealed_options
@@ -75,7 +91,7 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
                 check_plan(plan, capabilities)
                 run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
                 with run.at_work():
-                    return _commission(run, plan, drive, capabilities, estimators, streams, crew)
+                    return _commission(run, plan, drive, capabilities, plugins, streams, crew)
         except BaseException:
             # A run that is under way ends in an outcome: what comes here was before anything was energised.
             for folder in (path, private_directory(path)):
@@ -84,22 +100,65 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
 
 
 def resume_run(path: Path, crew: Crew) -> RunResult:
-    """Go on with a run at its first point that is not done.
+    """Go on with a run at its first point that is not done; a finished one is told to be just that.
 
     Raises
     ------
     FluxbenchError
-        The directory is no run, is still being worked on, or has nothing left to do.
+        The directory is no run, or is still being worked on.
     """
     run = RunDirectory.open(path)
-    procedure = run.procedure()
-    estimators = chosen_estimators(procedure)
-    streams = _stream_makers(crew.streams, path)
     run.refuse_lost_journal()
-    with run.lock(), connected_drive(procedure, run.private_directory) as (drive, capabilities):
-        plan = make_plan(procedure, capabilities)
+    with run.lock():
+        ended = run.ended()
+        if ended is not None and ended.outcome == "finished":
+            return RunResult(run.path, Outcome("finished", NOTHING_LEFT, None, ended.estimates), ())
+        return _go_on(run, crew)
+
+
+def extend_run(path: Path, stages: Sequence[Stage], crew: Crew) -> RunResult:
+    """Go on with a finished run by some stages more, on the same drive and into the same recording.
+
+    Raises
+    ------
+    FluxbenchError
+        The directory is no run, is not finished or still being worked on, or the stages are more than its limits or
+        the drive allow. Nothing was energised, and nothing appended.
+    """
+    run = RunDirectory.open(path)
+    run.refuse_lost_journal()
+    with run.lock():
+        ended = run.ended()
+        if ended is None or ended.outcome != "finished":
+            raise RecordingError(str(path), "", f"the run is not finished: `fluxbench resume {path}` comes first")
+        return _go_on(run, crew, more=tuple(stages))
+
+
+def _go_on(run: RunDirectory, crew: Crew, more: tuple[Stage, ...] = ()) -> RunResult:
+    procedure = run.procedure()
+    appended = [*(stage for message in run.appended() for stage in message.stages), *more]
+    plugins = Analysts.of(procedure, appended)
+    streams = _stream_makers(crew.streams, run.path)
+    with connected_drive(procedure, run.private_directory) as (drive, capabilities):
+        plan = make_plan(procedure, capabilities, appended)
         check_plan(plan, capabilities)
-        return _commission(run, plan, drive, capabilities, estimators, streams, crew)
+        if more:
+            run.journal.append(StagesAppended(by=None, stages=more), durable=True)
+        return _commission(run, plan, drive, capabilities, plugins, streams, crew)
+
+
+@dataclass(frozen=True)
+class Analysts:
+    """Who works on what was measured."""
+
+    estimators: Sequence[Estimator]
+    effects: Sequence[Effect]
+
+    @classmethod
+    def of(cls, procedure: Procedure, appended: Sequence[Stage] = ()) -> Analysts:
+        """Those that the stages ask for; raises `PluginError` where one is not installed, or broken."""
+        whole = procedure.model_copy(update={"stages": (*procedure.stages, *appended)})
+        return cls(chosen_estimators(whole), chosen_effects(whole))
 
 
 def chosen_estimators(procedure: Procedure) -> list[Estimator]:
@@ -115,6 +174,18 @@ def chosen_estimators(procedure: Procedure) -> list[Estimator]:
         if stage.kind == "estimate":
             named |= set(stage.estimators if stage.estimators is not None else installed_estimators())
     return [load_plugin(PluginKind.ESTIMATORS, name)() for name in sorted(named)]
+
+
+def chosen_effects(procedure: Procedure) -> list[Effect]:
+    """The library of effects, where the procedure has a diagnose stage; raises `PluginError` where one is broken."""
+    if not any(stage.kind == "diagnose" for stage in procedure.stages):
+        return []
+    return installed_effects()
+
+
+def installed_effects() -> list[Effect]:
+    """All installed effects; raises `PluginError` where one is broken."""
+    return [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
 
 
 def installed_estimators() -> list[str]:
@@ -141,12 +212,11 @@ def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tupl
     plugin = load_plugin(PluginKind.DRIVES, procedure.drive.name)
     options = make_options(plugin, procedure.drive.options, "drive")
     name = procedure.drive.name
-    with as_drive_errors(name):
-        drive: Drive = plugin(
-            DriveSetup(motor=procedure.motor, options=options, seed=procedure.seed, private_directory=private)
-        )
+    setup = DriveSetup(motor=procedure.motor, options=options, seed=procedure.seed, private_directory=private)
+    with _as_plugin_errors(name):
+        drive: Drive = plugin(setup)
     try:
-        with as_drive_errors(name):
+        with _as_plugin_errors(name):
             capabilities = drive.connect()
         yield drive, capabilities
     finally:
@@ -154,17 +224,32 @@ def connected_drive(procedure: Procedure, private: Path | None) -> Iterator[tupl
             drive.close()
 
 
+@contextmanager
+def _as_plugin_errors(name: str) -> Iterator[None]:
+    """Before anything is energised, whatever else a plugin raises is about what it was given."""
+    try:
+        yield
+    except FluxbenchError:
+        raise
+    except (Exception, SystemExit) as error:
+        told = f"{type(error).__name__}: {error}".splitlines()[0]
+        problem = f"cannot be set up for this motor with these options ({told[:200]})"
+        raise PluginError("drives", name, problem) from error
+
+
 def _commission(
     run: RunDirectory,
     plan: Plan,
     drive: Drive,
     capabilities: Capabilities,
-    estimators: Sequence[Estimator],
+    plugins: Analysts,
     streams: Mapping[str, Callable[[], Stream]],
     crew: Crew,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
     log = RunLog(run.journal, dispatcher)
-    commissioning = Commissioning(run, plan, drive, capabilities, estimators, crew.operator, crew.interrupts, log)
+    commissioning = Commissioning(
+        run, plan, drive, capabilities, plugins.estimators, plugins.effects, crew.operator, crew.interrupts, log
+    )
     outcome = commissioning.execute()
     return RunResult(run.path, outcome, dispatcher.close())

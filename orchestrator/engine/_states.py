@@ -26,6 +26,9 @@ class State(StrEnum):
     SWEEPING_INJECTION = "sweeping_injection"
     PAUSED = "paused"
     ESTIMATING = "estimating"
+    COMPARING = "comparing"
+    DIAGNOSING = "diagnosing"
+    PROPOSING = "proposing"
     STOPPING = "stopping"
     FINISHED = "finished"
     FAULTED = "faulted"
@@ -45,6 +48,9 @@ class Trigger(StrEnum):
     SWEEP_INJECTION = "sweep_injection"
     PAUSE = "pause"
     ESTIMATE = "estimate"
+    COMPARE = "compare"
+    DIAGNOSE = "diagnose"
+    PROPOSE = "propose"
     STOP = "stop"
     FINISH = "finish"
     FAULT = "fault"
@@ -63,7 +69,15 @@ ENERGISED = (
 
 TERMINAL = (State.FINISHED, State.FAULTED, State.ABORTED)
 
-_AT_REST = (State.CONNECTING, State.WAITING_FOR_OPERATOR, State.ESTIMATING, State.PAUSED)
+_AT_REST = (
+    State.CONNECTING,
+    State.WAITING_FOR_OPERATOR,
+    State.ESTIMATING,
+    State.COMPARING,
+    State.DIAGNOSING,
+    State.PROPOSING,
+    State.PAUSED,
+)
 """Disarmed, and something may follow."""
 
 
@@ -87,6 +101,9 @@ TRANSITIONS = (
     Transition(Trigger.STOP, (State.IDLE, *_AT_REST, *ENERGISED), State.STOPPING),
     Transition(Trigger.ASK_OPERATOR, (*_AT_REST, State.STOPPING), State.WAITING_FOR_OPERATOR),
     Transition(Trigger.ESTIMATE, (*_AT_REST, State.STOPPING), State.ESTIMATING),
+    Transition(Trigger.COMPARE, (*_AT_REST, State.STOPPING), State.COMPARING),
+    Transition(Trigger.DIAGNOSE, (State.COMPARING,), State.DIAGNOSING),
+    Transition(Trigger.PROPOSE, (State.DIAGNOSING,), State.PROPOSING),
     Transition(Trigger.PAUSE, (State.STOPPING,), State.PAUSED),
     Transition(Trigger.FINISH, (State.STOPPING,), State.FINISHED),
     Transition(Trigger.FAULT, (State.STOPPING,), State.FAULTED),

@@ -186,11 +186,20 @@ def _check_shape(path: Path, schema: Any, rows: int, segment: Segment) -> list[s
 def _column(path: Path, name: str, chunked: Any) -> RealArray:
     if chunked.null_count:
         raise RecordingError(str(path), name, f"{chunked.null_count} samples are null")
-    column: RealArray = chunked.to_numpy()
+    column = _values(chunked)
     bad = first_non_finite(column)
     if bad is not None:
         raise RecordingError(str(path), name, f"sample {bad} is {column[bad]}")
     return column
+
+
+def _values(chunked: Any) -> RealArray:
+    """The samples in place; pyarrow's own way to an array imports pandas first."""
+    kind = np.dtype(chunked.type.to_pandas_dtype())
+    pieces = [
+        np.frombuffer(c.buffers()[1], dtype=kind, count=len(c), offset=c.offset * kind.itemsize) for c in chunked.chunks
+    ]
+    return pieces[0] if len(pieces) == 1 else np.concatenate(pieces)
 
 
 def _side_by_side(columns: Sequence[RealArray]) -> RealArray:

@@ -31,7 +31,18 @@ from orchestrator.registry import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, sealed_options_of, unsealed
-from protocols import Capabilities, Manifest, PointDone, Procedure, RecordingError, Segment, StorageError
+from protocols import (
+    Capabilities,
+    Manifest,
+    PointDone,
+    Procedure,
+    RecordingError,
+    RunEnded,
+    RunStarted,
+    Segment,
+    StagesAppended,
+    StorageError,
+)
 
 _RECORD, _JOURNAL, _LOCK, _CAPTURES, _OPTIONS = "run.json", "journal.jsonl", ".lock", "captures", "options.json"
 
@@ -192,6 +203,21 @@ class RunDirectory:
         done = (entry.message for entry in self.journal.read())
         return {message.id: message.segment for message in done if isinstance(message, PointDone)}
 
+    def appended(self) -> tuple[StagesAppended, ...]:
+        """What was appended to the procedure's stages, in order of the journal."""
+        told = (entry.message for entry in self.journal.read())
+        return tuple(message for message in told if isinstance(message, StagesAppended))
+
+    def ended(self) -> RunEnded | None:
+        """How the run ended; None while there is something left of it, and after a kill."""
+        last: RunEnded | None = None
+        for entry in self.journal.read():
+            if isinstance(entry.message, RunEnded):
+                last = entry.message
+            elif isinstance(entry.message, RunStarted | StagesAppended):
+                last = None
+        return last
+
     def end_s(self) -> float:
         """Where the experiment's clock stands: the end of what was captured last [s]; 0 before anything was."""
         segments = self.completed().values()
@@ -257,7 +283,9 @@ def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
     takes_all = any(stage.estimators is None for stage in stages)
     named = {name for stage in stages for name in stage.estimators or ()}
     drives = [info for info in installed(PluginKind.DRIVES) if info.name == procedure.drive.name]
-    return drives + [info for info in installed(PluginKind.ESTIMATORS) if takes_all or info.name in named]
+    estimators = [info for info in installed(PluginKind.ESTIMATORS) if takes_all or info.name in named]
+    diagnoses = any(stage.kind == "diagnose" for stage in procedure.stages)
+    return drives + estimators + (installed(PluginKind.EFFECTS) if diagnoses else [])
 
 
 def _read_json(file: Path) -> Any:

@@ -99,6 +99,8 @@ class Journal:
             raise
 
     def _read(self) -> tuple[list[JournalRecord], int]:
+        if self.path.exists() and not self.path.is_file():  # reading a pipe would wait for ever
+            raise RecordingError(str(self.path), "", "is not a plain file")
         try:
             content = self.path.read_bytes()
         except FileNotFoundError:

@@ -10,10 +10,15 @@ import numpy as np
 from protocols import (
     AxisPercent,
     Capture,
+    Compared,
+    Diagnosed,
+    DiagnosisStep,
     DriveRecord,
+    ExperimentProposed,
     FluxMap,
     FluxMapEstimate,
     FluxPoints,
+    GatesOffStage,
     Limits,
     LockChecked,
     Manifest,
@@ -34,6 +39,7 @@ from protocols import (
     SamplesCaptured,
     Segment,
     SegmentStage,
+    StagesAppended,
     StageStarted,
     StateChanged,
 )
@@ -87,9 +93,59 @@ def one_of_each(run: Path) -> list[Message]:
         ),
         ResistanceEstimated(estimate=_resistance()),
         MapEstimated(estimate=_map()),
+        Compared(report={"recording": "kit", "chi2": 12.5, "notes": []}),
+        _diagnosis_step(),
+        Diagnosed(round=0, report=_REPORT, words=dict.fromkeys(_SLOTS, "said in words")),
+        ExperimentProposed(
+            round=0,
+            stage={"kind": "gates_off", "duration_s": 2.0},
+            separates=("current_offset", "voltage_bias"),
+            minutes=0.1,
+            accepted=True,
+        ),
+        StagesAppended(by=4, stages=(GatesOffStage(kind="gates_off"),)),
         Note(level="warning", text="the bus sags by 2 %"),
         _ended(run),
     ]
+
+
+_SLOTS = ("where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide")
+_REPORT = {
+    "recording": "kit",
+    "noise_floor": {"rms_v": 0.004},
+    "verdict": "explained",
+    "effects": [],
+    "traces": [],
+    "joint": [],
+    "ladder": [{"added": None, "chi2": 12.5, "rms_v": 0.05, "heldout_rms_v": None, "current_rms_a": None}],
+    "unexplained": {"fraction": 0.0, "shape": []},
+    "next_experiment": None,
+    "notes": [],
+    "seconds": 1.5,
+}
+
+
+def _diagnosis_step() -> DiagnosisStep:
+    n = 8
+    current = np.stack([np.linspace(-1.0, 1.0, n), np.zeros(n)], axis=1)
+    phases = current @ np.array([[1.0, -0.5, -0.5], [0.0, 0.866, -0.866]])
+    return DiagnosisStep(
+        index=0,
+        added=None,
+        effects=(),
+        chi2=12.5,
+        rms_v=0.05,
+        heldout_rms_v=None,
+        current_rms_a=None,
+        noise_rms_v=0.004,
+        stage=("resistance",) * n,
+        time_s=np.arange(float(n)),
+        i_dq=current,
+        residual_dq_v=0.05 * np.sign(current),
+        noise_v=np.full(n, 0.004),
+        i_abc=phases,
+        residual_abc_v=0.05 * np.sign(phases),
+    )
 
 
 def samples(run: Path, count: int) -> Iterator[Message]:

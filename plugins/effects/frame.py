@@ -43,7 +43,8 @@ class BrakeCompliance:
 
     kappa is in electrical radians per Nm.
 
-    A twist that follows the torque turns the magnet's flux and so induces a voltage. It may lag.
+    A twist that follows the torque turns the magnet's flux and so induces a voltage. It lags the torque by the
+    time that the brake's inertia and friction ask for: without a lag it would be one more q-axis inductance.
     """
 
     name: ClassVar[str] = "brake_compliance"
@@ -61,12 +62,12 @@ class BrakeCompliance:
         EffectParameter(
             name="lag_s",
             unit="s",
-            typical=0.0,
-            prior_width=0.002,
-            low=0.0,
-            high=0.05,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
+            typical=1e-3,
+            prior_width=1.5,
+            low=1e-5,
+            high=0.1,
+            neutral=1e-3,
+            role=ParameterRole.SHAPE,
         ),
     )
 
@@ -75,7 +76,10 @@ class BrakeCompliance:
         if values["rad_per_nm"] == 0.0 or signals.psi_ab is None:
             return signals
         pairs = signals.motor.pole_pairs if signals.motor is not None else 1
-        psi, i = signals.psi_ab, signals.i_ab
+        # A torque with the readings' noise in it would turn the frame to and fro with every sample.
+        psi, i = signals.psi_smooth_ab, signals.i_smooth_ab
+        if psi is None or i is None:
+            psi, i = signals.psi_ab, signals.i_ab
         torque = 1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0])
         lag = values.get("lag_s", 0.0)
         if lag > 0.0:

@@ -80,7 +80,7 @@ def _sharpness() -> EffectParameter:
         typical=2.0,
         prior_width=2.0,
         low=1.0,
-        high=12.0,
+        high=40.0,
         neutral=2.0,
         role=ParameterRole.REFINEMENT,
     )

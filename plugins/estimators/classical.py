@@ -22,6 +22,7 @@ from orchestrator.analysis import (
     VoltageLosses,
     check_map,
     close_loops,
+    each_capture,
     flux_by_rests,
     inside_hull,
     join_paths,
@@ -114,9 +115,11 @@ def _widest(sweeps: list[Sweep]) -> float:
 def _sweep(recording: RecordingReader, segments: Sequence[Segment], resistance: ResistanceEstimate | None) -> _Swept:
     delay = voltage_delay(recording)
     knots_a = KNOTS * float(np.linalg.norm(recording.load(segments[0]).i_ab, axis=1).max())
-    traces = [
-        trace_sweep(recording.load(s), s.rotor_angle_rad, delay=delay, knots_a=knots_a, where=s.id) for s in segments
-    ]
+    traces = each_capture(
+        recording,
+        segments,
+        lambda s, c: trace_sweep(c, s.rotor_angle_rad, delay=delay, knots_a=knots_a, where=s.id),
+    )
     losses = close_loops(traces, knots_a)
     return _Swept(
         losses=losses,

@@ -12,19 +12,9 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import EnergyFit, check_map, fit_energy, inside_hull, rated_flux_wb, require_area
-from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of
-from plugins.estimators.classical import ClassicalEstimator
-from plugins.estimators.injection import InjectionEstimator
-from protocols import (
-    EstimationContext,
-    FluxMap,
-    FluxMapEstimate,
-    FluxPoints,
-    MapChecks,
-    NotMeasuredError,
-    RecordingReader,
-)
+from orchestrator.analysis import EnergyFit, check_map, rated_flux_wb
+from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
+from protocols import EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader
 
 Array = NDArray[np.float64]
 
@@ -38,76 +28,32 @@ class EnergyEstimator:
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
     produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
 
-    def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> EnergyFlux:
         """Make the map; raises `NotMeasuredError` where neither injection nor sweeps span an area of currents."""
-        injected, swept, problems = _measured(recording, context)
-        sources = [source for source in (injected, swept) if source is not None]
-        if not sources:
-            raise NotMeasuredError(recording.manifest.name, "segments", "; ".join(problems))
-        where = recording.manifest.name
-        current = np.concatenate([source.points.i_dq.astype(np.float64) for source in sources])
-        require_area(current, where)
-        if not inside_hull(current, np.zeros((1, 2)), where)[0]:
-            raise NotMeasuredError(where, "segments", "zero current lies outside the measured points")
-        fit = fit_energy(injected.inductances if injected else None, swept.paths if swept else ())
-        flux_map = _gridded(recording, fit, current)
+        measured = energy_measurements(recording, context)
+        fit = measured.fit()
+        flux_map = gridded("energy", recording, fit, measured.current)
         rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
-        magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
-        return FluxMapEstimate(
+        return EnergyFlux(
             map=flux_map,
             points=FluxPoints(
-                i_dq=current,
-                psi_dq=fit.flux(current)[0] + magnet,
-                segment=tuple(name for source in sources for name in source.points.segment),
+                i_dq=measured.current,
+                psi_dq=fit.flux(measured.current)[0] + pm_flux(recording),
+                segment=measured.segments,
             ),
-            checks=_checked(flux_map, rated, fit, injected, swept),
-            notes=tuple(_notes(fit, flux_map, rated, current)),
+            checks=_checked(flux_map, rated, fit, measured),
+            notes=tuple(_notes(fit, flux_map, rated, measured.current)),
+            fit=fit,
         )
 
 
-def _measured(
-    recording: RecordingReader, context: EstimationContext
-) -> tuple[InjectedFlux | None, SweptFlux | None, list[str]]:
-    """What the other two estimators found, made here where it was not made yet."""
-    injected, swept = context.maps.get("injection"), context.maps.get("classical")
-    problems = []
-    if not isinstance(injected, InjectedFlux):
-        try:
-            injected = InjectionEstimator().estimate(recording, context)
-        except NotMeasuredError as error:
-            injected = None
-            problems.append(str(error))
-    if not isinstance(swept, SweptFlux):
-        try:
-            swept = ClassicalEstimator().estimate(recording, context)
-        except NotMeasuredError as error:
-            swept = None
-            problems.append(str(error))
-    return injected, swept, problems
-
-
-def _gridded(recording: RecordingReader, fit: EnergyFit, current: Array) -> FluxMap:
-    axes, nodes = grid_of(current)
-    inside = inside_hull(current, nodes, recording.manifest.name)
-    values, stds = np.full((len(nodes), 5), np.nan), np.full((len(nodes), 5), np.nan)
-    flux, inductance = fit.flux(nodes[inside]), fit.inductance(nodes[inside])
-    values[inside] = np.column_stack([flux[0], inductance[0]])
-    stds[inside] = np.column_stack([flux[1], inductance[1]])
-    return as_map("energy", recording.manifest.motor, axes, values, stds)
-
-
-def _checked(
-    flux_map: FluxMap, rated: float | None, fit: EnergyFit, injected: InjectedFlux | None, swept: SweptFlux | None
-) -> MapChecks:
+def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: Measurements) -> MapChecks:
     """Parity and reciprocity, which the energy's form grants, and the crossings of what it was fitted to.
 
     Where injection's points are on no lines that cross, by how much the energy is off the sweeps' flux stands for it.
     """
-    misfit = None
-    if swept is not None:
-        apart = [path.psi - fit.flux(path.current)[0] for path in swept.paths]
-        misfit = np.concatenate([one - one.mean(axis=0) for one in apart])
-    checks = check_map(flux_map, rated, misfit)
+    checks = check_map(flux_map, rated, measured.misfit(fit))
+    injected = measured.injected
     if injected is None or injected.checks.crossings is None:
         return checks
     return checks.model_copy(update={"crossings": injected.checks.crossings})
@@ -137,6 +83,15 @@ def _notes(fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Arra
             f"what the energy leaves of the inductances is {fit.scales[0]:.0f} times their noise and alike at "
             f"neighbouring points (correlation {fit.correlation:.2f}): an effect that is no magnetics"
         )
+    if fit.dead_time:
+        most = 100.0 * float(np.abs(fit.taken_out[:, [0, 2]] / inductance[: len(fit.taken_out), [0, 2]]).max())
+        notes.append(
+            f"where a phase current passes zero, dead time makes injection's inductances look up to {most:.1f} % "
+            "wrong; taken out"
+        )
+    doubted = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
+    if doubted > 0.0:
+        notes.append(f"{100.0 * doubted:.0f} % of the injection's points are confirmed by no others and count for less")
     if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
         notes.append("the energy is not convex everywhere: there the map cannot be inverted")
     return notes

@@ -6,6 +6,8 @@ the saturated PMSM by signal injection", section "Proposed method").
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Literal
 
@@ -21,6 +23,7 @@ from orchestrator.analysis import (
     along,
     check_map,
     demodulate,
+    each_capture,
     integrate,
     invert,
     join_paths,
@@ -29,15 +32,21 @@ from orchestrator.analysis import (
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, as_map, grid_of, voltage_delay
 from protocols import (
+    Capture,
     EstimationContext,
     FluxMap,
     FluxPoints,
     NotMeasuredError,
     RecordingReader,
+    Segment,
     SegmentStage,
 )
 
 Array = NDArray[np.float64]
+
+
+_PROBES = 3  # points that are asked how long a transient lasts
+_SAME_FREQUENCY, _SAME_RIPPLE = 0.03, 0.2  # relative differences within one group
 
 
 @dataclass(frozen=True)
@@ -50,6 +59,13 @@ class _Group:
     @property
     def size(self) -> float:
         return float(np.median([r.flux_rms_wb for r in self.ripples]))
+
+    def takes(self, ripple: Ripple) -> bool:
+        """Whether a ripple is of this frequency and size."""
+        first = self.ripples[0]
+        return math.isclose(ripple.frequency_hz, first.frequency_hz, rel_tol=_SAME_FREQUENCY) and math.isclose(
+            ripple.flux_rms_wb, first.flux_rms_wb, rel_tol=_SAME_RIPPLE
+        )
 
     def __str__(self) -> str:
         first = self.ripples[0]
@@ -91,30 +107,50 @@ class InjectionEstimator:
 
 def _groups(recording: RecordingReader) -> tuple[list[_Group], list[str]]:
     """Demodulate every point; group by frequency and ripple, largest group first."""
-    motor = recording.manifest.motor
-    inductances = [x for x in (motor.d_inductance_h, motor.q_inductance_h) if x is not None]
-    resistance = motor.stator_resistance_ohm
-    time_constant = max(inductances) / resistance if inductances and resistance else None
-    found: dict[tuple[int, int], _Group] = {}
+    segments = recording.segments(SegmentStage.INJECTION)
+    time_constant_s = _time_constant(recording, segments)
+    found: list[_Group] = []
     skipped = []
-    for segment in recording.segments(SegmentStage.INJECTION):
-        try:
-            ripple = demodulate(
-                recording.load(segment),
-                segment.rotor_angle_rad,
-                voltage_delay_samples=voltage_delay(recording),
-                time_constant_s=time_constant,
-                where=segment.id,
-            )
-        except NotMeasuredError as error:
-            skipped.append(str(error))
+    ripples = each_capture(recording, segments, lambda s, c: _ripple(recording, s, c, time_constant_s=time_constant_s))
+    for segment, ripple in zip(segments, ripples, strict=True):
+        if isinstance(ripple, str):
+            skipped.append(ripple)
             continue
-        key = (round(20 * np.log(ripple.frequency_hz)), round(10 * np.log(ripple.flux_rms_wb)))
-        near = next((k for k in found if k[0] == key[0] and abs(k[1] - key[1]) <= 1), key)
-        group = found.setdefault(near, _Group([], []))
+        group = next((g for g in found if g.takes(ripple)), None)
+        if group is None:
+            found.append(group := _Group([], []))
         group.segments.append(segment.id)
         group.ripples.append(ripple)
-    return sorted(found.values(), key=lambda g: -len(g.ripples)), skipped
+    return sorted(found, key=lambda g: -len(g.ripples)), skipped
+
+
+def _time_constant(recording: RecordingReader, segments: Sequence[Segment]) -> float | None:
+    """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
+    probes = segments[:: max(1, math.ceil(len(segments) / _PROBES))]
+    told = each_capture(recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0))
+    return max((1.0 / one.decay_per_s for one in told if not isinstance(one, str)), default=None)
+
+
+def _ripple(
+    recording: RecordingReader,
+    segment: Segment,
+    capture: Capture,
+    *,
+    discard_s: float | None = None,
+    time_constant_s: float | None = None,
+) -> Ripple | str:
+    """The ripple of one point, or why it has none."""
+    try:
+        return demodulate(
+            capture,
+            segment.rotor_angle_rad,
+            voltage_delay_samples=voltage_delay(recording),
+            discard_s=discard_s,
+            time_constant_s=time_constant_s,
+            where=segment.id,
+        )
+    except NotMeasuredError as error:
+        return str(error)
 
 
 def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFlux) -> FluxMap:
@@ -124,13 +160,15 @@ def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFl
     psi_std = [surface(flux.std[:, k]) for k in range(2)]
     inductance, between = _inductance(points, flux, nodes, surface)
     spread = np.sqrt(np.einsum("nii->ni", points.covariance))
+    if points.misfit is not None:
+        spread = np.hypot(spread, points.misfit)
     l_std = [np.hypot(surface(spread[:, k]), between[:, k]) for k in range(3)]
     values, stds = np.column_stack([*psi, inductance]), np.stack([*psi_std, *l_std], axis=1)
     return as_map("injection", recording.manifest.motor, axes, values, stds)
 
 
 def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface: TaylorSurface) -> tuple[Array, Array]:
-    """L_dd, L_dq, L_qq at the nodes, and half the difference of the two ways to get there.
+    """L_dd, L_dq, L_qq at the nodes, and how far the two ways to get there are apart.
 
     Interpolated inductances and the slopes of the interpolated flux err by about as much in different ways
     between points that are far apart: their mean is better than both, their distance says how good.
@@ -148,7 +186,9 @@ def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface
     direct = np.stack([surface(points.matrix[:, i, j], points.slope[:, i, j]) for i, j in pairs], axis=1)
     by_flux = np.stack([0.5 * (slopes[:, i, j] + slopes[:, j, i]) for i, j in pairs], axis=1)
     by_flux = np.where(np.isnan(by_flux) | slender[:, None], direct, by_flux)
-    return 0.5 * (direct + by_flux), 0.5 * np.abs(direct - by_flux)
+    apart = direct - by_flux
+    # At some nodes they agree by chance: how far they are apart elsewhere counts as well.
+    return 0.5 * (direct + by_flux), 0.5 * np.sqrt(apart**2 + np.nanmean(apart**2, axis=0))
 
 
 def _misfit(points: Inductances) -> Array | None:

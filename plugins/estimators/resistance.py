@@ -9,7 +9,7 @@ from typing import ClassVar, Literal
 
 import numpy as np
 
-from orchestrator.analysis import Dwell, dwell, find_dwells
+from orchestrator.analysis import COPPER_PER_K, Dwell, dwell, each_capture, find_dwells, temperature_rise
 from plugins.estimators._inverter import VoltageFit, fit_voltage
 from protocols import (
     EstimationContext,
@@ -21,7 +21,6 @@ from protocols import (
     SegmentStage,
 )
 
-_COPPER_K = 234.5 + 20.0  # R_s is proportional to the temperature over -234.5 C (IEC 60034-1, 8.6.2.3); a cold start
 _SETTLING = 1 / 3  # share of a hold that is left out: foreign loggers begin before the current has settled
 
 
@@ -67,16 +66,19 @@ class ResistanceEstimator:
 
 
 def _holds(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
-    segments = recording.segments(SegmentStage.RESISTANCE)
     delay = recording.manifest.drive.voltage_delay_samples or 0.0
-    captures = ((s, recording.load(s)) for s in segments)
-    return [(s, dwell(c, round(_SETTLING * len(c)), None, delay)) for s, c in captures]
+    return each_capture(
+        recording,
+        recording.segments(SegmentStage.RESISTANCE),
+        lambda s, c: (s, dwell(c, round(_SETTLING * len(c)), None, delay)),
+    )
 
 
 def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
     delay = recording.manifest.drive.voltage_delay_samples or 0.0
     sweeps = recording.segments(SegmentStage.CLASSICAL)
-    return [(s, d) for s in sweeps for d in find_dwells(recording.load(s), s.rotor_angle_rad, delay)]
+    found = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
+    return [(s, d) for s, dwells in zip(sweeps, found, strict=True) for d in dwells]
 
 
 def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:
@@ -95,9 +97,9 @@ def _reading(fit: VoltageFit, rest: Dwell, pwm_hz: float) -> ResistanceReading:
 
 
 def _student_95(freedom: int) -> float:
-    from scipy.stats import t
+    from scipy.special import stdtrit
 
-    return float(t.ppf(0.975, freedom))
+    return float(stdtrit(freedom, 0.975))
 
 
 def _notes(fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[ResistanceReading, ...]) -> tuple[str, ...]:
@@ -111,16 +113,15 @@ def _notes(fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[Resis
         if error > 0.01 * fit.resistance_ohm * largest:
             at = f" at {pwm_hz / 1e3:.3g} kHz" if pwm_hz else ""
             notes.append(f"the inverter keeps {error:.2f} V from each phase{at} (dead time or device drops); taken out")
-    change = readings[-1].value_ohm / readings[0].value_ohm - 1.0
-    spread = float(np.hypot(readings[-1].std_ohm, readings[0].std_ohm)) / readings[0].value_ohm
     if fit.error_v and max(fit.error_v.values()) > 0.01 * fit.resistance_ohm * largest:
         notes.append(
             "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
         )
-    if abs(change) > max(0.02, 3.0 * spread):
-        rise, off = _COPPER_K * change, 1.96 * _COPPER_K * spread
+    change = readings[-1].value_ohm / readings[0].value_ohm - 1.0
+    rise = temperature_rise(readings)
+    if rise is not None and abs(change) > max(0.02, 1.5 * (rise.high - rise.value) * COPPER_PER_K):
         notes.append(
-            f"R_s changes by {100 * change:+.1f} % over the recording: the winding's temperature by {rise:+.0f} "
-            f"(+-{max(off, 1.0):.0f}) K, if it is copper and started at 20 C"
+            f"R_s changes by {100 * change:+.1f} % over the recording: the winding's temperature by {rise.value:+.0f} "
+            f"(+-{max(rise.high - rise.value, 1.0):.0f}) K, if it is copper and started at 20 C"
         )
     return tuple(notes)

@@ -88,7 +88,7 @@ def point_s(folder: Path) -> float:
     with run.lock():
         log = RunLog(run.journal, Dispatcher({}))
         plan = make_plan(procedure, capabilities)
-        job = Commissioning(run, plan, drive, capabilities, [], AbsentOperator(), Interrupts(), log)
+        job = Commissioning(run, plan, drive, capabilities, [], [], AbsentOperator(), Interrupts(), log)
         begun = time.perf_counter()
         outcome = job.execute()
         spent = time.perf_counter() - begun

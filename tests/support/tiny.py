@@ -54,16 +54,19 @@ ENERGISED_KINDS = ("gates_off", "alignment", "lock_check", "resistance", "classi
 
 
 def tiny_document(
-    drive: Mapping[str, Any] | None = None, stages: Sequence[dict[str, Any]] | None = None
+    drive: Mapping[str, Any] | None = None,
+    stages: Sequence[dict[str, Any]] | None = None,
+    motor: Mapping[str, Any] | None = None,
+    limits: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """The procedure as a document, its drive's options replaced by `drive`."""
+    """The procedure as a document; the drive's options, the motor and the limits are put in their places."""
     return {
         "format": "fluxbench-procedure",
         "version": 1,
         "name": "tiny",
-        "motor": dict(MOTOR),
+        "motor": dict(motor if motor is not None else MOTOR),
         "drive": {"name": "simulated", **(drive or {})},
-        "limits": {"current_a": 4.5, "voltage_v": 150.0},
+        "limits": dict(limits if limits is not None else {"current_a": 4.5, "voltage_v": 150.0}),
         "stages": list(stages if stages is not None else STAGES),
     }
 

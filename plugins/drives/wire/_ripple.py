@@ -123,14 +123,15 @@ def demodulate(i_dq: Real, v_dq: Real, base_v_dq: tuple[float, float], grid: Rip
 
 
 def reconstruct(
-    rows: RippleRows, base_v_dq: tuple[float, float], grid: RippleGrid
+    rows: RippleRows, base_v_dq: tuple[float, float], grid: RippleGrid, count: int | None = None
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Waveforms i_dq and v_dq, shape (n, 2), at the drive's sampling: the rows' values, linear between their centres.
 
-    A model of the samples, not the samples: noise finer than a row is gone.
+    A model of the samples, not the samples: noise finer than a row is gone. `count` samples, where a
+    capture ends with part of a row (the last row's values are held); by default those of whole rows.
     """
     starts = grid.starts(len(rows))
-    samples = np.arange(float(starts[-1]))
+    samples = np.arange(float(starts[-1] if count is None else count))
     centres = 0.5 * (starts[:-1] + starts[1:] - 1)
     g = unit_ripple(grid.phase(samples, grid.delay_samples), grid.waveform)
     f = unit_wave(grid.phase(samples), grid.waveform)

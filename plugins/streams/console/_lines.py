@@ -2,21 +2,48 @@
 
 from __future__ import annotations
 
-from typing import TextIO
+import json
+from typing import Any, TextIO
+
+import numpy as np
+from pydantic import BaseModel
 
 from plugins.streams.console._progress import Progress
-from protocols import Message
+from protocols import DiagnosisStep, FluxPoints, Message
+
+A_ROW_EACH: dict[type[BaseModel], frozenset[str]] = {
+    DiagnosisStep: frozenset({"stage"}),
+    FluxPoints: frozenset({"segment"}),
+}
+"""Fields that are as long as the arrays beside them, though they are none."""
 
 
 class JsonView:
-    """Each message as one JSON object; arrays are described by dtype and shape."""
+    """Each message as one JSON object; arrays, and what names their rows, are left out."""
 
     def __init__(self, output: TextIO) -> None:
         self._output = output
 
     def show(self, message: Message, progress: Progress) -> None:
-        self._output.write(message.model_dump_json() + "\n")
+        self._output.write(json.dumps(without_arrays(message), ensure_ascii=True, allow_nan=False) + "\n")
         self._output.flush()
 
     def close(self) -> None:
         """There is nothing to put back."""
+
+
+def without_arrays(model: BaseModel) -> dict[str, Any]:
+    """The model as JSON takes it, without its arrays at any depth."""
+    left_out = A_ROW_EACH.get(type(model), frozenset())
+    whole: dict[str, Any] = model.model_dump(mode="json", exclude=_arrays(model) | left_out)
+    for name in whole.keys() & type(model).model_fields.keys():
+        value = getattr(model, name)
+        if isinstance(value, BaseModel):
+            whole[name] = without_arrays(value)
+        elif isinstance(value, tuple) and any(isinstance(item, BaseModel) for item in value):
+            whole[name] = [without_arrays(item) for item in value]
+    return whole
+
+
+def _arrays(model: BaseModel) -> set[str]:
+    return {name for name in type(model).model_fields if isinstance(getattr(model, name), np.ndarray)}

@@ -12,6 +12,17 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
+from plugins.streams.console._findings import (
+    BAR,
+    VERDICT_MARKS,
+    comparison_line,
+    proposal_line,
+    slot_rows,
+    step_bar,
+    step_figures,
+    step_name,
+    verdict,
+)
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import (
     duration,
@@ -25,6 +36,10 @@ from plugins.streams.console._words import (
     vector,
 )
 from protocols import (
+    Compared,
+    Diagnosed,
+    DiagnosisStep,
+    ExperimentProposed,
     LockChecked,
     MapEstimated,
     Message,
@@ -98,6 +113,18 @@ class LiveView:
             self._say("good", f"flux map by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents")
         elif isinstance(message, Note):
             self._say({"error": "bad"}.get(message.level, message.level), message.text)
+        else:
+            self._tell_findings(message)
+
+    def _tell_findings(self, message: Message) -> None:
+        if isinstance(message, Compared):
+            self._say("info", comparison_line(message))
+        elif isinstance(message, DiagnosisStep):
+            self._console.print(_rung(message))
+        elif isinstance(message, Diagnosed):
+            self._console.print(_diagnosis(message))
+        elif isinstance(message, ExperimentProposed):
+            self._say("info", proposal_line(message))
 
     def _drive_display(self, message: Message) -> None:
         if isinstance(message, OperatorAsked):
@@ -209,6 +236,28 @@ def _readings(progress: Progress) -> list[RenderableType]:
     for label, text in rows:
         table.add_row(label, Text(text))
     return [table]
+
+
+def _rung(step: DiagnosisStep) -> RenderableType:
+    """A rung of the ladder: its name, a bar that shrinks with the error, and the figures."""
+    bar = step_bar(step)
+    colour = "red" if len(bar) > BAR // 3 else "yellow" if len(bar) > 2 else "green"
+    line = Text.assemble(("  " + printable(step_name(step)).ljust(24), "bold" if step.added else ""), " ")
+    line.append(bar.ljust(BAR), style=colour)
+    line.append("  " + step_figures(step), style="default")
+    line.no_wrap, line.overflow = True, "ellipsis"
+    return line
+
+
+def _diagnosis(message: Diagnosed) -> RenderableType:
+    sign, style = MARKS[VERDICT_MARKS.get(str(message.report.get("verdict")), "info")]
+    table = Table.grid(padding=(0, 2))
+    table.add_column(style="dim")
+    table.add_column(overflow="fold")
+    table.add_row(Text(sign + "diagnosis", style=style), Text(verdict(message), style=style))
+    for title, text in slot_rows(message):
+        table.add_row("  " + title, Text(text))
+    return table
 
 
 def _ending(message: RunEnded) -> RenderableType:

@@ -4,6 +4,14 @@ from __future__ import annotations
 
 from typing import TextIO
 
+from plugins.streams.console._findings import (
+    comparison_line,
+    proposal_line,
+    slot_rows,
+    step_figures,
+    step_name,
+    verdict,
+)
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import (
     ASCII,
@@ -19,6 +27,10 @@ from plugins.streams.console._words import (
     vector,
 )
 from protocols import (
+    Compared,
+    Diagnosed,
+    DiagnosisStep,
+    ExperimentProposed,
     LockChecked,
     MapEstimated,
     Message,
@@ -72,7 +84,7 @@ class PlainView:
             return [f"{state_name(message.target)}{': ' + message.reason if message.reason else ''}"]
         if isinstance(message, PointDone):
             return self._progress_lines(progress)
-        return self._words(message)
+        return self._words(message) or _findings(message)
 
     def _progress_lines(self, progress: Progress) -> list[str]:
         now = progress.clock()
@@ -121,6 +133,18 @@ class QuietView(PlainView):
             self._line(f"{message.outcome}: {message.reason}")
 
 
+def _findings(message: Message) -> list[str]:
+    if isinstance(message, Compared):
+        return [comparison_line(message)]
+    if isinstance(message, DiagnosisStep):
+        return [f"{step_name(message):<24}  {step_figures(message)}"]
+    if isinstance(message, Diagnosed):
+        return [f"diagnosis: {verdict(message)}", *_aligned(list(slot_rows(message)))]
+    if isinstance(message, ExperimentProposed):
+        return [proposal_line(message)]
+    return []
+
+
 def _ascii(text: str) -> str:
     return text.translate(ASCII).encode("ascii", "replace").decode("ascii")
 
@@ -134,6 +158,9 @@ def _opening(message: RunStarted) -> str:
 
 
 def _table(message: RunEnded) -> list[str]:
-    rows = list(summary_rows(message))
-    width = max(len(label) for label, _ in rows)
+    return _aligned(list(summary_rows(message)))
+
+
+def _aligned(rows: list[tuple[str, str]]) -> list[str]:
+    width = max((len(label) for label, _ in rows), default=0)
     return [f"{label:<{width}}  {text}" for label, text in rows]

@@ -13,11 +13,24 @@ from protocols import (
     ResistanceEstimate,
     ResistanceEstimated,
     RunStarted,
+    StagesAppended,
     StageStarted,
     StateChanged,
 )
 
 Point = tuple[float, float]
+WITHOUT_POINTS = (
+    "stopping",
+    "finished",
+    "faulted",
+    "aborted",
+    "waiting_for_operator",
+    "estimating",
+    "comparing",
+    "diagnosing",
+    "proposing",
+)
+"""States that end a stage of measuring."""
 
 
 @dataclass
@@ -77,7 +90,7 @@ class Progress:
             self._start(message)
         elif isinstance(message, StateChanged):
             self.state = message.target
-            if message.target in ("stopping", "finished", "faulted", "aborted", "waiting_for_operator", "estimating"):
+            if message.target in WITHOUT_POINTS:
                 self._end_stage()
         elif isinstance(message, StageStarted):
             self._end_stage()
@@ -91,6 +104,8 @@ class Progress:
             self._finish_point(message)
         elif isinstance(message, ResistanceEstimated):
             self.resistance = message.estimate
+        elif isinstance(message, StagesAppended):
+            self.stages += len(message.stages)
 
     @property
     def fraction(self) -> float:

@@ -18,8 +18,8 @@ from protocols import Message, StreamSetup, Strict
 class ConsoleOptions(Strict):
     """Options of the console stream."""
 
-    mode: Literal["auto", "live", "plain", "quiet", "json"] = "auto"
-    """auto: live on a terminal, else plain. quiet: warnings, errors and the outcome. json: one message a line."""
+    mode: Literal["auto", "live", "plain", "quiet", "jsonl"] = "auto"
+    """auto: live on a terminal, else plain. quiet: warnings, errors, a bad end. jsonl: one JSON object a message."""
     output: Literal["stdout", "stderr"] = "stdout"
 
 
@@ -77,7 +77,7 @@ class ConsoleStream:
 
 
 def _view(mode: str, output: TextIO) -> View:
-    if mode == "json":
+    if mode == "jsonl":
         from plugins.streams.console._lines import JsonView
 
         return JsonView(output)

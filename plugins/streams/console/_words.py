@@ -16,11 +16,12 @@ NAMES = {
     "classical": "classical sweep",
     "injection": "signal injection",
     "estimate": "estimation",
+    "diagnose": "diagnosis",
     "operator": "operator",
 }
 
 
-ASCII = str.maketrans({"Ω": "ohm", "−": "-", "×": "x"})
+ASCII = str.maketrans({"Ω": "ohm", "−": "-", "×": "x", "━": "=", "→": "->", "±": "+-"})
 
 
 def can_draw(output: TextIO) -> bool:

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 from pydantic import ValidationError
@@ -22,12 +22,15 @@ from protocols import (
     PointDone,
     RealArray,
     RecordingError,
-    ResistanceEstimate,
     ResistanceEstimated,
+    ResistanceReading,
     RunEnded,
     Segment,
     SegmentStage,
 )
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis import SavedDiagnosis
 
 T = TypeVar("T")
 
@@ -58,6 +61,7 @@ class Material:
     maps: dict[str, FluxMap]
     """By method, the recommended one first."""
     paths: Paths
+    diagnosis: SavedDiagnosis | None
     problems: tuple[str, ...]
     """What could not be read, one line each."""
 
@@ -72,10 +76,12 @@ class Material:
         return None
 
     @property
-    def resistance(self) -> ResistanceEstimate | None:
-        """The latest estimate with its readings over time."""
-        found = [e.message.estimate for e in self.journal if isinstance(e.message, ResistanceEstimated)]
-        return found[-1] if found else None
+    def readings(self) -> tuple[ResistanceReading, ...]:
+        """R_s over time, from the estimates or else from the journal; empty where neither has it."""
+        found = self.estimates.resistance if self.estimates is not None else None
+        kept = found.readings if found is not None else ()
+        told = [e.message.estimate.readings for e in self.journal if isinstance(e.message, ResistanceEstimated)]
+        return kept or (told[-1] if told else ())
 
     @property
     def lock(self) -> LockChecked | None:
@@ -86,13 +92,17 @@ class Material:
 
 def is_worth_a_report(directory: Path) -> bool:
     """Whether the directory holds anything that a report could be made of."""
-    return any((directory / name).is_file() for name in ("run.json", "recording.json", "results/estimates.json"))
+    names = ("run.json", "recording.json", "results/estimates.json", "results/diagnosis.json")
+    return any((directory / name).is_file() for name in names)
 
 
 def collect(directory: Path) -> Material:
     """Read everything; raises `RecordingError` where the directory holds neither run nor recording."""
     if not is_worth_a_report(directory):
         raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
+    # Its kernels take a second to import, and the stream is loaded when a run begins.
+    from orchestrator.diagnosis import load_diagnosis
+
     problems: list[str] = []
 
     def attempt(read: Callable[[], T], *, wanted: bool) -> T | None:
@@ -121,7 +131,10 @@ def collect(directory: Path) -> Material:
     }
     paths = None if recording is None else attempt(lambda: _paths(recording, achieved, problems), wanted=True)
     manifest = None if recording is None else recording.manifest
-    return Material(directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), tuple(problems))
+    diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
+    return Material(
+        directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), diagnosis, tuple(problems)
+    )
 
 
 def _estimates(file: Path) -> EstimationReport:

@@ -9,6 +9,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from plugins.streams.report._collect import Material
+from plugins.streams.report._text import NOT_MEASURED, borne, fixed, percent, plain, typographic
 from protocols import (
     AxisPercent,
     FluxMap,
@@ -25,7 +26,6 @@ from protocols import (
     StateChanged,
 )
 
-NOT_MEASURED = "not measured"
 PAPER = AxisPercent(d_percent=1.3, q_percent=2.9)
 """Largest flux difference where current paths cross, as the paper prints it."""
 MOST_EVENTS = 200
@@ -43,13 +43,22 @@ class Line:
 
 
 @dataclass(frozen=True)
+class Bar:
+    """One figure of a check: as text, as a part of its bar, and where on the bar the paper's is."""
+
+    axis: str
+    text: str
+    part: float
+    tick: float
+
+
+@dataclass(frozen=True)
 class Check:
-    """One row of the table of checks."""
+    """One card: a check with its figures beside the paper's."""
 
     name: str
     meaning: str
-    d: str
-    q: str
+    bars: tuple[Bar, ...]
     paper: str
 
 
@@ -88,37 +97,55 @@ def summary(material: Material) -> Iterator[Line]:
     yield _outcome(material)
     yield _resistance(material)
     yield from _map_lines(material)
-    yield from _check_lines(material)
-    yield from _saturation_lines(material)
+    yield from _inductance_line(material)
     if material.lock is not None:
         locked = material.lock.locked
-        yield Line("Rotor", material.lock.summary, "good" if locked else "bad")
+        yield Line("Rotor", typographic(material.lock.summary), "good" if locked else "bad")
     yield _amount(material)
 
 
+def remarks(material: Material) -> list[str]:
+    """What the estimators say beside their numbers."""
+    found = material.estimates
+    return [typographic(reason) for reason in found.reasons] if found is not None else []
+
+
 def checks(material: Material) -> Iterator[Check]:
-    """Checks that need no truth, beside what the paper prints of its own."""
+    """Checks that need no truth, each beside what the paper prints of its own crossings."""
     found = material.estimates
     if found is None:
         return
-    rows = (
-        ("Crossings", "largest flux difference where current paths cross", found.crossings, PAPER),
-        ("Parity", "largest oddness of ψ_d and evenness of ψ_q in i_q", found.parity, None),
-    )
-    for name, meaning, value, paper in rows:
-        d, q = (_percent(getattr(value, f"{axis}_percent", None)) for axis in "dq")
-        told = "none printed" if paper is None else f"d {_percent(paper.d_percent)}, q {_percent(paper.q_percent)}"
-        yield Check(name, meaning, d, q, told)
-    singles = (
-        ("Reciprocity", "rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d against the mean inductance", found.reciprocity_percent),
+    both = f"the paper’s: {percent(PAPER.d_percent)} on d, {percent(PAPER.q_percent)} on q"
+    for name, meaning, value, told in (
+        ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", found.crossings, both),
+        (
+            "Parity",
+            "Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.",
+            found.parity,
+            "tick: the paper’s crossings",
+        ),
+    ):
+        bars = tuple(_bar(axis, getattr(value, f"{axis}_percent", None)) for axis in "dq")
+        yield Check(name, meaning, bars, told)
+    for name, meaning, figure in (
+        (
+            "Reciprocity",
+            "rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.",
+            found.reciprocity_percent,
+        ),
         (
             "Classical against injection",
-            "rms of the flux difference over the plane",
+            "rms of the flux difference over the plane, of the rated flux.",
             found.classical_against_injection_percent,
         ),
-    )
-    for name, meaning, percent in singles:
-        yield Check(name, meaning, _percent(percent), "", "none printed")
+    ):
+        yield Check(name, meaning, (_bar("", figure),), "tick: the paper’s crossings on d")
+
+
+def _bar(axis: str, value: float | None) -> Bar:
+    paper = (PAPER.q_percent if axis == "q" else PAPER.d_percent) or 1.0
+    full = max(1.15 * (value or 0.0), 1.5 * paper)
+    return Bar(axis, percent(value), round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
 
 
 def map_rows(found: FluxMap, motor: Motor | None) -> list[list[str]]:
@@ -130,7 +157,7 @@ def map_rows(found: FluxMap, motor: Motor | None) -> list[list[str]]:
     for i_d in (-size, 0.0, size):
         for i_q in (-size, 0.0, size):
             d, q = int(np.abs(found.i_d - i_d).argmin()), int(np.abs(found.i_q - i_q).argmin())
-            point = [_fixed(float(found.i_d[d]), 2), _fixed(float(found.i_q[q]), 2)]
+            point = [fixed(float(found.i_d[d]), 2), fixed(float(found.i_q[q]), 2)]
             row = point + [_with_error(found, name, d, q) for name, _ in QUANTITIES]
             if row not in rows:
                 rows.append(row)
@@ -185,8 +212,11 @@ def _resistance(material: Material) -> Line:
     motor = motor_of(material)
     nameplate = motor.stator_resistance_ohm if motor is not None else None
     beside = "" if nameplate is None else f"; nameplate {nameplate:.4g} Ω"
-    drift = f"; {found.first_ohm:.4g} Ω at the start, {found.last_ohm:.4g} Ω at the end"
-    return Line("R_s", f"{found.value_ohm:.4g} Ω (95 %: {found.low:.4g} to {found.high:.4g}){drift}{beside}")
+    digits = min(4, borne(0.5 * (found.high - found.low)))
+    value, low, high, first, last = (
+        fixed(x, digits) for x in (found.value_ohm, found.low, found.high, found.first_ohm, found.last_ohm)
+    )
+    return Line("R_s", f"{value} Ω (95 %: {low} to {high}); {first} Ω at the start, {last} Ω at the end{beside}")
 
 
 def _map_lines(material: Material) -> Iterator[Line]:
@@ -196,39 +226,32 @@ def _map_lines(material: Material) -> Iterator[Line]:
         return
     shown = material.maps.get(found.method)
     size = "" if shown is None else f", {len(shown.i_d)} × {len(shown.i_q)} currents"
-    yield Line("Flux map", f"by {found.method}{size}")
-    yield Line("Usable", "yes" if found.usable else "no", "good" if found.usable else "bad")
-    for number, reason in enumerate(found.reasons):
-        yield Line("" if number else "Remarks", reason)
+    use = "usable" if found.usable else "not to be used"
+    yield Line("Flux map", f"{use}: by {found.method}{size}", "good" if found.usable else "bad")
+    if not found.usable:
+        for number, reason in enumerate(found.reasons[:3]):
+            yield Line("" if number else "because", typographic(reason))
 
 
-def _check_lines(material: Material) -> Iterator[Line]:
-    found = material.estimates
-    if found is None:
-        return
-    paper = f"the paper's: {_pair(PAPER)}"
-    yield Line("Crossings", f"{_pair(found.crossings)} ({paper})")
-    yield Line("Parity", _pair(found.parity))
-    yield Line("Reciprocity", _percent(found.reciprocity_percent))
-    yield Line("Classical against injection", _percent(found.classical_against_injection_percent))
-
-
-def _saturation_lines(material: Material) -> Iterator[Line]:
+def _inductance_line(material: Material) -> Iterator[Line]:
+    """The three inductances over the plane, on one line."""
     if not material.maps:
         return
     found = next(iter(material.maps.values()))
     motor = motor_of(material)
-    for axis, name, nameplate in (
-        ("d", "l_dd", motor.d_inductance_h if motor else None),
-        ("q", "l_qq", motor.q_inductance_h if motor else None),
+    told = []
+    for name, symbol, nameplate in (
+        ("l_dd", "L_dd", motor.d_inductance_h if motor else None),
+        ("l_qq", "L_qq", motor.q_inductance_h if motor else None),
     ):
-        values = np.asarray(getattr(found, name))
+        values = 1e3 * np.asarray(getattr(found, name))
         if np.isfinite(values).any():
-            beside = "" if nameplate is None else f"; nameplate {1e3 * nameplate:.4g} mH"
-            low, high = float(np.nanmin(values)), float(np.nanmax(values))
-            yield Line(f"L_{axis}{axis}", f"{1e3 * low:.4g} to {1e3 * high:.4g} mH over the plane{beside}")
+            beside = "" if nameplate is None else f" (nameplate {1e3 * nameplate:.4g})"
+            told.append(f"{symbol} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} mH{beside}")
     if np.isfinite(found.l_dq).any():
-        yield Line("L_dq", f"up to {1e3 * float(np.nanmax(np.abs(found.l_dq))):.3g} mH in size")
+        told.append(f"L_dq up to {1e3 * float(np.nanmax(np.abs(found.l_dq))):.3g} mH in size")
+    if told:
+        yield Line("Inductances", "; ".join(told))
 
 
 def _amount(material: Material) -> Line:
@@ -243,21 +266,21 @@ def _event(message: Message) -> tuple[str, str, str]:
     if isinstance(message, RunStarted):
         return "start", f"{message.points} points, {message.points_done} of them done before", ""
     if isinstance(message, StageStarted):
-        return "stage", f"{message.stage.replace('_', ' ')}, {message.points} points", ""
+        return "stage", f"{plain(message.stage)}, {message.points} points", ""
     if isinstance(message, StateChanged):
         mood = "bad" if message.target in ("faulted", "aborted") else ""
         reason = f": {message.reason}" if message.reason else ""
-        return "state", f"{message.target.replace('_', ' ')}{reason}", mood
+        return "state", f"{plain(message.target)}{reason}", mood
     if isinstance(message, OperatorAsked):
         return "operator", message.prompt, ""
     if isinstance(message, OperatorAnswered):
         return "operator", f"{message.answer} (by {message.by})", ""
     if isinstance(message, LockChecked):
-        return "lock check", message.summary, "good" if message.locked else "bad"
+        return "lock check", typographic(message.summary), "good" if message.locked else "bad"
     if isinstance(message, ResistanceEstimated):
         return "R_s", f"{message.estimate.value_ohm:.4g} Ω", ""
     if isinstance(message, Note):
-        return message.level, message.text, "bad" if message.level == "error" else ""
+        return message.level, typographic(message.text), "bad" if message.level == "error" else ""
     if isinstance(message, RunEnded):
         return "end", f"{message.outcome}: {message.reason}", "good" if message.outcome == "finished" else "bad"
     return "", "", ""
@@ -271,24 +294,9 @@ def _with_error(found: FluxMap, name: str, d: int, q: int) -> str:
         return NOT_MEASURED
     if not np.isfinite(error) or error <= 0.0:
         return f"{value:.4g}".replace("-", "−")
-    digits = max(0, min(3, 1 - int(np.floor(np.log10(error)))))
+    digits = min(3, borne(error))
     beside = f" ± {error:.{digits}f}" if round(error, digits) > 0.0 else ""
-    return _fixed(value, digits) + beside
-
-
-def _fixed(value: float, digits: int) -> str:
-    """So many digits after the point, a true minus sign, and no minus before a zero."""
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")
-
-
-def _percent(value: float | None) -> str:
-    return NOT_MEASURED if value is None else f"{value:.2g} %"
-
-
-def _pair(value: AxisPercent | None) -> str:
-    if value is None:
-        return NOT_MEASURED
-    return f"d {_percent(value.d_percent)}, q {_percent(value.q_percent)}"
+    return fixed(value, digits) + beside
 
 
 def date(text: str) -> str:

@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
+from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _figures as figures
 from plugins.streams.report._collect import Material, collect
+from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
+from plugins.streams.report._picture import Picture
 from protocols import FluxMap
 
 FILE_NAME = "report.html"
@@ -21,15 +24,6 @@ INDUCTANCES = {
     "l_qq": "L_qq = ∂ψ_q/∂i_q",
     "l_dq": "L_dq = ∂ψ_d/∂i_q = ∂ψ_q/∂i_d",
 }
-
-
-@dataclass(frozen=True)
-class Picture:
-    """A picture, or in its place the reason why there is none."""
-
-    title: str
-    caption: str
-    uri: str = ""
 
 
 def write_report(directory: Path, out: Path | None = None) -> Path:
@@ -76,7 +70,9 @@ def render(material: Material) -> str:
         name=material.directory.resolve().name,
         created=content.date(created or (material.record.created if material.record is not None else "")),
         summary=list(content.summary(material)),
+        diagnosis=_diagnosis(material),
         checks=list(content.checks(material)),
+        remarks=content.remarks(material),
         pictures=list(_pictures(material, main)),
         quantities=content.QUANTITIES,
         map_method=main.method if main is not None else "",
@@ -87,6 +83,25 @@ def render(material: Material) -> str:
         problems=material.problems,
         files=_files(material),
     )
+
+
+def _diagnosis(material: Material) -> dict[str, Any] | None:
+    """The diagnosis' part of the page; None where there was none."""
+    found = material.diagnosis
+    if found is None:
+        return None
+    return {
+        "verdict": findings.verdict(found),
+        "slots": list(findings.slots(found)),
+        "pictures": list(diagnosis_pictures(found)),
+        "ladder": findings.ladder_rows(found),
+        "effects": findings.effect_rows(found),
+        "alike": findings.alike_rows(found),
+        "leftover": findings.leftover_rows(found),
+        "leftover_told": findings.leftover_told(found),
+        "experiment": findings.experiment(found),
+        "remarks": findings.remarks(found),
+    }
 
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
@@ -118,12 +133,15 @@ def _paths_picture(material: Material) -> Picture:
 
 
 def _resistance_picture(material: Material) -> Picture:
-    title, estimate = "R_s over the run", material.resistance
-    if estimate is None or not estimate.readings:
-        return Picture(title, "Not drawn: single readings over time are in a run's journal, and here is none.")
+    title, readings = "R_s over the run", material.readings
+    estimate = material.estimates.resistance if material.estimates is not None else None
+    if not readings:
+        return Picture(title, "Not drawn: there are no single readings over time.")
+    values = [r.value_ohm for r in readings]
+    interval = (min(values), max(values)) if estimate is None else (estimate.low, estimate.high)
     motor = content.motor_of(material)
-    uri = figures.resistance_figure(estimate, motor.stator_resistance_ohm if motor is not None else None)
-    return Picture(title, f"{len(estimate.readings)} readings while the current was constant.", uri)
+    uri = figures.resistance_figure(readings, interval, motor.stator_resistance_ohm if motor is not None else None)
+    return Picture(title, f"{len(readings)} readings while the current was constant.", uri)
 
 
 def _difference_picture(material: Material) -> Picture:
@@ -136,7 +154,9 @@ def _difference_picture(material: Material) -> Picture:
 
 def _methods_in_words(maps: dict[str, FluxMap]) -> str:
     if {"classical", "injection"} <= maps.keys():
-        return "Dashed: classical, solid: injection, with its 95 % band. Counted from zero current."
+        others = [name for name in maps if name not in figures.LINES]
+        dotted = f" Dotted: {', '.join(others)}." if others else ""
+        return f"Dashed: classical, solid: injection, with its 95 % band.{dotted} Counted from zero current."
     return f"By {', '.join(maps)} alone. Counted from zero current."
 
 

@@ -72,6 +72,7 @@ def make_recording(
     noise_a: float = 2e-3,
     acts: Callable[[Array, Array], Array] = lambda v, _i: v,
     amplitudes_v: tuple[float, ...] = (40.0,),
+    frequency_hz: float = 500.0,
 ) -> MemoryRecording:
     """Record the motor; `angle` is the (true and believed) rotor angle, `acts` what gets through the inverter."""
 
@@ -98,7 +99,9 @@ def make_recording(
         command = resistance * plane
         for _ in range(4):
             command = command + resistance * plane - acts(command, plane)
-        stages.append((SegmentStage.INJECTION, run(injection_voltage(command, amplitude, 500.0, 4.0), plane, 4000)))
+        stages.append(
+            (SegmentStage.INJECTION, run(injection_voltage(command, amplitude, frequency_hz, 4.0), plane, 4000))
+        )
     segments: list[Segment] = []
     captures: dict[str, Capture] = {}
     clock = 0.0

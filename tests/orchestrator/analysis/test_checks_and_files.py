@@ -116,6 +116,45 @@ def test_bad_map_files_are_named(tmp_path: Path) -> None:
         load_flux_map(tmp_path / "empty.nc")
 
 
+def test_inductances_that_are_not_there_are_the_slopes_of_the_flux(tmp_path: Path) -> None:
+    import xarray as xr
+
+    flux_map = exact_map()
+    save_flux_map(tmp_path / "whole.nc", flux_map)
+    with xr.open_dataset(tmp_path / "whole.nc", engine="h5netcdf") as dataset:
+        dataset.load()[["psi_d", "psi_q"]].to_netcdf(tmp_path / "flux.nc", engine="h5netcdf")
+    bare = load_flux_map(tmp_path / "flux.nc")
+    for name in ("l_dd", "l_dq", "l_qq"):
+        inside = getattr(bare, name)[1:-1, 1:-1] - getattr(flux_map, name)[1:-1, 1:-1]
+        assert np.nanmax(np.abs(inside)) < 0.02 * np.nanmax(flux_map.l_qq)
+    assert np.isnan(bare.l_dd_std).all()
+
+
+def test_map_files_that_are_cut_off_or_wrong_inside_are_named(tmp_path: Path) -> None:
+    import xarray as xr
+
+    save_flux_map(tmp_path / "whole.nc", exact_map())
+    content = (tmp_path / "whole.nc").read_bytes()
+    random = np.random.default_rng(1)
+    for k in range(12):
+        broken = bytearray(content[: len(content) * (k + 1) // 13])
+        for at in random.integers(0, len(broken), 20):
+            broken[at] ^= 0xFF
+        (tmp_path / "broken.nc").write_bytes(bytes(broken))
+        with pytest.raises(RecordingError, match=r"^[^\n]*broken\.nc: not a readable[^\n]*$"):
+            load_flux_map(tmp_path / "broken.nc")
+    grid = (("i_d", "i_q"), np.zeros((2, 2)))
+    falling = {"i_d": [1.0, 0.0], "i_q": [0.0, 1.0]}
+    xr.Dataset({"psi_d": grid, "psi_q": grid}, falling).to_netcdf(tmp_path / "falling.nc", engine="h5netcdf")
+    with pytest.raises(RecordingError, match=r"falling\.nc: i_d: expected a coordinate"):
+        load_flux_map(tmp_path / "falling.nc")
+    words = (("i_d", "i_q"), np.array([["a", "b"], ["c", "d"]]))
+    rising = {"i_d": [0.0, 1.0], "i_q": [0.0, 1.0]}
+    xr.Dataset({"psi_d": grid, "psi_q": words}, rising).to_netcdf(tmp_path / "words.nc", engine="h5netcdf")
+    with pytest.raises(RecordingError, match="psi_q: expected numbers"):
+        load_flux_map(tmp_path / "words.nc")
+
+
 def test_a_folder_that_is_not_there_is_a_storage_error(tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="cannot be written"):
         save_flux_map(tmp_path / "nowhere" / "flux_map.nc", exact_map())

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
+from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
 from tests.orchestrator.analysis.plant import Array, flux_for, rotated, saturated_current, saturated_hessian
 from tests.orchestrator.analysis.test_integration import PLANE, exact
 from tests.orchestrator.analysis.test_sweep import RATED_WB
@@ -54,6 +55,11 @@ def flux_off(fit: EnergyFit, angle: float = 0.0) -> Array:
     return fit.flux(PLACES)[0] - truth
 
 
+@cache
+def both() -> EnergyFit:
+    return fit_energy(measured(), paths())
+
+
 def test_exact_inductances_give_the_exact_flux() -> None:
     assert np.abs(flux_off(fit_energy(measured(1e-5), ()))).max() < 1e-3 * RATED_WB
 
@@ -67,11 +73,11 @@ def test_paths_alone_give_flux_and_inductance() -> None:
 
 def test_both_together_are_no_worse_than_the_better() -> None:
     alone = [np.abs(flux_off(fit_energy(*kinds))).max() for kinds in ((measured(), ()), (None, paths()))]
-    assert np.abs(flux_off(fit_energy(measured(), paths()))).max() < 1.3 * min(alone)
+    assert np.abs(flux_off(both())).max() < 1.3 * min(alone)
 
 
 def test_flux_and_inductance_are_of_one_even_energy() -> None:
-    fit = fit_energy(measured(), paths())
+    fit = both()
     for axis, e in enumerate(1e-4 * np.eye(2)):
         slope = (fit.flux(PLACES + e)[0] - fit.flux(PLACES - e)[0]) / 2e-4
         np.testing.assert_allclose(slope, fit.inductance(PLACES)[0][:, axis : axis + 2], atol=1e-7)
@@ -82,8 +88,10 @@ def test_flux_and_inductance_are_of_one_even_energy() -> None:
 
 def test_intervals_hold_what_they_say() -> None:
     inside = []
-    for seed in range(12):
-        fit = fit_energy(measured(seed=seed), ())
+    gains = 1.0 + GAIN_STD * np.random.default_rng(2).normal(size=5)
+    for seed, gain in enumerate(gains):
+        points = measured(seed=seed)
+        fit = fit_energy(replace(points, matrix=gain * points.matrix, slope=gain * points.slope), ())
         inside.append(np.abs(flux_off(fit)) < 1.96 * fit.flux(PLACES)[1])
     assert 0.88 < np.mean(inside) < 0.995
 
@@ -112,6 +120,51 @@ def test_what_hysteresis_adds_to_the_ripples_hessian_is_taken_out() -> None:
     fit = fit_energy(measured(stiffening=1.0), paths())
     assert fit.stiffening_per_h == pytest.approx(1.0, rel=0.15)
     assert np.abs(flux_off(fit)).max() < 5e-3 * RATED_WB
-    assert fit_energy(measured(), paths()).stiffening_per_h == 0.0
+    assert both().stiffening_per_h == 0.0
     # A ripple that is softer than the sweeps is something else.
     assert fit_energy(measured(stiffening=-1.0), paths()).stiffening_per_h == 0.0
+
+
+def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
+    points = measured()
+    shape = np.array([0.0, 0.03, 0.03, 0.02, 0.01, 0.005, 0.0, 0.0, 0.0])
+    effect = (error_modes(points, np.zeros(len(PLANE))) @ shape)[:, [[0, 1], [1, 2]]]
+    fit = fit_energy(replace(points, matrix=points.matrix + effect), paths())
+    assert fit.dead_time > 0.0
+    assert np.abs(flux_off(fit)).max() < 3e-3 * RATED_WB
+    found = fit.taken_out[:, :3][np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]]
+    assert len(found) == 5
+    assert np.abs(found[:, 0] / effect[np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0], 0, 0] - 1.0).max() < 0.2
+    assert both().dead_time == 0.0
+
+
+def test_points_that_nothing_confirms_count_for_less() -> None:
+    points = measured()
+    matrix = points.matrix.copy()
+    matrix[[3, 17]] *= 1.1
+    fit = fit_energy(replace(points, matrix=matrix), paths())
+    assert (fit.trust[[3, 17]] < 0.5).all()
+    assert (np.delete(fit.trust, [3, 17]) > 0.5).mean() > 0.9
+    assert np.abs(flux_off(fit)).max() < 5e-3 * RATED_WB
+
+
+def test_a_paths_common_error_is_not_averaged_away() -> None:
+    few, many = (fit_energy(None, paths()[:n]) for n in (6, 10))
+    # Ten paths are hardly better than six where all of them may err alike.
+    here = np.array([[1.0, 1.0]])
+    assert many.flux(here)[1].max() > 0.6 * few.flux(here)[1].max()
+
+
+def test_the_spline_becomes_finer_where_the_iron_asks_for_it() -> None:
+    coarse = fit_energy(measured(1e-3), ())
+    along_q = np.linspace(-3.0, 3.0, 31)
+    grid = np.stack(np.meshgrid(np.linspace(-3.0, 3.0, 7), along_q, indexing="ij"), axis=-1).reshape(-1, 2)
+    knee = 1.0 + 4.0 / (1.0 + (grid[:, 1] / 0.6) ** 2)
+    matrix = 0.04 * np.stack([np.stack([np.ones_like(knee), 0 * knee], -1), np.stack([0 * knee, knee], -1)], -2)
+    points = Inductances(
+        grid, matrix, np.zeros((len(grid), 2, 2, 2)), np.tile(1e-9 * np.diag([1, 1, 1, 0, 0, 0, 0]), (len(grid), 1, 1))
+    )
+    fine = fit_energy(points, ())
+    assert fine.spline.size > coarse.spline.size
+    truth = 0.04 * (grid[:, 1] + 4.0 * 0.6 * np.arctan(grid[:, 1] / 0.6))
+    assert np.abs(fine.flux(grid)[0][:, 1] - truth).max() < 0.01 * truth.max()

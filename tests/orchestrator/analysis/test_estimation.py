@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, ClassVar, Literal
 
 import numpy as np
 import pytest
+import xarray as xr
 
 from orchestrator.analysis import EstimationReport, estimate_recording
 from protocols import (
@@ -25,6 +28,7 @@ from protocols import (
     PluginError,
     RecordingReader,
     ResistanceEstimate,
+    ResistanceReading,
 )
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.test_checks_and_files import exact_map
@@ -41,7 +45,17 @@ RECORDING = MemoryRecording(
     ),
     {},
 )
-R_S = ResistanceEstimate(value_ohm=4.0, low=3.9, high=4.1, first_ohm=4.0, last_ohm=4.2, readings=())
+R_S = ResistanceEstimate(
+    value_ohm=4.0,
+    low=3.9,
+    high=4.1,
+    first_ohm=4.0,
+    last_ohm=4.2,
+    readings=(
+        ResistanceReading(start_s=1.0, value_ohm=4.0, std_ohm=0.01),
+        ResistanceReading(start_s=9.0, value_ohm=4.2, std_ohm=0.01),
+    ),
+)
 
 
 class Resistance:
@@ -129,7 +143,21 @@ def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -
     assert EstimationReport.model_validate_json(text) == report
     written = json.loads(text, parse_constant=lambda constant: pytest.fail(constant))
     assert all(math.isfinite(n) for n in numbers(written))
-    assert written["resistance"] == {"value_ohm": 4.0, "low": 3.9, "high": 4.1, "first_ohm": 4.0, "last_ohm": 4.2}
+    told = written["resistance"]
+    assert {key: told[key] for key in ("value_ohm", "low", "high", "first_ohm", "last_ohm")} == {
+        "value_ohm": 4.0,
+        "low": 3.9,
+        "high": 4.1,
+        "first_ohm": 4.0,
+        "last_ohm": 4.2,
+    }
+    assert told["readings"] == [
+        {"start_s": 1.0, "value_ohm": 4.0, "std_ohm": 0.01},
+        {"start_s": 9.0, "value_ohm": 4.2, "std_ohm": 0.01},
+    ]
+    rise = told["temperature_rise_k"]
+    assert rise["value"] == pytest.approx(0.05 / 0.00393)
+    assert rise["low"] < rise["value"] < rise["high"]
     assert written["classical_against_injection_percent"] is None
     assert written["usable"] is True
 
@@ -164,3 +192,74 @@ def test_an_estimator_that_returns_something_else_is_named(tmp_path: Path) -> No
 
     with pytest.raises(PluginError, match="wrong"):
         estimate_recording(RECORDING, [Wrong()], tmp_path)
+
+
+class Killed(BaseException):
+    """Stands for SIGKILL: nothing of the pass is called any more."""
+
+
+def named(name: str) -> MemoryRecording:
+    return MemoryRecording(RECORDING.manifest.model_copy(update={"name": name}), {})
+
+
+def test_a_second_pass_replaces_the_first_as_a_whole(tmp_path: Path) -> None:
+    estimate_recording(named("first"), [Mapper("classical"), Mapper("other")], tmp_path)
+    (tmp_path / "results" / "diagnosis.json").write_text("{}")
+    estimate_recording(named("second"), [Mapper("injection")], tmp_path)
+    left = {path.name for path in (tmp_path / "results").iterdir()}
+    assert left == {"flux_map.nc", "estimates.json", "diagnosis.json"}
+
+
+@pytest.mark.parametrize("step", range(7))
+def test_a_kill_leaves_no_report_beside_maps_of_another_pass(
+    step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    first = [Mapper("classical"), Mapper("injection")]
+    estimate_recording(named("first"), first, tmp_path)
+    before, steps = (tmp_path / "results" / "estimates.json").read_bytes(), iter(range(100))
+
+    def mortal(real: Callable[..., Any]) -> Callable[..., Any]:
+        def call(path: Path, *args: Any, **options: Any) -> Any:
+            if path.parent.name == "results" or (args and Path(args[0]).parent.name == "results"):
+                here = next(steps)
+                if here >= step:
+                    raise Killed
+            return real(path, *args, **options)
+
+        return call
+
+    for name in ("unlink", "replace"):
+        monkeypatch.setattr(Path, name, mortal(getattr(Path, name)))
+    second = [Mapper("injection", factor=0.9), Mapper("other")]
+    with suppress(Killed):
+        estimate_recording(named("second"), second, tmp_path)
+    monkeypatch.undo()
+    file = tmp_path / "results" / "estimates.json"
+    if not file.exists():
+        return
+    told = EstimationReport.model_validate_json(file.read_bytes())
+    is_old = file.read_bytes() == before
+    for name, path in told.files.items():
+        if name != "estimates":
+            with xr.open_dataset(path, engine="h5netcdf") as dataset:
+                assert dataset.attrs["recording"] == ("first" if is_old else "second")
+    maps = {path.name for path in (tmp_path / "results").glob("flux_map*.nc")}
+    assert maps == {Path(path).name for name, path in told.files.items() if name != "estimates"}
+
+
+def test_a_kill_was_really_tried_at_every_step(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = list[str]()
+    estimate_recording(named("first"), [Mapper("classical"), Mapper("injection")], tmp_path)
+    for name in ("unlink", "replace"):
+        real = getattr(Path, name)
+
+        def noted(path: Path, *args: Any, real: Callable[..., Any] = real, **options: Any) -> Any:
+            if path.parent.name == "results" or (args and Path(args[0]).parent.name == "results"):
+                done.append(path.name)
+            return real(path, *args, **options)
+
+        monkeypatch.setattr(Path, name, noted)
+    estimate_recording(named("second"), [Mapper("injection"), Mapper("other")], tmp_path)
+    assert len(done) == 6
+    assert done[0] == "estimates.json"
+    assert done[-1] == ".estimates.json.partial"

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -87,6 +89,50 @@ def test_standard_deviations_are_those_of_repetitions() -> None:
     told = integrate(clean, "test").std
     ratio = np.std(fluxes, axis=0)[told > 1e-5] / told[told > 1e-5]
     assert 0.7 < np.median(ratio) < 1.3
+
+
+def measured(variance: Array, samples: int) -> list[Ripple]:
+    """Ripples whose residuals have these variances, relative to noise."""
+    one = Ripple(
+        current_dq=np.zeros(2),
+        mean_current_dq=np.zeros(2),
+        hessian=np.diag([20.0, 15.0]),
+        third=np.zeros(4),
+        covariance=1e-4 * np.eye(7),
+        flux_rms_wb=0.01,
+        frequency_hz=500.0,
+        amplitude_v=40.0,
+        decay_per_s=100.0,
+        samples=samples,
+    )
+    return [replace(one, covariance=share * one.covariance) for share in variance]
+
+
+def test_what_is_noise_everywhere_is_no_misfit() -> None:
+    noisy = 1.0 + np.random.default_rng(3).normal(size=100) / np.sqrt(4000)
+    misfit = invert(measured(noisy, 4000)).misfit
+    assert misfit is not None
+    assert (misfit[:, 0] == 0.0).mean() > 0.95
+
+
+def test_a_misfit_does_not_average_out_over_the_samples() -> None:
+    variance = np.ones(20)
+    variance[7] = 2.0
+    few, many = (invert(measured(variance / n, n)) for n in (4_000, 400_000))
+    assert few.misfit is not None
+    assert many.misfit is not None
+    assert np.flatnonzero(few.misfit[:, 0]).tolist() == [7]
+    assert many.misfit[7, 0] == pytest.approx(few.misfit[7, 0], rel=0.1)
+    assert many.misfit[7, 0] > 50.0 * np.sqrt(many.covariance[7, 0, 0])
+
+
+def test_misfits_of_neighbours_add_up_along_the_way() -> None:
+    points = exact(PLANE, 1e-9)
+    wrong = np.zeros((len(PLANE), 7))
+    wrong[:, 0] = 1e-3  # all L_dd by 1 mH: psi_d by 1 mH times i_d
+    std = integrate(replace(points, misfit=wrong), "test").std - integrate(points, "test").std
+    np.testing.assert_allclose(std[:, 0], 1e-3 * np.abs(PLANE[:, 0]), atol=1.2e-4)
+    np.testing.assert_allclose(std[:, 1], 0.0, atol=1e-6)
 
 
 def test_points_in_line_are_refused() -> None:

@@ -144,6 +144,16 @@ def test_the_ripple_itself_tells_how_long_the_start_lasts() -> None:
     assert 1.0 / ripple.decay_per_s == pytest.approx(TIME_CONSTANT_S, rel=0.01)
 
 
+def test_single_precision_is_widened_not_computed_in() -> None:
+    capture = capture_of(injected(), 1)
+    single = capture.model_copy(update={n: getattr(capture, n).astype(np.float32) for n in ("i_ab", "v_ab")})
+    double = single.model_copy(update={n: getattr(single, n).astype(np.float64) for n in ("i_ab", "v_ab")})
+    expected = demodulate(double, 0.3, time_constant_s=TIME_CONSTANT_S, voltage_delay_samples=0.5)
+    found = demodulate(single, 0.3, time_constant_s=TIME_CONSTANT_S, voltage_delay_samples=0.5)
+    np.testing.assert_allclose(found.hessian, expected.hessian, rtol=1e-9)
+    np.testing.assert_allclose(found.current_dq, expected.current_dq, rtol=1e-9)
+
+
 def test_whole_periods_only_are_used() -> None:
     ripple = demodulate(capture_of(injected(), 0), 0.0, discard_s=0.01234)
     assert ripple.samples % 20 == 0

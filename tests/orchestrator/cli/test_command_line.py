@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import shutil
 import subprocess
 import sys
@@ -11,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from protocols import shipped_procedures
-from tests.support.processes import fluxbench, start_fluxbench
+from tests.support.processes import FLUXBENCH, fluxbench, start_fluxbench
 from tests.support.tiny import STAGES, tiny_file
 
 
@@ -213,3 +214,63 @@ def test_with_out_nothing_is_written_into_a_run(tmp_path: Path) -> None:
     before = sorted(run.rglob("*"))
     assert fluxbench("estimate", run, "--out", tmp_path / "elsewhere").returncode == 0
     assert sorted(run.rglob("*")) == before
+
+
+def test_check_numbers_stages_as_a_run_does_and_says_how_they_are_written(tmp_path: Path) -> None:
+    lines = fluxbench("check", tiny_file(tmp_path)).stdout.splitlines()
+    (line,) = [line for line in lines if "injection" in line]
+    assert line.split()[:3] == ["8", "injection", "stages.7"]
+    settings = ("--set", "stages.7.amplitudes_v=[20]")
+    assert fluxbench("check", tiny_file(tmp_path), *settings).returncode == 0
+
+
+@pytest.mark.parametrize("words", [("check", "demo"), ("procedures",), ("plugins", "--json")])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_an_output_that_cannot_be_written_is_one_line(words: tuple[str, ...], unbuffered: str) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [FLUXBENCH, *words],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            text=True,
+            env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
+        )
+    assert (done.returncode, done.stderr.count("\n")) == (3, 1), done.stderr
+    assert "standard output" in done.stderr
+
+
+@pytest.mark.parametrize("out", ["file", "file/below"])
+def test_a_run_into_a_file_is_refused(out: str, tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    done = fluxbench("run", tiny_file(tmp_path), "--out", tmp_path / out)
+    assert_one_line(done, 2, str(tmp_path / "file"), "not a directory")
+    (tmp_path / "runs").write_text("mine")
+    assert_one_line(fluxbench("run", tiny_file(tmp_path), cwd=tmp_path), 2, "runs", "not a directory")
+
+
+def test_results_that_are_a_file_are_refused(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert fluxbench("run", tiny_file(tmp_path, stages=STAGES[:-1]), "--out", run).returncode == 0
+    (run / "results").write_text("mine")
+    assert_one_line(fluxbench("estimate", run), 2, "results", "not a directory")
+
+
+def test_a_manifest_that_is_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "recording.json")
+    assert_one_line(fluxbench("estimate", tmp_path), 2, "recording.json", "not a plain file")
+
+
+@pytest.mark.parametrize(
+    "setting",
+    ["motor.d_inductance_h=2e-8", "motor.rated_current_rms_a=2e-3", "motor.stator_resistance_ohm=9e4"],
+)
+def test_a_nameplate_that_makes_no_motor_is_one_line_of_bad_input(setting: str, tmp_path: Path) -> None:
+    assert_one_line(fluxbench("check", "demo", "--set", setting, cwd=tmp_path), 2)
+
+
+def test_a_finished_run_has_nothing_left_to_resume(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    assert fluxbench("run", tiny_file(tmp_path, stages=STAGES[:1]), "--out", run).returncode == 0
+    done = fluxbench("resume", run)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "nothing left to do" in done.stdout

@@ -50,3 +50,13 @@ def misaligned(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 @pytest.fixture(scope="session")
 def drifting(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "drifting", drift_a_per_s=0.004)
+
+
+@pytest.fixture(scope="session")
+def correlated(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "correlated", noise_correlation=0.6)
+
+
+@pytest.fixture(scope="session")
+def jittering(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "jittering", jitter_s=8e-6)

@@ -33,6 +33,8 @@ class Flaws:
     misalignment_rad: float = 0.0
     drift_a_per_s: float = 0.0
     sensor_bend_v: float = 0.0
+    noise_correlation: float = 0.0
+    jitter_s: float = 0.0
 
 
 def current(psi: Array) -> Array:
@@ -68,8 +70,15 @@ def _capture(psi: Array, start_s: float, flaws: Flaws, rng: np.random.Generator)
     v_ab = v_ab + flaws.sensor_bend_v * np.abs(mean_ab @ phases.T) @ phases * (2.0 / 3.0)
     t = start_s + np.arange(len(i_ab)) * TS
     drift = flaws.drift_a_per_s * t
+    drifts = np.stack([drift, drift / math.sqrt(3.0)], axis=1)
     noise = rng.normal(0.0, NOISE_A, (len(t), 2)) @ np.array([[1.0, 0.6], [0.0, 1.1]])
-    read = i_ab + noise + np.stack([drift, drift / math.sqrt(3.0)], axis=1)
+    if flaws.noise_correlation:
+        keep = flaws.noise_correlation
+        for k in range(1, len(noise)):
+            noise[k] = keep * noise[k - 1] + math.sqrt(1.0 - keep**2) * noise[k]
+    late = flaws.jitter_s * rng.normal(0.0, 1.0, len(t)) / TS if flaws.jitter_s else np.zeros(len(t))
+    moved = late[:, None] * np.diff(i_ab, axis=0, append=i_ab[-1:])
+    read = i_ab + moved + noise + drifts
     return Capture(start_s=start_s, sampling_frequency_hz=FS, i_ab=read, v_ab=v_ab, v_dc=np.full(len(t), 540.0))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 import threading
 from pathlib import Path
 from typing import Any
@@ -18,6 +19,7 @@ from protocols import (
     LockChecked,
     Note,
     OperatorAnswered,
+    PluginError,
     PointDone,
     RecordingError,
     RunAborted,
@@ -228,11 +230,13 @@ def test_a_run_resumed_within_a_sweep_has_the_very_samples_of_one_that_was_never
     assert samples == {segment.id: segment.sha256 for segment in open_recording(whole).segments()}
 
 
-def test_a_finished_run_that_is_resumed_measures_nothing_again(whole: Path, tmp_path: Path) -> None:
-    before = points_done(whole)
+def test_a_finished_run_that_is_resumed_has_nothing_left_to_do(whole: Path) -> None:
+    before = (whole / "journal.jsonl").read_bytes()
     result = resume_run(whole, Crew(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
-    assert points_done(whole) == before
+    assert "nothing left to do" in result.outcome.reason
+    assert result.outcome.estimates["usable"] in (True, False)
+    assert (whole / "journal.jsonl").read_bytes() == before
 
 
 def test_a_pause_disarms_and_the_run_goes_on_where_it_stood(
@@ -269,6 +273,82 @@ def test_a_rotor_that_turns_ends_the_run_before_any_sweep(
     assert "not locked" in result.outcome.reason
     assert "sweeping_classical" not in states(result.path)
     assert_safe(at_close)
+
+
+@pytest.fixture
+def blind_lock_check(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A motor that shows nothing by which a rotation could be seen."""
+
+    def judge(*_: object, **__: object) -> LockChecked:
+        return LockChecked(
+            locked=True, confidence=0.01, moved_rad=0.0, moved_std_rad=0.9, twist_rad=0.0, summary="cannot tell"
+        )
+
+    monkeypatch.setattr("orchestrator.analysis.judge_lock", judge)
+
+
+@pytest.mark.usefixtures("blind_lock_check")
+def test_where_the_lock_is_not_known_nobody_s_silence_ends_the_run(
+    tmp_path: Path, at_close: list[Telemetry | DriveFault]
+) -> None:
+    result = run_tiny(tmp_path, stages=STAGES[:6])
+    assert result.outcome.ending == "aborted"
+    assert "cannot be measured on this motor" in result.outcome.reason
+    (lock,) = [m for m in messages_of(result.path) if isinstance(m, LockChecked)]
+    assert lock.locked is None
+    assert "estimating_resistance" not in states(result.path)
+    assert_safe(at_close)
+
+
+@pytest.mark.usefixtures("blind_lock_check")
+def test_where_the_lock_is_not_known_the_procedure_may_accept_that_in_words(tmp_path: Path) -> None:
+    accepting = {**STAGES[4], "accept_not_known": "I have seen that the rotor is held"}
+    result = run_tiny(tmp_path, stages=[*STAGES[:4], accepting, STAGES[5]])
+    assert result.outcome.ending == "finished"
+    walk = states(result.path)
+    place = walk.index("checking_lock")
+    assert walk[place : place + 5] == [
+        "checking_lock",
+        "stopping",
+        "estimating",
+        "waiting_for_operator",
+        "estimating_resistance",
+    ]
+    answers = [m.by for m in messages_of(result.path) if isinstance(m, OperatorAnswered)]
+    assert answers == ["procedure"] * 3
+
+
+def leave(*_: object) -> None:
+    sys.exit(0)
+
+
+def test_a_drive_that_leaves_while_connecting_is_named_and_nothing_is_left_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(SimulatedDrive, "connect", leave)
+    with pytest.raises(PluginError, match=r"simulated: cannot be set up .*SystemExit"):
+        run_tiny(tmp_path)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_drive_that_leaves_in_the_middle_of_a_run_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_close: list[Telemetry | DriveFault]
+) -> None:
+    monkeypatch.setattr(SimulatedDrive, "set_brake", leave)
+    result = run_tiny(tmp_path, drive={"has_brake": True})
+    assert result.outcome.ending == "faulted"
+    assert "SystemExit" in result.outcome.reason
+    assert_safe(at_close)
+
+
+def test_an_estimator_that_leaves_does_not_take_the_run_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orchestrator.analysis.estimate_recording", lambda *_, **__: sys.exit(0))
+    result = run_tiny(tmp_path, stages=[STAGES[0], {"kind": "estimate"}])
+    assert result.outcome.ending == "faulted"
+    assert isinstance(result.outcome.error, PluginError)
+    assert states(result.path)[-1] == "faulted"
 
 
 def test_a_run_in_progress_cannot_be_resumed_beside_it(whole: Path) -> None:

@@ -13,6 +13,7 @@ from plugins.estimators._maps import InjectedFlux, SweptFlux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
+from plugins.estimators.polynomial import PolynomialEstimator
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import EstimationContext, Estimator, FluxMapEstimate, NotMeasuredError, SegmentStage
 from tests.orchestrator.analysis.plant import Array, flux_for, saturated_current, saturated_hessian
@@ -106,3 +107,19 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
     assert any("the flux is known to" in reason for reason in report.reasons)
     assert flux_error_percent(load_flux_map(tmp_path / "results" / "flux_map.nc"))[1] < 0.3
     assert (tmp_path / "results" / "flux_map_injection.nc").is_file()
+
+
+def test_the_polynomial_gives_its_coefficients_and_says_how_good_it_is() -> None:
+    maps = {"injection": injection_of(False), "classical": classical_of(False), "energy": energy_of(False)}
+    found = PolynomialEstimator().estimate(clean(), EstimationContext(maps=maps))
+    assert found.map.method == "polynomial"
+    rms, worst = flux_error_percent(found.map)
+    assert rms < 0.1
+    assert worst < 0.3
+    inside = np.isfinite(energy_of(False).map.psi_d)
+    assert np.isfinite(found.map.psi_d[inside]).all()
+    formula, goodness = found.notes
+    assert "alpha30 = " in formula
+    assert "A/Wb^2" in formula
+    assert "L_d = 43" in formula
+    assert "good enough" in goodness

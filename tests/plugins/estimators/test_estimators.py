@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from orchestrator.analysis import estimate_recording, load_flux_map
+from plugins.estimators._maps import InjectedFlux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator
 from plugins.estimators.resistance import ResistanceEstimator
@@ -144,10 +146,79 @@ def test_standard_deviations_are_of_the_errors_size(method: str) -> None:
         assert 0.1 < np.sqrt(np.nanmean(off**2) / np.nanmean(std**2)) < 5.0
 
 
+@cache
+def behind_a_strong_dead_time() -> MemoryRecording:
+    """Eight volts a phase: where a phase current changes its sign, the regression on the ripple misses them."""
+    recording = make_recording(acts=lambda v, i: v - 10.0 * (v - dead_time(v, i)))
+    return recording.only(SegmentStage.INJECTION)
+
+
+def test_intervals_hold_where_dead_time_spoils_some_of_the_points() -> None:
+    found = InjectionEstimator().estimate(behind_a_strong_dead_time(), EstimationContext())
+    assert isinstance(found, InjectedFlux)
+    flux_map = found.map
+    truth = flux_for(np.stack(np.meshgrid(flux_map.i_d, flux_map.i_q, indexing="ij"), axis=-1), saturated_current)
+    noise_alone = np.sqrt(found.inductances.covariance[:, 0, 0])
+    off = np.abs(found.inductances.matrix - np.linalg.inv(saturated_hessian(truth_at(found)))).max(axis=(1, 2))
+    assert (off > 4.0 * noise_alone).any()
+    for error, std in (
+        (flux_map.psi_d - 0.3 - truth[..., 0], flux_map.psi_d_std),
+        (flux_map.psi_q - truth[..., 1], flux_map.psi_q_std),
+    ):
+        known = np.isfinite(error) & (std > 1e-7)
+        assert (np.abs(error) < 1.96 * std)[known].mean() > 0.9
+
+
+def truth_at(found: FluxMapEstimate) -> Array:
+    """True flux at the points that were reached."""
+    return flux_for(found.points.i_dq.astype(np.float64), saturated_current)
+
+
 def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
     notes = " ".join(injection_of(False).notes)
     assert "the map is of 20 V rms at 500 Hz (25 points)" in notes
     assert "with 40 V rms" in notes
+
+
+def test_frequencies_are_kept_apart_as_well() -> None:
+    at_500, at_300 = (
+        clean().only(SegmentStage.INJECTION),
+        make_recording(frequency_hz=300.0).only(SegmentStage.INJECTION),
+    )
+    names = {s.id: f"{s.id}-300" for s in at_300.manifest.segments}
+    captures = at_500.captures | {names[s.id]: at_300.load(s) for s in at_300.manifest.segments}
+    renamed = tuple(s.model_copy(update={"id": names[s.id]}) for s in at_300.manifest.segments)
+    both = MemoryRecording(at_500.manifest, captures).with_segments((*at_500.manifest.segments, *renamed))
+    notes = " ".join(InjectionEstimator().estimate(both, EstimationContext()).notes)
+    assert "the map is of 20 V rms at 500 Hz (25 points)" in notes
+    ratios = re.findall(r"with 40 V rms at (\d+) Hz L_dd is ([+-][\d.]+) % and L_qq ([+-][\d.]+) %", notes)
+    assert {int(one[0]) for one in ratios} == {300, 500}
+    # A motor without iron losses: whatever it is injected with, it is one motor.
+    assert all(abs(float(off)) <= 0.2 for one in ratios for off in one[1:])
+
+
+def test_a_drives_delay_is_taken_from_the_manifest() -> None:
+    recording = clean()
+    late = {
+        s.id: (c := recording.load(s)).model_copy(update={"v_ab": np.concatenate([c.v_ab[2:], c.v_ab[-2:]])})
+        for s in recording.manifest.segments
+    }
+    drive = recording.manifest.drive.model_copy(update={"voltage_delay_samples": 2.0})
+    told = MemoryRecording(recording.manifest.model_copy(update={"drive": drive}), late)
+    again = InjectionEstimator().estimate(told, EstimationContext()).map
+    np.testing.assert_allclose(again.psi_q, injection_of(False).map.psi_q, atol=5e-4)
+    untold = InjectionEstimator().estimate(MemoryRecording(recording.manifest, late), EstimationContext()).map
+    assert np.nanmax(np.abs(untold.psi_q - again.psi_q)) > 5e-3
+
+
+def test_the_transient_after_the_start_is_seen_in_the_data_not_on_the_nameplate() -> None:
+    recording = clean()
+    plate = recording.manifest.motor.model_copy(
+        update={"stator_resistance_ohm": 40.0, "d_inductance_h": 0.01, "q_inductance_h": 0.02}
+    )
+    other = MemoryRecording(recording.manifest.model_copy(update={"motor": plate}), recording.captures)
+    again = InjectionEstimator().estimate(other, EstimationContext()).map
+    np.testing.assert_array_equal(again.psi_q, injection_of(False).map.psi_q)
 
 
 def test_nameplate_resistance_does_not_enter_the_injection_map() -> None:

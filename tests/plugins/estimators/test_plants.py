@@ -28,7 +28,7 @@ MOTORS = Path(__file__).parents[3] / "docs" / "motors"
 def run(folder: Path, overrides: tuple[str, ...] = (), motor: Path | None = None) -> Procedure:
     """Run the demo, without its own estimates, into `folder`."""
     procedure = load_procedure("demo", overrides=overrides, motor=motor)
-    stages = tuple(stage for stage in procedure.stages if stage.kind != "estimate")
+    stages = tuple(stage for stage in procedure.stages if stage.kind not in ("estimate", "diagnose"))
     procedure = procedure.model_copy(update={"stages": stages})
     start_run(procedure, folder, Crew(AbsentOperator(), Interrupts()))
     return procedure

@@ -150,7 +150,7 @@ def test_quiet_says_warnings_errors_and_a_bad_end_only(monkeypatch: pytest.Monke
 
 def test_json_is_one_message_a_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     messages: list[Message] = [m for m in one_of_each(tmp_path) if m.kind != "samples_captured"]
-    lines = told(monkeypatch, tmp_path, messages, mode="json").splitlines()
+    lines = told(monkeypatch, tmp_path, messages, mode="jsonl").splitlines()
     assert [json.loads(line)["kind"] for line in lines] == [m.kind for m in messages]
 
 

@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from plugins.streams.report import ReportStream, write_report
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, map_rows, summary
+from plugins.streams.report._content import checks, map_rows
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -77,7 +77,8 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
     """For tests of the words: figures are made, but not rendered."""
-    monkeypatch.setattr("plugins.streams.report._figures._uri", lambda figure: "data:image/svg+xml;base64,")
+    for module in ("_figures", "_diagnosis_figures"):
+        monkeypatch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
 
 
 @pytest.fixture
@@ -98,8 +99,9 @@ def test_page_is_well_formed_and_complete(finished: Path) -> None:
     assert len(page.all("img")) == PICTURES
     for wanted in (
         "400 W test PMSM",
-        "4.47 Ω (95 %: 4.455 to 4.485)",
-        "d 0.42 %, q 1.2 % (the paper's: d 1.3 %, q 2.9 %)",
+        "4.470 Ω (95 %: 4.455 to 4.485)",
+        "d 0.42 % q 1.2 %",
+        "the paper’s: 1.3 % on d, 2.9 % on q",
         "the loop is open by 1.1 mWb",
         "locked: moved 0.0004 rad",
         "finished: every stage is done",
@@ -187,7 +189,7 @@ def test_a_recording_without_run_or_journal_is_reported(run: Path) -> None:
     page = page_of(run)
     assert "a recording that was not made by a run" in page.text
     assert "No journal" in page.text
-    assert "single readings over time are in a run's journal" in page.text
+    assert "there are no single readings over time" in page.text
     assert "69 injection points and 8 classical trajectories" in page.text
 
 
@@ -235,8 +237,8 @@ def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
     file = run / "results" / "estimates.json"
     file.write_text(re.sub(r'"parity": \{[^}]*\}', '"parity": null', file.read_text()), encoding="utf-8")
     material = collect(run)
-    assert next(c for c in checks(material) if c.name == "Parity").d == "not measured"
-    assert next(line for line in summary(material) if line.label == "Parity").text == "not measured"
+    parity = next(c for c in checks(material) if c.name == "Parity")
+    assert [bar.text for bar in parity.bars] == ["not measured", "not measured"]
 
 
 def test_a_motor_without_saturation_is_drawn() -> None:

@@ -1,0 +1,378 @@
+"""The polynomial energy of the flux, as the paper's authors write it, fitted to inductances and swept flux together.
+
+    H(x, y) = x^2 / 2 L_d + y^2 / 2 L_q + sum of alpha_mn x^m y^n,    x = psi_d - psi_M, y = psi_q, n even,
+
+with alpha_30, alpha_12, alpha_40, alpha_22, alpha_04 (A. K. Jebai, P. Combes, F. Malrait, P. Martin, P. Rouchon,
+"Energy-based modeling of electric motors", CDC 2014, doi:10.1109/CDC.2014.7040330), or more or fewer: the degree is
+that of the best Bayesian information criterion among those whose H is convex wherever it was measured. The flux at a
+current is found by Newton's method, at all of them; where that fails the degree is not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._energy_fit import EnergyFit
+from orchestrator.analysis._integration import Inductances
+from orchestrator.analysis._path_errors import directions, sizes, told_apart, waves
+from orchestrator.analysis._ripple_errors import GAIN_STD
+from orchestrator.analysis._sweep import FluxPath
+from protocols import NotMeasuredError
+
+Array = NDArray[np.float64]
+Term = tuple[int, int]
+_State = tuple[Array, Array, Array, Array]
+
+DEGREES = (2, 3, 4, 5, 6)
+_PAPERS = 4  # the degree
+_SURE = 2.0  # standard deviations
+_STEPS = 25
+_LITTLE = 1e-6  # improvement with which it is done
+_NEWTON = 60
+_CLOSE = 1e-10  # of the largest current
+_THIN = 400  # points of the measured region at which H has to be convex
+_PERFECT = 1e-3  # of the inductances: no polynomial describes iron better
+_ROUNDS = 4
+
+
+def terms_of(degree: int) -> tuple[Term, ...]:
+    """Exponents (m, n) up to a degree, n even, by degree."""
+    return tuple((k - n, n) for k in range(2, degree + 1) for n in range(0, k + 1, 2))
+
+
+@dataclass(frozen=True)
+class PolynomialFit:
+    """The polynomial found.
+
+    Attributes
+    ----------
+    terms : tuple of (int, int)
+        Exponents (m, n) of x and y.
+    coefficients, std : array, shape (k,)
+        Of x^m y^n [A / Wb^(m + n - 1)]; the first two are 1/2L_d and 1/2L_q.
+    covariance : array, shape (k, k)
+    angle_rad : float
+        Of the axis about which H is even, from the believed d axis.
+    misfit_percent : float
+        What it leaves of the inductances, rms, relative to their mean.
+    misfit_wb : float
+        What it leaves of the flux along the sweeps, rms; NaN without.
+    criteria : dict
+        Bayesian information criterion by degree, of those that are possible.
+    """
+
+    terms: tuple[Term, ...]
+    coefficients: Array
+    covariance: Array
+    angle_rad: float
+    misfit_percent: float
+    misfit_wb: float
+    criteria: dict[int, float]
+
+    @property
+    def degree(self) -> int:
+        return max(m + n for m, n in self.terms)
+
+    @property
+    def std(self) -> Array:
+        return np.sqrt(np.diag(self.covariance))
+
+    def flux(self, at: Array) -> tuple[Array, Array]:
+        """psi(i) - psi(0) and its standard deviation, shape (n, 2) each [Wb]; NaN where H cannot be inverted."""
+        turn = _turn(self.angle_rad)
+        model = _model(self.terms, self.coefficients, at @ turn)
+        return model.psi @ turn.T, _spread(np.einsum("xa,nak->nxk", turn, model.psi_by), self.covariance)
+
+    def inductance(self, at: Array) -> tuple[Array, Array]:
+        """L_dd, L_dq, L_qq and their standard deviations, shape (n, 3) each [H]."""
+        turn = _turn(self.angle_rad)
+        model = _model(self.terms, self.coefficients, at @ turn)
+        matrix = turn @ model.inductance @ turn.T
+        by = np.einsum("xa,nabk,yb->nxyk", turn, model.inductance_by, turn)
+        return _entries(matrix), _spread(_entries(by), self.covariance)
+
+
+@dataclass(frozen=True)
+class _Model:
+    """Flux (n, 2) and inductance (n, 2, 2) at currents, and what each coefficient does to them (.., k)."""
+
+    psi: Array
+    inductance: Array
+    psi_by: Array
+    inductance_by: Array
+
+
+def _turn(angle: float) -> Array:
+    """From the frame of the axis of symmetry into the believed one."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s], [s, c]])
+
+
+def _entries(matrix: Array) -> Array:
+    return np.stack([matrix[:, 0, 0], matrix[:, 0, 1], matrix[:, 1, 1]], axis=1)
+
+
+def _spread(rows: Array, covariance: Array) -> Array:
+    variance: Array = np.einsum("nck,kl,ncl->nc", rows, covariance, rows)
+    return np.sqrt(np.maximum(variance, 0.0))
+
+
+def _powers(terms: Sequence[Term], psi: Array, order: int) -> Array:
+    """Derivatives of one order of all terms, those of more x first, shape (n, order + 1, k)."""
+    out = np.zeros((len(psi), order + 1, len(terms)))
+    for t, (m, n) in enumerate(terms):
+        for b in range(order + 1):
+            a = order - b
+            if a <= m and b <= n:
+                factor = np.prod(np.arange(m - a + 1, m + 1)) * np.prod(np.arange(n - b + 1, n + 1))
+                out[:, b, t] = factor * psi[:, 0] ** (m - a) * psi[:, 1] ** (n - b)
+    return out
+
+
+_PAIRS = np.array([[0, 1], [1, 2]])
+_TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
+
+
+def _inverted(terms: Sequence[Term], coefficients: Array, current: Array) -> Array:
+    """psi with grad H(psi) = i, by Newton's method with its step halved as needed; NaN where there is none."""
+    size = float(np.abs(current).max())
+    psi = current / (2.0 * coefficients[:2])
+    for _ in range(_NEWTON):
+        off = current - _powers(terms, psi, 1) @ coefficients
+        if np.abs(off).max() < _CLOSE * size:
+            break
+        hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
+        # Away from the answer H need not be convex: the step is then that of the unsaturated motor.
+        convex = (hessian[:, 0, 0] > 0.0) & (np.linalg.det(hessian) > 0.0)
+        hessian[~convex] = np.diag(2.0 * coefficients[:2])
+        step = np.linalg.solve(hessian, off[:, :, None])[:, :, 0]
+        share = np.ones((len(psi), 1))
+        for _ in range(8):
+            worse = np.linalg.norm(
+                current - _powers(terms, psi + share * step, 1) @ coefficients, axis=1
+            ) > np.linalg.norm(off, axis=1)
+            if not worse.any():
+                break
+            share[worse] *= 0.5
+        psi = psi + share * step
+    hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
+    lost = np.linalg.norm(current - _powers(terms, psi, 1) @ coefficients, axis=1) > 1e-6 * size
+    lost |= (np.linalg.det(hessian) <= 0.0) | (hessian[:, 0, 0] <= 0.0)
+    psi[lost] = np.nan
+    return psi
+
+
+def _model(terms: Sequence[Term], coefficients: Array, current: Array) -> _Model:
+    """Everything at given currents; d psi/d alpha = -L d(grad H)/d alpha with the current held."""
+    psi = _inverted(terms, coefficients, current)
+    hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
+    matrix = np.full_like(hessian, np.nan)
+    there = np.isfinite(psi).all(axis=1)
+    matrix[there] = np.linalg.inv(hessian[there])
+    psi_by = -matrix @ _powers(terms, psi, 1)
+    third = (_powers(terms, psi, 3) @ coefficients)[:, _TRIPLES]
+    hessian_by = _powers(terms, psi, 2)[:, _PAIRS] + np.einsum("nabc,nck->nabk", third, psi_by)
+    return _Model(psi, matrix, psi_by, -np.einsum("nxa,nabk,nby->nxyk", matrix, hessian_by, matrix))
+
+
+def fit_polynomial(
+    points: Inductances | None, paths: Sequence[FluxPath], energy: EnergyFit, where: str
+) -> PolynomialFit:
+    """Fit the polynomial; a flexible energy of the same data gives the start, the axis and what hysteresis did.
+
+    Parameters
+    ----------
+    points : Inductances or None
+    paths : sequence of FluxPath
+    energy : EnergyFit
+    where : str
+        Name of the recording, for errors.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where no polynomial is convex over the measured currents.
+    """
+    data = _Data.of(points, paths, energy)
+    found = [fit for degree in DEGREES if (fit := _fitted(data, terms_of(degree), energy)) is not None]
+    if not found:
+        raise NotMeasuredError(where, "segments", "no polynomial energy is convex over the measured currents")
+    criteria = {fit.degree: criterion for fit, criterion in found}
+    best = min(found, key=lambda one: one[1])
+    told = np.abs(best[0].coefficients) > _SURE * best[0].std
+    # The paper's own terms stay, that fits may be compared; of the others those that the data tell.
+    kept = tuple(t for t, sure in zip(best[0].terms, told, strict=True) if sure or sum(t) <= _PAPERS)
+    fewer = _fitted(data, kept, energy) if len(kept) < len(told) else None
+    if fewer is not None and fewer[1] < best[1]:
+        best = fewer
+    return replace(best[0], criteria=criteria)
+
+
+@dataclass(frozen=True)
+class _Data:
+    """What is fitted, in the frame of the axis of symmetry: inductances and waves of flux, with their weights."""
+
+    current: Array
+    inductance: Array
+    white: Array
+    """Inverse roots of the inductances' covariances, (n, 3, 3)."""
+    paths: tuple[FluxPath, ...]
+    region: Array
+    """Currents at which H has to be convex."""
+
+    @staticmethod
+    def of(points: Inductances | None, paths: Sequence[FluxPath], energy: EnergyFit) -> _Data:
+        turn = _turn(energy.angle_rad)
+        own = tuple(FluxPath(p.current @ turn, p.psi @ turn, np.sqrt(turn.T**2 @ p.std**2)) for p in paths)
+        every = np.concatenate([*([] if points is None else [points.current @ turn]), *(p.current for p in own)])
+        region = every[:: max(1, len(every) // _THIN)]
+        if points is None:
+            return _Data(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), own, region)
+        measured = points.matrix - energy.taken_out[:, [[0, 1], [1, 2]]]
+        softened = np.linalg.inv(np.linalg.inv(measured) - energy.stiffening_per_h * np.eye(2))
+        matrix = turn.T @ softened @ turn
+        mixing = _entries(np.einsum("ax,nxyk,yb->nabk", turn.T, _units(len(matrix)), turn))
+        covariance = mixing @ points.covariance[:, :3, :3] @ mixing.transpose(0, 2, 1)
+        least = (_PERFECT * float(np.einsum("nii->n", matrix).mean()) / 2.0) ** 2
+        root = np.linalg.cholesky(covariance + least * np.eye(3))
+        white = np.linalg.inv(root) * np.sqrt(energy.trust)[:, None, None]
+        return _Data(points.current @ turn, _entries(matrix), white, own, region)
+
+    def residual(self, terms: Sequence[Term], coefficients: Array) -> _State | None:
+        """Residuals and their rows of inductances (n, 3) and flux (p, 2 waves); None where H cannot be inverted."""
+        model = _model(terms, coefficients, np.concatenate([self.current, *(p.current for p in self.paths)]))
+        if not np.isfinite(model.psi).all():
+            return None
+        n, k = len(self.current), len(terms)
+        off = np.einsum("nij,nj->ni", self.white, self.inductance - _entries(model.inductance[:n]))
+        rows = self.white @ _entries(model.inductance_by[:n])
+        if not self.paths:
+            return off, rows, np.zeros((0, 1)), np.zeros((0, 1, k))
+        size, ways, start = sizes(self.paths), directions(self.paths), n
+        left, by = [], []
+        for path, way in zip(self.paths, ways, strict=True):
+            here = slice(start, start + len(path.psi))
+            start += len(path.psi)
+            take = waves(len(path.psi))
+            left.append(way @ (take @ (path.psi - model.psi[here])).T)
+            by.append(np.einsum("wm,mck,xc->xwk", take, model.psi_by[here], way))
+        apart = told_apart(self.paths)
+        flux = np.stack(left) / size
+        effect = np.stack(by) / size[..., None]
+        for told in (flux, effect):
+            told[:, 0] = np.tensordot(apart, told[:, 0], (1, 0))
+        return off, rows, flux.reshape(len(self.paths), -1), effect.reshape(len(self.paths), -1, k)
+
+
+def _units(count: int) -> Array:
+    """Symmetric matrices with one entry each, (count, 2, 2, 3)."""
+    one = np.zeros((2, 2, 3))
+    one[0, 0, 0] = one[0, 1, 1] = one[1, 0, 1] = one[1, 1, 2] = 1.0
+    return np.broadcast_to(one, (count, 2, 2, 3))
+
+
+def _fitted(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> tuple[PolynomialFit, float] | None:
+    """Gauss-Newton steps from where a regression on the flexible energy's flux starts; with its criterion."""
+    coefficients = _start(data, terms, energy)
+    state = data.residual(terms, coefficients)
+    weights = (1.0, 1.0)
+    for _ in range(_ROUNDS):
+        if state is None:
+            return None
+        coefficients, state = _descended(data, terms, coefficients, state, weights)
+        weights = _scales(state, len(terms))
+    if state is None or not np.isfinite(_inverted(terms, coefficients, data.region)).all():
+        return None
+    rows, off = _weighted(state, weights)
+    size = np.linalg.norm(rows, axis=0)
+    covariance = np.linalg.pinv((rows / size).T @ (rows / size), hermitian=True) / np.outer(size, size)
+    criterion = float(off @ off) + len(terms) * float(np.log(len(off)))
+    criterion += 2.0 * float(state[0].size * np.log(weights[0]) + state[2].size * np.log(weights[1]))
+    return _described(data, terms, coefficients, covariance, energy), criterion
+
+
+def _descended(
+    data: _Data, terms: tuple[Term, ...], coefficients: Array, state: _State, weights: tuple[float, float]
+) -> tuple[Array, _State]:
+    """Steps of Gauss and Newton, each halved until it is one to the better, until there is none."""
+    for _ in range(_STEPS):
+        rows, off = _weighted(state, weights)
+        size, squares = np.linalg.norm(rows, axis=0), float(off @ off)
+        step = np.linalg.lstsq(rows / size, off, rcond=1e-13)[0] / size
+        for share in 0.5 ** np.arange(8):
+            tried = coefficients + share * step
+            found = data.residual(terms, tried) if (tried[:2] > 0.0).all() else None
+            if found is not None and float(np.square(_weighted(found, weights)[1]).sum()) < squares:
+                coefficients, state = tried, found
+                break
+        else:
+            break
+        if squares - float(np.square(_weighted(state, weights)[1]).sum()) < _LITTLE * squares:
+            break
+    return coefficients, state
+
+
+def _start(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> Array:
+    """i = grad H(psi) is linear in the coefficients where psi is known already."""
+    at = data.region
+    turn = _turn(energy.angle_rad)
+    psi = energy.flux(at @ turn.T)[0] @ turn
+    rows = _powers(terms, psi, 1).reshape(-1, len(terms))
+    size = np.linalg.norm(rows, axis=0)
+    return np.asarray(np.linalg.lstsq(rows / size, at.ravel(), rcond=1e-10)[0] / size)
+
+
+def _weighted(state: _State, weights: tuple[float, float]) -> tuple[Array, Array]:
+    off, rows, flux, by = state
+    k = rows.shape[2]
+    return (
+        np.concatenate([rows.reshape(-1, k) / weights[0], by.reshape(-1, k) / weights[1]]),
+        np.concatenate([off.ravel() / weights[0], flux.ravel() / weights[1]]),
+    )
+
+
+def _scales(state: _State, terms: int) -> tuple[float, float]:
+    """By how much the residuals of either kind are larger than their stated errors."""
+    out = []
+    for off in (state[0], state[2]):
+        free = max(off.size - terms / 2.0, 0.2 * off.size, 1.0)
+        out.append(max(float(np.sqrt((off**2).sum() / free)), 1.0))
+    return out[0], out[1]
+
+
+def _described(
+    data: _Data, terms: tuple[Term, ...], coefficients: Array, covariance: Array, energy: EnergyFit
+) -> PolynomialFit:
+    misfit = flux_misfit = float("nan")
+    correlation = 0.0
+    if len(data.current):
+        model = _model(terms, coefficients, data.current)
+        off = data.inductance - _entries(model.inductance)
+        mean = float(data.inductance[:, [0, 2]].mean())
+        misfit = 100.0 * float(np.sqrt((off**2).mean())) / mean
+        correlation = _neighbours_alike(data.current, np.einsum("nij,nj->ni", data.white, off))
+    if data.paths:
+        apart = []
+        for path in data.paths:
+            left = path.psi - _model(terms, coefficients, path.current).psi
+            apart.append(left - left.mean(axis=0))
+        flux_misfit = float(np.sqrt((np.concatenate(apart) ** 2).sum(axis=1).mean()))
+    sure = np.clip(correlation - 2.0 / np.sqrt(max(3 * len(data.current), 4)), 0.0, 0.95)
+    # A gain common to all inductances is a gain of the flux.
+    gain = GAIN_STD * coefficients * np.array([m + n - 1.0 for m, n in terms])
+    widened = covariance * ((1.0 + sure) / (1.0 - sure)) + np.outer(gain, gain)
+    return PolynomialFit(terms, coefficients, widened, energy.angle_rad, misfit, flux_misfit, {})
+
+
+def _neighbours_alike(current: Array, off: Array) -> float:
+    """Correlation of the residuals of nearest neighbours: what a polynomial cannot follow errs alike there."""
+    from scipy.spatial import cKDTree
+
+    if len(current) < 3:
+        return 0.0
+    nearest = np.asarray(cKDTree(current).query(current, k=2)[1])[:, 1]
+    return float((off * off[nearest]).sum() / max(float((off**2).sum()), 1e-300))

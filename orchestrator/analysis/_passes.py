@@ -1,0 +1,41 @@
+"""One pass over segments of a recording, several at once; what is computed of each is the caller's business."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import TypeVar
+
+from protocols import Capture, RecordingReader, Segment
+
+T = TypeVar("T")
+
+_MOST = 4  # captures in memory at once
+
+
+def each_capture(
+    recording: RecordingReader, segments: Sequence[Segment], evaluate: Callable[[Segment, Capture], T]
+) -> list[T]:
+    """`evaluate` of each segment and its waveforms, in the order of the segments.
+
+    Decoding and kernels run outside the interpreter's lock, so as many segments as there are processors are worked
+    on at once; only these are in memory. The threads end with the call. What one segment raises is raised, and no
+    further segment is begun.
+
+    Parameters
+    ----------
+    recording : RecordingReader
+    segments : sequence of Segment
+    evaluate : callable
+        Called in any order and from several threads; keeps nothing of the capture.
+    """
+
+    def one(segment: Segment) -> T:
+        return evaluate(segment, recording.load(segment))
+
+    threads = min(_MOST, len(segments), len(os.sched_getaffinity(0)))
+    if threads < 2:
+        return [one(segment) for segment in segments]
+    with ThreadPoolExecutor(threads, thread_name_prefix="pass") as pool:
+        return list(pool.map(one, segments))

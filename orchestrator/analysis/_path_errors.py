@@ -1,0 +1,54 @@
+"""What is wrong with a flux that was integrated along a path: a random walk, some of it alike on paths swept alike.
+
+Along a path it is a sum of independent waves cos(k pi s), the k-th falling as 1/k. Along the direction that is swept,
+heat makes paths err together, for R_s moves within each sweep as within the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._sweep import FluxPath
+
+Array = NDArray[np.float64]
+
+WAVES = 6
+_WHITE = 0.2  # share of what does not fall with the wave's number
+_ALIKE = 1.0  # variance that paths swept in one direction have in common, beside as much of each alone
+_PERFECT = 1e-4  # of the flux: better than any integral
+
+
+def sizes(paths: Sequence[FluxPath]) -> Array:
+    """Standard deviations of the waves of each path's error, along its direction and across, shape (p, 2, waves)."""
+    floor = _PERFECT * max(float(np.ptp(path.psi, axis=0).max()) for path in paths)
+    stated = np.array([path.std for path in paths]) ** 2 + floor**2
+    std = np.sqrt(np.einsum("pxc,pc->px", directions(paths) ** 2, stated))
+    return np.asarray(std[:, :, None] * np.hypot(1.0 / np.arange(1, WAVES + 1), _WHITE))
+
+
+def directions(paths: Sequence[FluxPath]) -> Array:
+    """Unit vectors along and across the way that each path is swept, shape (p, 2, 2)."""
+    steps = np.array([path.current[-1] - path.current[0] for path in paths])
+    along = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+    return np.stack([along, along[:, ::-1] * np.array([-1.0, 1.0])], axis=1)
+
+
+def waves(count: int) -> Array:
+    """What takes the amplitudes of cos(k pi s), k = 1, 2, .. from values along a path, shape (waves, count)."""
+    place = (np.arange(count) + 0.5) / count
+    return np.asarray(2.0 / count * np.cos(np.pi * np.outer(np.arange(1, WAVES + 1), place)))
+
+
+def told_apart(paths: Sequence[FluxPath]) -> Array:
+    """What makes the errors of paths independent that are swept in one direction, shape (p, p)."""
+    out = np.zeros((len(paths), len(paths)))
+    way = directions(paths)[:, 0]
+    alike = np.abs(way @ way.T) > 0.99
+    for group in np.unique(alike, axis=0):
+        members = np.flatnonzero(group)
+        mean = np.full((len(members), len(members)), 1.0 / len(members))
+        out[np.ix_(members, members)] = np.eye(len(members)) - mean + mean / np.sqrt(1.0 + _ALIKE * len(members))
+    return out

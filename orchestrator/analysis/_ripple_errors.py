@@ -1,0 +1,59 @@
+"""What is wrong with inductances that a ripple showed, as far as it is alike at many points: a gain, and dead time.
+
+Where a phase current passes zero within the ripple, what the inverter keeps from that phase follows the ripple: some
+of it acts like a smaller injected voltage along the phase's axis n, and the inductance looks too large along it,
+
+    dL = f(|i_phase| n' L n) (n' L n) n n'.
+
+f is unknown, one for all phases, straight between knots. The gain holds what timing and the sums of samples leave.
+How much of f there is the data say; nothing here knows what a waveform is.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis._integration import Inductances
+
+Array = NDArray[np.float64]
+
+GAIN_STD = 2e-4
+"""Of all inductances together."""
+_KNOTS = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.07, 0.11, 0.16])
+"""Of |i_phase| (n' L n), in units of the largest current's, L being the mean; f is zero at the last and beyond.
+
+The ripple of the current is as large as that of the flux is over n' L n, and f's reach with it.
+"""
+SIZE = 0.04
+"""Of f, where there is any: 8 V of dead time under an injection of 40 V."""
+_ENTRIES = ((0, 0), (0, 1), (1, 1))
+
+
+def error_modes(points: Inductances, rotor_angle_rad: Array) -> Array:
+    """What each kind of error does to (L_dd, L_dq, L_qq, and the four slopes), shape (n, 7, modes); the gain is first.
+
+    Parameters
+    ----------
+    points : Inductances
+    rotor_angle_rad : array, shape (n,)
+        Of the believed d axis, from phase a's.
+    """
+    m, t = points.matrix, points.slope
+    gain = np.column_stack(
+        [*(m[:, i, j] for i, j in _ENTRIES), t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]
+    )
+    out = np.zeros((len(m), 7, len(_KNOTS)))
+    out[:, :, 0] = gain
+    places = _KNOTS * float(np.linalg.norm(points.current, axis=1).max())
+    usual = 0.5 * float(np.einsum("nii->n", m).mean())
+    for phase in range(3):
+        angle = 2.0 * np.pi / 3.0 * phase - rotor_angle_rad
+        n = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        current = np.abs(np.einsum("nx,nx->n", points.current, n))
+        along = np.einsum("na,nab,nb->n", n, m, n)
+        for k in range(len(_KNOTS) - 1):
+            share = np.interp(current * along / usual, places, np.eye(len(_KNOTS))[k])
+            for row, (i, j) in enumerate(_ENTRIES):
+                out[:, row, 1 + k] += share * along * n[:, i] * n[:, j]
+    return out

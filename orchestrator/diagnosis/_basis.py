@@ -1,0 +1,159 @@
+"""Derivatives of the weak form by the co-energy's coefficients, from moments of the current in each spline cell.
+
+Within a cell of the map each spline is one polynomial, so a sum of grad B(i) over samples follows from sums of
+t_d^m t_q^n, m and n up to five: exact, and far cheaper than the splines at each sample.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+_OVERLAP = 0.08
+"""How far beyond its cell a polynomial is still used, in cells: splines of degree five part with its fifth power."""
+
+
+@njit(cache=True, nogil=True)
+def sum_basis(
+    i_dq: Array,
+    delta: Array,
+    step: float,
+    hats: int,
+    bins: NDArray[np.int64],
+    n_bins: int,
+    numbers: Array,
+    counts: NDArray[np.int64],
+    pieces: Array,
+) -> Array:
+    """Weighted sums of -(psi_{k+1} - psi_k), one column a coefficient -> (hats, n_bins, 2, coefficients).
+
+    Parameters
+    ----------
+    i_dq : array, shape (n, 2)
+        Magnetising current in the true rotor frame.
+    delta : array, shape (n,) or (0,)
+        True minus believed angle; the flux is turned back into the believed frame by its mean. Empty: zero.
+    """
+    n = i_dq.shape[0]
+    nq = (counts.shape[0] - 2 + 1) // 2
+    out = np.zeros((hats, n_bins, 2, (counts[0] + 5) * nq))
+    where = np.zeros((n_bins, 2), dtype=np.int64)
+    moments = np.zeros((n_bins, 2, 6, 6))
+    waiting = np.zeros(n_bins, dtype=np.bool_)
+    cos = 1.0
+    sin = 0.0
+    if delta.shape[0] > 0:
+        cos = math.cos(delta.mean())
+        sin = math.sin(delta.mean())
+    now = np.empty((2, 6))
+    after = np.empty((2, 6))
+    last_bin = -1
+    span = 0
+    for k in range(n - 1):
+        place = (k + 0.5) / step
+        here = math.floor(place)
+        if here != span:
+            for b in range(n_bins):
+                if waiting[b]:
+                    _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
+                    waiting[b] = False
+            span = here
+        b = bins[k]
+        u0 = (i_dq[k, 0] - numbers[0]) / numbers[1]
+        v0 = (i_dq[k, 1] - numbers[2]) / numbers[3]
+        u1 = (i_dq[k + 1, 0] - numbers[0]) / numbers[1]
+        v1 = (i_dq[k + 1, 1] - numbers[2]) / numbers[3]
+        fresh = not waiting[b]
+        if waiting[b] and not (_within(u0, u1, where[b, 0], counts[0]) and _within(v0, v1, where[b, 1], counts[1])):
+            _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
+            fresh = True
+        if fresh:
+            where[b, 0] = min(max(math.floor(0.5 * (u0 + u1)), 0), counts[0] - 1)
+            where[b, 1] = min(max(math.floor(0.5 * (v0 + v1)), 0), counts[1] - 1)
+            waiting[b] = True
+        # The powers at the end of the last interval are those at the start of this one, if the cell is the same.
+        if fresh or b != last_bin:
+            _powers(u0 - where[b, 0], v0 - where[b, 1], now)
+        _powers(u1 - where[b, 0], v1 - where[b, 1], after)
+        last_bin = b
+        w1 = place - here
+        w0 = 1.0 - w1
+        for m in range(6):
+            for j in range(6):
+                z = after[0, m] * after[1, j] - now[0, m] * now[1, j]
+                moments[b, 0, m, j] += w0 * z
+                moments[b, 1, m, j] += w1 * z
+        now, after = after, now
+    for b in range(n_bins):
+        if waiting[b]:
+            _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
+    return out
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _within(x0: float, x1: float, cell: int, cells: int) -> bool:
+    low = -_OVERLAP if cell > 0 else -1e9
+    high = 1.0 + _OVERLAP if cell < cells - 1 else 1e9
+    return low <= x0 - cell <= high and low <= x1 - cell <= high
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _powers(t: float, s: float, out: Array) -> None:
+    """1, t, ... t^5 and the same of s."""
+    out[0, 0] = 1.0
+    out[1, 0] = 1.0
+    for p in range(1, 6):
+        out[0, p] = out[0, p - 1] * t
+        out[1, p] = out[1, p - 1] * s
+
+
+@njit(cache=True, nogil=True)
+def _flush(
+    out: Array,
+    span: int,
+    slot: int,
+    hats: int,
+    cell: NDArray[np.int64],
+    moments: Array,
+    cos: float,
+    sin: float,
+    numbers: Array,
+    counts: NDArray[np.int64],
+    pieces: Array,
+) -> None:
+    """Hands the moments of one bin to the hats on both sides of a span of intervals, and clears them."""
+    nq = (counts.shape[0] - 2 + 1) // 2
+    plain = np.empty(6)
+    slope = np.empty(6)
+    for side in range(2):
+        hat = span - 1 + side
+        if hat < 0 or hat >= hats:
+            continue
+        m = moments[side]
+        for r in range(6):
+            # Along d first: sums over the powers of t_d, with and without the derivative.
+            for j in range(6):
+                plain[j] = 0.0
+                slope[j] = 0.0
+                for a in range(6):
+                    plain[j] += pieces[r, a] * m[a, j]
+                for a in range(1, 6):
+                    slope[j] += pieces[r, a] * a * m[a - 1, j]
+            for s in range(6):
+                d = 0.0
+                q = 0.0
+                for j in range(6):
+                    d += pieces[s, j] * slope[j]
+                for j in range(1, 6):
+                    q += pieces[s, j] * j * plain[j - 1]
+                d /= numbers[1]
+                q /= numbers[3]
+                col = (cell[0] + r) * nq + counts[2 + cell[1] + s]
+                out[hat, slot, 0, col] -= cos * d - sin * q
+                out[hat, slot, 1, col] -= sin * d + cos * q
+    moments[:] = 0.0

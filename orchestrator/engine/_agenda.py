@@ -1,0 +1,94 @@
+"""What a run is to do and how far it is: plan, appended stages, points measured. Measures nothing itself."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orchestrator.config import Plan, PlannedPoint, check_plan, make_plan
+from orchestrator.engine._probing import factor_of
+from orchestrator.runs import RunDirectory
+from protocols import Capabilities, EstimateStage, Segment, Stage, StagesAppended
+
+
+class Agenda:
+    """The stages of one run, in order, and how far it is with them.
+
+    Attributes
+    ----------
+    plan : Plan
+        Grows when stages are appended.
+    done : dict of str to Segment
+        The points that are measured, by id.
+    experiments : int
+        How many proposed experiments were appended.
+    """
+
+    def __init__(self, run: RunDirectory, plan: Plan, capabilities: Capabilities) -> None:
+        self._run, self._capabilities = run, capabilities
+        self.plan = plan
+        self.done = dict(run.completed())
+        self._appended = list(run.appended())
+        self._resumed_at = self._first_not_passed()
+        self._left_s = self._planned_s()
+
+    @property
+    def stages(self) -> Sequence[Stage]:
+        return self.plan.procedure.stages
+
+    @property
+    def experiments(self) -> int:
+        return len(self._appended)
+
+    @property
+    def seconds_left(self) -> float:
+        """Planned time of what is not done yet, on the drive's clock."""
+        return max(0.0, self._left_s)
+
+    def tick_off(self, point: PlannedPoint, segment: Segment) -> None:
+        """A point is done."""
+        self.done[point.id] = segment
+        self._left_s -= point.seconds
+
+    def points_left(self, index: int) -> list[PlannedPoint]:
+        """The points of a stage that are not done."""
+        return [point for point in self.plan.points_of(index) if point.id not in self.done]
+
+    def factor(self, index: int) -> float | None:
+        """By how much the injection of a stage is weaker than planned; None where nothing of it is measured yet."""
+        found = (factor_of(point, self.done[point.id]) for point in self.plan.points_of(index) if point.id in self.done)
+        return next((factor for factor in found if factor is not None), None)
+
+    def passed(self, index: int) -> bool:
+        """Whether the run was beyond this stage in an earlier life: what it asked or found is in the journal."""
+        return index < self._resumed_at or any(
+            point.id in self.done for point in self.plan.points if point.stage_index > index
+        )
+
+    def estimated_later(self, index: int) -> bool:
+        """Whether the run is beyond this estimate stage, and another one comes."""
+        return self.passed(index) and any(isinstance(stage, EstimateStage) for stage in self.stages[index + 1 :])
+
+    def longer(self, more: Sequence[Stage]) -> Plan:
+        """The plan with these stages at its end; raises `InputError` where limits or drive do not allow them."""
+        before = [stage for message in self._appended for stage in message.stages]
+        plan = make_plan(self._run.procedure(), self._capabilities, (*before, *more))
+        check_plan(plan, self._capabilities)
+        return plan
+
+    def append(self, message: StagesAppended, plan: Plan) -> None:
+        """Go on with these stages, as `longer` has planned them and the journal knows them."""
+        self._appended.append(message)
+        self.plan = plan
+        self._left_s = self._planned_s()
+
+    def _first_not_passed(self) -> int:
+        """A stage that has appended others is passed; all stages are where a person appended to a finished run."""
+        place = len(self.stages) - sum(len(message.stages) for message in self._appended)
+        first = 0
+        for message in self._appended:
+            first = max(first, place if message.by is None else message.by + 1)
+            place += len(message.stages)
+        return first
+
+    def _planned_s(self) -> float:
+        return sum(point.seconds for point in self.plan.points if point.id not in self.done)

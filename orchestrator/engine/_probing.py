@@ -1,0 +1,137 @@
+"""How strong a stage's injection may be: the ripple is felt at the rim, with a small voltage, before it is swept.
+
+The nameplate's inductance gives the ripple of an unsaturated motor, U / (4 f L) for a square wave. Saturation raises it
+severalfold, and only at the rim, where no room is left for it. So where three times that ripple would pass what is
+tolerated beside limits.current_a, the outermost points of the stage get a short injection first; the peak of the
+current, scaled to the stage's voltage, tells by how much all of its points have to be weaker. One factor serves them
+all, since points of one strength belong to one map. What is felt here is not recorded, and neither is its heat: a stage
+that fits is not probed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import closing
+from dataclasses import replace
+
+import numpy as np
+
+from orchestrator.config import PlannedPoint, nominal_ripple_a
+from orchestrator.engine._interrupts import Interrupts
+from orchestrator.engine._power import PowerStage
+from protocols import DriveRefused, Injection, Limits, Motor, Segment
+
+GROWTH = 2.9
+"""Peak over the nameplate's ripple, up to which a stage needs no probing: twice as the wave begins, and saturation."""
+TOLERATED = 1.1
+"""Of the limit: what the first half wave may reach; drives trip above that."""
+_DIRECTIONS = 8
+_PERIODS = 20
+"""Of the injection in one probe: one turn."""
+_SMALL = 0.25
+_MARGIN = 1.25
+"""For what grows faster than the voltage: a larger ripple reaches further into saturation."""
+_OF_LIMIT = 0.98
+_LEAST = 0.02
+
+
+class RippleProbe:
+    """Finds the factor by which the injection of a stage has to be weaker than planned.
+
+    Parameters
+    ----------
+    power : PowerStage
+        Armed when it is asked.
+    limits : Limits
+    motor : Motor
+        For the ripple that the nameplate promises.
+    interrupts : Interrupts
+    """
+
+    def __init__(self, power: PowerStage, limits: Limits, motor: Motor, interrupts: Interrupts) -> None:
+        self._power, self._limits, self._motor, self._interrupts = power, limits, motor, interrupts
+
+    def factor(self, points: Sequence[PlannedPoint]) -> float:
+        """1 where the stage fits as it is planned, else less: two digits, down to a fiftieth.
+
+        Raises
+        ------
+        DriveFault
+            The drive tripped all the same.
+        RunInterrupted
+            A stop was asked for.
+        """
+        injections = [p.excitation for p in points if isinstance(p.excitation, Injection)]
+        if not injections:
+            return 1.0
+        strongest = max(injections, key=lambda e: e.amplitude_v)
+        nominal = nominal_ripple_a(strongest, self._motor)
+        outermost = max(_length(e) for e in injections)
+        if nominal > 0.0 and outermost + GROWTH * nominal <= TOLERATED * self._limits.current_a:
+            return 1.0
+        try:
+            return min(self._at(e.model_copy(update={"amplitude_v": strongest.amplitude_v})) for e in _rim(injections))
+        except DriveRefused:  # a drive that cannot do anything but what was planned gets just that
+            return 1.0
+
+    def _at(self, planned: Injection) -> float:
+        """The factor that one point asks for."""
+        nominal = nominal_ripple_a(planned, self._motor)
+        room = max(_OF_LIMIT * self._limits.current_a - _length(planned), 0.0)
+        small = _SMALL if nominal <= 0.0 else min(_SMALL, 2.0 * _SMALL * room / nominal)
+        small = max(small, _LEAST)
+        peak = self._peak(planned, small)
+        growth = max(peak - _length(planned), 1e-9) / small
+        if _length(planned) + growth <= TOLERATED * self._limits.current_a:
+            return 1.0
+        return max(_LEAST, float(f"{min(1.0, room / (_MARGIN * growth)):.2g}"))
+
+    def _peak(self, planned: Injection, small: float) -> float:
+        """Longest current vector while a weaker injection makes one turn at the point [A]."""
+        probe = planned.model_copy(
+            update={
+                "amplitude_v": small * planned.amplitude_v,
+                "rotation_hz": planned.frequency_hz / _PERIODS,
+                "duration_s": _PERIODS / planned.frequency_hz,
+                "discard_s": 0.0,
+            }
+        )
+        peak = 0.0
+        with closing(self._power.execute(probe, quiet_s=probe.settle_s + probe.duration_s)) as blocks:
+            for capture in blocks:
+                self._interrupts.check()
+                if len(capture):
+                    peak = max(peak, float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab)))))
+        return peak
+
+
+def weakened(point: PlannedPoint, factor: float) -> PlannedPoint:
+    """The point with its injection weaker by a factor; its settings say what is really asked for."""
+    if factor == 1.0 or not isinstance(point.excitation, Injection):
+        return point
+    amplitude = float(f"{factor * point.excitation.amplitude_v:.3g}")
+    excitation = point.excitation.model_copy(update={"amplitude_v": amplitude})
+    return replace(point, excitation=excitation, settings={**point.settings, "amplitude_v": amplitude})
+
+
+def factor_of(point: PlannedPoint, measured: Segment) -> float | None:
+    """By how much a measured point was weaker than planned; None where it was no injection."""
+    asked = measured.settings.get("amplitude_v")
+    if not isinstance(point.excitation, Injection) or not isinstance(asked, int | float):
+        return None
+    return float(asked) / point.excitation.amplitude_v
+
+
+def _length(excitation: Injection) -> float:
+    return math.hypot(excitation.target_d_a, excitation.target_q_a)
+
+
+def _rim(injections: Sequence[Injection]) -> list[Injection]:
+    """The outermost points in eight directions, each once."""
+    found: dict[tuple[float, float], Injection] = {}
+    for k in range(_DIRECTIONS):
+        d, q = math.cos(2 * math.pi * k / _DIRECTIONS), math.sin(2 * math.pi * k / _DIRECTIONS)
+        outermost = max(injections, key=lambda e: d * e.target_d_a + q * e.target_q_a)
+        found[(outermost.target_d_a, outermost.target_q_a)] = outermost
+    return list(found.values())

@@ -1,0 +1,134 @@
+"""What the estimators of an energy share: the measurements that it is fitted to, and the map that it makes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy, inside_hull, require_area
+from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of
+from plugins.estimators.classical import ClassicalEstimator
+from plugins.estimators.injection import InjectionEstimator
+from protocols import EstimationContext, FluxMap, FluxMapEstimate, NotMeasuredError, RecordingReader
+
+Array = NDArray[np.float64]
+
+
+class Energy(Protocol):
+    """An energy that was fitted, whatever its form."""
+
+    def flux(self, at: Array) -> tuple[Array, Array]: ...
+
+    def inductance(self, at: Array) -> tuple[Array, Array]: ...
+
+
+class EnergyFlux(FluxMapEstimate):
+    """A map of an energy, with the energy."""
+
+    fit: EnergyFit
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """Inductances by injection and flux by integration; one of them may be None.
+
+    Attributes
+    ----------
+    current : array, shape (n, 2)
+        All currents that were reached [A].
+    segments : tuple of str
+        The segment of each.
+    angles : array, shape (p,)
+        Rotor angle of each inductance's segment.
+    energy : EnergyFit or None
+        Where another estimator fitted one already.
+    """
+
+    injected: InjectedFlux | None
+    swept: SweptFlux | None
+    current: Array
+    segments: tuple[str, ...]
+    angles: Array
+    energy: EnergyFit | None
+
+    @property
+    def inductances(self) -> Inductances | None:
+        return self.injected.inductances if self.injected else None
+
+    @property
+    def paths(self) -> tuple[FluxPath, ...]:
+        return self.swept.paths if self.swept else ()
+
+    def fit(self) -> EnergyFit:
+        """The flexible energy of these, made here where it was not made yet."""
+        if self.energy is not None:
+            return self.energy
+        return fit_energy(self.inductances, self.paths, rotor_angle_rad=self.angles)
+
+    def misfit(self, energy: Energy) -> Array | None:
+        """By how much an energy is off the sweeps' flux, each less its mean, shape (m, 2) [Wb]."""
+        if not self.paths:
+            return None
+        apart = [path.psi - energy.flux(path.current)[0] for path in self.paths]
+        return np.concatenate([one - one.mean(axis=0) for one in apart])
+
+
+def energy_measurements(recording: RecordingReader, context: EstimationContext) -> Measurements:
+    """What the other estimators found, made here where it was not made yet.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where neither injection nor sweeps span an area of currents with zero in it.
+    """
+    injected, swept = context.maps.get("injection"), context.maps.get("classical")
+    problems = []
+    if not isinstance(injected, InjectedFlux):
+        try:
+            injected = InjectionEstimator().estimate(recording, context)
+        except NotMeasuredError as error:
+            injected = None
+            problems.append(str(error))
+    if not isinstance(swept, SweptFlux):
+        try:
+            swept = ClassicalEstimator().estimate(recording, context)
+        except NotMeasuredError as error:
+            swept = None
+            problems.append(str(error))
+    sources = [source for source in (injected, swept) if source is not None]
+    where = recording.manifest.name
+    if not sources:
+        raise NotMeasuredError(where, "segments", "; ".join(problems))
+    current = np.concatenate([source.points.i_dq.astype(np.float64) for source in sources])
+    require_area(current, where)
+    if not inside_hull(current, np.zeros((1, 2)), where)[0]:
+        raise NotMeasuredError(where, "segments", "zero current lies outside the measured points")
+    angle = {segment.id: segment.rotor_angle_rad for segment in recording.manifest.segments}
+    found = context.maps.get("energy")
+    return Measurements(
+        injected=injected,
+        swept=swept,
+        current=current,
+        segments=tuple(name for source in sources for name in source.points.segment),
+        angles=np.array([angle[name] for name in injected.points.segment] if injected else []),
+        energy=found.fit if isinstance(found, EnergyFlux) else None,
+    )
+
+
+def gridded(method: str, recording: RecordingReader, energy: Energy, current: Array) -> FluxMap:
+    """The map of an energy over the hull of the currents that were reached."""
+    axes, nodes = grid_of(current)
+    inside = inside_hull(current, nodes, recording.manifest.name)
+    values, stds = np.full((len(nodes), 5), np.nan), np.full((len(nodes), 5), np.nan)
+    flux, inductance = energy.flux(nodes[inside]), energy.inductance(nodes[inside])
+    values[inside] = np.column_stack([flux[0], inductance[0]])
+    stds[inside] = np.column_stack([flux[1], inductance[1]])
+    return as_map(method, recording.manifest.motor, axes, values, stds)
+
+
+def pm_flux(recording: RecordingReader) -> Array:
+    """Flux of the magnets in the dq frame, as far as the nameplate knows it."""
+    return np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])

@@ -1,0 +1,128 @@
+"""A guess held against the sealed answer: which names are right, and how far off the sizes are."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from orchestrator.registry import PluginKind, installed
+from orchestrator.runs import RunDirectory
+from protocols import InputError, Strict
+
+NOTHING = "nothing"
+Effects = Mapping[str, Mapping[str, float]]
+
+
+class Guess(Strict):
+    """One name, and its size where one was said."""
+
+    name: str
+    size: float | None = None
+
+
+class GuessedSize(Strict):
+    """How far off a size is."""
+
+    name: str
+    parameter: str
+    guessed: float
+    ratio: float | None
+    """Guessed over true; None where the true one is zero."""
+
+
+class Verdict(Strict):
+    """How right a guess is, without saying more than that."""
+
+    right: tuple[str, ...]
+    wrong: tuple[str, ...]
+    still_hidden: int
+    sizes: tuple[GuessedSize, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether every name is right and none is missing."""
+        return not self.wrong and not self.still_hidden
+
+
+def read_guess(words: str) -> tuple[Guess, ...]:
+    """`dead_time,hysteresis=0.03` as guesses, `nothing` as none.
+
+    Raises
+    ------
+    InputError
+        A name that no installed effect has, one said twice, or a size that is no number.
+    """
+    if words.strip() == NOTHING:
+        return ()
+    names = [info.name for info in installed(PluginKind.EFFECTS)]
+    guesses: dict[str, Guess] = {}
+    for word in filter(None, (part.strip() for part in words.split(","))):
+        name, equals, size = (part.strip() for part in word.partition("="))
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1)
+            hint = f"did you mean {near[0]}?" if near else f"expected {NOTHING} or one of {', '.join(names)}"
+            raise InputError("--guess", name, f"there is no effect of that name; {hint}")
+        if name in guesses:
+            raise InputError("--guess", name, "said twice")
+        guesses[name] = Guess(name=name, size=_number(name, size) if equals else None)
+    if not guesses:
+        raise InputError("--guess", "", f"empty; say {NOTHING} where you found none")
+    return tuple(guesses.values())
+
+
+def sealed_effects(run: Path) -> Effects:
+    """The hidden effects and their parameters, out of the private directory beside a run.
+
+    Raises
+    ------
+    RecordingError
+        Where there is no run, or its secrets are gone.
+    """
+    plant: Mapping[str, Any] = RunDirectory.open(run).procedure().drive.options["plant"]
+    found = {name: parameters for name, parameters in plant.get("effects", {}).items() if parameters is not None}
+    return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in found.items()}
+
+
+def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects) -> Verdict:
+    """Hold guesses against what is hidden.
+
+    Parameters
+    ----------
+    fitted : mapping
+        Parameters of the recording's model: they stand in for sizes that were not said.
+    """
+    guesses = tuple(guesses)
+    right = tuple(guess.name for guess in guesses if guess.name in hidden)
+    sizes = (_size(guess, hidden[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in hidden)
+    return Verdict(
+        right=right,
+        wrong=tuple(guess.name for guess in guesses if guess.name not in hidden),
+        still_hidden=len(hidden) - len(right),
+        sizes=tuple(size for size in sizes if size is not None),
+    )
+
+
+def _size(guess: Guess, true: Mapping[str, float], fitted: Mapping[str, float]) -> GuessedSize | None:
+    """Judged by the first parameter, or the larger of two phases'."""
+    phases = [name for name in true if name.startswith(("offset_", "bias_", "extra_a_", "extra_b_"))]
+    parameter = max(phases, key=lambda name: abs(true[name])) if phases else next(iter(true))
+    guessed = guess.size if guess.size is not None else fitted.get(parameter)
+    if guessed is None:
+        return None
+    ratio = guessed / true[parameter] if true[parameter] else None
+    return GuessedSize(name=guess.name, parameter=parameter, guessed=guessed, ratio=ratio)
+
+
+def _number(name: str, text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(
+            "--guess", name, f"{text!r} is no number; expected the size of its first parameter, in SI units"
+        )
+    return value

@@ -1,0 +1,328 @@
+"""The diagnosis in pictures: the ladder, the residual before and after, ripple, flux loops, R_s over the heat.
+
+Black is measured, vermilion is what the model with its effects says, grey is the model that the ladder starts from.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from plugins.streams._colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
+from plugins.streams.report._canvas import (
+    BEFORE_COLOUR,
+    HEIGHT_IN,
+    PHASES_ON_PAPER,
+    SMALL,
+    WIDTH_IN,
+    bare,
+    empty_figure,
+    legend_above,
+    name_axes,
+    new_figure,
+    uri,
+)
+from plugins.streams.report._text import number, plain
+from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, RealArray, ResistanceCourse
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+CELLS = 13
+"""Cells along the longer side of the current plane."""
+PHASE_BINS = 25
+ARROW_IN = 0.30
+"""Length of the longest arrow."""
+_TIGHT: dict[str, Any] = {"handletextpad": 0.1, "columnspacing": 0.8, "markerscale": 1.4}
+
+
+def ladder_figure(ladder: Sequence[Mapping[str, Any]], floor_v: float) -> str:
+    """rms residual over the noise floor after each added effect, fitted and held out; the floor as a line.
+
+    Reads downwards, so that names have room on a phone.
+    """
+    height = max(1.7, 1.15 + 0.42 * len(ladder))
+    figure, axes = new_figure(WIDTH_IN, height)
+    places = np.arange(len(ladder))
+    for key, colour, mark, name, shift in (
+        ("rms_v", BLACK, "o", "fitted", -0.09),
+        ("heldout_rms_v", BLUE, "D", "held out", 0.09),
+    ):
+        values = np.array([np.nan if rung.get(key) is None else rung[key] for rung in ladder]) / floor_v
+        if np.isfinite(values).any():
+            axes.plot(values, places + shift, "-", color=colour, lw=1.2, alpha=0.5)
+            axes.plot(values, places + shift, mark, color=colour, ms=6, label=name)
+    axes.axvline(1.0, color=GUIDE, lw=1.2, ls="--", label="noise floor")
+    axes.set_xscale("log")
+    low, high = axes.get_xlim()
+    axes.set_xlim(min(low, 0.8), max(high, 3.0))
+    axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
+    axes.xaxis.set_minor_formatter("")
+    axes.set_yticks(places, [rung_name(rung.get("added"), k) for k, rung in enumerate(ladder)])
+    axes.set_ylim(len(ladder) - 0.5, -0.5)
+    name_axes(axes, "rms residual over noise", "")
+    legend_above(axes, 3)
+    return uri(figure)
+
+
+def rung_name(added: str | None, index: int) -> str:
+    """A rung by what was added to the one before."""
+    if added is None:
+        return "the model alone" if index == 0 else "the same, refitted"
+    return f"+ {plain(added)}"
+
+
+@dataclass(frozen=True)
+class _Plane:
+    """The current plane in cells: edges [A], rms residual (d, q) and mean residual (2, d, q) [V]; NaN where empty."""
+
+    edges_d: RealArray
+    edges_q: RealArray
+    rms: RealArray
+    mean: RealArray
+
+
+def plane_figures(before: DiagnosisStep, after: DiagnosisStep) -> tuple[str, str]:
+    """The residual in each cell of the current plane, rms as colour, mean as arrow; both on the first one's scale."""
+    cells = [_cells(step) for step in (before, after)]
+    known = cells[0].rms[np.isfinite(cells[0].rms)]
+    top = float(np.percentile(known, 98)) if len(known) else 1.0
+    first, last = (_plane(cell, top or 1.0) for cell in cells)
+    return first, last
+
+
+def _cells(step: DiagnosisStep) -> _Plane:
+    used = np.array([stage != "gates_off" for stage in step.stage])
+    i, residual = step.i_dq[used], step.residual_dq_v[used]
+    low, high = (i.min(axis=0), i.max(axis=0)) if len(i) else (-np.ones(2), np.ones(2))
+    side = max(float((high - low).max()), 1e-9) / CELLS
+    edges = []
+    for axis in range(2):
+        # Cells lie centred about zero, so that a sweep along an axis is one row of them.
+        first, last = np.floor(low[axis] / side + 0.5), np.floor(high[axis] / side + 0.5)
+        edges.append((np.arange(first, last + 2) - 0.5) * side)
+    shape = (len(edges[0]) - 1, len(edges[1]) - 1)
+    cell = np.digitize(i[:, 0], edges[0][1:-1]) * shape[1] + np.digitize(i[:, 1], edges[1][1:-1])
+    count = np.bincount(cell, minlength=shape[0] * shape[1]).astype(np.float64)
+    count[count == 0.0] = np.nan
+
+    def average(x: RealArray) -> RealArray:
+        return np.asarray(np.bincount(cell, x, len(count)) / count).reshape(shape)
+
+    mean = np.array([average(residual[:, k]) for k in range(2)])
+    return _Plane(edges[0], edges[1], np.sqrt(average((residual**2).sum(axis=1))), mean)
+
+
+def _plane(cells: _Plane, top_v: float) -> str:
+    figure, axes = new_figure(WIDTH_IN, WIDTH_IN * 0.78)
+    size = 1e3 * cells.rms.T
+    mesh = axes.pcolormesh(
+        cells.edges_d, cells.edges_q, size, cmap="YlGnBu", vmin=0.0, vmax=1.15e3 * top_v, rasterized=True
+    )
+    d, q = (0.5 * (edges[1:] + edges[:-1]) for edges in (cells.edges_d, cells.edges_q))
+    grid_d, grid_q = np.meshgrid(d, q, indexing="ij")
+    shown = np.hypot(*np.nan_to_num(cells.mean)) > 0.03 * top_v  # below, an arrow is a dot
+    axes.quiver(
+        grid_d[shown],
+        grid_q[shown],
+        cells.mean[0][shown],
+        cells.mean[1][shown],
+        color=BLACK,
+        scale=top_v / ARROW_IN,
+        scale_units="inches",
+        width=0.006,
+        headwidth=4,
+        pivot="mid",
+    )
+    bar = figure.colorbar(mesh, ax=axes, shrink=0.95)
+    bar.set_label("rms residual [mV]", fontsize=SMALL)
+    bar.ax.tick_params(labelsize=SMALL)
+    axes.set_aspect("equal", adjustable="box")
+    name_axes(axes, "$i_d$ [A]", "$i_q$ [A]")
+    return uri(figure)
+
+
+def phase_figures(before: DiagnosisStep, after: DiagnosisStep) -> tuple[str, str]:
+    """Residual of each phase over that phase's current, the three laid over each other; both on one scale."""
+    top = 1e3 * float(np.nanpercentile(np.abs(before.residual_abc_v), 99.5)) if len(before.time_s) else 1.0
+    return _phases(before, 1.15 * (top or 1.0)), _phases(after, 1.15 * (top or 1.0))
+
+
+def _phases(step: DiagnosisStep, top_mv: float) -> str:
+    figure, axes = new_figure()
+    driven = np.array([stage != "gates_off" for stage in step.stage])
+    current = np.asarray(step.i_abc[driven], dtype=np.float64)
+    residual = 1e3 * with_zero_sequence(current, np.asarray(step.residual_abc_v[driven], dtype=np.float64))
+    for phase, colour in enumerate(PHASES_ON_PAPER):
+        axes.plot(current[:, phase], residual[:, phase], ".", color=colour, ms=2.5, alpha=0.25, rasterized=True)
+    for phase, (name, colour) in enumerate(zip("abc", PHASES_ON_PAPER, strict=True)):
+        at, middle = _medians(current[:, phase], residual[:, phase])
+        axes.plot(at, middle, "-", color="white", lw=4.0)
+        axes.plot(at, middle, "-", color=colour, lw=2.0, label=f"phase {name}")
+    axes.axhline(0.0, color=GUIDE, lw=0.8)
+    axes.set_ylim(-top_mv, top_mv)
+    name_axes(axes, "current of the phase [A]", "residual of the phase [mV]")
+    legend_above(axes, 3)
+    return uri(figure)
+
+
+def with_zero_sequence(i_abc: RealArray, residual_abc: RealArray) -> RealArray:
+    """The residual of each phase with the part put back that a star connection hides, shape (n, 3).
+
+    Three equal voltages cause no current: of errors f(i_a), f(i_b), f(i_c) only f(i_k) - mean f is seen. One
+    piecewise linear f for all phases is fitted to that, and its mean put back (a component-plus-residual
+    plot); where no such f is in the data, nothing changes.
+    """
+    knots = _bins(i_abc)
+    if len(i_abc) <= len(knots):
+        return residual_abc
+    hats = np.stack([np.interp(i_abc, knots, unit) for unit in np.eye(len(knots))], axis=-1)
+    seen = hats - hats.mean(axis=1, keepdims=True)
+    curve = np.linalg.lstsq(seen.reshape(-1, len(knots)), residual_abc.ravel(), rcond=1e-6)[0]
+    return np.asarray(residual_abc + (hats @ curve).mean(axis=1, keepdims=True))
+
+
+def _bins(x: RealArray) -> RealArray:
+    """Edges over the range of x, finer towards zero, where inverters act."""
+    even = np.linspace(-1.0, 1.0, PHASE_BINS + 1)
+    return np.asarray((float(np.abs(x).max(initial=0.0)) or 1.0) * np.sign(even) * even**2)
+
+
+def _medians(x: RealArray, y: RealArray) -> tuple[RealArray, RealArray]:
+    """Median of y in bins of x that hold enough of it."""
+    place = np.digitize(x, _bins(x)[1:-1])
+    full = [k for k in range(PHASE_BINS) if (place == k).sum() >= 5]
+    return (
+        np.array([np.median(x[place == k]) for k in full]),
+        np.array([np.median(y[place == k]) for k in full]),
+    )
+
+
+def loop_figure(before: FluxLoop | None, after: FluxLoop) -> str:
+    """Flux over current of one sweep; below, what was measured less what the map says, going up and down."""
+    figure, above, below = _two_panels()
+    which = 0 if after.swept_axis == "d" else 1
+    axis = "dq"[which]
+    current = after.i_dq[:, which]
+    measured, model = (1e3 * (psi[:, which] - psi[:, which].mean()) for psi in (after.psi_measured, after.psi_model))
+    above.plot(current, measured, "-", color=BLACK, lw=2.4, label="measured, $\\int (v - R_s i)\\,dt$")
+    above.plot(current, model, "--", color=MODEL, lw=1.4, label="model")
+    name_axes(above, "", rf"$\psi_{axis}$ [mWb]")
+    legend_above(above, 2)
+    rising = _rising(current)
+    shown = [(after, MODEL, "with all effects")]
+    if before is not None:
+        shown.insert(0, (before, BEFORE_COLOUR, "first model"))
+    for loop, colour, name in shown:
+        apart = 1e3 * (loop.psi_measured - loop.psi_model)[:, which]
+        apart = apart - apart.mean()
+        below.plot(current[rising], apart[rising], ".", color=colour, ms=3.5, label=f"{name}: up")
+        below.plot(current[~rising], apart[~rising], "o", color=colour, ms=3.0, mfc="none", mew=0.7, label="down")
+    name_axes(below, f"$i_{axis}$ [A]", "difference [mWb]")
+    handles, names = below.get_legend_handles_labels()
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=SMALL, **_TIGHT)
+    return uri(figure)
+
+
+def _rising(current: RealArray) -> Any:
+    """Where a sweep goes up; in its plateaus, as before them."""
+    width = max(3, len(current) // 40)
+    smooth = np.convolve(current, np.ones(width) / width, mode="same")
+    slope = np.gradient(smooth)
+    sign = np.where(np.abs(slope) > 0.25 * np.abs(slope).max(), np.sign(slope), 0.0)
+    last = np.maximum.accumulate(np.where(sign != 0.0, np.arange(len(sign)), 0))
+    return sign[last] > 0.0
+
+
+def ripple_figure(excerpts: Sequence[CurrentExcerpt], before: Sequence[CurrentExcerpt]) -> str:
+    """Ripple of i_d per volt injected, two amplitudes over each other; below, measured less predicted."""
+    figure, above, below = _two_panels()
+    styles = (("s", "none", "--"), ("o", BLACK, "-")) if len(excerpts) > 1 else (("o", BLACK, "-"),)
+    for excerpt, (mark, fill, line) in zip(excerpts, styles, strict=True):
+        time, told = 1e3 * excerpt.time_s, f"{excerpt.amplitude_v or 1.0:g} V"
+        measured, predicted = _ripples(excerpt)
+        above.plot(time, measured, mark, color=BLACK, mfc=fill, ms=4.5, label=f"measured, {told}")
+        above.plot(time, predicted, line, color=MODEL, lw=1.5, label=f"model, {told}")
+        below.plot(time, measured - predicted, line, color=MODEL, lw=1.3)
+    for excerpt, (_, _, line) in zip(before, styles, strict=False):
+        measured, predicted = _ripples(excerpt)
+        below.plot(1e3 * excerpt.time_s, measured - predicted, line, color=BEFORE_COLOUR, lw=1.3, zorder=0)
+    name_axes(above, "", "ripple of $i_d$ [mA/V]")
+    handles, names = above.get_legend_handles_labels()
+    # Columns are filled one after the other: the model's curves are the second.
+    order = np.argsort([name.startswith("model") for name in names], kind="stable")
+    legend_above(above, 2, [handles[k] for k in order], [names[k] for k in order])
+    name_axes(below, "time [ms]", "difference\n[mA/V]")
+    return uri(figure)
+
+
+def _ripples(excerpt: CurrentExcerpt) -> tuple[RealArray, RealArray]:
+    """Measured and predicted ripple of i_d about its mean, per volt injected [mA/V]."""
+    volts = excerpt.amplitude_v or 1.0
+    measured, predicted = (
+        np.asarray(1e3 * (i[:, 0] - i[:, 0].mean()) / volts) for i in (excerpt.measured_a, excerpt.predicted_a)
+    )
+    return measured, predicted
+
+
+def _two_panels() -> tuple[Figure, Axes, Axes]:
+    """What there is above, what is wrong with it below, on one abscissa."""
+    figure = empty_figure(WIDTH_IN, 1.25 * HEIGHT_IN)
+    above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
+    return figure, bare(above), bare(below)
+
+
+def trapezoid_figure(excerpt: CurrentExcerpt, before: CurrentExcerpt | None) -> str:
+    """Both currents of a sweep, measured and simulated from the voltage alone; below, what the simulation misses."""
+    figure, above, below = _two_panels()
+    time = excerpt.time_s
+    for axis, colour in ((0, D_AXIS), (1, Q_AXIS)):
+        name = f"$i_{'dq'[axis]}$"
+        above.plot(time, excerpt.measured_a[:, axis], "-", color=colour, lw=3.0, label=f"{name} measured")
+        above.plot(time, excerpt.predicted_a[:, axis], "--", color=BLACK, lw=1.0, label=None if axis else "simulated")
+        for shown, line_colour, width in ((before, BEFORE_COLOUR, 1.0), (excerpt, colour, 1.2)):
+            if shown is not None:
+                apart = 1e3 * (shown.predicted_a - shown.measured_a)[:, axis]
+                below.plot(time, apart, ("-", ":")[axis], color=line_colour, lw=width)
+    name_axes(above, "", "current [A]")
+    legend_above(above, 3)
+    name_axes(below, "time [s]", "simulated less\nmeasured [mA]")
+    return uri(figure)
+
+
+def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> str:
+    """What each dwell asks for as R_s over the heat put into the winding, and the model's R_s."""
+    figure, axes = new_figure()
+    if before is not None:
+        axes.plot(
+            1e-3 * before.heat_j, before.measured_ohm, "x", color=BEFORE_COLOUR, ms=4, label="dwells, first model"
+        )
+    heat = 1e-3 * course.heat_j
+    axes.plot(heat, course.measured_ohm, "o", color=BLACK, ms=4, label="dwells")
+    # Columns are filled one after the other: the model's curves are the second.
+    order = np.argsort(heat)
+    axes.plot(heat[order], course.model_ohm[order], "-", color=MODEL, lw=1.5, label="model")
+    name_axes(axes, "heat put into the winding [kJ]", r"$R_s$ [$\Omega$]")
+    legend_above(axes, 3)
+    return uri(figure)
+
+
+def joint_figure(joint: Sequence[Mapping[str, Any]]) -> str:
+    """The whole library fitted at once: sizes relative to typical, those that chance could have made hollow."""
+    figure, axes = new_figure(WIDTH_IN, max(1.8, 0.9 + 0.32 * len(joint)))
+    for place, entry in enumerate(joint):
+        size, z = float(entry.get("relative_size") or 0.0), float(entry.get("z") or 0.0)
+        sure = abs(z) >= 4.0
+        axes.barh(place, size, height=0.62, color=MODEL if sure else "none", edgecolor=MODEL if sure else GUIDE)
+        axes.text(size, place, f"  z = {number(z, 3)}", va="center", fontsize=SMALL - 1)
+    axes.set_yticks(range(len(joint)), [plain(str(entry.get("name"))) for entry in joint])
+    axes.set_ylim(len(joint) - 0.4, -0.6)
+    largest = max((float(e.get("relative_size") or 0.0) for e in joint), default=1.0) or 1.0
+    axes.set_xlim(0.0, 1.3 * largest)
+    name_axes(axes, "size relative to typical", "")
+    axes.grid(axis="y", visible=False)
+    return uri(figure)

@@ -1,0 +1,92 @@
+"""Which pictures of a diagnosis go on the page, in which order, and what is said below them. Draws nothing itself."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import TYPE_CHECKING
+
+from plugins.streams.report import _diagnosis_content as findings
+from plugins.streams.report import _diagnosis_figures as figures
+from plugins.streams.report._picture import Picture
+from plugins.streams.report._text import plain, scaled, typographic
+from protocols import CurrentExcerpt, DiagnosisStep
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis import SavedDiagnosis
+
+
+def diagnosis_pictures(found: SavedDiagnosis) -> Iterator[Picture]:
+    """The ladder first, then what the residual looks like, then the waveforms behind it."""
+    ladder, floor = found.report["ladder"], found.report["noise_floor"]["rms_v"]
+    if ladder and floor:
+        caption = (
+            f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {scaled(floor, 'V')}."
+        )
+        yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
+    yield from _joint(found)
+    if found.steps:
+        before, after = found.steps[0], found.steps[-1]
+        yield from _residuals(before, after)
+        yield from _waveforms(before, after)
+
+
+def _joint(found: SavedDiagnosis) -> Iterator[Picture]:
+    entries = findings.joint(found)
+    if entries:
+        caption = "All effects at once. Filled: beyond chance (|z| ≥ 4). Hollow: nothing that the data ask for."
+        yield Picture("The whole library, fitted together", caption, figures.joint_figure(entries))
+
+
+def _residuals(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
+    told = "" if before is after else f" After: with {_effects(after)}, {_error(before)} rms became {_error(after)}."
+    first, last = figures.plane_figures(before, after)
+    yield Picture(
+        "Residual on the current plane",
+        f"Both on one scale: rms in each cell as colour, mean as arrow.{told}",
+        first,
+        "" if before is after else last,
+    )
+    first, last = figures.phase_figures(before, after)
+    yield Picture(
+        "Residual against each phase's own current",
+        "The phases over each other, with medians; what a star connection hides (the zero sequence) is put back by "
+        "one curve for all three. Where they fall together on one odd curve, the inverter is at fault.",
+        first,
+        "" if before is after else last,
+    )
+
+
+def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]:
+    grey = "" if before is after else " Grey: by the first model."
+    for k, loop in enumerate(after.loops):
+        if loop.swept_axis != "dq":
+            caption = f"{loop.segment}, one period. Below: measured less model; up and down apart: a loop.{grey}"
+            uri = figures.loop_figure(before.loops[k] if grey else None, loop)
+            yield Picture(f"Flux loop on {loop.swept_axis}", caption, uri)
+    ripple = [e for e in after.excerpts if e.amplitude_v is not None]
+    if ripple:
+        alone = [e for e in before.excerpts if e.amplitude_v is not None] if grey else []
+        yield Picture("Ripple, measured and predicted", _ripple(ripple) + grey, figures.ripple_figure(ripple, alone))
+    for k, excerpt in enumerate(after.excerpts):
+        if excerpt.amplitude_v is None:
+            caption = f"{excerpt.segment}: simulated from the voltage alone, from its first sample on.{grey}"
+            uri = figures.trapezoid_figure(excerpt, before.excerpts[k] if grey else None)
+            yield Picture("A sweep, measured and simulated", caption, uri)
+    if after.resistance is not None and len(after.resistance.time_s) > 1:
+        caption = f"What each hold and injection point asks for, beside the rest of the model.{grey}"
+        uri = figures.heat_figure(after.resistance, before.resistance if grey else None)
+        yield Picture("R_s against the heat", caption, uri)
+
+
+def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
+    at = typographic(f"({shown[0].i_d_a:.2f}, {shown[0].i_q_a:.2f}) A")
+    told = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
+    return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {told} Below: measured less model."
+
+
+def _effects(step: DiagnosisStep) -> str:
+    return " and ".join(map(plain, step.effects)) or "the free map"
+
+
+def _error(step: DiagnosisStep) -> str:
+    return scaled(step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v, "V")

@@ -1,0 +1,171 @@
+"""The two layouts: tabs named for what a person wants to know, views for how it is answered."""
+
+from __future__ import annotations
+
+import rerun as rr
+import rerun.blueprint as rrb
+
+from plugins.streams._colours import SCREEN, packed
+from plugins.streams.rerun._axes import chart_bounds, plane_bounds
+from plugins.streams.rerun._diagnosis import Contents
+from plugins.streams.rerun._maps import INDUCTANCES
+from plugins.streams.rerun._tape import EFFECT_ADDED, EXPERIMENT
+
+COMMISSIONING, DIAGNOSIS = "commissioning", "diagnosis"
+_MARGIN_S = 1.0
+
+
+def commissioning(end_s: float | None = None) -> rrb.Blueprint:
+    """For watching a run and scrubbing through it; time axes reach to the cursor, or to the end where it is known."""
+    time = _from_the_start(end_s)
+    return _layout(
+        EXPERIMENT,
+        rrb.Horizontal(
+            rrb.Vertical(
+                rrb.StateTimelineView(origin="/state", name="States", time_view=time),
+                _plot("Current [A]", time, "/drive/current", "/drive/limit/current"),
+                _plot("Voltage [V]", time, "/drive/voltage", "/drive/limit/voltage"),
+                row_shares=[2, 5, 5],
+            ),
+            rrb.Vertical(_text("How it stands", "/status"), _log(), row_shares=[1, 1]),
+            column_shares=[5, 2],
+            name="What is it doing?",
+        ),
+        rrb.Horizontal(
+            _plane("Current plane: target (grey), reached (blue)", "/plane"),
+            rrb.Vertical(
+                _plot("How far off target [mA]", time, "/point/off_target"), _text("How it stands", "/status")
+            ),
+            name="Is every point reached?",
+        ),
+        rrb.Horizontal(
+            rrb.Vertical(
+                _chart("Ripple of i_d: measured, fitted", "/ripple/d"),
+                _chart("Ripple of i_q: measured, fitted", "/ripple/q"),
+            ),
+            _plot("Inductances, provisional [mH]", time, "/point/inductance"),
+            name="What does the ripple say?",
+        ),
+        rrb.Horizontal(
+            _plot(
+                "R_s over the experiment [Ω]",
+                time,
+                "/resistance/readings",
+                "/resistance/estimate",
+            ),
+            _text("Stator resistance", "/resistance/page"),
+            column_shares=[5, 2],
+            name="How does R_s move?",
+        ),
+        rrb.Horizontal(
+            _surface("ψ_d less its value at zero current", "/flux/d"),
+            _surface("ψ_q", "/flux/q"),
+            name="What is the flux?",
+        ),
+        rrb.Grid(
+            *(_plane(title, f"/maps/{name}", bar=True) for name, title in INDUCTANCES.items()),
+            _text("How it stands", "/status"),
+            grid_columns=2,
+            name="How does it saturate?",
+        ),
+        rrb.Horizontal(
+            _chart("Checks that need no truth", "/checks"),
+            _text("Can the map be trusted?", "/trust"),
+            column_shares=[3, 2],
+            name="Can I trust the map?",
+        ),
+    )
+
+
+def diagnosis(contents: Contents) -> rrb.Blueprint:
+    """For watching the error fall as effects are added."""
+    tabs: list[rrb.Container] = [
+        rrb.Horizontal(
+            rrb.Vertical(
+                _chart("The error ladder: fitted (bars), held out (dots)", "/ladder/chart"),
+                _falling(),
+                row_shares=[2, 1],
+            ),
+            rrb.Vertical(_text("The diagnosis", "/diagnosis"), _text("This step", "/ladder/page")),
+            column_shares=[3, 2],
+            name="Which effect is missing?",
+        ),
+        rrb.Horizontal(
+            _plane("Residual over the current plane", "/residual/plane", bar=True),
+            _chart("Residual over each phase's current", "/residual/phases"),
+            name="Where does the model fail?",
+        ),
+    ]
+    if contents.excerpts:
+        views = [_chart(f"Excerpt {n + 1}", f"/excerpts/{n}") for n in range(contents.excerpts)]
+        tabs.append(rrb.Grid(*views, grid_columns=2, name="Does it predict the current?"))
+    heat = [_chart("R_s over heat", "/heat")] if contents.resistance else []
+    loops = [_chart(f"Flux loop {n + 1}", f"/loops/{n}") for n in range(contents.loops)]
+    if loops or heat:
+        tabs.append(rrb.Grid(*loops, *heat, grid_columns=2, name="Do the flux loops close?"))
+    return _layout(EFFECT_ADDED, *tabs)
+
+
+def _layout(timeline: str, *tabs: rrb.Container) -> rrb.Blueprint:
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=0),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        rrb.TimePanel(state="collapsed", timeline=timeline, play_state="following"),
+        auto_views=False,
+        auto_layout=False,
+    )
+
+
+def _from_the_start(end_s: float | None) -> rrb.TimeAxis:
+    """The whole experiment. (Axes linked with each other would open on half a minute about the cursor.)"""
+    edge = rr.TimeRangeBoundary
+    end = edge.cursor_relative(seconds=_MARGIN_S) if end_s is None else edge.absolute(seconds=end_s + _MARGIN_S)
+    return rrb.TimeAxis(view_range=rr.TimeRange(start=edge.absolute(seconds=0.0), end=end))
+
+
+def _plot(name: str, time: rrb.TimeAxis, *paths: str) -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin=paths[0], contents=list(paths), name=name, axis_x=time, plot_legend=rrb.Corner2D.LeftTop
+    )
+
+
+def _falling() -> rrb.TimeSeriesView:
+    return rrb.TimeSeriesView(
+        origin="/ladder/rms_mv",
+        contents=["/ladder/rms_mv"],
+        name="The error falling [mV]",
+        plot_legend=rrb.Corner2D.RightTop,
+    )
+
+
+def _chart(name: str, path: str) -> rrb.Spatial2DView:
+    return _flat(name, path, *chart_bounds())
+
+
+def _plane(name: str, path: str, bar: bool = False) -> rrb.Spatial2DView:
+    return _flat(name, path, *plane_bounds(bar))
+
+
+def _flat(name: str, path: str, x: tuple[float, float], y: tuple[float, float]) -> rrb.Spatial2DView:
+    bounds = rrb.VisualBounds2D(x_range=x, y_range=y)
+    return rrb.Spatial2DView(origin=path, name=name, background=_screen(), visual_bounds=bounds)
+
+
+def _surface(name: str, path: str) -> rrb.Spatial3DView:
+    eye = rrb.EyeControls3D(position=[-2.3, -2.7, 1.6], look_target=[0.0, 0.0, -0.15], eye_up=[0.0, 0.0, 1.0])
+    bare = rrb.LineGrid3D(visible=False)
+    return rrb.Spatial3DView(origin=path, name=name, background=_screen(), eye_controls=eye, line_grid=bare)
+
+
+def _screen() -> rrb.Background:
+    return rrb.Background(color=packed(SCREEN), kind="SolidColor")
+
+
+def _text(name: str, path: str) -> rrb.TextDocumentView:
+    return rrb.TextDocumentView(origin=path, name=name)
+
+
+def _log() -> rrb.TextLogView:
+    columns = rrb.TextLogColumns(text_log_columns=["LogLevel", "Body"], timeline_columns=[EXPERIMENT])
+    return rrb.TextLogView(origin="/log", name="Events and faults", columns=columns)

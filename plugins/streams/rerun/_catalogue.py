@@ -1,0 +1,80 @@
+"""A folder of runs as a table, and as a catalogue that the viewer can browse: their properties are its columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from orchestrator.analysis import EstimationReport
+from orchestrator.runs import RunDirectory
+from plugins.streams.rerun._live import HOST
+from plugins.streams.rerun._tape import FILE_NAME, is_whole
+from protocols import Diagnosed, FluxbenchError, PointDone, RunEnded
+
+DATASET = "runs"
+COLUMNS = ("run", "created", "motor", "drive", "points", "outcome", "r_s_ohm", "map_by", "usable", "verdict", "view")
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """The runs of a folder, by name."""
+    return sorted(path.parent for path in folder.glob("*/run.json"))
+
+
+def row(path: Path) -> dict[str, Any]:
+    """One run's line of the table; null where it is not known."""
+    found: dict[str, Any] = dict.fromkeys(COLUMNS)
+    found |= {"run": path.name, "outcome": "unreadable", "view": _view_of(path)}
+    try:
+        run = RunDirectory.open(path)
+        messages = [record.message for record in run.journal.read()]
+    except FluxbenchError:
+        return found
+    record = run.record
+    ended = next((m for m in reversed(messages) if isinstance(m, RunEnded)), None)
+    found |= {"created": record.created, "motor": record.procedure.motor.name, "drive": record.procedure.drive.name}
+    found |= {"points": sum(isinstance(m, PointDone) for m in messages)}
+    found["outcome"] = "unfinished" if ended is None else ended.outcome
+    if ended is not None:
+        found |= _estimates(ended.estimates)
+    verdicts = [m.report.get("verdict") for m in messages if isinstance(m, Diagnosed)]
+    return found | {"verdict": verdicts[-1] if verdicts else None}
+
+
+def _estimates(estimates: dict[str, Any]) -> dict[str, Any]:
+    if not estimates:
+        return {}
+    report = EstimationReport.model_validate(estimates)
+    value = None if report.resistance is None else report.resistance.value_ohm
+    return {"r_s_ohm": value, "map_by": report.method, "usable": report.usable}
+
+
+def _view_of(path: Path) -> str:
+    file = path / FILE_NAME
+    return "missing" if not file.is_file() else "whole" if is_whole(file) else "torn"
+
+
+def as_text(rows: Sequence[dict[str, Any]]) -> str:
+    """The table for a person."""
+    lines = [COLUMNS, *(tuple(_cell(r[c]) for c in COLUMNS) for r in rows)]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(COLUMNS))]
+    lines.insert(1, tuple("-" * width for width in widths))
+    return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)
+
+
+@contextmanager
+def served(files: Sequence[Path]) -> Iterator[str]:
+    """A catalogue server of these views on this machine; its address, while it lasts."""
+    from rerun.server import Server
+
+    with Server(host=HOST, datasets={DATASET: list(files)}) as server:
+        yield server.url()

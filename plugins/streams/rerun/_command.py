@@ -1,0 +1,125 @@
+"""`fluxbench view`: a run in the viewer, or a folder of runs as a catalogue. Everything stays on this machine."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from protocols import RecordingError
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+MEMORY_LIMIT = "4GB"
+SUFFIX = ".rrd"
+
+
+@app.command()
+def view(
+    path: Annotated[Path, typer.Argument(help="A run, a recording, a .rrd file, or a folder of runs.", metavar="RUN")],
+    web: Annotated[bool, typer.Option("--web", help="In the browser; so anyway where there is no display.")] = False,
+    port: Annotated[int | None, typer.Option(min=1, max=65535, help="Of the viewer, or of its page.")] = None,
+    screenshot: Annotated[Path | None, typer.Option(help="Write a picture there instead of opening anything.")] = None,
+    tab: Annotated[str | None, typer.Option(help="Of the picture: the tab with this name.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="A folder's table as JSON, and nothing else.")] = False,
+) -> int:
+    """See a run: while it happens, or afterwards."""
+    if not path.exists():
+        raise RecordingError(str(path), "", "no such file or directory")
+    from plugins.streams.rerun._catalogue import as_text, row, runs_in
+    from plugins.streams.rerun._making import is_viewable, whole_view
+
+    if path.suffix == SUFFIX and path.is_file():
+        return _see(path, web, port, screenshot, tab)
+    if is_viewable(path):
+        found = whole_view(path, _tell)
+        if found.remark:
+            _tell(found.remark)
+        return _see(found.file, web, port, screenshot, tab)
+    runs = runs_in(path)
+    if not runs:
+        raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
+    rows = [row(run) for run in runs]
+    print(json.dumps(rows, indent=2) if as_json else as_text(rows), flush=True)
+    return 0 if as_json else _browse(runs, web, port)
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    return int(app(list(arguments), prog_name="fluxbench view", standalone_mode=False) or 0)
+
+
+def _see(file: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
+    if screenshot is not None:
+        return _picture(file, screenshot, tab)
+    from plugins.streams.rerun._viewer import has_display, start, viewer_words
+
+    if web or not has_display():
+        return _serve([str(file)], port)
+    start(viewer_words(port or 9876, MEMORY_LIMIT, files=[file]))
+    _tell(f"the viewer opens {file}")
+    return 0
+
+
+def _serve(sources: Sequence[str], port: int | None) -> int:
+    """A page for the browser, until it is interrupted."""
+    from plugins.streams.rerun._live import free_port, wait_for_viewer
+    from plugins.streams.rerun._viewer import has_ended, page_url, start, stop, viewer_words
+
+    data_port, web_port = free_port(), port or free_port()
+    server = start(viewer_words(data_port, MEMORY_LIMIT, web_port=web_port, files=sources))
+    try:
+        if not wait_for_viewer(web_port, 30.0, lambda: has_ended(server)):
+            raise RecordingError(sources[0], "", f"the page's server does not start; is port {web_port} taken?")
+        catalogue = [source for source in sources if source.startswith("rerun")]
+        print(page_url(data_port, web_port, *catalogue), flush=True)
+        _tell("open this address in a browser on this machine; Ctrl-C ends it")
+        while not has_ended(server):
+            time.sleep(0.2)
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        stop(server)
+    return 0
+
+
+def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
+    """Serve the catalogue and open it."""
+    from plugins.streams.rerun._catalogue import served
+    from plugins.streams.rerun._making import whole_view
+    from plugins.streams.rerun._tape import is_whole
+    from plugins.streams.rerun._viewer import has_display, has_ended, start, viewer_words
+
+    files = [whole_view(run, _tell).file for run in runs]
+    with served([file for file in files if is_whole(file)]) as url:
+        if web or not has_display():
+            return _serve([url], port)
+        _tell("the viewer opens the catalogue; Ctrl-C ends it")
+        window = start(viewer_words(port or 9876, MEMORY_LIMIT, files=[url]))
+        try:
+            while not has_ended(window):
+                time.sleep(0.2)
+        except KeyboardInterrupt:
+            return 0
+    return 0
+
+
+def _picture(file: Path, to: Path, tab: str | None) -> int:
+    from plugins.streams.rerun._shooting import headless_viewer, shoot
+
+    with headless_viewer() as viewer:
+        shots = shoot(viewer, file, tab, most=1 if tab is None else None)
+    if not shots:
+        raise RecordingError(str(file), "tab", f"has no tab named {tab!r}")
+    to.write_bytes(shots[0].png)
+    print(to)
+    return 0
+
+
+def _tell(line: str) -> None:
+    print(f"fluxbench: {line}", file=sys.stderr, flush=True)

@@ -1,0 +1,209 @@
+"""Brings entries to a viewer, on a thread of its own, and never lets anybody wait for it.
+
+A viewer may be absent, slow, stopped, killed, started late or again: what it has not taken waits in a bounded
+queue that drops its oldest entry and counts it. One that comes (back) is given all that is still kept.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import rerun as rr
+
+from plugins.streams.rerun._tape import Entry, new_stream
+
+HOST = "127.0.0.1"
+"""Nothing here talks to, or listens for, any other machine."""
+_LOOK_AGAIN_S = 0.2
+_BATCH = 64
+_FLUSH_S = 5.0
+
+
+def address(port: int) -> str:
+    """Where a viewer on this machine takes data."""
+    return f"rerun+http://{HOST}:{port}/proxy"
+
+
+class LiveFeed:
+    """Owner of the thread that feeds the viewer on `port`.
+
+    Parameters
+    ----------
+    recording_id : str
+        The file's, so that both are one recording.
+    port : int
+    capacity_bytes : float
+        What may be kept for the viewer, delivered or not.
+    """
+
+    def __init__(self, recording_id: str, port: int, capacity_bytes: float) -> None:
+        self._recording_id, self._port, self._capacity = recording_id, port, capacity_bytes
+        self._changed = threading.Condition()
+        self._waiting: deque[Entry] = deque()
+        self._shown: deque[Entry] = deque()
+        self._lasting: dict[str, Entry] = {}
+        self._size = 0
+        self._dropped = self._delivered = 0
+        self._closing = False
+        self._thread = threading.Thread(target=self._work, name="rerun live", daemon=True)
+        self._thread.start()
+
+    @property
+    def dropped(self) -> int:
+        """Entries that no viewer has seen and none will see."""
+        return self._dropped
+
+    @property
+    def delivered(self) -> int:
+        """Entries that were handed over, repetitions included."""
+        return self._delivered
+
+    def put(self, item: Entry) -> None:
+        """Keep an entry for the viewer; takes microseconds."""
+        with self._changed:
+            if item.is_static:
+                self._lasting.pop(item.path, None)  # so that the latest stands last
+                self._lasting[item.path] = item
+            self._waiting.append(item)
+            self._size += item.size
+            self._make_room()
+            self._changed.notify()
+
+    def close(self, timeout_s: float = 2.0) -> None:
+        """Hand over what waits, as far as the time allows; the rest counts as dropped."""
+        with self._changed:
+            self._closing = True
+            self._changed.notify()
+        self._thread.join(timeout_s)
+        if self._thread.is_alive():
+            # The viewer takes nothing and its library waits for it, at the latest when this process ends.
+            sever(self._port)
+            self._thread.join(timeout_s)
+        with self._changed:
+            self._dropped += len(self._waiting)
+            self._waiting.clear()
+            self._shown.clear()
+
+    def _make_room(self) -> None:
+        while self._size > self._capacity and (self._shown or len(self._waiting) > 1):
+            if self._shown:
+                self._size -= self._shown.popleft().size
+            else:
+                self._size -= self._waiting.popleft().size
+                self._dropped += 1
+
+    def _work(self) -> None:
+        while not self._is_over():
+            line = _dial(self._port)
+            if line is None:
+                with self._changed:
+                    self._changed.wait_for(lambda: self._closing, _LOOK_AGAIN_S)
+                    if self._closing:
+                        return
+                continue
+            with line:
+                self._feed(line)
+
+    def _feed(self, line: socket.socket) -> None:
+        """Hand over entries until the viewer is gone or all is said."""
+        stream = new_stream(self._recording_id, low_latency=True)
+        stream.connect_grpc(address(self._port))
+        with self._changed:
+            self._waiting.extendleft(reversed(self._shown))
+            self._shown.clear()
+            lasting = list(self._lasting.values())
+        for item in lasting:
+            item.write(stream)
+        while not _is_gone(line):
+            batch = self._take()
+            if not batch:
+                if self._is_over():
+                    break
+                continue
+            for item in batch:
+                item.write(stream)
+            with self._changed:
+                self._delivered += len(batch)
+                self._shown.extend(batch)
+        self._let_go(stream)
+
+    def _let_go(self, stream: rr.RecordingStream) -> None:
+        try:
+            stream.flush(timeout_sec=_FLUSH_S)
+        except (RuntimeError, ValueError):
+            return  # the viewer went away with the last entries; it is given them again should it come back
+        stream.disconnect()
+
+    def _take(self) -> list[Entry]:
+        """The next entries in line; none after a while without any."""
+        with self._changed:
+            self._changed.wait_for(lambda: bool(self._waiting) or self._closing, _LOOK_AGAIN_S)
+            return [self._waiting.popleft() for _ in range(min(_BATCH, len(self._waiting)))]
+
+    def _is_over(self) -> bool:
+        with self._changed:
+            return self._closing and not self._waiting
+
+
+def _dial(port: int) -> socket.socket | None:
+    """A line to whoever listens on the port, held open to notice when that process goes."""
+    try:
+        line = socket.create_connection((HOST, port), timeout=1.0)
+    except OSError:
+        return None
+    line.setblocking(False)
+    return line
+
+
+def sever(port: int) -> None:
+    """Break this process's connections to a port of this machine, whoever holds them."""
+    for name in Path("/dev/fd").iterdir():
+        try:
+            copy = os.dup(int(name.name))
+        except OSError:
+            continue
+        try:
+            line = socket.socket(fileno=copy)
+        except OSError:  # not a socket
+            os.close(copy)
+            continue
+        with line, suppress(OSError):
+            if line.family == socket.AF_INET and line.getpeername() == (HOST, port):
+                line.shutdown(socket.SHUT_RDWR)
+
+
+def _is_gone(line: socket.socket) -> bool:
+    while True:
+        try:
+            if not line.recv(4096):
+                return True
+        except BlockingIOError:
+            return False
+        except OSError:
+            return True
+
+
+def free_port() -> int:
+    """A port of this machine that nobody listens on."""
+    with socket.socket() as probe:
+        probe.bind((HOST, 0))
+        return int(probe.getsockname()[1])
+
+
+def wait_for_viewer(port: int, timeout_s: float, gave_up: Callable[[], bool] = lambda: False) -> bool:
+    """Whether somebody listens on the port within the time, and before `gave_up`."""
+    deadline = time.monotonic() + timeout_s
+    while time.monotonic() < deadline and not gave_up():
+        line = _dial(port)
+        if line is not None:
+            line.close()
+            return True
+        time.sleep(0.05)
+    return False

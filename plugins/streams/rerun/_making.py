@@ -1,0 +1,90 @@
+"""Sees to it that a run has a whole ``view.rrd``: as it is, or made anew from the recording and its results."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from orchestrator.runs import is_run
+from plugins.streams.rerun._options import RerunOptions
+from plugins.streams.rerun._replay import replay
+from plugins.streams.rerun._stream import RerunStream
+from plugins.streams.rerun._tape import FILE_NAME, is_whole
+from protocols import StreamSetup
+
+_RUN_LOCK = ".lock"
+
+
+@dataclass(frozen=True)
+class Found:
+    """A file to look at, and what there is to say about it."""
+
+    file: Path
+    remark: str = ""
+
+
+def is_viewable(path: Path) -> bool:
+    """Whether a directory is a run or a recording."""
+    return is_run(path) or (path / "recording.json").is_file() or (path / FILE_NAME).is_file()
+
+
+def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
+    """The view of a run or recording, made where there is none, or only half a one.
+
+    Raises
+    ------
+    RecordingError
+        Where there is nothing to make it from.
+    """
+    file = directory / FILE_NAME
+    if file.is_file() and is_whole(file):
+        return Found(file)
+    if file.is_file() and _is_at_work(directory):
+        return Found(file, f"{directory} is still under way: what is written so far is shown")
+    why = "is torn (the run was killed)" if file.is_file() else "is missing"
+    tell(f"{file} {why}: making it from the recording and its results")
+    return make_view(directory)
+
+
+def make_view(directory: Path) -> Found:
+    """Replay a run or recording into a view; into the run itself, or elsewhere where it is not ours to write to."""
+    if is_run(directory) and os.access(directory, os.W_OK):
+        with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
+            made = _replayed(directory, Path(name))
+            return Found(made.replace(directory / FILE_NAME))
+    folder = Path(tempfile.mkdtemp(prefix=f"{directory.resolve().name}-"))
+    return Found(_replayed(directory, folder), f"kept in {folder}: the recording is left as it is")
+
+
+def _replayed(directory: Path, folder: Path) -> Path:
+    messages = replay(directory)
+    first = next(messages)  # what cannot be read is said before anything is made
+    stream = RerunStream(
+        StreamSetup(run=folder, options=RerunOptions()), name=directory.resolve().name, ripple_every_s=0.0
+    )
+    try:
+        stream.receive(first)
+        for message in messages:
+            stream.receive(message)
+    finally:
+        stream.close()
+    return folder / FILE_NAME
+
+
+def _is_at_work(directory: Path) -> bool:
+    """Whether a process holds the run."""
+    try:
+        descriptor = os.open(directory / _RUN_LOCK, os.O_RDONLY)
+    except OSError:
+        return False
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    finally:
+        os.close(descriptor)
+    return False

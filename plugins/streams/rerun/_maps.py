@@ -1,0 +1,201 @@
+"""Flux surfaces, inductances over the current plane, and the checks of a map, as entries."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import rerun as rr
+from numpy.typing import NDArray
+
+from plugins.streams._colours import (
+    D_AXIS,
+    GRID,
+    GUIDE,
+    METHODS,
+    MODEL,
+    Q_AXIS,
+    SCREEN,
+    TEXT,
+    diverging,
+    opaque,
+    packed,
+    sequential,
+)
+from plugins.streams.rerun._axes import WIDTH, Chart, colour_bar, lined, picture, plane, ticks, told, worded
+from plugins.streams.rerun._tape import Entry, When, entry
+from plugins.streams.rerun._words import PAPER, percent
+from protocols import FluxMap, FluxMapEstimate, RealArray
+
+INDUCTANCES = {"l_dd": "L_dd [mH]", "l_dq": "L_dq [mH]", "l_qq": "L_qq [mH]"}
+_PIXELS = 96
+_SURFACE = 61
+_HALF_HEIGHT = 0.7
+_LEAST_PERCENT, _MOST_PERCENT = 1e-3, 10.0
+
+
+@dataclass(frozen=True)
+class FluxBox:
+    """The box in which the flux surfaces of both axes stand: currents to ±reach, flux to ±height (A, Wb)."""
+
+    reach_a: float
+    height_wb: float
+
+    def furniture(self, when: When) -> list[Entry]:
+        """Scale, edges and words of both boxes."""
+        out: list[Entry] = []
+        for axis in ("d", "q"):
+            path = f"flux/{axis}/box"
+            size = [1.0 / self.reach_a, 1.0 / self.reach_a, _HALF_HEIGHT / self.height_wb]
+            out.append(entry(path, when, rr.Transform3D(scale=size)))
+            out.append(entry(f"flux/{axis}/edges", when, rr.LineStrips3D(_edges(), colors=packed(GRID), radii=-0.6)))
+            at, labels = self._words(axis)
+            words = rr.Points3D(at, labels=labels, show_labels=True, colors=packed(TEXT), radii=-0.01)
+            out.append(entry(f"flux/{axis}/words", when, words))
+        return out
+
+    def _words(self, axis: str) -> tuple[list[list[float]], list[str]]:
+        """Ticks of i_d along the edge in front, of i_q along the one on the left, of the flux on the post behind it."""
+        h = _HALF_HEIGHT
+        words: list[tuple[list[float], str]] = []
+        for value in ticks(-self.reach_a, self.reach_a, 4):
+            at = value / self.reach_a
+            words += [([at, -1.1, -h], told(value)), ([-1.1, at, -h], told(value))]
+        top = 1e3 * self.height_wb
+        words += [([-1.05, 1.12, h * v / top], told(v)) for v in ticks(-top, top, 4)]
+        words += [([0, -1.35, -h], "i_d [A]"), ([-1.35, 0, -h], "i_q [A]"), ([-1, 1.1, 1.25 * h], f"ψ_{axis} [mWb]")]
+        return [at for at, _ in words], [text for _, text in words]
+
+    def points(self, when: When, i_dq: RealArray, psi_dq: RealArray) -> list[Entry]:
+        """Flux at the points reached, in both boxes."""
+        out = []
+        for column, (axis, colour) in enumerate((("d", D_AXIS), ("q", Q_AXIS))):
+            at = np.column_stack([i_dq, psi_dq[:, column]])
+            dots = rr.Points3D(at, colors=packed(colour), radii=-3.0)
+            out.append(entry(f"flux/{axis}/box/points", when, dots, size=at.nbytes + 600))
+        return out
+
+    def surfaces(self, when: When, found: FluxMap) -> list[Entry]:
+        """The map as two surfaces, flux counted from that at zero current."""
+        i_d, i_q = _thinned(found.i_d), _thinned(found.i_q)
+        rows, columns = np.searchsorted(found.i_d, i_d), np.searchsorted(found.i_q, i_q)
+        out = []
+        for axis in ("d", "q"):
+            psi = (
+                np.asarray(getattr(found, f"psi_{axis}"))[np.ix_(rows, columns)] - flux_at_zero(found)["dq".index(axis)]
+            )
+            mesh = _mesh(i_d, i_q, psi, self.height_wb)
+            path = f"flux/{axis}/box/surface"
+            out.append(entry(path, when, rr.Clear(recursive=False) if mesh is None else mesh, size=40 * psi.size + 600))
+        return out
+
+
+def _edges() -> list[list[list[float]]]:
+    h = _HALF_HEIGHT
+    floor = [[-1, -1, -h], [1, -1, -h], [1, 1, -h], [-1, 1, -h], [-1, -1, -h]]
+    level = [[x, y, 0.0] for x, y, _ in floor]
+    posts = [[[x, y, -h], [x, y, h]] for x, y in ((-1, 1), (1, 1))]
+    return [floor, level, *posts]
+
+
+def _thinned(axis: RealArray) -> RealArray:
+    return axis[:: max(1, -(-len(axis) // _SURFACE))]
+
+
+def _mesh(i_d: RealArray, i_q: RealArray, psi: RealArray, height_wb: float) -> rr.Mesh3D | None:
+    """A triangulated sheet over the cells whose four corners are known; None where there is none."""
+    known = np.isfinite(psi)
+    cell = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    if not cell.any():
+        return None
+    number = np.arange(psi.size).reshape(psi.shape)
+    a, b, c, d = (n[cell] for n in (number[:-1, :-1], number[1:, :-1], number[1:, 1:], number[:-1, 1:]))
+    triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.uint32)
+    x, y = np.meshgrid(i_d, i_q, indexing="ij")
+    at = np.stack([x.ravel(), y.ravel(), np.where(known, psi, 0.0).ravel()], axis=1).astype(np.float32)
+    colours = sequential(0.5 + 0.5 * np.clip(np.where(known, psi, 0.0).ravel() / height_wb, -1.0, 1.0))
+    return rr.Mesh3D(vertex_positions=at, triangle_indices=triangles, vertex_colors=colours)
+
+
+def reach_of(found: FluxMap) -> float:
+    """Largest current of a map on either axis [A]."""
+    return float(max(np.abs(found.i_d).max(), np.abs(found.i_q).max(), 1e-9))
+
+
+def flux_at_zero(found: FluxMap) -> tuple[float, float]:
+    """psi(0, 0) of a map; zero where the map does not reach there."""
+    if not (found.i_d[0] <= 0.0 <= found.i_d[-1] and found.i_q[0] <= 0.0 <= found.i_q[-1]):
+        return 0.0, 0.0
+    place = int(np.abs(found.i_d).argmin()), int(np.abs(found.i_q).argmin())
+    psi = found.psi_d[place], found.psi_q[place]
+    return (float(psi[0]), float(psi[1])) if np.isfinite(psi).all() else (0.0, 0.0)
+
+
+def flux_height(found: FluxMap) -> float:
+    """Largest flux on either axis, counted from that at zero current [Wb]."""
+    zero = flux_at_zero(found)
+    values = np.concatenate([(found.psi_d - zero[0]).ravel(), (found.psi_q - zero[1]).ravel()])
+    known = np.abs(values[np.isfinite(values)])
+    return float(known.max()) if known.size and known.max() > 0.0 else 1.0
+
+
+def inductance_entries(when: When, found: FluxMap) -> list[Entry]:
+    """L_dd, L_dq and L_qq over the current plane, each with its colour bar; L_dq about zero."""
+    out: list[Entry] = []
+    ramp = np.linspace(0.0, 1.0, 64)
+    reach_a = 1.05 * reach_of(found)
+    for name in INDUCTANCES:
+        values = 1e3 * np.asarray(getattr(found, name))
+        known = values[np.isfinite(values)]
+        if not known.size:
+            continue
+        low, high = (float(v) for v in np.quantile(known, (0.005, 0.995)))
+        paint = sequential
+        if name == "l_dq":
+            high = max(abs(low), abs(high), 1e-9)
+            low, paint = -high, diverging
+        high = max(high, low + 1e-9)
+        i_d, i_q = (np.linspace(axis[0], axis[-1], _PIXELS) for axis in (found.i_d, found.i_q))
+        near = np.ix_(_nearest(found.i_d, i_d), _nearest(found.i_q, i_q))
+        image = opaque(paint((values[near].T - low) / (high - low)), SCREEN)
+        corner, size = (float(i_d[0]), float(i_q[0])), (float(np.ptp(i_d)), float(np.ptp(i_q)))
+        path = f"maps/{name}/amperes"
+        out += plane(path, reach_a, when=when)
+        out.append(picture(f"{path}/values", when, image, corner, size))
+        out += colour_bar(path, when, reach_a, paint(ramp), (low, high), INDUCTANCES[name])
+    return out
+
+
+def _nearest(axis: RealArray, wanted: RealArray) -> NDArray[np.intp]:
+    middles: RealArray = 0.5 * (axis[:-1] + axis[1:])
+    return np.searchsorted(middles, wanted)
+
+
+CHECKS = Chart("checks", (_LEAST_PERCENT, _MOST_PERCENT), (0.0, 1.0), "per cent of the rated flux", "", log_x=True)
+
+
+def check_entries(when: When, maps: Mapping[str, FluxMapEstimate]) -> list[Entry]:
+    """Crossings and parity of each method as bars, the paper's crossings beside them."""
+    bars: list[tuple[str, float, str]] = []
+    for name, found in maps.items():
+        for what, value in (("crossings", found.checks.crossings), ("parity", found.checks.parity)):
+            for axis in "dq":
+                figure = None if value is None else getattr(value, f"{axis}_percent")
+                if figure is not None:
+                    bars.append((f"{name}: {what} {axis}", figure, METHODS.get(name, MODEL)))
+    bars += [(f"the paper: crossings {axis}", getattr(PAPER, f"{axis}_percent"), GUIDE) for axis in "dq"]
+    out: list[Entry] = []
+    at = 1.0 - (np.arange(len(bars)) + 0.5) / len(bars)
+    words: list[tuple[float, float, str]] = []
+    for colour in sorted({bar[2] for bar in bars}):
+        strips = [
+            CHECKS.place([_LEAST_PERCENT, figure], [y, y])
+            for (_, figure, paint), y in zip(bars, at, strict=True)
+            if paint == colour
+        ]
+        out.append(lined(f"checks/bars/{colour[1:].lower()}", when, strips, colour, -4.0))
+    for (label, figure, _), y in zip(bars, at, strict=True):
+        x, height = CHECKS.place([max(figure, _LEAST_PERCENT)], [y])[0]
+        words.append((float(np.clip(x, 28.0, WIDTH - 28.0)), float(height), f"{label} {percent(figure)}"))
+    return [*out, worded("checks/words", when, words)]

@@ -1,0 +1,183 @@
+"""A run or recording on disk as the messages that a stream would have got, so that its pictures can be made later.
+
+What is missing or damaged is left out and said in a note.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from pydantic import ValidationError
+
+from orchestrator.analysis import EstimationReport, load_flux_map, to_dq
+from orchestrator.diagnosis import load_diagnosis
+from orchestrator.recording import Recording, open_recording
+from orchestrator.runs import Journal, RunDirectory, is_run
+from protocols import (
+    Diagnosed,
+    FluxbenchError,
+    FluxMap,
+    FluxMapEstimate,
+    FluxPoints,
+    Limits,
+    MapChecks,
+    MapEstimated,
+    Message,
+    Note,
+    PointDone,
+    PointStarted,
+    RealArray,
+    RunEnded,
+    RunStarted,
+    SamplesCaptured,
+    Segment,
+    StageStarted,
+)
+
+
+def replay(directory: Path) -> Iterator[Message]:
+    """The messages of a run, or of a recording that no run has made, in order of time.
+
+    Raises
+    ------
+    RecordingError
+        Where the directory is neither.
+    """
+    yield from _of_run(directory) if is_run(directory) else _of_recording(open_recording(directory))
+
+
+def _of_run(directory: Path) -> Iterator[Message]:
+    run = RunDirectory.open(directory)
+    recording = Recording(run.path, run.manifest())
+    journal = Journal(directory / "journal.jsonl").read()
+    ended = max((k for k, r in enumerate(journal) if isinstance(r.message, RunEnded)), default=len(journal))
+    for number, record in enumerate(journal):
+        message = record.message
+        if isinstance(message, PointDone):
+            yield from _samples(recording, message.segment)
+        if number == ended:
+            yield from _results(directory)
+        yield message
+    if ended == len(journal):
+        yield from _results(directory)
+
+
+def _of_recording(recording: Recording) -> Iterator[Message]:
+    manifest = recording.manifest
+    segments = recording.segments()
+    yield RunStarted(
+        run=str(recording.path),
+        name=manifest.name,
+        motor=manifest.motor,
+        limits=_reached_limits(recording, segments),
+        drive=manifest.drive.name,
+        stages=len({s.stage for s in segments}),
+        points=len(segments),
+        points_done=0,
+        seconds=0.0,
+    )
+    stage = None
+    stage_index = -1
+    for number, segment in enumerate(segments):
+        if segment.stage is not stage:
+            stage, stage_index = segment.stage, stage_index + 1
+            yield StageStarted(index=stage_index, stage=stage.value, points=sum(s.stage is stage for s in segments))
+        yield PointStarted(
+            id=segment.id,
+            stage_index=stage_index,
+            target_d_a=_setting(segment, "target_d_a", "current_d_a"),
+            target_q_a=_setting(segment, "target_q_a", "current_q_a"),
+            seconds=segment.samples / manifest.drive.sampling_frequency_hz,
+        )
+        capture = recording.load(segment)
+        yield from _samples(recording, segment)
+        i_dq = to_dq(capture.i_ab, segment.rotor_angle_rad).mean(axis=0)
+        yield PointDone(
+            id=segment.id,
+            stage_index=stage_index,
+            segment=segment,
+            achieved_d_a=float(i_dq[0]),
+            achieved_q_a=float(i_dq[1]),
+            points_done=number + 1,
+            points=len(segments),
+            seconds_left=0.0,
+        )
+    yield from _results(recording.path)
+
+
+def _samples(recording: Recording, segment: Segment) -> Iterator[Message]:
+    try:
+        capture = recording.load(segment)
+    except FluxbenchError as error:
+        yield Note(level="warning", text=str(error))
+        return
+    yield SamplesCaptured(segment=segment.id, rotor_angle_rad=segment.rotor_angle_rad, capture=capture)
+
+
+def _results(directory: Path) -> Iterator[Message]:
+    """What was found out: the maps, and the latest diagnosis."""
+    yield from _maps(directory)
+    try:
+        found = load_diagnosis(directory)
+    except FluxbenchError as error:
+        yield Note(level="warning", text=str(error))
+        return
+    if found is not None:
+        yield from found.steps
+        yield Diagnosed(round=0, report=found.report, words=found.words)
+
+
+def _maps(directory: Path) -> Iterator[Message]:
+    """The maps in results/, the recommended one last; the others' checks are kept in no file."""
+    files = sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name == "flux_map.nc", f.name))
+    report = _report(directory)
+    for file in files:
+        try:
+            found = load_flux_map(file)
+        except FluxbenchError as error:
+            yield Note(level="warning", text=str(error))
+            continue
+        i_dq, psi_dq = _grid_points(found)
+        points = FluxPoints(i_dq=i_dq, psi_dq=psi_dq, segment=("",) * len(i_dq))
+        checks = MapChecks()
+        notes: tuple[str, ...] = ()
+        if report is not None and report.method == found.method:
+            checks = MapChecks(
+                crossings=report.crossings, parity=report.parity, reciprocity_percent=report.reciprocity_percent
+            )
+            notes = tuple(report.reasons)
+        yield MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=checks, notes=notes))
+
+
+def _report(directory: Path) -> EstimationReport | None:
+    """What the estimators said together, of the recommended map; None where it is missing or not theirs."""
+    try:
+        return EstimationReport.model_validate_json((directory / "results" / "estimates.json").read_bytes())
+    except (OSError, ValidationError):
+        return None
+
+
+def _grid_points(found: FluxMap) -> tuple[RealArray, RealArray]:
+    """Some points of a map's grid, where the points that were measured are not kept."""
+    rows, columns = (np.unique(np.linspace(0, len(axis) - 1, 9).astype(int)) for axis in (found.i_d, found.i_q))
+    d, q = np.meshgrid(found.i_d[rows], found.i_q[columns], indexing="ij")
+    psi = np.stack([getattr(found, name)[np.ix_(rows, columns)] for name in ("psi_d", "psi_q")], axis=-1)
+    known = np.isfinite(psi).all(axis=-1)
+    return np.stack([d[known], q[known]], axis=1).astype(np.float64), psi[known].astype(np.float64)
+
+
+def _reached_limits(recording: Recording, segments: Sequence[Segment]) -> Limits:
+    """What a recording reached: it knows of no limits."""
+    current = voltage = 1e-3
+    for segment in segments:
+        capture = recording.load(segment)
+        current = max(current, float(np.hypot(*capture.i_ab[::7].T).max()))
+        voltage = max(voltage, float(np.hypot(*capture.v_ab[::7].T).max()))
+    return Limits(current_a=1.05 * current, voltage_v=1.05 * voltage)
+
+
+def _setting(segment: Segment, *names: str) -> float | None:
+    found = (segment.settings.get(name) for name in names)
+    return next((float(v) for v in found if isinstance(v, int | float)), None)

@@ -1,0 +1,131 @@
+"""The rerun stream: hands messages to the pictures, and what they draw to the file and to whoever looks on."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from typing import ClassVar
+
+import rerun as rr
+import rerun.blueprint as rrb
+from pydantic import BaseModel
+
+from plugins.streams.rerun import _blueprints as blueprints
+from plugins.streams.rerun import _diagnosis as diagnosis
+from plugins.streams.rerun._commissioning import Commissioning
+from plugins.streams.rerun._live import LiveFeed
+from plugins.streams.rerun._options import RerunOptions
+from plugins.streams.rerun._tape import FILE_NAME, Tape, blueprint, entry
+from plugins.streams.rerun._viewer import best_view, page_url, start, stop, viewer_words
+from protocols import (
+    DiagnosisStep,
+    Message,
+    PluginError,
+    PointDone,
+    PointStarted,
+    RunStarted,
+    SamplesCaptured,
+    StreamSetup,
+)
+
+BLOCK_ROWS = 1000
+BLOCK_S = 0.1
+"""Waveforms are handed on at so many rows of them, so long after the last ones, and when a point is done."""
+
+
+class RerunStream:
+    """Draws a run into ``view.rrd`` and, where asked for, into a viewer that follows."""
+
+    name: ClassVar[str] = "rerun"
+    Options: ClassVar[type[BaseModel]] = RerunOptions
+    wants_samples: ClassVar[bool] = True
+
+    def __init__(self, setup: StreamSetup, *, name: str = "", ripple_every_s: float = 0.25) -> None:
+        options = setup.options if isinstance(setup.options, RerunOptions) else RerunOptions()
+        self._server: int | None = None
+        self._live: LiveFeed | None = None
+        self._tape = Tape(setup.run / FILE_NAME, name=name)
+        if options.view != "none":
+            self._live = LiveFeed(self._tape.recording_id, options.port, 1e6 * options.queue_mb)
+            self._tape.listener = self._live.put
+        self._notes: list[str] = []
+        self._open_viewer(options)
+        self._commissioning = Commissioning(ripple_every_s)
+        self._diagnosis = diagnosis.Diagnosis()
+        self._layout = ""
+        self._sent_at = 0.0
+        self._tape.put([*self._commissioning.furniture(), *diagnosis.furniture()])
+        self._lay_out_commissioning()
+
+    @property
+    def dropped(self) -> int:
+        """Entries that the live viewer never got; the file has them all."""
+        return 0 if self._live is None else self._live.dropped
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What is worth saying at the end."""
+        missed = f"the live viewer missed {self.dropped} entries; {FILE_NAME} has them all"
+        return (*self._notes, *([missed] if self.dropped else []))
+
+    def receive(self, message: Message) -> None:
+        """Draw one message."""
+        self._tape.put(self._commissioning.take(message))
+        if isinstance(message, PointDone) or self._is_time():
+            self._hand_on_waveforms()
+        if isinstance(message, SamplesCaptured):
+            return
+        self._tape.put(self._diagnosis.take(message))
+        if isinstance(message, DiagnosisStep):
+            self._lay_out_diagnosis(message)
+        elif isinstance(message, RunStarted | PointStarted):
+            self._lay_out_commissioning()
+
+    def close(self) -> None:
+        """Bring everything into the file, and what can be brought in time to the viewer."""
+        self._hand_on_waveforms()
+        self._tape.put(self._commissioning.limit_lines())
+        if self._live is not None:
+            self._live.close()
+        self._tape.listener = None
+        for note in self.notes:
+            self._tape.put([entry("log", self._commissioning.when, rr.TextLog(note, level="WARN"))])
+        if self._layout == blueprints.COMMISSIONING:
+            # The whole run from its beginning to its end; who looks on keeps the layout as it is.
+            self._tape.keep(blueprint(self._layout, blueprints.commissioning(self._commissioning.when.experiment_s)))
+        self._tape.close()
+        if self._server is not None:
+            stop(self._server)
+            self._server = None
+
+    def _open_viewer(self, options: RerunOptions) -> None:
+        view = best_view() if options.view == "auto" else options.view
+        try:
+            if view == "spawn":
+                start(viewer_words(options.port, options.memory_limit))
+            elif view == "web":
+                self._server = start(viewer_words(options.port, options.memory_limit, web_port=options.web_port))
+                # Nobody can follow what nobody knows the address of.
+                print(f"fluxbench: follow the run at {page_url(options.port, options.web_port)}", file=sys.stderr)
+        except (OSError, PluginError) as error:  # nobody looks on then; the file is written all the same
+            self._notes.append(f"no viewer was opened: {error}")
+
+    def _is_time(self) -> bool:
+        return self._commissioning.waveform_rows >= BLOCK_ROWS or time.monotonic() - self._sent_at >= BLOCK_S
+
+    def _hand_on_waveforms(self) -> None:
+        self._tape.put(self._commissioning.waveforms())
+        self._sent_at = time.monotonic()
+
+    def _lay_out_commissioning(self) -> None:
+        self._lay_out(blueprints.COMMISSIONING, blueprints.commissioning)
+
+    def _lay_out_diagnosis(self, step: DiagnosisStep) -> None:
+        contents = diagnosis.Contents.of(step)
+        self._lay_out(blueprints.DIAGNOSIS, lambda: blueprints.diagnosis(contents))
+
+    def _lay_out(self, job: str, make: Callable[[], rrb.Blueprint]) -> None:
+        if self._layout != job:
+            self._layout = job
+            self._tape.put([blueprint(job, make())])

@@ -1,0 +1,80 @@
+"""Starts viewers as processes of their own, bound to this machine alone; brings no data."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Literal
+from urllib.parse import quote
+
+from plugins.streams.rerun._live import HOST, address
+from plugins.streams.rerun._programs import executable
+
+
+def has_display() -> bool:
+    """Whether a window could be opened here."""
+    return sys.platform in ("darwin", "win32") or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def best_view() -> Literal["spawn", "web"]:
+    """A window where there is a display, else a page for the browser."""
+    return "spawn" if has_display() else "web"
+
+
+def page_url(port: int, web_port: int, source: str | None = None) -> str:
+    """What a browser on this machine opens to see what the server on `port` takes, or another source."""
+    return f"http://{HOST}:{web_port}/?url={quote(source or address(port), safe='')}"
+
+
+def viewer_words(
+    port: int,
+    memory_limit: str,
+    *,
+    web_port: int | None = None,
+    headless: bool = False,
+    files: Sequence[Path | str] = (),
+) -> list[str]:
+    """The command line of a viewer: a window, a page's server (`web_port`), or nothing that is seen (`headless`)."""
+    words = [executable(), "--bind", HOST, "--port", str(port), "--hide-welcome-screen"]
+    if web_port is not None:
+        words += ["--serve-web", "--web-viewer-port", str(web_port), "--server-memory-limit", memory_limit]
+    else:
+        words += ["--memory-limit", memory_limit, *(["--headless"] if headless else [])]
+    return words + [str(file) for file in files]
+
+
+def start(words: Sequence[str], extra: Mapping[str, str] | None = None) -> int:
+    """Start a process that outlives this one, silent, in a session of its own; its id."""
+    nothing = [
+        (os.POSIX_SPAWN_OPEN, descriptor, os.devnull, os.O_RDWR, 0o600) for descriptor in (0, 1, 2)
+    ]  # a viewer has nothing to say that belongs into the run's terminal
+    surroundings = {**os.environ, "RERUN_APP_ONLY": "true", **(extra or {})}
+    return os.posix_spawn(words[0], list(words), surroundings, file_actions=nothing, setsid=True)
+
+
+def has_ended(pid: int) -> bool:
+    """Whether a process that `start` began is no more."""
+    try:
+        return os.waitpid(pid, os.WNOHANG) != (0, 0)
+    except ChildProcessError:
+        return True
+
+
+def stop(pid: int, timeout_s: float = 3.0) -> None:
+    """End a process that `start` began."""
+    deadline = time.monotonic() + timeout_s
+    sent = signal.SIGTERM
+    try:
+        os.kill(pid, sent)
+        while os.waitpid(pid, os.WNOHANG) == (0, 0):
+            if time.monotonic() > deadline:
+                os.kill(pid, signal.SIGKILL)
+                os.waitpid(pid, 0)
+                return
+            time.sleep(0.02)
+    except (ProcessLookupError, ChildProcessError):
+        return  # it had ended by itself

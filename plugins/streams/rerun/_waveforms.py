@@ -1,0 +1,79 @@
+"""Waveforms, thinned out for a screen: of every stretch of 20 ms the least and the greatest; believed dq frame.
+
+The averages that a plot would make of long recordings hide the ripple and the peaks; these pairs keep them.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+
+import numpy as np
+
+from plugins.streams.rerun._tape import Entry, scalars
+from protocols import Capture, RealArray
+
+BIN_S = 0.02
+LIMITS_EVERY_S = 1.0
+"""Their lines are straight: two points a second are enough."""
+
+
+def to_dq(vectors_ab: RealArray, angle_rad: float) -> RealArray:
+    """Stator-frame vectors (n, 2) in the believed frame, axis first: shape (2, n)."""
+    alpha_beta = np.ascontiguousarray(vectors_ab.T)
+    if angle_rad == 0.0:
+        return alpha_beta
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    turned: RealArray = np.array([[c, s], [-s, c]], dtype=alpha_beta.dtype) @ alpha_beta
+    return turned
+
+
+def envelope(rows: RealArray, width: int) -> RealArray:
+    """Least and greatest in turn of each `width` samples of the rows (m, n): shape (m, 2 ceil(n / width))."""
+    starts = np.arange(0, rows.shape[1], width)
+    out = np.empty((rows.shape[0], 2 * len(starts)))
+    out[:, 0::2] = np.minimum.reduceat(rows, starts, axis=1)
+    out[:, 1::2] = np.maximum.reduceat(rows, starts, axis=1)
+    return out
+
+
+class Thinner:
+    """Collects thinned waveforms until they are worth a block."""
+
+    def __init__(self) -> None:
+        self._times: list[RealArray] = []
+        self._current: list[RealArray] = []
+        self._voltage: list[RealArray] = []
+        self._limits_at = -math.inf
+        self.rows = 0
+
+    def take(self, capture: Capture, angle_rad: float) -> None:
+        """Add a block of waveforms."""
+        n = len(capture)
+        if n == 0:
+            return
+        width = max(1, round(BIN_S * capture.sampling_frequency_hz))
+        current = envelope(to_dq(capture.i_ab, angle_rad), width)
+        # The greatest is drawn half a stretch after the least.
+        half = 0.5 * min(width, n) / capture.sampling_frequency_hz
+        self._times.append(capture.start_s + half * np.arange(current.shape[1]))
+        self._current.append(current)
+        self._voltage.append(envelope(to_dq(capture.v_ab, angle_rad), width))
+        self.rows += current.shape[1]
+
+    def give(self, limits: tuple[float, float] | None) -> list[Entry]:
+        """All that was collected as blocks, the limits (A, V) beside them now and then, and begin anew."""
+        if not self.rows:
+            return []
+        times = np.concatenate(self._times)
+        out = [
+            scalars("drive/current", times, np.concatenate(self._current, axis=1).T),
+            scalars("drive/voltage", times, np.concatenate(self._voltage, axis=1).T),
+        ]
+        if limits is not None and time.monotonic() - self._limits_at >= LIMITS_EVERY_S:
+            self._limits_at = time.monotonic()
+            ends = times[[0, -1]]
+            for name, limit in zip(("current", "voltage"), limits, strict=True):
+                out.append(scalars(f"drive/limit/{name}", ends, np.array([[limit, -limit]] * 2)))
+        self._times, self._current, self._voltage, self.rows = [], [], [], 0
+        return out

@@ -1,0 +1,121 @@
+"""What a diagnosis shows on its way: one step for each effect that was added, with what can be drawn of it."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+
+from protocols._base import ArrayModel, Samples, Shape, Strict, Vectors
+
+Phases = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("n", 3))]
+Curve = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("m",))]
+
+
+class CurrentExcerpt(ArrayModel):
+    """A stretch of one segment, measured and as the model with its effects predicts it; believed dq frame."""
+
+    segment: str
+    stage: str
+    i_d_a: float
+    i_q_a: float
+    """Mean current of the stretch."""
+    amplitude_v: float | None
+    """Of the injected voltage; None where nothing is injected."""
+    time_s: Samples
+    """From the start of the stretch, shape (n,)."""
+    measured_a: Vectors
+    """Shape (n, 2)."""
+    predicted_a: Vectors
+
+
+class FluxLoop(ArrayModel):
+    """One period of a classical sweep: flux by integrating the corrected voltage, and by the map."""
+
+    segment: str
+    swept_axis: Literal["d", "q", "dq"]
+    i_dq: Vectors
+    """Shape (n, 2)."""
+    psi_measured: Vectors
+    """Less its value at the start of the loop [Wb]."""
+    psi_model: Vectors
+
+
+class ResistanceCourse(ArrayModel):
+    """R_s over the heat that the winding took up."""
+
+    time_s: Curve
+    """Since the start of the experiment, shape (m,)."""
+    heat_j: Curve
+    measured_ohm: Curve
+    """What each dwell asks for beside the rest of the model."""
+    model_ohm: Curve
+
+
+class DiagnosisStep(ArrayModel):
+    """One rung of the error ladder: the model after one more effect, and its residual; time first.
+
+    Rows of the residual are windows of the weak form: the mean residual over the window in volts, with the mean
+    current in it.
+    """
+
+    kind: Literal["diagnosis_step"] = "diagnosis_step"
+    index: int
+    """0: the model that the ladder starts from."""
+    added: str | None
+    effects: tuple[str, ...]
+    """All that the model holds now."""
+    chi2: float
+    """Per degree of freedom."""
+    rms_v: float
+    heldout_rms_v: float | None
+    current_rms_a: float | None
+    noise_rms_v: float
+    stage: tuple[str, ...]
+    """Stage of each row, n entries."""
+    time_s: Samples
+    """Since the start of the experiment, shape (n,)."""
+    i_dq: Vectors
+    """Believed frame, shape (n, 2)."""
+    residual_dq_v: Vectors
+    noise_v: Samples
+    """Standard deviation that the sensors' noise gives each row, shape (n,)."""
+    i_abc: Phases
+    """Phase currents of the rows, shape (n, 3)."""
+    residual_abc_v: Phases
+    """Phase components of the residual, zero sum."""
+    excerpts: tuple[CurrentExcerpt, ...] = ()
+    loops: tuple[FluxLoop, ...] = ()
+    resistance: ResistanceCourse | None = None
+
+
+class Compared(Strict):
+    """The model held against the measurements."""
+
+    kind: Literal["compared"] = "compared"
+    report: dict[str, Any]
+    """What `fluxbench compare --json` prints."""
+
+
+class Diagnosed(Strict):
+    """A diagnosis is done."""
+
+    kind: Literal["diagnosed"] = "diagnosed"
+    round: int
+    """0: of what the procedure measured; n: after the n-th proposed experiment."""
+    report: dict[str, Any]
+    """What `fluxbench diagnose --json` prints."""
+    words: dict[str, str]
+    """The five slots."""
+
+
+class ExperimentProposed(Strict):
+    """The experiment that would tell two effects apart, and whether this run goes on to do it."""
+
+    kind: Literal["experiment_proposed"] = "experiment_proposed"
+    round: int
+    stage: dict[str, Any]
+    """A procedure's stage."""
+    separates: tuple[str, str]
+    minutes: float
+    accepted: bool

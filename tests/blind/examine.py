@@ -1,0 +1,93 @@
+"""Make a case's recording, ask the diagnosis about it, and keep what it said. Nothing is judged here."""
+
+from __future__ import annotations
+
+import json
+import resource
+import tempfile
+import time
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from tests.blind.campaign import record
+from tests.blind.hidden import Case, draw_case
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What the diagnosis said of a case."""
+
+    case: Case
+    report: dict[str, Any] | None
+    """The JSON contract's object; None where there was an error instead."""
+    error: str | None
+    samples: int
+    seconds: float
+    """Of wall time, for the diagnosis alone."""
+    cpu_s: float
+    peak_mb: float
+    """Of the process so far."""
+
+
+def examine(case: Case) -> Answer:
+    """Make the recording in a temporary place and diagnose it, through the public API of the command line."""
+    from orchestrator.diagnosis import diagnose_recording
+    from orchestrator.recording import open_recording
+    from orchestrator.registry import PluginKind, installed, load_plugin
+    from protocols import FluxbenchError
+
+    with tempfile.TemporaryDirectory(prefix="blind-") as folder:
+        path = record(case.bench, case.campaign, Path(folder) / "recording")
+        recording = open_recording(path)
+        samples = sum(segment.samples for segment in recording.manifest.segments)
+        library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
+        start, cpu = time.perf_counter(), time.process_time()
+        report, error = None, None
+        try:
+            found = diagnose_recording(recording, library, model="saturated", without=case.without, out=Path(folder))
+            report = found.report.model_dump(mode="json")
+        except FluxbenchError as refused:
+            error = str(refused)
+        seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    return Answer(case, report, error, samples, seconds, cpu, peak)
+
+
+def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:
+    """Examine the cases (class, index) in as many processes, in order of completion."""
+    if jobs == 1:
+        yield from (examine(draw_case(kind, index, seed)) for kind, index in wanted)
+        return
+    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
+        asked = [pool.submit(_draw_and_examine, kind, index, seed) for kind, index in wanted]
+        yield from (done.result() for done in as_completed(asked))
+
+
+def keep(file: Path | None, seed: int, answer: Answer) -> None:
+    """Append an answer to a file of JSON lines; nowhere, where there is none."""
+    if file is None:
+        return
+    row = {name: getattr(answer, name) for name in ("report", "error", "samples", "seconds", "cpu_s", "peak_mb")}
+    with file.open("a", encoding="utf-8") as lines:
+        lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row}) + "\n")
+
+
+def kept(file: Path | None, seed: int) -> dict[tuple[str, int], Answer]:
+    """The answers in such a file that belong to this seed, by class and index."""
+    if file is None or not file.exists():
+        return {}
+    answers = {}
+    for line in file.read_text(encoding="utf-8").splitlines():
+        row = json.loads(line)
+        kind, index = row.pop("case")
+        if row.pop("seed") == seed:
+            answers[kind, index] = Answer(draw_case(kind, index, seed), **row)
+    return answers
+
+
+def _draw_and_examine(kind: str, index: int, seed: int) -> Answer:
+    return examine(draw_case(kind, index, seed))

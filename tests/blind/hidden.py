@@ -1,0 +1,194 @@
+"""What may be hidden in a recording: the catalogue's effects in forms of their own, foreign ones, and nuisances.
+
+A `Case` follows from a class, an index and a seed alone. Sizes are those of the 400 W machine and are scaled to others;
+the catalogue's are drawn log-uniformly from its ranges.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tests.blind.campaign import Bench, Campaign
+from tests.blind.effects import CATALOGUE, FOREIGN, Rng
+from tests.blind.magnetics import PM400, SERVO_48V, TRACTION_28KW, Machine, draw_table
+from tests.blind.plant import HEALTHY, Plant
+
+Hidden = Sequence[tuple[str, float | None]]
+"""Names, and sizes in units of the typical one where they are not drawn."""
+
+
+@dataclass(frozen=True)
+class Truth:
+    """One effect as it is hidden: its parameters as the catalogue names them, where both mean the same."""
+
+    name: str
+    size: float
+    """In units of the catalogue's typical size."""
+    parameters: Mapping[str, float] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.name} x{self.size:.2g}"
+
+
+@dataclass(frozen=True)
+class Case:
+    """One recording to be made, and what is hidden in it."""
+
+    kind: str
+    index: int
+    about: str
+    bench: Bench
+    campaign: Campaign
+    family: str
+    truths: tuple[Truth, ...] = ()
+    foreign: str | None = None
+    nuisance: str | None = None
+    without: tuple[str, ...] = ()
+
+    @property
+    def label(self) -> str:
+        """What `python -m tests.blind --make` takes."""
+        return f"{self.kind}:{self.index}" + (f":{self.about}" if self.about else "")
+
+    @property
+    def hidden(self) -> str:
+        """In words."""
+        words = [str(truth) for truth in self.truths[:3]] + [w for w in (self.foreign, self.nuisance) if w]
+        words += [f"and {len(self.truths) - 3} at 5 %"] if len(self.truths) > 3 else []
+        words += [f"without {name}" for name in self.without]
+        return ", ".join(words) or "nothing"
+
+
+NUISANCES: tuple[str, ...] = (
+    "correlated_noise", "pwm_ripple", "sampling_jitter", "no_gates_off", "one_amplitude", "one_pwm_frequency",
+    "no_classical", "no_injection", "no_anchors", "servo_48v", "traction_28kw", "too_short", "no_excitation",
+)  # fmt: skip
+SILENT = ("too_short", "no_excitation")
+"""Nuisances that leave nothing to diagnose."""
+
+KINDS = ("clean", "single", "double", "clutter", "left_out", "foreign", "nuisance")
+
+
+def draw_case(kind: str, index: int, seed: int) -> Case:
+    """The case of a class with this number; raises `ValueError` for a class that there is not."""
+    if kind not in KINDS:
+        raise ValueError(f"{kind!r}: there is {', '.join(KINDS)}")
+    rng = np.random.default_rng([seed, zlib.crc32(kind.encode()), index])
+    names = list(CATALOGUE)
+    if kind == "clean":
+        return _case(kind, index, "", rng)
+    if kind == "foreign":
+        about = list(FOREIGN)[index % len(FOREIGN)]
+        return _case(kind, index, about, rng, foreign=about)
+    if kind == "nuisance":
+        about = NUISANCES[index % len(NUISANCES)]
+        # The first round is clean; the later ones have an effect beside the nuisance.
+        hidden = [] if index < len(NUISANCES) else [(str(rng.choice(names)), None)]
+        return _case(kind, index, about, rng, hidden, nuisance=about)
+    first = names[index % len(names)]
+    if kind == "double":
+        first, second = (str(name) for name in rng.choice(names, 2, replace=False))
+        return _case(kind, index, "", rng, [(first, None), (second, None)])
+    if kind == "clutter":
+        rest = [(name, 0.05) for name in names if name != first]
+        return _case(kind, index, first, rng, [(first, None), *rest])
+    without = (first,) if kind == "left_out" else ()
+    return _case(kind, index, first, rng, [(first, None)], without=without)
+
+
+def _case(
+    kind: str,
+    index: int,
+    about: str,
+    rng: Rng,
+    hidden: Hidden = (),
+    foreign: str | None = None,
+    nuisance: str | None = None,
+    without: tuple[str, ...] = (),
+) -> Case:
+    machine = {"servo_48v": SERVO_48V, "traction_28kw": TRACTION_28KW}.get(nuisance or "", PM400)
+    changes, truths = _hide(rng, machine, hidden)
+    if foreign:
+        changes |= FOREIGN[foreign](rng)
+    if nuisance in ("correlated_noise", "pwm_ripple", "sampling_jitter"):
+        changes |= {
+            "correlated_noise": {"noise_memory": rng.uniform(0.3, 0.8)},
+            "pwm_ripple": {"pwm_ripple": rng.uniform(0.02, 0.06)},
+            "sampling_jitter": {"jitter_s": 1e-6},
+        }[nuisance]
+    family, table = draw_table(rng, machine, slot=float(changes.pop("slot", 0.0)))
+    d, _, q = table.inductance(0.0, 0.0)
+    plate = dataclasses.replace(
+        machine, l_d_h=_rounded(d * rng.uniform(0.95, 1.05)), l_q_h=_rounded(q * rng.uniform(0.95, 1.05))
+    )
+    plant = HEALTHY._replace(
+        sample_s=1 / machine.sampling_hz,
+        pole_pairs=float(machine.pole_pairs),
+        resistance=machine.resistance_ohm * rng.uniform(0.96, 1.1),
+        bus_v=machine.bus_v,
+        noise=machine.noise_a * rng.uniform(0.6, 1.5),
+        quantum=machine.quantum_a * rng.uniform(0.0, 2.0),
+    )
+    bench = Bench(
+        plate,
+        table,
+        _changed(plant, changes),
+        believed_rad=float(rng.uniform(-np.pi, np.pi)),
+        drive_delay_samples=float(rng.choice([0.0, 0.0, 1.0])),
+        seed=int(rng.integers(2**63)),
+    )
+    return Case(
+        kind,
+        index,
+        about,
+        bench,
+        _campaign(nuisance),
+        family,
+        truths,
+        foreign,
+        nuisance,
+        without,
+    )
+
+
+def _hide(rng: Rng, machine: Machine, hidden: Hidden) -> tuple[dict[str, Any], tuple[Truth, ...]]:
+    changes: dict[str, Any] = {}
+    truths = []
+    for name, relative in hidden:
+        size = CATALOGUE[name]
+        if relative is None:
+            value = float(np.exp(rng.uniform(np.log(size.low), np.log(size.high))))
+        else:
+            value = size.typical / relative if size.inverse else relative * size.typical
+        does, parameters = size.build(rng, value, machine)
+        does["substeps"] = max(does.get("substeps", 2), changes.get("substeps", 2))
+        changes |= does
+        truths.append(Truth(name, size.relative(value), parameters))
+    return changes, tuple(truths)
+
+
+def _changed(plant: Plant, changes: Mapping[str, Any]) -> Plant:
+    return plant._replace(**changes)
+
+
+def _campaign(nuisance: str | None) -> Campaign:
+    return {
+        "no_gates_off": Campaign(gates_off=False),
+        "one_amplitude": Campaign(second_amplitude=False),
+        "one_pwm_frequency": Campaign(second_pwm=False),
+        "no_classical": Campaign(classical=False),
+        "no_injection": Campaign(injection=False, second_amplitude=False),
+        "no_anchors": Campaign(anchors=False),
+        "too_short": Campaign(short_s=0.004),
+        "no_excitation": Campaign(excited=False),
+    }.get(nuisance or "", Campaign())
+
+
+def _rounded(value: float) -> float:
+    return float(f"{value:.3g}")

@@ -1,0 +1,146 @@
+"""Is an answer right? The figures of the blind suite, each from a recording's truth and the JSON of its diagnosis.
+
+A declared twin counts as the name; so do two effects that the campaign lacks the stage to tell apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from tests.blind.examine import Answer
+from tests.blind.hidden import SILENT, Case
+
+FLOORS = 3.0
+"""A held-out error is said to close only where it was this many noise floors before."""
+
+TWINS_HERE = {"voltage_delay", "current_filter"}
+"""One injection frequency and one sampling phase cannot part these: with one left out, the other's name is right."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is right and wrong in one answer; a figure that does not apply is absent."""
+
+    answer: Answer
+    right: dict[str, bool] = field(default_factory=dict)
+    closed: float | None = None
+    """(before - after) / (before - floor) of the held-out error."""
+    over_floor: float | None = None
+    """Held-out error after, in noise floors."""
+    intervals: tuple[tuple[str, bool], ...] = ()
+
+    @property
+    def wrong(self) -> list[str]:
+        """Names of the figures that this answer misses."""
+        return [name for name, right in self.right.items() if not right]
+
+
+def judge(answer: Answer) -> Judgement:
+    """Hold an answer against what was hidden."""
+    case, report = answer.case, answer.report
+    if case.nuisance in SILENT:
+        numberless = report is None or (not report["effects"] and bool(report["notes"]))
+        return Judgement(answer, {"too little to say: said so": numberless})
+    if report is None:
+        return Judgement(answer, {"answered at all": False})
+    right = _right(case, report)
+    closed, over_floor = _closed(report)
+    in_catalogue = case.kind in ("single", "double", "clutter")
+    intervals = tuple(_intervals(case, report)) if case.kind in ("single", "double") else ()
+    return Judgement(answer, right, closed if in_catalogue else None, over_floor if in_catalogue else None, intervals)
+
+
+def said(answer: Answer) -> str:
+    """An answer in a line."""
+    if answer.report is None:
+        return f"refused: {answer.error}"
+    report = answer.report
+    names = [
+        effect["name"] + (f" (or {', '.join(effect['twins'])})" if effect["twins"] else "")
+        for effect in report["effects"]
+    ]
+    before, after = report["ladder"][0]["chi2"], report["ladder"][-1]["chi2"]
+    chi2 = f"chi2 {_short(before)} to {_short(after)}" if len(report["ladder"]) > 1 else f"chi2 {_short(before)}"
+    return f"{report['verdict'].replace('_', ' ')}: {', '.join(names) or 'no name'}; {chi2}"
+
+
+def _short(value: float | None) -> str:
+    return "-" if value is None else f"{value:.3g}"
+
+
+def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
+    found = [_or_twins(case, effect) for effect in report["effects"]]
+    names = [truth.name for truth in case.truths]
+    unknown = report["verdict"] == "unknown_remains"
+    right: dict[str, bool] = {}
+    if case.kind == "clean":
+        right["clean: no false name"] = not found
+        right["clean: said to be clean"] = report["verdict"] == "clean"
+    elif case.kind in ("single", "clutter"):
+        right[f"{case.kind}: first name right"] = bool(found) and names[0] in found[0]
+    elif case.kind == "double":
+        right["double: exact set"] = _matches(found, names)
+        right["double: first name right"] = bool(found) and bool(found[0] & set(names))
+    elif case.kind == "left_out":
+        right["left out: unknown flagged"] = unknown or (bool(found) and {names[0], *set.union(*found)} == TWINS_HERE)
+    elif case.kind == "foreign":
+        right["foreign: unknown flagged"] = unknown
+    elif case.kind == "nuisance":
+        about = "nuisance: " + ("first name right" if names else "no false name")
+        right[about] = (bool(found) and names[0] in found[0]) if names else not found
+    if case.kind == "single":
+        right["single: exact set"] = _matches(found, names)
+    if case.kind not in ("left_out", "foreign"):
+        right["explained, and not flagged unknown"] = not unknown
+    return right
+
+
+def _or_twins(case: Case, effect: dict[str, Any]) -> set[str]:
+    names = {effect["name"], *effect["twins"]}
+    for pair, told_apart in (
+        ({"current_offset", "voltage_bias"}, case.campaign.gates_off),
+        ({"dead_time", "device_drop"}, case.campaign.second_pwm),
+    ):
+        if names & pair and not told_apart:
+            names |= pair
+    return names
+
+
+def _matches(found: Sequence[set[str]], names: Sequence[str]) -> bool:
+    """Whether each found effect can be given one hidden name, with none left over."""
+    if len(found) != len(names):
+        return False
+    if not found:
+        return True
+    return any(name in found[0] and _matches(found[1:], [n for n in names if n != name]) for name in names)
+
+
+def _closed(report: dict[str, Any]) -> tuple[float | None, float | None]:
+    floor = report["noise_floor"]["rms_v"]
+    before, after = report["ladder"][0]["heldout_rms_v"], report["ladder"][-1]["heldout_rms_v"]
+    if None in (floor, before, after) or before <= FLOORS * floor:
+        return None, None
+    return (before - after) / (before - floor), after / floor
+
+
+def _intervals(case: Case, report: dict[str, Any]) -> Iterable[tuple[str, bool]]:
+    for truth in case.truths:
+        for effect in report["effects"]:
+            for name, true in truth.parameters.items() if effect["name"] == truth.name else ():
+                value = effect["parameters"].get(name)
+                if value is not None and value["low"] is not None and value["high"] is not None:
+                    yield f"{truth.name}.{name}", value["low"] <= true <= value["high"]
+
+
+def wilson(hits: int, count: int) -> tuple[float, float]:
+    """95 % interval of a proportion (E. B. Wilson, J. Am. Stat. Assoc. 22 (1927) 209)."""
+    if count == 0:
+        return 0.0, 1.0
+    z, p = 1.959964, hits / count
+    centre, spread = p + z * z / (2 * count), z * np.sqrt(p * (1 - p) / count + z * z / (4 * count**2))
+    scale = 1 + z * z / count
+    return max(0.0, float((centre - spread) / scale)), min(1.0, float((centre + spread) / scale))

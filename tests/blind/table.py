@@ -1,0 +1,137 @@
+"""The blind suite's table as a page: figures with their intervals, and every answer that was wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from tests.blind.effects import CATALOGUE, FOREIGN
+from tests.blind.hidden import NUISANCES
+from tests.blind.score import Judgement, said, wilson
+
+AIMS = {
+    "clean: no false name": "0 false of 300",
+    "single: first name right": "98 %",
+    "clutter: first name right": "97 %",
+    "double: exact set": "85 %",
+    "left out: unknown flagged": "97 %",
+    "foreign: unknown flagged": "90 %",
+    "explained, and not flagged unknown": "99 %",
+}
+ORDER = (
+    "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
+    "clutter: first name right", "double: exact set", "double: first name right", "left out: unknown flagged",
+    "foreign: unknown flagged", "explained, and not flagged unknown", "nuisance: no false name",
+    "nuisance: first name right", "too little to say: said so", "answered at all",
+)  # fmt: skip
+
+
+def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> str:
+    """The whole page, as Markdown; `usual` is how many recordings the command makes unless it is told otherwise."""
+    ordered = sorted(judgements, key=lambda j: _order(j.answer.case.label))
+    kinds = [j.answer.case.kind for j in ordered]
+    counts = ", ".join(f"{kinds.count(kind)} {kind.replace('_', ' ')}" for kind in dict.fromkeys(kinds))
+    lines = [
+        "# The blind suite",
+        "",
+        "Recordings with hidden effects, of a plant that shares no code with the diagnosis nor with the simulated",
+        "drive (`tests/blind`), and what `fluxbench diagnose` says of them. A declared twin counts. Sizes are drawn",
+        f"log-uniformly from the catalogue's ranges; there are {len(CATALOGUE)} effects in it, {len(FOREIGN)} that no",
+        f'catalogue has, and {len(NUISANCES)} nuisances. "Left out" takes the hidden effect out of the library:',
+        "it has to be flagged as unknown (of voltage_delay and current_filter, which one injection frequency cannot",
+        "part, the name of the other counts). This page is written by a command:",
+        "",
+        f"    python -m tests.blind --seed {seed} --write docs/blind-suite.md",
+        "",
+        f"Date {date}, seed {seed}, {len(ordered)} recordings of the {usual} that it makes: {counts}.",
+        "",
+        "| figure | right | of | % | 95 % interval | aim |",
+        "| --- | --- | --- | --- | --- | --- |",
+        *_proportions(ordered),
+        "",
+        *_amounts(ordered),
+        "",
+        "## By effect",
+        "",
+        *_by_effect(ordered),
+        "",
+        "## Wrong answers",
+        "",
+        *_misses(ordered, seed),
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _order(label: str) -> tuple[str, int]:
+    kind, index = label.split(":")[:2]
+    return kind, int(index)
+
+
+def _proportions(judgements: Sequence[Judgement]) -> list[str]:
+    rows = []
+    for figure in ORDER:
+        outcomes = [j.right[figure] for j in judgements if figure in j.right]
+        if outcomes:
+            rows.append(_row(figure, sum(outcomes), len(outcomes), AIMS.get(figure, "")))
+    over = [j.over_floor for j in judgements if j.over_floor is not None]
+    if over:
+        rows.append(_row("held-out error within 1.2 floors", sum(o <= 1.2 for o in over), len(over), "90 %"))
+    closed = [j.closed for j in judgements if j.closed is not None]
+    if closed:
+        rows.append(_row("held-out error closed by 98 %", sum(c >= 0.98 for c in closed), len(closed), ""))
+    held = [inside for j in judgements for _, inside in j.intervals]
+    if held:
+        rows.append(_row("95 % intervals that hold the truth", sum(held), len(held), "93..97 %"))
+    return rows
+
+
+def _row(figure: str, hits: int, count: int, aim: str) -> str:
+    low, high = wilson(hits, count)
+    return f"| {figure} | {hits} | {count} | {100 * hits / count:.0f} | {100 * low:.0f}..{100 * high:.0f} | {aim} |"
+
+
+def _amounts(judgements: Sequence[Judgement]) -> list[str]:
+    closed = [j.closed for j in judgements if j.closed is not None]
+    seconds = np.array([j.answer.seconds for j in judgements])
+    cpu = np.array([j.answer.cpu_s for j in judgements])
+    samples = np.array([j.answer.samples for j in judgements])
+    peak = max(j.answer.peak_mb for j in judgements)
+    lines = []
+    if closed:
+        lines.append(f"Held-out error closed: {100 * float(np.median(closed)):.1f} % at the median (aim 98 %).")
+    lines.append(
+        f"A diagnosis takes {np.median(seconds):.1f} s at the median, {seconds.max():.1f} s at most "
+        f"({np.median(cpu):.1f} s of one core at the median, {cpu.max():.1f} s at most) "
+        f"for {np.median(samples) / 1e6:.2f} M samples, "
+        f"beside whatever else the machine does; {peak:.0f} MB at most."
+    )
+    return lines
+
+
+def _by_effect(judgements: Sequence[Judgement]) -> list[str]:
+    rows = ["| hidden | first name right | exact set | unknown flagged without it |", "| --- | --- | --- | --- |"]
+    for name in CATALOGUE:
+        cells = []
+        for figure in ("single: first name right", "single: exact set", "left out: unknown flagged"):
+            outcomes = [
+                j.right[figure] for j in judgements if figure in j.right and j.answer.case.truths[0].name == name
+            ]
+            cells.append(f"{sum(outcomes)} of {len(outcomes)}" if outcomes else "-")
+        if any(cell != "-" for cell in cells):
+            rows.append(f"| {name} | {' | '.join(cells)} |")
+    for name in FOREIGN:
+        outcomes = [r for j in judgements if j.answer.case.foreign == name for r in j.right.values()]
+        if outcomes:
+            rows.append(f"| (foreign) {name} | | | {sum(outcomes)} of {len(outcomes)} |")
+    return rows
+
+
+def _misses(judgements: Sequence[Judgement], seed: int) -> list[str]:
+    lines = [f"`python -m tests.blind --make CASE --seed {seed} --out DIR` makes a recording again.", ""]
+    lines += ["| case | hidden | said | missed |", "| --- | --- | --- | --- |"]
+    for j in judgements:
+        if j.wrong:
+            case = j.answer.case
+            lines.append(f"| {case.label} | {case.hidden} ({case.family}) | {said(j.answer)} | {'; '.join(j.wrong)} |")
+    return lines

@@ -1,0 +1,103 @@
+"""The diagnosis, examined blind: a handful of recordings always, some hundred where there is time.
+
+The seed is a hash, so that nobody chose it; what is hidden follows from it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.recording import open_recording
+from protocols import SegmentStage
+from tests.blind.__main__ import USUAL, main
+from tests.blind.campaign import record
+from tests.blind.effects import CATALOGUE, FOREIGN
+from tests.blind.examine import examine, examine_all
+from tests.blind.hidden import KINDS, NUISANCES, Case, draw_case
+from tests.blind.score import judge, said, wilson
+
+SEED = int(hashlib.sha256(b"fluxbench, examined blind").hexdigest()[:8], 16)
+AIMS = {"clean: no false name": 0.99, "single: first name right": 0.98, "clutter: first name right": 0.97,
+        "double: exact set": 0.85, "left out: unknown flagged": 0.97, "foreign: unknown flagged": 0.90,
+        "explained, and not flagged unknown": 0.99}  # fmt: skip
+
+
+def number_of(name: str, names: object) -> int:
+    return list(names).index(name)  # type: ignore[call-overload,no-any-return]
+
+
+def test_a_case_follows_from_class_index_and_seed() -> None:
+    def parts(case: Case) -> tuple[object, ...]:
+        return case.label, case.truths, case.bench.plant, case.bench.machine, case.bench.table.coefficients.tolist()
+
+    assert parts(draw_case("double", 4, 9)) == parts(draw_case("double", 4, 9))
+    assert parts(draw_case("double", 4, 9)) != parts(draw_case("double", 4, 10))
+
+
+def test_every_effect_foreigner_and_nuisance_has_its_turn() -> None:
+    assert {draw_case("single", n, 1).truths[0].name for n in range(len(CATALOGUE))} == set(CATALOGUE)
+    assert {draw_case("foreign", n, 1).foreign for n in range(len(FOREIGN))} == set(FOREIGN)
+    assert {draw_case("nuisance", n, 1).nuisance for n in range(len(NUISANCES))} == set(NUISANCES)
+    assert len(FOREIGN) >= 12
+
+
+def test_sizes_stay_in_the_catalogues_ranges() -> None:
+    for index in range(len(CATALOGUE)):
+        (truth,) = draw_case("single", index, 2).truths
+        size = CATALOGUE[truth.name]
+        ends = sorted((size.relative(size.low), size.relative(size.high)))
+        assert ends[0] * 0.999 <= truth.size <= ends[1] * 1.001
+
+
+def test_a_recording_is_whole_and_tells_nothing(tmp_path: Path) -> None:
+    case = draw_case("single", number_of("rotor_misalignment", CATALOGUE), SEED)
+    path = record(case.bench, case.campaign, tmp_path / "blind")
+    recording = open_recording(path)
+    assert {segment.stage for segment in recording.manifest.segments} == {
+        SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION,
+    }  # fmt: skip
+    for segment in recording.segments():
+        capture = recording.load(segment)
+        assert len(capture) == segment.samples
+        assert np.abs(capture.i_ab).max() < 2.5 * case.bench.machine.top_a
+    manifest = (path / "recording.json").read_text()
+    assert case.truths[0].name not in manifest
+    assert str(case.bench.plant.resistance) not in manifest
+
+
+def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["--make", "nuisance:11:too_short", "--seed", "3", "--out", str(tmp_path / "again")]) == 0
+    assert str(tmp_path / "again") in capsys.readouterr().out
+    assert json.loads((tmp_path / "again" / "recording.json").read_text())["segments"]
+
+
+@pytest.mark.parametrize(
+    ("kind", "index"),
+    [
+        ("clean", 0),
+        ("single", number_of("voltage_bias", CATALOGUE)),
+        ("foreign", number_of("mains_hum", FOREIGN)),
+    ],
+)
+def test_the_right_thing_is_said(kind: str, index: int) -> None:
+    answer = examine(draw_case(kind, index, SEED))
+    assert judge(answer).wrong == [], f"{answer.case.hidden}: {said(answer)}"
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(3600)
+@pytest.mark.parametrize("kind", KINDS)
+def test_figures_are_not_significantly_below_their_aims(kind: str) -> None:
+    wanted = [(kind, index) for index in range(USUAL[kind])]
+    judgements = [judge(answer) for answer in examine_all(wanted, SEED, jobs=2)]
+    for figure, aim in AIMS.items():
+        outcomes = [j.right[figure] for j in judgements if figure in j.right]
+        told = "; ".join(
+            f"{j.answer.case.label}: {said(j.answer)}" for j in judgements if not j.right.get(figure, True)
+        )
+        assert wilson(sum(outcomes), len(outcomes))[1] >= aim, f"{figure}: {told}"

@@ -1,0 +1,33 @@
+"""Stated 95 % intervals hold the truth about as often as they say, and are no wider than they need be."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from tests.support.coverage import QUANTITIES, SCENARIOS, cover, together
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_and_are_not_vacuous() -> None:
+    found = {name: cover(name, 8) for name in SCENARIOS}
+    told = "\n".join(f"{name}: {coverage}" for name, coverage in found.items())
+    every = together(found.values())
+    maps = slice(0, QUANTITIES.index("R_s"))
+    assert (every.share[maps] > 0.90).all(), told
+    assert (every.share[maps] < 0.99).all(), told
+    for name, coverage in found.items():
+        # Behind 8 V of dead time something is left that the intervals do not know of.
+        assert (coverage.share[maps] > (0.6 if name == "paper" else 0.85)).all(), told
+        # Neither too good to be true nor too wide to be of use.
+        assert (coverage.width_over_error[maps] > 0.4).all(), told
+        assert (coverage.width_over_error[maps] < 3.0).all(), told
+
+
+def test_an_interval_that_is_ten_times_too_wide_or_too_narrow_shows() -> None:
+    honest = cover("cold", 1)
+    maps = slice(0, QUANTITIES.index("R_s"))
+    assert (honest.width_over_error[maps] < 5.0).all()
+    assert (honest.width_over_error[maps] > 0.2).all()
+    assert np.isfinite(honest.error).all()
+    assert 0.0 < honest.flux_percent < 0.1

@@ -1,0 +1,212 @@
+"""The closed loop: compare, diagnose, propose, measure what is proposed, and diagnose again."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, extend_run, following_stages, resume_run
+from orchestrator.recording import open_recording
+from orchestrator.runs import RunDirectory
+from protocols import (
+    CapabilityError,
+    Compared,
+    Diagnosed,
+    DiagnoseStage,
+    ExperimentProposed,
+    Message,
+    OperatorAnswered,
+    OperatorStage,
+    PointDone,
+    RecordingError,
+    ResistanceStage,
+    StagesAppended,
+    StateChanged,
+)
+from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_procedure
+
+EXPERIMENT = {
+    "kind": "resistance",
+    "points_a": [[0.5, 0.0], [1.5, 0.0], [-0.5, 0.0]],
+    "settle_s": 0.15,
+    "duration_s": 0.05,
+}
+OPENING = [*STAGES[:4], STAGES[5]]
+"""As far as the first measurement: what comes after it is not looked at here."""
+PLANT = {"sensors": {"noise_a": 0.005}, "effects": {"dead_time": {"voltage_v": 0.8}}}
+
+Propose = Callable[[dict[str, Any]], None]
+
+
+@pytest.fixture
+def propose(monkeypatch: pytest.MonkeyPatch) -> Propose:
+    """Put a diagnosis in place that always proposes one and the same stage."""
+
+    def put(stage: dict[str, Any]) -> None:
+        def diagnosed(
+            recording: object, diagnose: DiagnoseStage, effects: object, number: int, on_step: object
+        ) -> tuple[Diagnosed, ExperimentProposed]:
+            proposal = ExperimentProposed(
+                round=number, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
+            )
+            report = {"verdict": "explained", "next_experiment": {"stage": stage}}
+            return Diagnosed(round=number, report=report, words={}), proposal
+
+        monkeypatch.setattr("orchestrator.engine._commissioning.compared", lambda *_: Compared(report={}))
+        monkeypatch.setattr("orchestrator.engine._commissioning.diagnosed", diagnosed)
+
+    return put
+
+
+def diagnose(rounds: int) -> dict[str, Any]:
+    return {"kind": "diagnose", "rounds": rounds}
+
+
+def told(path: Path, kind: type[Message]) -> list[Any]:
+    return [message for message in messages_of(path) if isinstance(message, kind)]
+
+
+def states(path: Path) -> list[str]:
+    return [message.target for message in told(path, StateChanged)]
+
+
+def go_on(path: Path) -> RunResult:
+    return resume_run(path, Crew(AbsentOperator(), Interrupts()))
+
+
+class StopAfter(Interrupts):
+    """Asks for a stop once so many messages of a kind are in the journal."""
+
+    def __init__(self, run: Path, kind: type[Message], count: int) -> None:
+        super().__init__()
+        self._run, self._kind, self._count = run, kind, count
+
+    def check(self) -> None:
+        if (self._run / "journal.jsonl").exists() and len(told(self._run, self._kind)) >= self._count:
+            self.stop("enough")
+        super().check()
+
+
+@pytest.fixture(scope="module")
+def decided(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run whose inverter loses 0.8 V: one PWM frequency cannot tell dead time from a drop of the devices."""
+    result = run_tiny(tmp_path_factory.mktemp("decided"), drive={"plant": PLANT}, stages=[*STAGES, diagnose(rounds=1)])
+    assert result.outcome.error is None, result.outcome
+    return result.path
+
+
+def test_a_run_measures_what_its_diagnosis_asks_for_and_ends_with_one_name(decided: Path) -> None:
+    first, second = told(decided, Diagnosed)
+    assert {first.report["effects"][0]["name"], *first.report["effects"][0]["twins"]} == {"dead_time", "device_drop"}
+    (effect,) = second.report["effects"]
+    assert (effect["name"], effect["twins"]) == ("dead_time", [])
+    assert effect["parameters"]["voltage_v"]["value"] == pytest.approx(0.8, rel=0.02)
+    assert (first.round, second.round) == (0, 1)
+    assert set(first.words) == {"where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide"}
+
+
+def test_the_last_diagnosis_is_kept_in_the_results(decided: Path) -> None:
+    kept = json.loads((decided / "results" / "diagnosis.json").read_text())
+    last = told(decided, Diagnosed)[-1]
+    assert (kept["report"], kept["words"]) == (last.report, last.words)
+    assert (decided / "results" / "diagnosis.npz").stat().st_size > 1000
+
+
+def test_the_loop_goes_through_its_states_disarmed(decided: Path) -> None:
+    walk = states(decided)
+    place = walk.index("comparing")
+    loop = ["estimating", "comparing", "diagnosing", "proposing", "estimating_resistance", "stopping"]
+    assert walk[place - 1 : place + 5] == loop
+    assert walk[place + 5 :] == ["estimating", "comparing", "diagnosing", "stopping", "finished"]
+
+
+def test_an_appended_stage_is_part_of_the_recording_and_not_of_the_procedure(decided: Path) -> None:
+    (appended,) = told(decided, StagesAppended)
+    assert appended.by == len(STAGES)
+    run = RunDirectory.open(decided)  # whose procedure still has its hash
+    assert len(run.record.procedure.stages) == len(STAGES) + 1
+    segments = [s for s in open_recording(decided).segments() if s.settings.get("pwm_frequency_hz") == 20000.0]
+    assert len(segments) == len(appended.stages[0].points_a)
+
+
+def test_a_round_more_is_measured_as_long_as_there_are_rounds(propose: Propose, tmp_path: Path) -> None:
+    propose(EXPERIMENT)
+    path = run_tiny(tmp_path, stages=[*OPENING, diagnose(rounds=2)]).path
+    assert [proposal.accepted for proposal in told(path, ExperimentProposed)] == [True, True, False]
+    assert [message.round for message in told(path, Diagnosed)] == [0, 1, 2]
+    ids = [message.id for message in told(path, PointDone)]
+    assert ids[-6:] == [f"resistance-{k:03d}" for k in range(4, 10)]
+    assert states(path)[-1] == "finished"
+
+
+def test_an_experiment_beyond_the_limits_is_proposed_and_not_measured(propose: Propose, tmp_path: Path) -> None:
+    propose({**EXPERIMENT, "points_a": [[50.0, 0.0]]})
+    result = run_tiny(tmp_path, stages=[*OPENING, diagnose(rounds=1)])
+    assert result.outcome.ending == "finished"
+    (proposal,) = told(result.path, ExperimentProposed)
+    assert not proposal.accepted
+    assert not told(result.path, StagesAppended)
+    assert any("cannot be run here" in str(message) and "50 A" in str(message) for message in messages_of(result.path))
+
+
+@pytest.mark.parametrize(
+    ("kind", "count"), [(PointDone, 6), (Diagnosed, 1), (StagesAppended, 1), (PointDone, 7), (PointDone, 8)]
+)
+def test_a_run_stopped_anywhere_in_the_loop_goes_on_exactly_there(
+    propose: Propose, kind: type[Message], count: int, tmp_path: Path
+) -> None:
+    propose(EXPERIMENT)
+    stages = [*OPENING, {"kind": "estimate", "estimators": ["resistance"]}, diagnose(rounds=1)]
+    whole = run_tiny(tmp_path, stages=stages).path
+    (tmp_path / "stopped").mkdir()
+    interrupts = StopAfter(tmp_path / "stopped" / "run", kind, count)
+    stopped = run_tiny(tmp_path / "stopped", stages=stages, interrupts=interrupts)
+    assert stopped.outcome.ending == "aborted"
+    assert go_on(stopped.path).outcome.ending == "finished"
+    samples = {segment.id: segment.sha256 for segment in open_recording(stopped.path).segments()}
+    assert samples == {segment.id: segment.sha256 for segment in open_recording(whole).segments()}
+    assert len(told(stopped.path, StagesAppended)) == 1
+    assert [message.round for message in told(stopped.path, Diagnosed)] == [0, 1]
+
+
+def test_a_finished_run_can_be_gone_on_with(propose: Propose, tmp_path: Path) -> None:
+    propose(EXPERIMENT)
+    stages = [*OPENING, {"kind": "estimate", "estimators": ["resistance"]}]
+    path = run_tiny(tmp_path, stages=stages).path
+    answered, estimated = len(told(path, OperatorAnswered)), states(path).count("estimating")
+    more = following_stages(DiagnoseStage(kind="diagnose", rounds=1), EXPERIMENT, tiny_procedure(tmp_path))
+    question = OperatorStage(kind="operator", prompt="Is it still locked?", answer="yes")
+    result = extend_run(path, (question, *more), Crew(AbsentOperator(), Interrupts()))
+    assert result.outcome.ending == "finished"
+    assert [message.id for message in told(path, PointDone)][-3:] == [f"resistance-{k:03d}" for k in (4, 5, 6)]
+    assert len(told(path, OperatorAnswered)) == answered + 1
+    assert states(path).count("estimating") == estimated + 1
+    starts = [segment.start_s for segment in open_recording(path).segments()]
+    assert starts == sorted(starts)
+
+
+def test_stages_beyond_the_limits_are_not_appended(tmp_path: Path) -> None:
+    path = run_tiny(tmp_path, stages=OPENING).path
+    journal = (path / "journal.jsonl").read_bytes()
+    with pytest.raises(CapabilityError, match="50 A"):
+        extend_run(
+            path, [ResistanceStage(kind="resistance", points_a=((50.0, 0.0),))], Crew(AbsentOperator(), Interrupts())
+        )
+    assert (path / "journal.jsonl").read_bytes() == journal
+
+
+def test_a_run_that_is_not_finished_is_not_appended_to(tmp_path: Path) -> None:
+    result = run_tiny(tmp_path, stages=OPENING, interrupts=StopAfter(tmp_path / "run", PointDone, 2))
+    with pytest.raises(RecordingError, match=r"not finished.*resume"):
+        extend_run(result.path, [DiagnoseStage(kind="diagnose")], Crew(AbsentOperator(), Interrupts()))
+
+
+def test_a_recording_with_too_little_in_it_gets_no_diagnosis_and_the_run_goes_on(tmp_path: Path) -> None:
+    result = run_tiny(tmp_path, stages=[STAGES[0], diagnose(rounds=1)])
+    assert result.outcome.ending == "finished"
+    assert not told(result.path, Diagnosed)
+    assert any("no diagnosis" in str(message) for message in messages_of(result.path))

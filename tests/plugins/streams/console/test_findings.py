@@ -1,0 +1,154 @@
+"""Comparison and diagnosis on the console: a line each, the ladder as it falls, the five slots, JSON for programs."""
+
+from __future__ import annotations
+
+import io
+import json
+import re
+import sys
+from pathlib import Path
+
+import pytest
+
+from plugins.streams.console import ConsoleOptions, ConsoleStream
+from plugins.streams.console._findings import BAR, step_bar, volts
+from plugins.streams.console._lines import without_arrays
+from protocols import (
+    Compared,
+    Diagnosed,
+    ExperimentProposed,
+    FluxMapEstimate,
+    FluxPoints,
+    MapChecks,
+    MapEstimated,
+    Message,
+    StateChanged,
+    StreamSetup,
+)
+from tests.plugins.streams.example_run import a_map
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis, some_steps
+
+COMPARED = Compared(
+    report={
+        "model": "saturated",
+        "chi2": 5.489e4,
+        "noise_floor": {"rms_v": 0.00345},
+        "worst": [{"segment": "resistance-022", "rms_v": 1.48}],
+    }
+)
+DIAGNOSED = Diagnosed(round=0, report=a_diagnosis().model_dump(mode="json"), words=WORDS.model_dump())
+PROPOSED = ExperimentProposed(
+    round=0, stage={"kind": "resistance"}, separates=("dead_time", "device_drop"), minutes=0.27, accepted=True
+)
+MESSAGES: list[Message] = [
+    StateChanged(source="estimating", target="comparing"),
+    COMPARED,
+    *some_steps(),
+    DIAGNOSED,
+    PROPOSED,
+]
+
+
+class Output(io.StringIO):
+    terminal = False
+
+    def isatty(self) -> bool:
+        return self.terminal
+
+
+def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], mode: str, columns: int = 120) -> str:
+    output = Output()
+    output.terminal = mode == "live"
+    monkeypatch.setattr(sys, "stdout", output)
+    monkeypatch.setenv("TERM", "xterm-256color")
+    monkeypatch.setenv("COLUMNS", str(columns))
+    stream = ConsoleStream(StreamSetup(run=run, options=ConsoleOptions.model_validate({"mode": mode})))
+    for message in messages:
+        stream.receive(message)
+    stream.close()
+    return output.getvalue()
+
+
+def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert told(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
+        "compared with the model saturated: chi2 54890, worst in resistance-022 with 1.48 V rms "
+        "where noise makes 3.45 mV",
+        "the model alone           chi2    5489    300 mV  held out   350 mV",
+        "+ dead time               chi2    1.02    4.1 mV  held out   4.2 mV",
+        "diagnosis: explained",
+        "where it fails      worst in resistance-002: 1.48e+03 mV rms",
+        "what it looks like  An odd step in each phase current.",
+        "likely cause        dead_time (voltage_v 0.4 V, 95 % -0.399..0.401)",
+        "if added            held-out error 350 -> 4.2 mV; R_s 4.6 -> 4.31 ohm",
+        "to decide           resistance stage of 0.27 min",
+        "next experiment: resistance, 0.27 min, tells dead time from device drop; and the run goes on with it",
+    ]
+
+
+def test_a_terminal_sees_the_error_fall_in_colour(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    text = told(monkeypatch, tmp_path, MESSAGES, "live")
+    assert "\x1b[31m━" in text  # red far above the noise
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
+    before, after = (next(line for line in plain.splitlines() if name in line) for name in ("alone", "+ dead time"))
+    assert before.count("━") > 10
+    assert after.count("━") <= 1
+    assert "✓ diagnosis" in plain
+    assert "likely cause" in plain
+    assert "next experiment: resistance" in plain
+
+
+def test_a_narrow_terminal_cuts_the_ladder_instead_of_folding_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    text = told(monkeypatch, tmp_path, list(some_steps()), "live", columns=60)
+    plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
+    assert sum("chi2" in line for line in plain.splitlines()) == 2
+
+
+def test_quiet_leaves_a_diagnosis_to_the_results(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert told(monkeypatch, tmp_path, MESSAGES, "quiet") == ""
+
+
+def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    found = a_map("energy")
+    points = FluxPoints(i_dq=found.psi_d[:2, :2], psi_dq=found.psi_d[:2, :2], segment=("a", "b"))
+    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), notes=("n",)))
+    lines = told(monkeypatch, tmp_path, [*MESSAGES, estimated], "jsonl").splitlines()
+    objects = [json.loads(line) for line in lines]
+    assert [o["kind"] for o in objects] == [m.kind for m in [*MESSAGES, estimated]]
+    assert max(map(len, lines)) < 6000
+    step = objects[2]
+    assert step["chi2"] == 5489.0
+    assert not {"stage", "time_s", "i_dq", "residual_abc_v", "noise_v"} & step.keys()
+    assert step["excerpts"][0] == {
+        "segment": "injection-001",
+        "stage": "injection",
+        "i_d_a": -0.01,
+        "i_q_a": 0.0,
+        "amplitude_v": 20.0,
+    }
+    assert step["resistance"] == {}
+    assert objects[-1]["estimate"]["map"] == {"method": "energy"}
+    assert objects[-1]["estimate"]["points"] == {}
+    assert objects[-1]["estimate"]["notes"] == ["n"]
+    assert objects[-3]["words"] == WORDS.model_dump()
+
+
+def test_a_message_without_arrays_is_whole() -> None:
+    assert without_arrays(DIAGNOSED) == DIAGNOSED.model_dump(mode="json")
+
+
+def test_a_report_that_says_little_is_told_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    empty: list[Message] = [Compared(report={}), Diagnosed(round=2, report={}, words={})]
+    assert told(monkeypatch, tmp_path, empty, "plain").splitlines() == [
+        "compared with the model -: chi2 - rms where noise makes -",
+        "diagnosis: -, after experiment 2",
+    ]
+    assert told(monkeypatch, tmp_path, empty, "live")
+
+
+def test_a_bar_is_as_long_as_the_error_has_decades_above_the_noise() -> None:
+    step = some_steps()[0]
+    for error, cells in ((1e-3, 0), (0.004, 0), (0.04, BAR // 3), (4.0, BAR), (4e3, BAR)):
+        assert len(step_bar(step.model_copy(update={"heldout_rms_v": error}))) == cells
+    assert [volts(x) for x in (0.9999, 0.0003, None)] == ["1 V", "0.3 mV", "-"]

@@ -1,0 +1,199 @@
+"""The report's diagnosis: five slots first, then the ladder, pictures before and after, words for what is missing."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
+from plugins.streams.report import _diagnosis_content as findings
+from plugins.streams.report import write_report
+from plugins.streams.report._diagnosis_figures import _rising, plane_figures, with_zero_sequence
+from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
+from tests.plugins.streams.example_run import a_run_directory
+from tests.plugins.streams.report.example_diagnosis import (
+    PHASES,
+    WORDS,
+    a_diagnosis,
+    inverter_residual,
+    some_steps,
+)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of the words: figures are made, but not rendered."""
+    for module in ("_figures", "_diagnosis_figures"):
+        monkeypatch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory: pytest.TempPathFactory) -> str:
+    run = a_run_directory(tmp_path_factory.mktemp("diagnosed") / "run")
+    save_diagnosis(run, a_diagnosis(), WORDS, some_steps())
+    return write_report(run).read_text(encoding="utf-8")
+
+
+def saved(**changes: object) -> SavedDiagnosis:
+    return SavedDiagnosis(a_diagnosis(**changes).model_dump(mode="json"), WORDS.model_dump(), some_steps())
+
+
+def words_of(page: str) -> str:
+    bare = re.sub(r"<style>.*?</style>|<[^>]*>", " ", page, flags=re.S)
+    return re.sub(r"\s+", " ", bare)
+
+
+def test_the_five_slots_stand_first_in_print_characters(page: str) -> None:
+    text = words_of(page)
+    assert text.index("Explained") < text.index("Where it fails") < text.index("R_s 4.6 → 4.31 Ω") < text.index("Run")
+    assert "1480 mV rms" in text
+    assert "95 % −0.399 to 0.401" in text
+    assert "−3 ± 2 mV" in text
+    assert "+-" not in text
+
+
+def test_every_picture_of_the_diagnosis_is_on_the_page(page: str) -> None:
+    titles = [
+        "The error ladder",
+        "The whole library, fitted together",
+        "Residual on the current plane",
+        "Residual against each phase",
+        "Flux loop on d",
+        "Flux loop on q",
+        "Ripple, measured and predicted",
+        "A sweep, measured and simulated",
+        "R_s against the heat",
+    ]
+    places = [page.index(f"<h3>{title}") for title in titles]
+    assert places == sorted(places)
+    assert page.count("<img") == 8 + 11
+
+
+def test_the_page_stays_small(page: str) -> None:
+    assert len(page) < 5_000_000
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_page_without_a_diagnosis_says_how_to_make_one(tmp_path: Path) -> None:
+    text = words_of(write_report(a_run_directory(tmp_path / "run")).read_text(encoding="utf-8"))
+    assert "not made; fluxbench diagnose makes it" in text
+    assert "The error ladder" not in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_a_damaged_diagnosis_is_named_and_the_rest_reported(tmp_path: Path) -> None:
+    run = a_run_directory(tmp_path / "run")
+    save_diagnosis(run, a_diagnosis(), WORDS, some_steps())
+    (run / "results" / "diagnosis.npz").write_bytes(b"no archive")
+    text = words_of(write_report(run).read_text(encoding="utf-8"))
+    assert "diagnosis.npz" in text
+    assert "Flux map usable" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_without_steps_the_ladder_is_drawn_from_the_report() -> None:
+    found = SavedDiagnosis(a_diagnosis().model_dump(mode="json"), WORDS.model_dump(), ())
+    assert [p.title for p in diagnosis_pictures(found)] == ["The error ladder", "The whole library, fitted together"]
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_one_rung_is_drawn_without_a_before() -> None:
+    report = a_diagnosis(verdict="clean", effects=[], ladder=a_diagnosis().model_dump()["ladder"][:1])
+    found = SavedDiagnosis(report.model_dump(mode="json"), WORDS.model_dump(), some_steps()[:1])
+    pictures = list(diagnosis_pictures(found))
+    assert len(pictures) == 9
+    assert not any(picture.beside for picture in pictures)
+
+
+def test_tables_tell_values_with_their_intervals_and_twins() -> None:
+    assert findings.effect_rows(saved()) == [
+        ["dead time", "voltage_v", "0.4 V", "0.399 to 0.401", "0.05", "device drop"],
+        ["", "sharpness", "−1.5·10⁷", "", "", ""],
+    ]
+    assert findings.ladder_rows(saved()) == [
+        ["the model alone", "5489", "300 mV", "350 mV", "60 mA"],
+        ["+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"],
+        ["noise alone", "1", "4 mV", "4 mV", ""],
+    ]
+
+
+def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
+    assert findings.alike_rows(saved()) == [
+        ["dead time", "device drop", "does as well in its place"],
+        ["bus sag", "–", "in the joint fit z = −5.1, yet not worth a name"],
+        ["skin effect", "–", "a trace, below what deserves a name"],
+    ]
+
+
+def test_the_next_experiment_is_a_procedure_s_own_text() -> None:
+    proposal = findings.experiment(saved())
+    assert proposal is not None
+    assert yaml.safe_load(proposal.yaml) == {"stages": [a_diagnosis().model_dump()["next_experiment"]["stage"]]}
+    assert proposal.reason == "Tells dead time from device drop, 0.27 min."
+    assert findings.experiment(saved(next_experiment=None)) is None
+
+
+def test_numbers_that_are_missing_are_said_to_be() -> None:
+    rungs = [{"added": None, "chi2": None, "rms_v": None, "heldout_rms_v": None, "current_rms_a": None}]
+    found = saved(ladder=rungs, unexplained={"fraction": None, "shape": []}, joint=[])
+    assert findings.ladder_rows(found)[0] == ["the model alone", *["not measured"] * 4]
+    assert findings.leftover_told(found) == ""
+
+
+def test_an_inverter_s_residual_falls_on_one_curve_once_the_zero_sequence_is_back() -> None:
+    i_abc = np.random.default_rng(3).uniform(-3.0, 3.0, (3000, 2)) @ PHASES.T
+    hidden = inverter_residual(i_abc)
+    curve = 0.4 * np.tanh(i_abc / 0.05)
+    far = np.abs(i_abc) > 0.3
+    assert np.std((hidden - curve)[far]) > 0.1
+    apart = (with_zero_sequence(i_abc, hidden) - curve)[far]
+    # A constant more or less cannot be seen; what is left is what the finite knots miss near zero.
+    assert np.std(apart) < 0.03
+
+
+def test_what_is_no_inverter_s_doing_is_left_as_it_is() -> None:
+    rng = np.random.default_rng(4)
+    i_abc = rng.uniform(-3.0, 3.0, (3000, 2)) @ PHASES.T
+    noise = rng.normal(0.0, 0.1, (3000, 2)) @ PHASES.T
+    assert np.std(with_zero_sequence(i_abc, noise) - noise) < 0.02
+    assert np.array_equal(with_zero_sequence(i_abc[:3], noise[:3]), noise[:3])
+
+
+def test_a_sweep_s_way_up_is_told_from_its_way_down() -> None:
+    time = np.linspace(0.0, 1.0, 400)
+    sweep = np.interp(time, [0, 0.125, 0.375, 0.625, 0.875, 1], [0, 1, 1, -1, -1, 0])
+    rising = _rising(sweep)
+    assert rising[20:130].all()
+    assert not rising[160:330].any()
+    assert rising[365:390].all()
+
+
+def test_a_plane_with_one_current_only_is_drawn() -> None:
+    step = some_steps()[0]
+    still = step.model_copy(update={"i_dq": np.zeros_like(step.i_dq)})
+    for picture in plane_figures(still, still):
+        assert picture.startswith("data:image/svg+xml")
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_results_that_were_kept_elsewhere_are_reported(tmp_path: Path) -> None:
+    save_diagnosis(tmp_path, a_diagnosis(), WORDS, some_steps())
+    text = words_of(write_report(tmp_path).read_text(encoding="utf-8"))
+    assert "Explained" in text
+    assert "The error ladder" in text
+
+
+@pytest.mark.usefixtures("undrawn")
+def test_readings_of_the_estimates_are_drawn_without_a_journal(tmp_path: Path) -> None:
+    run = a_run_directory(tmp_path / "run")
+    (run / "journal.jsonl").unlink()
+    file = run / "results" / "estimates.json"
+    kept = json.loads(file.read_text())
+    kept["resistance"]["readings"] = [{"start_s": 1.0, "value_ohm": 4.4, "std_ohm": 0.01}] * 3
+    file.write_text(json.dumps(kept))
+    assert "3 readings while the current was constant" in words_of(write_report(run).read_text(encoding="utf-8"))

@@ -1,0 +1,50 @@
+"""Reads a ``view.rrd`` back, and runs the viewer's receiving end as a process of its own."""
+
+from __future__ import annotations
+
+import subprocess
+import warnings
+from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+from rerun.chunk import RrdReader
+
+from plugins.streams.rerun._live import HOST, wait_for_viewer
+from plugins.streams.rerun._programs import executable
+
+
+def rows(file: Path, content: str) -> list[dict[str, Any]]:
+    """All rows of an entity as dictionaries of column and value."""
+    found: list[dict[str, Any]] = []
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that a torn file has no footer is what some tests are about
+        for chunk in RrdReader(file).stream().filter(content=content):
+            found += pa.Table.from_batches([chunk.to_record_batch()]).to_pylist()
+    return found
+
+
+def entities(file: Path) -> Counter[str]:
+    """How many rows with a time each entity has."""
+    found: Counter[str] = Counter()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        for chunk in RrdReader(file).stream():
+            found[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
+    return found
+
+
+@contextmanager
+def receiver(port: int, file: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """A process that takes what is sent to a viewer and writes it into a file."""
+    words = [executable(), "--bind", HOST, "--port", str(port), "--save", str(file)]
+    process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        assert wait_for_viewer(port, 20.0), "the receiving end does not start"
+        yield process
+    finally:
+        process.kill()
+        process.wait()

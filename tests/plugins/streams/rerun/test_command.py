@@ -1,0 +1,143 @@
+"""`fluxbench view`: makes what is missing, says so, prints the table, and keeps to this machine."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from plugins.streams.rerun._catalogue import served
+from plugins.streams.rerun._command import command
+from plugins.streams.rerun._live import HOST, free_port, wait_for_viewer
+from plugins.streams.rerun._making import whole_view
+from plugins.streams.rerun._replay import replay
+from plugins.streams.rerun._tape import is_whole
+from protocols import PointDone, RecordingError, RunStarted, SamplesCaptured
+from tests.plugins.streams.example_run import a_run_directory
+from tests.plugins.streams.rerun.reading import entities, rows
+from tests.plugins.streams.rerun.test_live import listening
+from tests.support.processes import wait_until
+
+RECORDING = Path(__file__).parents[3] / "data" / "pm400-reduced"
+
+
+@pytest.fixture(scope="module")
+def example(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A finished run; tests take copies."""
+    return a_run_directory(tmp_path_factory.mktemp("example") / "run")
+
+
+def copied(example: Path, to: Path) -> Path:
+    return Path(shutil.copytree(example, to))
+
+
+def test_a_run_is_replayed_with_its_samples_before_each_point_and_its_maps_before_the_end(example: Path) -> None:
+    kinds = [message.kind for message in replay(example)]
+    assert kinds[0] == "run_started"
+    assert kinds[-1] == "run_ended"
+    assert kinds.count("samples_captured") == kinds.count("point_done") > 0
+    assert all(kinds[k - 1] == "samples_captured" for k, kind in enumerate(kinds) if kind == "point_done")
+    assert kinds.index("map_estimated") > len(kinds) - kinds[::-1].index("point_done") - 1
+
+
+def test_a_recording_that_no_run_made_is_replayed_too() -> None:
+    messages = list(replay(RECORDING))
+    assert isinstance(messages[0], RunStarted)
+    done = [m for m in messages if isinstance(m, PointDone)]
+    longest = max((m.achieved_d_a**2 + m.achieved_q_a**2) ** 0.5 for m in done)
+    assert messages[0].limits.current_a > longest
+    assert {m.segment for m in messages if isinstance(m, SamplesCaptured)} == {m.id for m in done}
+
+
+def test_a_view_is_made_where_there_is_none_and_made_anew_where_it_is_torn(tmp_path: Path, example: Path) -> None:
+    run = copied(example, tmp_path / "run")
+    before = {p.name for p in run.iterdir()}
+    told: list[str] = []
+    found = whole_view(run, told.append)
+    assert found.file == run / "view.rrd"
+    assert is_whole(found.file)
+    assert {p.name for p in run.iterdir()} == before | {"view.rrd"}
+    assert "is missing" in told[-1]
+    whole = entities(found.file)
+    with found.file.open("r+b") as torn:
+        torn.truncate(found.file.stat().st_size // 2)
+    whole_view(run, told.append)
+    assert "is torn" in told[-1]
+    assert entities(found.file) == whole
+    whole_view(run, told.append)
+    assert len(told) == 2
+
+
+def test_a_foreign_recording_is_left_as_it_is(tmp_path: Path) -> None:
+    recording = tmp_path / "foreign"
+    shutil.copytree(RECORDING, recording)
+    before = sorted(p.name for p in recording.rglob("*"))
+    found = whole_view(recording, print)
+    try:
+        assert recording not in found.file.parents
+        assert "left as it is" in found.remark
+        assert is_whole(found.file)
+    finally:
+        shutil.rmtree(found.file.parent)
+    assert sorted(p.name for p in recording.rglob("*")) == before
+
+
+def test_a_folder_of_runs_is_a_table_one_line_a_run(
+    tmp_path: Path, example: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copied(example, tmp_path / "a")
+    a_run_directory(tmp_path / "b", motor="other motor", ended=False)
+    broken = copied(example, tmp_path / "c")
+    (broken / "run.json").write_text("{", encoding="utf-8")
+    assert command([str(tmp_path), "--json"]) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert [(r["run"], r["outcome"], r["view"]) for r in rows] == [
+        ("a", "finished", "missing"),
+        ("b", "unfinished", "missing"),
+        ("c", "unreadable", "missing"),
+    ]
+    assert rows[1]["motor"] == "other motor"
+
+
+def test_the_catalogue_serves_runs_with_their_properties_to_this_machine_alone(tmp_path: Path, example: Path) -> None:
+    files = [whole_view(copied(example, tmp_path / name), print).file for name in "ab"]
+    for file in files:
+        assert ["x"] in rows(file, "/__properties/motor")[0].values()
+        assert rows(file, "/__properties/outcome")
+    with served(files) as url:
+        assert url.startswith(f"rerun+http://{HOST}:")
+        assert listening(os.getpid()) == {HOST}
+
+
+@pytest.mark.parametrize("name", ["nowhere", "empty"])
+def test_what_cannot_be_viewed_is_one_line(tmp_path: Path, name: str) -> None:
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(RecordingError, match=name) as caught:
+        command([str(tmp_path / name)])
+    assert "\n" not in str(caught.value)
+
+
+def test_without_a_display_it_is_a_page_on_this_machine_until_interrupted(tmp_path: Path, example: Path) -> None:
+    run, port = copied(example, tmp_path / "run"), free_port()
+    code = "import sys; from plugins.streams.rerun._command import command; sys.exit(command(sys.argv[1:]))"
+    words = [sys.executable, "-c", code, str(run), "--port", str(port)]
+    hidden = {k: v for k, v in os.environ.items() if k not in ("DISPLAY", "WAYLAND_DISPLAY")}
+    with subprocess.Popen(
+        words, env=hidden, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=Path(__file__).parents[4]
+    ) as process:
+        try:
+            assert wait_for_viewer(port, 30.0, lambda: process.poll() is not None)
+            wait_until(lambda: bool(listening(process.pid)))
+            assert listening(process.pid) == {HOST}
+        finally:
+            process.send_signal(signal.SIGINT)
+        out, err = process.communicate(timeout=20)
+    assert process.returncode == 0, err
+    assert out.startswith(f"http://{HOST}:{port}/?url=")
+    assert not wait_for_viewer(port, 0.3)

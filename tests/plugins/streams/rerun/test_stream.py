@@ -1,0 +1,177 @@
+"""What ends up in view.rrd: everything, one step an effect, whole after any end, torn only by a kill."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from multiprocessing import get_context
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydantic import BaseModel, ValidationError
+
+from orchestrator.testing import StreamConformance
+from plugins.streams.rerun import RerunOptions, RerunStream
+from plugins.streams.rerun._tape import is_whole
+from protocols import (
+    Limits,
+    Message,
+    Motor,
+    PointDone,
+    PointStarted,
+    RunEnded,
+    RunStarted,
+    SamplesCaptured,
+    Segment,
+    SegmentStage,
+    StateChanged,
+    Stream,
+    StreamSetup,
+)
+from tests.plugins.streams.rerun.example_diagnosis import EFFECTS, a_diagnosis
+from tests.plugins.streams.rerun.reading import entities, rows
+from tests.plugins.streams.rerun.test_ripple import an_injection
+
+POINTS = 6
+
+
+class TestRerun(StreamConformance):
+    def make_stream(self, setup: StreamSetup) -> Stream:
+        return RerunStream(setup)
+
+    def options(self) -> BaseModel:
+        return RerunOptions()
+
+
+def a_commissioning(run: Path, points: int = POINTS) -> list[Message]:
+    motor = Motor(name="linear", pole_pairs=2, rated_current_rms_a=1.66)
+    limits = Limits(current_a=5.0, voltage_v=150.0)
+    out: list[Message] = [
+        RunStarted(
+            run=str(run),
+            name="short",
+            motor=motor,
+            limits=limits,
+            drive="none",
+            stages=1,
+            points=points,
+            points_done=0,
+            seconds=9.0,
+        ),
+        StateChanged(source="connecting", target="sweeping_injection"),
+    ]
+    for k in range(points):
+        name = f"injection-{k:03d}"
+        capture = an_injection().model_copy(update={"start_s": 0.75 * k})
+        segment = Segment(
+            id=name, stage=SegmentStage.INJECTION, start_s=0.75 * k, samples=5000, settings={"frequency_hz": 500.0}
+        )
+        out += [
+            PointStarted(id=name, stage_index=0, target_d_a=1.0, target_q_a=-0.5, seconds=0.75),
+            SamplesCaptured(segment=name, rotor_angle_rad=0.0, capture=capture),
+            PointDone(
+                id=name,
+                stage_index=0,
+                segment=segment,
+                achieved_d_a=1.01,
+                achieved_q_a=-0.5,
+                points_done=k + 1,
+                points=points,
+                seconds_left=0.0,
+            ),
+        ]
+    return [*out, RunEnded(outcome="finished", reason="all done", run=str(run))]
+
+
+def drawn(run: Path, messages: list[Message]) -> Path:
+    run.mkdir(exist_ok=True)
+    stream = RerunStream(StreamSetup(run=run, options=RerunOptions()))
+    for message in messages:
+        stream.receive(message)
+    stream.close()
+    return run / "view.rrd"
+
+
+def scalars(file: Path, content: str) -> list[list[float]]:
+    """The scalars of an entity, row by row; rows of style alone are passed over, wherever in the file they are."""
+    found = [value for row in rows(file, content) for key, value in row.items() if key.endswith("Scalars:scalars")]
+    assert found
+    return found
+
+
+def test_a_commissioning_is_drawn_whole(tmp_path: Path) -> None:
+    file = drawn(tmp_path / "run", a_commissioning(tmp_path))
+    found = entities(file)
+    assert is_whole(file)
+    assert found["/drive/current"] == found["/drive/voltage"] == 50 * POINTS
+    assert found["/point/inductance"] == found["/point/off_target"] == POINTS
+    assert {"/state/machine", "/plane/amperes/achieved", "/ripple/d/fitted", "/flux/d/box/points"} <= set(found)
+    for values in scalars(file, "/point/inductance"):
+        np.testing.assert_allclose(values, [43.0, 4.0, 69.0], atol=0.2)
+    for off in scalars(file, "/point/off_target"):
+        np.testing.assert_allclose(off, [10.0, 0.0], atol=1e-6)
+
+
+def test_each_added_effect_is_one_step_and_the_error_falls(tmp_path: Path) -> None:
+    file = drawn(tmp_path / "run", a_diagnosis())
+    ladder = [row for row in rows(file, "/ladder/rms_mv") if row.get("effect_added") is not None]
+    values = [next(v for k, v in row.items() if k.endswith("Scalars:scalars"))[0] for row in ladder]
+    assert [row["effect_added"] for row in ladder] == list(range(len(EFFECTS) + 1))
+    assert values == sorted(values, reverse=True)
+    found = entities(file)
+    for path in ("/residual/plane/amperes/windows", "/residual/phases/a", "/excerpts/0/predicted", "/loops/0/model"):
+        assert found[path] == len(EFFECTS) + 1, path
+
+
+def test_a_second_round_goes_on_where_the_first_ended(tmp_path: Path) -> None:
+    file = drawn(tmp_path / "run", [*a_diagnosis(), *a_diagnosis(pictures=False)])
+    steps = {row.get("effect_added") for row in rows(file, "/ladder/rms_mv")} - {None}
+    assert steps == set(range(2 * (len(EFFECTS) + 1)))
+
+
+def test_a_resumed_run_keeps_what_was_drawn_before(tmp_path: Path) -> None:
+    first = entities(drawn(tmp_path / "run", a_commissioning(tmp_path)[:-7]))
+    file = drawn(tmp_path / "run", a_commissioning(tmp_path)[-7:])
+    both = entities(file)
+    assert both["/drive/current"] == 50 * POINTS
+    assert both["/log"] > first["/log"]
+    assert sorted(p.name for p in file.parent.iterdir()) == ["view.rrd"]
+
+
+def draw_and_hang(run: Path, ready: Path) -> None:
+    stream = RerunStream(StreamSetup(run=run, options=RerunOptions()))
+    for message in a_commissioning(run)[:-1]:
+        stream.receive(message)
+    time.sleep(1.0)
+    ready.touch()
+    time.sleep(60.0)
+
+
+def test_what_was_sent_before_a_kill_is_in_the_file_and_survives_a_resumption(tmp_path: Path) -> None:
+    run, ready = tmp_path / "run", tmp_path / "ready"
+    run.mkdir()
+    process = get_context("spawn").Process(target=draw_and_hang, args=(run, ready))
+    process.start()
+    try:
+        deadline = time.monotonic() + 30.0
+        while not ready.exists() and time.monotonic() < deadline:
+            time.sleep(0.02)
+    finally:
+        assert process.pid is not None
+        os.kill(process.pid, signal.SIGKILL)
+        process.join()
+    assert not is_whole(run / "view.rrd")
+    assert entities(run / "view.rrd")["/drive/current"] == 50 * POINTS
+    with (run / "view.rrd").open("r+b") as torn:
+        torn.truncate(torn.seek(0, 2) - 7)
+    file = drawn(run, a_commissioning(run)[-1:])
+    assert is_whole(file)
+    assert entities(file)["/drive/current"] >= 50 * (POINTS - 1)
+
+
+@pytest.mark.parametrize("options", [{"view": "elsewhere"}, {"port": 0}, {"memory_limit": "much"}, {"bind": "0.0.0.0"}])
+def test_options_that_make_no_sense_are_refused(options: dict[str, object]) -> None:
+    with pytest.raises(ValidationError):
+        RerunOptions.model_validate(options)

@@ -1,0 +1,59 @@
+"""The emulated drive as a process of its own, and what its log says."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from tests.support.processes import FLUXBENCH, wait_until
+
+
+@dataclass
+class Emulator:
+    """A running emulator."""
+
+    process: subprocess.Popen[str]
+    log: Path
+
+    def events(self, *kinds: str) -> list[dict[str, Any]]:
+        """What it logged, of these kinds (all, where none is named); an unfinished last line is left out."""
+        lines = self.log.read_text().splitlines(keepends=True) if self.log.exists() else []
+        found: list[dict[str, Any]] = [json.loads(line) for line in lines if line.endswith("\n")]
+        return [event for event in found if not kinds or event["event"] in kinds]
+
+    def send(self, number: signal.Signals) -> None:
+        """A signal to it alone."""
+        os.kill(self.process.pid, number)
+
+
+@contextmanager
+def emulator(folder: Path, *words: str, link: str = "--serial") -> Iterator[Emulator]:
+    """An emulated drive; its line is linked at `folder`/line, or joins the bus that `words` name."""
+    log = folder / "emulator.jsonl"
+    words = (link, str(folder / "line"), *words) if link == "--serial" else (link, *words)
+    process = subprocess.Popen(
+        [FLUXBENCH, "emulate", *words, "--log", str(log)], stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+    running = Emulator(process, log)
+    try:
+        wait_until(lambda: bool(running.events("started")) or process.poll() is not None)
+        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        yield running
+    finally:
+        for number in (signal.SIGCONT, signal.SIGTERM):
+            if process.poll() is None:
+                process.send_signal(number)
+        try:
+            process.wait(timeout=10)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+        if process.stderr is not None:
+            process.stderr.close()

@@ -1,0 +1,84 @@
+"""A procedure measured by the simulated drive straight into memory: no engine, no files, no wall clock."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.config import PlannedPoint, make_plan
+from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, true_flux
+from plugins.drives.simulated._plant import HEAT
+from protocols import Capture, DriveRecord, DriveSetup, Manifest, Procedure, Segment, SegmentStage
+from tests.orchestrator.analysis.campaign import MemoryRecording
+
+NEEDED = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
+"""What estimators read; other stages are neither measured nor waited for."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A recording, and what the plant behind it truly is."""
+
+    recording: MemoryRecording
+    procedure: Procedure
+    truth: TrueMagnetics
+    ohm: Mapping[str, float]
+    """R_s at the end of each segment."""
+
+
+def measure(procedure: Procedure) -> Measured:
+    """Run a procedure's measuring stages on its simulated drive."""
+    stages = tuple(s for s in procedure.stages if s.kind in {stage.value for stage in NEEDED})
+    procedure = procedure.model_copy(update={"stages": stages})
+    options = SimulatedOptions.model_validate({**procedure.drive.options, "watchdog_s": None})
+    drive = SimulatedDrive(DriveSetup(motor=procedure.motor, options=options, seed=procedure.seed))
+    capabilities = drive.connect()
+    drive.arm(procedure.limits)
+    cold = options.plant.resistance_ohm or procedure.motor.stator_resistance_ohm
+    assert cold is not None
+    points = make_plan(procedure, capabilities).points
+    captures, ohm = {}, {}
+    for point in points:
+        captures[point.id] = _executed(drive, point)
+        ohm[point.id] = cold * (1.0 + float(drive._plant.memory.state[HEAT]))
+    drive.close()
+    manifest = Manifest(
+        format="fluxbench-recording",
+        version=1,
+        name=procedure.name,
+        created="2026-01-01T00:00:00Z",
+        motor=procedure.motor,
+        drive=DriveRecord(
+            name="simulated",
+            sampling_frequency_hz=capabilities.sampling_frequency_hz,
+            pwm_frequency_hz=capabilities.pwm_frequency_hz,
+            dc_bus_voltage_v=capabilities.dc_bus_voltage_v,
+            voltage_delay_samples=capabilities.voltage_delay_samples,
+        ),
+        segments=tuple(_segment(point, captures[point.id]) for point in points),
+    )
+    return Measured(MemoryRecording(manifest, captures), procedure, true_flux(options, procedure.motor), ohm)
+
+
+def _executed(drive: SimulatedDrive, point: PlannedPoint) -> Capture:
+    blocks = [block for block in drive.execute(point.excitation) if len(block)]
+    return Capture(
+        start_s=blocks[0].start_s,
+        sampling_frequency_hz=blocks[0].sampling_frequency_hz,
+        i_ab=np.concatenate([block.i_ab for block in blocks]),
+        v_ab=np.concatenate([block.v_ab for block in blocks]),
+        v_dc=np.concatenate([block.v_dc for block in blocks]),
+    )
+
+
+def _segment(point: PlannedPoint, capture: Capture) -> Segment:
+    return Segment(
+        id=point.id,
+        stage=point.stage,
+        start_s=capture.start_s,
+        samples=len(capture),
+        rotor_angle_rad=point.excitation.rotor_angle_rad,
+        settings=point.settings,
+    )
