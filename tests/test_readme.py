@@ -11,10 +11,6 @@ import pytest
 from tests.support.processes import fluxbench
 
 ROOT = Path(__file__).parents[1]
-SLOW = ("compare", "diagnose", "add", "remove")
-"""Commands that fit a model; together they take a minute or two."""
-
-
 def console_lines(page: Path) -> list[str]:
     """The lines of a page's console blocks."""
     blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)
@@ -25,13 +21,7 @@ def test_every_command_of_the_readme_works(tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     lines = console_lines(ROOT / "README.md")
     assert len(lines) > 5
-    type_in([line for line in lines if line.split()[1] not in SLOW], tmp_path)
-
-
-@pytest.mark.slow
-def test_the_readme_s_diagnosis_works(tmp_path: Path) -> None:
-    lines = console_lines(ROOT / "README.md")
-    type_in([line for line in lines if "runs/first" in line], tmp_path)
+    type_in(lines, tmp_path)
 
 
 def type_in(lines: list[str], tmp_path: Path) -> None:

@@ -48,7 +48,7 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
         numbers,
         1.0 / piece.signals.sampling_frequency_hz,
         0.2 * float(np.median(fit.frame.pieces[index].here.inductance[:, [0, 2]])),
-        5.0 * max(-grid.d_low, grid.d_high, grid.q_high),
+        np.array([grid.d_low, grid.d_high, grid.q_high]),
     )
     return predicted, i_dq[:n]
 
@@ -78,9 +78,14 @@ def _simulate(
     numbers: Array,
     ts: float,
     least: float,
-    reach: float,
+    box: Array,
 ) -> Array:
-    """Steps psi by the voltage; after each, one Newton step for the current that belongs to it."""
+    """Steps psi by the voltage; after each, one Newton step for the current that belongs to it.
+
+    A model far off drives the current out of the map's box (lowest and highest i_d, highest i_q); there the map goes on
+    with the inductances of its edge, and well outside the current is held.
+    """
+    reach = 5.0 * max(-box[0], box[1], box[2])
     n = v_ab.shape[0]
     out = np.empty((n, 2))
     i_d = measured[0, 0]
@@ -88,13 +93,11 @@ def _simulate(
     psi_d = 0.0
     psi_q = 0.0
     for k in range(n):
-        # A model far off may drive the current anywhere; it is stopped well outside of what was measured.
         i_d = min(max(i_d, -reach), reach)
         i_q = min(max(i_q, -reach), reach)
-        pd, pq, ldd, ldq, lqq = local_flux(i_d, i_q, patches, numbers)
-        if k == 0:
-            psi_d = pd
-            psi_q = pq
+        edge_d = min(max(i_d, box[0]), box[1])
+        edge_q = min(max(i_q, -box[2]), box[2])
+        pd, pq, ldd, ldq, lqq = local_flux(edge_d, edge_q, patches, numbers)
         det = ldd * lqq - ldq * ldq
         if ldd < least or lqq < least or det < 0.25 * ldd * lqq:
             # A map that is not convex here has no current to a flux; it is held up by a part of the usual inductance.
@@ -102,9 +105,16 @@ def _simulate(
             lqq = max(lqq, least)
             ldq = 0.0
             det = ldd * lqq
+        pd += ldd * (i_d - edge_d) + ldq * (i_q - edge_q)
+        pq += ldq * (i_d - edge_d) + lqq * (i_q - edge_q)
+        if k == 0:
+            psi_d = pd
+            psi_q = pq
         # What the explicit guess missed of the flux, corrected with the inductance there.
         i_d += (lqq * (psi_d - pd) - ldq * (psi_q - pq)) / det
         i_q += (ldd * (psi_q - pq) - ldq * (psi_d - pd)) / det
+        i_d = min(max(i_d, -reach), reach)
+        i_q = min(max(i_q, -reach), reach)
         out[k, 0] = i_d
         out[k, 1] = i_q
         if k == n - 1:
