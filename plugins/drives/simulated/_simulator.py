@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -28,6 +29,16 @@ class Tripped(Exception):
     def __init__(self, overload: bool) -> None:
         self.overload = overload
         super().__init__("overload" if overload else "overcurrent")
+
+
+class Step(NamedTuple):
+    """A few samples of a program, captured or not; the arrays are overwritten by the next step."""
+
+    stretch: Stretch
+    i_ab: Rows
+    """Shape (n, 2)."""
+    v_ab: Rows
+    v_dc: Rows
 
 
 @dataclass
@@ -126,7 +137,7 @@ class Simulator:
         Tripped
             Where the reading is above the trip level; the rest of the program is not run.
         """
-        parameters = self.parameters._replace(dead_time_v=self.plant.parameters.dead_time_v * pwm_ratio)
+        parameters = self._switching(pwm_ratio)
         ahead = sorted(stops)
         elapsed, rows, remaining = 0, self._scratch, program.captured
         filled, room = 0, 0
@@ -162,6 +173,36 @@ class Simulator:
                         filled = 0
             self._end(stretch)
         yield from ahead
+
+    def stepwise(
+        self,
+        program: Program,
+        control: ControlParameters,
+        pwm_ratio: float,
+        noise: np.random.Generator,
+        samples: int,
+    ) -> Iterator[Step]:
+        """As `run`, in steps of at most so many samples: for drives whose link and watchdog come in between.
+
+        Raises
+        ------
+        Tripped
+            Where the reading is above the trip level; the rows of that step are lost.
+        """
+        for stretch in program.stretches:
+            if stretch.averaged:
+                self._sums[:] = 0.0
+            piece, done = self._begin(stretch, control), 0
+            while done < piece.samples:
+                n = min(piece.samples - done, samples, self.block)
+                self._rows(self._switching(pwm_ratio), control, piece, done, n, noise, self._scratch, 0)
+                done += n
+                i, v, bus = self._scratch
+                yield Step(stretch, i[:n], v[:n], bus[:n])
+            self._end(stretch)
+
+    def _switching(self, pwm_ratio: float) -> PlantParameters:
+        return self.parameters._replace(dead_time_v=self.plant.parameters.dead_time_v * pwm_ratio)
 
     def _rows(
         self,

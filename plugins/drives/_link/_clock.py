@@ -1,0 +1,22 @@
+"""A clock for patience: it stands still while this process is stopped, or kept from running. Waits for nothing."""
+
+from __future__ import annotations
+
+import time
+
+LONGEST_S = 0.1
+"""More than this between two looks at the clock, and somebody has held the process."""
+
+
+class AttentiveClock:
+    """Seconds in which this process was there to listen; to be read in every turn of a loop that waits."""
+
+    def __init__(self) -> None:
+        self._seen_s, self._total_s = time.monotonic(), 0.0
+
+    def __call__(self) -> float:
+        """Seconds since it was made."""
+        now_s = time.monotonic()
+        self._total_s += min(now_s - self._seen_s, LONGEST_S)
+        self._seen_s = now_s
+        return self._total_s

@@ -1,0 +1,199 @@
+"""The host's requests: stop-and-wait commands, registers by name, and what a drive says of itself. Runs no programs."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Mapping
+
+from plugins.drives._link._link import Link
+from plugins.drives._link._reading import read_whole
+from plugins.drives.wire import (
+    DESCRIPTION,
+    PROTOCOL_MAJOR,
+    Ack,
+    AckStatus,
+    BlockLayout,
+    Command,
+    Conversation,
+    Fault,
+    Op,
+    ParameterRead,
+    ParameterValue,
+    ParameterWrite,
+    Status,
+    Tick,
+    answers,
+    drive_fault,
+    parse_description,
+    register_index,
+    registers,
+    single,
+)
+from protocols import DriveFault, DriveRefused, FaultCause, InputError
+
+REPEAT_S = 0.05
+"""A request without an answer is repeated after this time."""
+_FAULT_REGISTERS = ("fault_cause", "fault_value", "fault_limit", "fault_bits")
+
+
+class Host:
+    """One host's conversation with one drive, over a link. For one thread.
+
+    Parameters
+    ----------
+    link : Link
+    answer_s : float
+        A request that is not answered within this time is given up.
+    """
+
+    def __init__(self, link: Link, answer_s: float) -> None:
+        self.link = link
+        self.conversation = Conversation()
+        self.next_window = 0
+        self._answer_s = answer_s
+        self.fault_told = False
+        """Whether the latched fault has been raised, or was there before this host."""
+        self._held: dict[str, float] = {}
+
+    # Requests
+
+    def request(
+        self, request: Command | ParameterRead | ParameterWrite, patience_s: float | None = None
+    ) -> Ack | ParameterValue:
+        """Ask until the answer comes, refusals included.
+
+        Raises `DriveFault`: no_answer, or link_lost where the drive does not know this session any more.
+        """
+        patience_s = patience_s or self._answer_s
+        for _ in range(math.ceil(patience_s / REPEAT_S)):
+            self.link.send(request)
+            reply = self.link.reply(lambda message: answers(message, request), REPEAT_S)
+            if isinstance(reply, Ack) and reply.status is AckStatus.STALE_SESSION:
+                told = "the drive does not know this session any more: it has restarted, or has another host"
+                raise self.link.lose(DriveFault(FaultCause.LINK_LOST, told))
+            if reply is not None:
+                return reply
+        where = self.link.port.where
+        raise DriveFault(FaultCause.NO_ANSWER, f"{where}: no answer to {_in_words(request)} for {patience_s:g} s")
+
+    def command(self, op: Op, arg: int = 0, patience_s: float | None = None) -> Ack:
+        """A command's acknowledgement, whatever its status."""
+        reply = self.request(self.conversation.command(op, arg), patience_s)
+        assert isinstance(reply, Ack)
+        return reply
+
+    def do(self, op: Op, arg: int = 0) -> Ack:
+        """A command that must be done; raises `DriveRefused` with the drive's reason."""
+        ack = self.command(op, arg)
+        if ack.status is not AckStatus.OK:
+            raise DriveRefused(f"the drive refuses to {words(op)}: {words(ack.status)}")
+        return ack
+
+    def shout(self, *ops: Op) -> None:
+        """Commands for a drive that may still hear, though nothing is heard from it; waits for nothing."""
+        for op in ops:
+            self.link.try_to_send(self.conversation.command(op))
+
+    # Registers
+
+    def read(self, name: str) -> float:
+        """A register's value; raises `DriveFault` (wrong_data) where the drive has none of that name."""
+        reply = self.request(self.conversation.read(register_index(name)))
+        if isinstance(reply, Ack):
+            raise DriveFault(FaultCause.WRONG_DATA, f"register {name} cannot be read: {words(reply.status)}")
+        return reply.value
+
+    def write(self, values: Mapping[str, float], *, anew: bool = False) -> None:
+        """Write what the drive does not hold yet, or everything `anew`.
+
+        Raises `DriveRefused` with the drive's reason, `DriveFault` (wrong_data) where it holds something else.
+        """
+        for name, value in values.items():
+            if anew or self._held.get(name) != value:
+                self._held.pop(name, None)
+                self._write(name, value)
+                self._held[name] = value
+
+    def _write(self, name: str, value: float) -> None:
+        try:
+            request = self.conversation.write(register_index(name), value)
+        except InputError as error:
+            raise DriveRefused(f"{name}: {error.problem}") from None
+        reply = self.request(request)
+        if isinstance(reply, Ack):
+            raise DriveRefused(f"the drive refuses {name} = {value:g}: {words(reply.status)}")
+        require_held(name, value, reply.value)
+
+    # Who is there
+
+    def identify(self, patience_s: float) -> None:
+        """Open a session; a drive that is silent, or that another host has armed, is asked again for so long.
+
+        Raises `DriveRefused` where it stays busy, or speaks another version.
+        """
+        deadline = time.monotonic() + patience_s
+        while (ack := self.command(Op.IDENTIFY, PROTOCOL_MAJOR, patience_s)).status is AckStatus.BUSY:
+            if time.monotonic() > deadline:
+                raise DriveRefused("another host has the drive armed")
+            time.sleep(REPEAT_S)
+        if ack.status is AckStatus.WRONG_VERSION:
+            major = ack.value >> 8
+            raise DriveRefused(f"the drive speaks version {major} of the protocol, this host version {PROTOCOL_MAJOR}")
+        if ack.status is not AckStatus.OK:
+            raise DriveRefused(f"the drive refuses to talk: {words(ack.status)}")
+
+    def own_registers(self) -> dict[str, float]:
+        """All that the drive says of itself."""
+        return {r.name: self.read(r.name) for r in registers().values() if r.access == "read"}
+
+    def description(self, own: Mapping[str, float], layout: BlockLayout) -> dict[str, str]:
+        """The drive's names for itself."""
+        length = int(own["description_bytes"])
+        data = read_whole(self, DESCRIPTION, length, layout) if length else b""
+        return parse_description(bytes(data))
+
+    # What there is to know now
+
+    def tick(self) -> Tick:
+        """The drive's clock, now."""
+        ticks = self.link.news.ticks
+        self.do(Op.TIME_SYNC)
+        if not self.link.wait(lambda: self.link.news.ticks > ticks, self._answer_s) or self.link.news.tick is None:
+            raise DriveFault(FaultCause.NO_ANSWER, "the drive does not tell its time")
+        return self.link.news.tick
+
+    def fault(self) -> DriveFault:
+        """The drive's latched fault as the project's error."""
+        self.fault_told = True
+        cause, value, limit, bits = (self.read(name) for name in _FAULT_REGISTERS)
+        return drive_fault(known_fault(cause), value, limit, int(bits))
+
+
+def require_held(name: str, wanted: float, held: float) -> None:
+    """Raise `DriveFault` (wrong_data) unless the drive holds what was written."""
+    if held != single(wanted):
+        raise DriveFault(FaultCause.WRONG_DATA, f"the drive holds {held:g} as {name} instead of {wanted:g}")
+
+
+def known_fault(number: float) -> Fault:
+    """The fault of a register's number; `internal` where this host does not know it."""
+    return Fault(int(number)) if number in set(Fault) else Fault.INTERNAL
+
+
+def fault_names(status: Status) -> tuple[str, ...]:
+    """All latched faults in words, the cause first."""
+    latched = [fault for fault in Fault if fault is not Fault.NONE and status.faults >> fault & 1]
+    return tuple(fault.name.lower() for fault in sorted(latched, key=lambda fault: fault is not status.cause))
+
+
+def words(member: Op | AckStatus) -> str:
+    """An enumeration's member as a person reads it."""
+    return member.name.lower().replace("_", " ")
+
+
+def _in_words(request: Command | ParameterRead | ParameterWrite) -> str:
+    if isinstance(request, Command):
+        return words(request.op)
+    verb = "reading" if isinstance(request, ParameterRead) else "writing"
+    return f"{verb} register {request.parameter}"

@@ -1,0 +1,232 @@
+"""The receive loop of a link: one thread that reads, sorts what comes, and knows when the drive has gone silent.
+
+It asks for nothing and decides nothing. Once lost, a link stays lost.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+
+from plugins.drives._link._clock import AttentiveClock
+from plugins.drives._link._errors import link_errors
+from plugins.drives._link._port import Port
+from plugins.drives.wire import (
+    STALE_PERIODS,
+    Ack,
+    BlockLayout,
+    Frame,
+    Measurement,
+    Message,
+    Op,
+    ParameterValue,
+    Progress,
+    RippleD,
+    RippleQ,
+    Status,
+    TelemetryGate,
+    Tick,
+    decode,
+    encode,
+    frame_id,
+)
+from protocols import DriveFault, FaultCause
+
+LISTEN_S = 0.02
+"""Longest wait for a frame in one turn of the loop."""
+SEND_S = 0.1
+"""A link that takes nothing for so long is stuck."""
+BEAT_S = 0.01
+_FROM_DRIVE = frame_id("Status")
+"""Lower identifiers are the host's own, which some buses hand back."""
+_MOST_BULK = 100_000
+_MOST_REPLIES = 64
+
+
+class News:
+    """The latest of each message that the drive sends by itself, and how many there were of it."""
+
+    def __init__(self) -> None:
+        self.status: Status | None = None
+        self.measurement: Measurement | None = None
+        self.progress: Progress | None = None
+        self.tick: Tick | None = None
+        self.statuses = self.measurements = self.ticks = 0
+
+
+class Link:
+    """A link with its receive thread.
+
+    Parameters
+    ----------
+    port : Port
+        Open; the link closes it.
+    telemetry_s : float
+        Period of the drive's Status: silence for three of them means that the drive is lost.
+    """
+
+    def __init__(self, port: Port, telemetry_s: float) -> None:
+        self.port, self.news = port, News()
+        self._period_s = telemetry_s
+        self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
+        self._replies: deque[Ack | ParameterValue] = deque(maxlen=_MOST_REPLIES)
+        self._ripple: list[RippleD | RippleQ] = []
+        self._bulk: deque[Frame] = deque(maxlen=_MOST_BULK)
+        self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}
+        self._changed, self._sending = threading.Condition(), threading.Lock()
+        self._lost: DriveFault | None = None
+        self._silent_s = 0.0
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name=f"link {port.where}", daemon=True)
+        self._thread.start()
+
+    @property
+    def lost(self) -> DriveFault | None:
+        """Why nothing can be said to the drive any more."""
+        return self._lost
+
+    def lose(self, fault: DriveFault) -> DriveFault:
+        """Give the link up; the first reason stays."""
+        with self._changed:
+            self._lost = self._lost or fault
+            self._changed.notify_all()
+            return self._lost
+
+    def check(self) -> None:
+        """Raise the reason where the link is lost."""
+        if self._lost is not None:
+            raise DriveFault(self._lost.cause, self._lost.detail)
+
+    def layout(self, block_bytes: int) -> BlockLayout:
+        """How blocks are cut on this link."""
+        return self.port.layout(block_bytes)
+
+    def close(self) -> None:
+        """End the thread and let go of the link."""
+        self._over.set()
+        self._thread.join(timeout=2.0)
+        with link_errors(self.port.where):
+            self.port.close()
+
+    # Out
+
+    def send(self, *messages: Message) -> None:
+        """Send; raises `DriveFault` (link_lost) where the link is lost, or takes nothing any more."""
+        self.check()
+        try:
+            with link_errors(self.port.where), self._sending:
+                taken = self.port.send([encode(message) for message in messages], SEND_S)
+        except DriveFault as fault:
+            raise self.lose(fault) from fault.__cause__
+        if not taken:
+            raise self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: takes nothing for {SEND_S:g} s"))
+
+    def try_to_send(self, *messages: Message) -> None:
+        """Send what the link takes at once, lost or not; returns at once and never raises."""
+        if not self._sending.acquire(timeout=BEAT_S):
+            return
+        try:
+            with link_errors(self.port.where):
+                self.port.send([encode(message) for message in messages], BEAT_S)
+        except DriveFault as fault:
+            self.lose(fault)
+        finally:
+            self._sending.release()
+
+    # In
+
+    def reply(self, wanted: Callable[[Message], bool], timeout_s: float) -> Ack | ParameterValue | None:
+        """The reply that is wanted; others are late copies, and dropped."""
+        found: list[Ack | ParameterValue] = []
+
+        def look() -> bool:
+            while self._replies and not found:
+                reply = self._replies.popleft()
+                if wanted(reply):
+                    found.append(reply)
+            return bool(found)
+
+        self.wait(look, timeout_s)
+        return found[0] if found else None
+
+    def wait(self, condition: Callable[[], bool], timeout_s: float) -> bool:
+        """Wait until it is so, which is looked at whenever something came; raises where the link is lost."""
+        clock, held = AttentiveClock(), False
+        with self._changed:
+            while not held and (left_s := timeout_s - clock()) > 0.0:
+                held = self._changed.wait_for(lambda: self._lost is not None or condition(), min(left_s, LISTEN_S))
+            held = held or condition()
+        self.check()
+        return held
+
+    def bulk(self, timeout_s: float) -> Sequence[Frame]:
+        """What came of uploads since the last call, waiting for the first of it."""
+        self.wait(lambda: bool(self._bulk), timeout_s)
+        return self._taken(self._bulk)
+
+    def ripple(self) -> Sequence[RippleD | RippleQ]:
+        """The live ripple rows that came since the last call."""
+        with self._changed:
+            taken, self._ripple = self._ripple, []
+        return taken
+
+    def _taken(self, queue: deque[Frame]) -> list[Frame]:
+        with self._changed:
+            taken = list(queue)
+            queue.clear()
+        return taken
+
+    # The thread
+
+    def _listen(self) -> None:
+        try:
+            while not self._over.is_set():
+                begun_s = time.monotonic()
+                with link_errors(self.port.where):
+                    frames = self.port.receive(LISTEN_S)
+                self._sort(frames)
+                self._count_silence(time.monotonic() - begun_s)
+        except DriveFault as fault:
+            self.lose(fault)
+        except Exception as error:  # whatever it is, the run must hear of it
+            self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {type(error).__name__}: {error}"))
+
+    def _count_silence(self, turn_s: float) -> None:
+        """Only time in which somebody listened counts: this process may have been stopped, or kept waiting."""
+        self._silent_s += min(turn_s, 2.0 * LISTEN_S)
+        if self._silent_s > STALE_PERIODS * self._period_s and self.news.statuses and self._lost is None:
+            told = f"the drive is silent: no status for {STALE_PERIODS} periods of {self._period_s:g} s"
+            self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {told}"))
+
+    def _sort(self, frames: Sequence[Frame]) -> None:
+        bulk = [frame for frame in frames if frame.frame_id in self._bulk_ids]
+        others = (f for f in frames if f.frame_id >= _FROM_DRIVE and f.frame_id not in self._bulk_ids)
+        messages = [(message, frame) for frame in others if (message := decode(*frame)) is not None]
+        if not bulk and not messages:
+            return
+        now_s = time.monotonic()
+        with self._changed:
+            self._bulk.extend(bulk)
+            for message, frame in messages:
+                self._take(message, frame, now_s)
+            self._changed.notify_all()
+
+    def _take(self, message: Message, frame: Frame, now_s: float) -> None:
+        news = self.news
+        match message:
+            case Ack(op=Op.READ_BLOCK):
+                self._bulk.append(frame)
+            case Ack() | ParameterValue():
+                self._replies.append(message)
+            case Status() if self._status_gate.accept(message.seq, now_s):
+                news.status, news.statuses, self._silent_s = message, news.statuses + 1, 0.0
+            case Measurement() if self._measurement_gate.accept(message.seq, now_s):
+                news.measurement, news.measurements = message, news.measurements + 1
+            case Progress():
+                news.progress = message
+            case Tick():
+                news.tick, news.ticks = message, news.ticks + 1
+            case RippleD() | RippleQ():
+                self._ripple.append(message)

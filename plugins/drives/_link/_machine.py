@@ -1,0 +1,48 @@
+"""What a program's run needs to know of the drive, and what it asks of the rows on their way here."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from plugins.drives.wire import VECTORS, BlockLayout, Channel, DriveFacts
+from protocols import Capabilities, Capture
+
+
+@dataclass(frozen=True)
+class Machine:
+    """What is known of the drive since it was connected."""
+
+    capabilities: Capabilities
+    facts: DriveFacts
+    layout: BlockLayout
+    demodulated: bool
+    """Whether injections are captured as ripple rows."""
+
+    @property
+    def channels(self) -> Channel:
+        """The channels of a raw row."""
+        return VECTORS | (Channel.V_DC & self.facts.channels)
+
+
+class Rows(Protocol):
+    """A program's rows on their way here."""
+
+    def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
+        """Get on with it; True when all rows are here and verified."""
+        ...
+
+    @property
+    def ready(self) -> int:
+        """Rows from the start without a gap, which nothing that is to come changes."""
+        ...
+
+    def block(self, first: int, stop: int, start_s: float) -> Capture:
+        """The next of the rows that are ready; `start_s` is the time of the first one."""
+        ...
+
+
+class SecondsOfTick(Protocol):
+    """Turns a tick of the drive into seconds since the start of the experiment."""
+
+    def __call__(self, tick: int, /) -> float: ...

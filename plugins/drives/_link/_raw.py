@@ -1,0 +1,80 @@
+"""Raw rows of a capture, read while they are taken. Yielded on trust, vouched for by the CRC over all of them."""
+
+from __future__ import annotations
+
+from zlib import crc32
+
+import numpy as np
+
+from plugins.drives._link._host import Host
+from plugins.drives._link._machine import Machine
+from plugins.drives._link._reading import Reader
+from plugins.drives.wire import CaptureFormat, Channel, RowFormat
+from protocols import Capture, DriveFault, FaultCause
+
+
+class RawRead:
+    """The rows of one program; implements `Rows`.
+
+    Parameters
+    ----------
+    host : Host
+    machine : Machine
+    number, rows : int
+        Capture number, and rows when it is complete.
+
+    Raises `DriveFault` (wrong_data) where the drive is about to capture something else.
+    """
+
+    def __init__(self, host: Host, machine: Machine, number: int, rows: int) -> None:
+        self._format = RowFormat(machine.channels, CaptureFormat.INT16, machine.facts.scales)
+        self._host, self._fs = host, machine.capabilities.sampling_frequency_hz
+        announced = int(host.read("capture_rows")), int(host.read("capture_row_bytes"))
+        if announced != (rows, self._format.row_bytes):
+            raise DriveFault(
+                FaultCause.WRONG_DATA,
+                f"the drive captures {announced[0]} rows of {announced[1]} bytes; "
+                f"{rows} of {self._format.row_bytes} were asked for",
+            )
+        self._reader = Reader(host, number, rows * self._format.row_bytes, machine.layout)
+        self._crc, self._given = 0, 0
+
+    def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
+        """Read on; raises `DriveFault` (wrong_data) where the CRC does not vouch for what was yielded."""
+        assembly = self._reader.assembly
+        data = self._reader.turn(assembly.length if complete else done_rows * self._format.row_bytes, wait_s)
+        if data is None:
+            return False
+        if crc32(data[: self._given]) != self._crc:
+            raise DriveFault(FaultCause.WRONG_DATA, f"rows of capture {assembly.capture} were damaged on the way")
+        return True
+
+    @property
+    def ready(self) -> int:
+        """Rows from the start without a gap."""
+        return max(self._reader.assembly.prefix, self._given) // self._format.row_bytes
+
+    def block(self, first: int, stop: int, start_s: float) -> Capture:
+        """Consecutive rows, each once."""
+        size = self._format.row_bytes
+        data = self._reader.assembly.peek(first * size, stop * size)
+        self._crc, self._given = crc32(data, self._crc), stop * size
+        columns = self._format.unpack(data)
+
+        def vectors(alpha: Channel, beta: Channel) -> np.ndarray[tuple[int, int], np.dtype[np.float32]]:
+            return np.column_stack((columns[alpha], columns[beta])).astype(np.float32)
+
+        v_dc = columns.get(Channel.V_DC)
+        return Capture(
+            start_s=start_s,
+            sampling_frequency_hz=self._fs,
+            i_ab=vectors(Channel.I_ALPHA, Channel.I_BETA),
+            v_ab=vectors(Channel.V_ALPHA, Channel.V_BETA),
+            v_dc=bus_voltage(self._host, stop - first) if v_dc is None else v_dc.astype(np.float32),
+        )
+
+
+def bus_voltage(host: Host, rows: int) -> np.ndarray[tuple[int], np.dtype[np.float32]]:
+    """The bus voltage by telemetry, for drives that do not capture it."""
+    status = host.link.news.status
+    return np.full(rows, status.v_dc if status else 0.0, dtype=np.float32)

@@ -1,0 +1,89 @@
+"""Reads one capture from the drive, also while it grows: asks, takes, asks again for what is missing."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from plugins.drives._link._clock import AttentiveClock
+from plugins.drives.wire import BlockLayout, CaptureAssembly
+from protocols import DriveFault, FaultCause
+
+if TYPE_CHECKING:
+    from plugins.drives._link._host import Host
+
+PATIENCE_S = 0.06
+"""What was asked for is asked for again when nothing of it came for so long."""
+TIMEOUT_S = 0.8
+"""An upload of which nothing comes for so long is given up."""
+_ROUNDS = 200
+"""Rounds of requests in a row that bring no new block before it is given up."""
+
+
+class Reader:
+    """One capture on its way from the drive.
+
+    Parameters
+    ----------
+    host : Host
+        Keeps the tags of requests apart from those of the capture before.
+    capture, length : int
+        Number, and bytes when it is complete.
+    layout : BlockLayout
+    """
+
+    def __init__(self, host: Host, capture: int, length: int, layout: BlockLayout) -> None:
+        self._host, self._link = host, host.link
+        port = host.link.port
+        self.assembly = CaptureAssembly(
+            capture,
+            length,
+            layout,
+            first_window=host.next_window,
+            blocks_each=port.blocks_each,
+            requests_each=port.requests_each,
+        )
+        self._clock = AttentiveClock()
+        self._asked_s = self._heard_s = 0.0
+        self._rounds, self._before = 0, -1
+
+    def turn(self, available: int, wait_s: float) -> memoryview | None:
+        """Ask for what is missing of the `available` bytes, take what came; the capture, once it is verified.
+
+        Raises `DriveFault`: no_answer where nothing comes, wrong_data where it does not fit its CRC.
+        """
+        assembly = self.assembly
+        available = max(available, assembly.captured)
+        if not assembly.waiting:
+            self._ask(available)
+        wanted = assembly.waiting
+        mine = assembly.take(self._link.bulk(wait_s))
+        now_s = self._clock()
+        if mine or not wanted:
+            self._heard_s = now_s
+        if now_s - self._heard_s > TIMEOUT_S:
+            raise DriveFault(FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {TIMEOUT_S:g} s")
+        if now_s - max(self._heard_s, self._asked_s) > PATIENCE_S:
+            assembly.give_up()
+        return assembly.result()
+
+    def _ask(self, available: int) -> None:
+        assembly = self.assembly
+        complete = available >= assembly.length
+        if not complete and not assembly.missing(available):
+            return
+        self._rounds = 0 if assembly.received != self._before else self._rounds + 1
+        self._before = assembly.received
+        if self._rounds > _ROUNDS:
+            raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
+        requests = assembly.requests(None if complete else available)
+        self._host.next_window = assembly.next_window
+        self._link.send(*requests)
+        self._asked_s = self._clock()
+
+
+def read_whole(host: Host, capture: int, length: int, layout: BlockLayout) -> memoryview:
+    """A capture that is complete on the drive."""
+    reader = Reader(host, capture, length, layout)
+    while (data := reader.turn(length, PATIENCE_S)) is None:
+        pass
+    return data

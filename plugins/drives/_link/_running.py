@@ -1,0 +1,145 @@
+"""One program under way: starts it, follows it to its end, yields its rows as they come. Stops nothing by itself."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+
+import numpy as np
+
+from plugins.drives._link._clock import AttentiveClock
+from plugins.drives._link._demodulated import RippleRead, ripple_periods
+from plugins.drives._link._host import Host
+from plugins.drives._link._machine import Machine, Rows, SecondsOfTick
+from plugins.drives._link._raw import RawRead
+from plugins.drives.wire import (
+    Channel,
+    Op,
+    Phase,
+    PowerState,
+    Progress,
+    capture_registers,
+    captured_rows,
+    program_registers,
+)
+from protocols import Capture, DriveFault, DriveRefused, Excitation, FaultCause, Injection
+
+QUIET_S = 0.2
+"""A block without rows is yielded when none with rows came for so long."""
+SHORTEST_S, LONGEST_S = 0.1, 0.25
+"""Length of a block, the last one apart."""
+LISTEN_S = 0.02
+STUCK_S = 5.0
+"""A program whose progress stands still for longer than it has to settle, and this, is given up."""
+
+
+class Program:
+    """A program that the drive was told to run.
+
+    Parameters
+    ----------
+    host : Host
+    machine : Machine
+    excitation : Excitation
+
+    Raises `DriveRefused` where the drive does not run it; nothing has moved then.
+    """
+
+    def __init__(self, host: Host, machine: Machine, excitation: Excitation) -> None:
+        self._host, self._machine, self._excitation = host, machine, excitation
+        self._fs = machine.capabilities.sampling_frequency_hz
+        periods = 0
+        if machine.demodulated and isinstance(excitation, Injection):
+            periods = ripple_periods(excitation, machine.facts)
+        channels = Channel(0) if periods else machine.channels
+        host.link.ripple()  # rows of the program before
+        host.write(
+            program_registers(excitation, self._fs)
+            | capture_registers(channels, ripple_periods=periods, ripple_live=periods > 0)
+        )
+        self.number = host.do(Op.RUN_PROGRAM).value
+        self._source: Rows
+        if periods and isinstance(excitation, Injection):
+            self._source = RippleRead(host, machine, self.number, excitation, periods)
+        else:
+            self._source = RawRead(host, machine, self.number, captured_rows(excitation, self._fs))
+        self._has_run = False
+        self._seen: tuple[Phase, int] = (Phase.IDLE, 0)
+        self._clock = AttentiveClock()
+        self._moved_s = 0.0
+
+    def captures(self, seconds_of_tick: SecondsOfTick) -> Iterator[Capture]:
+        """Its rows, and blocks without rows where there is nothing yet.
+
+        Raises `DriveFault` where the drive trips, is lost, or sends what does not fit.
+        """
+        given, start_s = 0, None
+        told_s = time.monotonic()
+        finished = False
+        while not finished:
+            progress = self._watch()
+            started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
+            complete = self._is_complete(progress)
+            finished = self._source.turn(progress.rows if progress else 0, complete, LISTEN_S)
+            if start_s is None and (started or complete):
+                start_s = seconds_of_tick(self._start_tick())
+            while start_s is not None and self._due(given, finished):
+                stop = min(self._source.ready, given + round(LONGEST_S * self._fs))
+                yield self._source.block(given, stop, start_s + given / self._fs)
+                given, told_s = stop, time.monotonic()
+            if time.monotonic() - told_s > QUIET_S:
+                yield self._nothing(seconds_of_tick)
+                told_s = time.monotonic()
+
+    def _due(self, given: int, finished: bool) -> bool:
+        ready = self._source.ready - given
+        return ready > 0 and (finished or ready >= round(SHORTEST_S * self._fs))
+
+    def _nothing(self, seconds_of_tick: SecondsOfTick) -> Capture:
+        none, empty = np.zeros((0, 2)), np.zeros(0)
+        tick = self._host.link.news.tick
+        return Capture(
+            start_s=seconds_of_tick(tick.tick) if tick else 0.0,
+            sampling_frequency_hz=self._fs,
+            i_ab=none,
+            v_ab=none,
+            v_dc=empty,
+        )
+
+    def _start_tick(self) -> int:
+        return int(self._host.read("capture_start_low")) + 65536 * int(self._host.read("capture_start_high"))
+
+    # Following
+
+    def _watch(self) -> Progress | None:
+        """The program's progress; raises where it does not go on as it should."""
+        self._host.link.check()
+        status, progress = self._host.link.news.status, self._host.link.news.progress
+        if progress is not None and progress.capture != self.number:
+            progress = None
+        if status is not None and status.state is PowerState.FAULTED:
+            raise self._host.fault()
+        if status is not None and status.state is PowerState.DISARMED and self._has_run:
+            raise DriveFault(FaultCause.INTERNAL, "the drive disarmed itself in the middle of a program")
+        if progress is not None and progress.phase is Phase.GIVEN_UP:
+            raise DriveRefused("the excitation was given up")
+        self._has_run = self._has_run or (status is not None and status.state is PowerState.RUNNING)
+        self._require_progress(progress)
+        return progress
+
+    def _is_complete(self, progress: Progress | None) -> bool:
+        """By its progress, or, where that message was lost, by the state that follows."""
+        if progress is not None and progress.phase is Phase.COMPLETE:
+            return True
+        status = self._host.link.news.status
+        return self._has_run and status is not None and status.state is PowerState.HOLDING
+
+    def _require_progress(self, progress: Progress | None) -> None:
+        now_s, seen = self._clock(), (progress.phase, progress.rows) if progress else self._seen
+        if seen != self._seen or self._is_complete(progress):
+            self._seen, self._moved_s = seen, now_s
+        asked = self._excitation
+        patience_s = STUCK_S + getattr(asked, "settle_s", 0.0) + getattr(asked, "discard_s", 0.0)
+        if now_s - self._moved_s > patience_s:
+            told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen[0].name.lower()})"
+            raise DriveFault(FaultCause.NO_ANSWER, told)

@@ -1,0 +1,164 @@
+"""A CAN bus by any interface of python-can, classic or FD. Frames only; no protocol."""
+
+from __future__ import annotations
+
+import select
+import socket
+import struct
+import time
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+from plugins.drives.wire import CAN_FD, CLASSIC, BlockLayout, Frame
+from protocols import InputError
+
+if TYPE_CHECKING:
+    import can
+
+_BATCH = 512
+"""Frames taken at a time: frame by frame the rest of the host is too slow for CAN FD."""
+_ERRORS_IN_A_ROW = 3
+"""Errors without a good frame in between; a frame that was damaged on the way is one."""
+_DAMAGED = (ValueError, TypeError, struct.error)
+"""What python-can's own parsers let through when a frame was cut off."""
+_RECEIVE_BUFFER_BYTES = 4 << 20
+_CLASSIC_BLOCK_BITS, _FD_SLOW_BITS, _FD_FAST_BITS = 135.0, 36.0, 680.0
+"""Bits on the bus for one block with the worst stuffing (docs/wire.md, Bandwidth)."""
+_FOR_BLOCKS = 0.8
+"""Part of the bus that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+_REST_OF_FRAME_S = 0.5
+"""python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
+_OWN_RATE = ("virtual", "udp_multicast")
+"""Interfaces that know no bit rate."""
+
+
+class CanPort:
+    """An open bus.
+
+    Parameters
+    ----------
+    interface, channel : str
+        As python-can names them.
+    bitrate : int
+    fd : bool
+        CAN FD: blocks of captures are 64 bytes long, everything else stays classic.
+    data_bitrate : int
+        Bit rate of an FD frame's data.
+    settings : mapping
+        Further arguments of the interface.
+
+    Raises python-can's own errors, and `InputError` for what the interface does not understand.
+    """
+
+    def __init__(
+        self,
+        interface: str,
+        channel: str,
+        bitrate: int,
+        *,
+        fd: bool = False,
+        data_bitrate: int = 5_000_000,
+        settings: Mapping[str, str | int | float | bool] | None = None,
+    ) -> None:
+        import can
+
+        self.where = f"{interface}:{channel}"
+        self._can: Any = can
+        self._fd, self._rates = fd, None if interface in _OWN_RATE else (bitrate, data_bitrate)
+        self.requests_each, self.blocks_each = (8, 128) if fd else (4, 256)
+        arguments: dict[str, Any] = {"bitrate": bitrate}
+        if fd:
+            arguments |= {"fd": True, "data_bitrate": data_bitrate}
+        if interface == "serial":
+            arguments["timeout"] = _REST_OF_FRAME_S
+        arguments |= settings or {}
+        try:
+            self._bus: can.BusABC = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)
+        except can.CanError:
+            raise
+        except (NotImplementedError, TypeError, ValueError) as error:
+            raise InputError("the drive's bus", self.where, str(error).splitlines()[0]) from error
+        _widen_buffer(self._bus)
+        self._readable = _poll_of(self._bus) if interface == "serial" else None
+        self._errors = 0
+
+    def layout(self, block_bytes: int) -> BlockLayout:
+        return CAN_FD if self._fd else CLASSIC
+
+    def bulk_rate(self, layout: BlockLayout) -> float | None:
+        if self._rates is None:
+            return None
+        slow, fast = self._rates
+        if not self._fd:
+            return _FOR_BLOCKS * layout.block * slow / _CLASSIC_BLOCK_BITS
+        return _FOR_BLOCKS * layout.block / (_FD_SLOW_BITS / slow + _FD_FAST_BITS / fast)
+
+    def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        for frame in frames:
+            message = self._can.Message(arbitration_id=frame.frame_id, data=frame.payload, is_extended_id=False)
+            while not self._sent(message, deadline):
+                if time.monotonic() >= deadline:
+                    return False
+                time.sleep(1e-3)
+        return True
+
+    def _sent(self, message: can.Message, deadline: float) -> bool:
+        """Whether the bus took it; a full queue of a bus that is busy is no error yet."""
+        try:
+            self._bus.send(message, timeout=max(1e-3, deadline - time.monotonic()))
+        except self._can.CanTimeoutError:
+            return False
+        except self._can.CanOperationError as error:
+            if isinstance(error.__cause__, OSError) or time.monotonic() >= deadline:
+                raise
+            return False
+        return True
+
+    def receive(self, timeout_s: float) -> list[Frame]:
+        frames: list[Frame] = []
+        wait_s = timeout_s
+        for _ in range(_BATCH):
+            if self._readable is not None and not self._readable.poll(1e3 * wait_s):
+                break
+            message = self._received(wait_s)
+            if message is None:
+                if self._readable is None:
+                    break
+            elif not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
+                frames.append(Frame(message.arbitration_id, bytes(message.data)))
+            wait_s = 0.0
+        return frames
+
+    def _received(self, wait_s: float) -> can.Message | None:
+        try:
+            message = self._bus.recv(wait_s)
+        except (*_DAMAGED, self._can.CanOperationError) as error:
+            self._errors += 1
+            if self._errors < _ERRORS_IN_A_ROW:
+                return None
+            if isinstance(error, _DAMAGED):
+                raise self._can.CanOperationError(f"no whole frame any more ({error})") from error
+            raise
+        if message is not None:
+            self._errors = 0
+        return message
+
+    def close(self) -> None:
+        self._bus.shutdown()
+
+
+def _widen_buffer(bus: can.BusABC) -> None:
+    """A socket's own buffer holds a few hundred frames; what comes while nobody reads is lost without a word."""
+    with suppress(OSError, NotImplementedError, ValueError):  # not every interface has a socket
+        twin = socket.socket(fileno=bus.fileno())
+        twin.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        twin.detach()
+
+
+def _poll_of(bus: can.BusABC) -> select.poll:
+    """Tells whether anything is there, for an interface whose `recv` does not heed the time that it is given."""
+    readable = select.poll()
+    readable.register(bus.fileno(), select.POLLIN)
+    return readable

@@ -1,0 +1,52 @@
+"""The drive `can`: the drive protocol on a CAN bus, by python-can. The protocol itself is next door."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Annotated, ClassVar
+
+from pydantic import BaseModel, Field
+
+from plugins.drives._link import LinkDrive, LinkOptions, Port
+from protocols import DriveSetup
+
+BitRate = Annotated[int, Field(ge=10_000)]
+
+
+class CanOptions(LinkOptions):
+    """Options of the drive `can`."""
+
+    interface: Annotated[str, Field(min_length=1)] = "socketcan"
+    """As python-can names it."""
+    channel: Annotated[str, Field(min_length=1)]
+    bitrate: BitRate = 1_000_000
+    fd: bool = False
+    """CAN FD: captures come in frames of 64 bytes."""
+    data_bitrate: BitRate = 5_000_000
+    settings: Mapping[str, str | int | float | bool] = Field(default_factory=dict)
+    """Further arguments of the interface (python-can's documentation names them)."""
+
+
+class CanDrive(LinkDrive):
+    """A drive on a CAN bus; implements `Drive`, and `ResumableDrive` for its clock."""
+
+    name: ClassVar[str] = "can"
+    Options: ClassVar[type[BaseModel]] = CanOptions
+    sealed_options: ClassVar[frozenset[str]] = frozenset()
+
+    def __init__(self, setup: DriveSetup) -> None:
+        super().__init__(setup)
+        self._bus: CanOptions = setup.options
+
+    def _open(self) -> Port:
+        from plugins.drives.can._port import CanPort
+
+        bus = self._bus
+        return CanPort(
+            bus.interface,
+            bus.channel,
+            bus.bitrate,
+            fd=bus.fd,
+            data_bitrate=bus.data_bitrate,
+            settings=bus.settings,
+        )

@@ -1,0 +1,241 @@
+"""The simulated plant and its current control, step by step, for drives that bring link and protections of their own.
+
+Simulated time passes only in the steps that are drawn. Who may ask for what, and when it stops, is
+not known here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from plugins.drives.simulated import _memory
+from plugins.drives.simulated._bench import Bench
+from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
+from plugins.drives.simulated._permission import Permission
+from plugins.drives.simulated._plant import READING_A, READING_B, SQRT3
+from plugins.drives.simulated._program import DRAIN_S, Planner, Program, Stretch, tune
+from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece
+from plugins.drives.simulated._simulator import Simulator, Step, Tripped
+from plugins.drives.simulated.options import SimulatedOptions
+from protocols import Capabilities, CurrentControl, DriveRefused, Excitation, GatesOff, Hold, Limits, Motor
+
+__all__ = ["Nameplate", "Rig", "Step", "Stretch", "Tripped", "is_ramp"]
+
+ENDLESS = 1 << 60
+"""Samples of a state that lasts until something else is asked for."""
+_SAFE_BANDWIDTH_HZ = 250.0
+_SAFE_RAMP_S = 6e-3
+_LATEST = "latest"
+
+
+@dataclass(frozen=True)
+class _Power:
+    """What the control is tuned with."""
+
+    control: CurrentControl
+    max_current_a: float
+    max_voltage_v: float
+
+
+class Rig:
+    """Plant, bench and control of one drive.
+
+    Parameters
+    ----------
+    options : SimulatedOptions
+        Of the simulated drive; what belongs to its link (watchdog, faults, pace) is not looked at.
+    motor : Motor
+        The nameplate from which sizes that were left out are scaled.
+    seed : int
+        The same seed and the same programs give the same samples as `SimulatedDrive`.
+
+    Raises `InputError` where the options make no motor.
+    """
+
+    def __init__(self, options: SimulatedOptions, motor: Motor, seed: int) -> None:
+        self.options = options
+        self.own_nameplate = self.nameplate = read_nameplate(motor)
+        bus_v = bus_voltage(options, self.nameplate)
+        plant = derive(options, self.nameplate, bus_v)
+        self._permission = Permission.of(options, self.nameplate, plant, bus_v)
+        self._bench = Bench(options.plant, seed)
+        self._simulator = Simulator(plant, options.sampling_frequency_hz, seed, self._bench.rest_angle())
+        self._simulator.hold_rotor(self._bench.mechanics(self._simulator))
+        own = self._permission.capabilities
+        self._power = _Power(CurrentControl(), own.max_current_a, own.max_voltage_v)
+        self._pwm_ratio = 1.0
+        self.number = 0
+        """Programs so far: the noise of each is its own."""
+        self._draws = 0
+
+    # What it is
+
+    @property
+    def capabilities(self) -> Capabilities:
+        """What the options make of the drive."""
+        return self._permission.capabilities
+
+    @property
+    def trip_a(self) -> float:
+        """Length of the current vector above which a step raises `Tripped`."""
+        return self.options.trip_ratio * self._power.max_current_a
+
+    @property
+    def ticks(self) -> int:
+        """Samples since the plant was made."""
+        memory = self._simulator.memory
+        return memory.ticks + round(memory.base_s * self.options.sampling_frequency_hz)
+
+    @property
+    def shown(self) -> tuple[float, float, float]:
+        """(i_d, i_q, v_dc), low-passed, in the believed dq frame."""
+        return self._simulator.shown
+
+    @property
+    def reading_a(self) -> float:
+        """Length of the current vector as the sensors see it now, without noise."""
+        x = self._simulator.memory.state
+        return math.hypot(x[READING_A], (x[READING_A] + 2.0 * x[READING_B]) / SQRT3)
+
+    @property
+    def base_voltage_v(self) -> tuple[float, float]:
+        """Frozen voltage of the last injection, believed dq frame."""
+        return self._simulator.memory.base_v
+
+    @property
+    def braked(self) -> bool:
+        return self._bench.braked
+
+    # What it is told
+
+    def limit(self, limits: Limits) -> None:
+        """Take over the limits of an experiment."""
+        self._power = replace(self._power, max_current_a=limits.current_a, max_voltage_v=limits.voltage_v)
+
+    def believe(self, nameplate: Nameplate) -> None:
+        """Tune the control with this nameplate."""
+        self.nameplate = nameplate
+
+    def set_brake(self, engaged: bool) -> None:
+        """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
+        self._bench.set_brake(engaged, self._simulator)
+
+    def check(self, excitation: Excitation, limits: Limits) -> None:
+        """Raises `DriveRefused` for what these limits, or this drive, do not allow."""
+        self._permission.check(excitation, limits)
+
+    # What it does
+
+    def excite(self, excitation: Excitation, samples: int) -> Iterator[Step]:
+        """A program, from the present operating point on; its end is held by `hold`."""
+        self.number += 1
+        self._power = replace(self._power, control=excitation.control)
+        pwm = excitation.pwm_frequency_hz
+        self._pwm_ratio = 1.0 if pwm is None else pwm / self.capabilities.pwm_frequency_hz
+        self._simulator.believe(excitation.rotor_angle_rad)
+        program = self._planner.program(excitation, self._simulator.set_point)
+        noise = self._simulator.noise(0, self.number)
+        return self._simulator.stepwise(program, self._tuning(), self._pwm_ratio, noise, samples)
+
+    def length(self, excitation: Excitation) -> int:
+        """Samples of a program, settling included; nothing moves."""
+        return self._planner.program(excitation, self._simulator.set_point).samples
+
+    def hold(self, samples: int) -> Iterator[Step]:
+        """The present operating point, without end."""
+        still = Piece(CONTROL, ENDLESS, *self._simulator.set_point)
+        return self._run(Program((Stretch(still),)), samples)
+
+    def record(self, rows: int, off: bool, samples: int) -> Iterator[Step]:
+        """Capture so many rows of what is being held (of the gates' being off)."""
+        still = Piece(OFF, rows) if off else Piece(CONTROL, rows, *self._simulator.set_point)
+        return self._run(Program((Stretch(still, captured=True),)), samples)
+
+    def off(self, samples: int) -> Iterator[Step]:
+        """Gates off, without end."""
+        return self._run(Program((Stretch(Piece(OFF, ENDLESS)),)), samples)
+
+    def drain(self) -> None:
+        """Gates off at once, until the diodes have brought the current to zero."""
+        for _ in self._run(Program((Stretch(Piece(OFF, max(1, self._planner.samples(DRAIN_S)))),)), ENDLESS):
+            pass
+
+    def to_zero(self, samples: int) -> Iterator[Step]:
+        """Current to zero at the pace of the control's bandwidth."""
+        return self._run(self._planner.to_zero(self._power.control, self._simulator.set_point), samples)
+
+    def to_safety(self, samples: int) -> Iterator[Step]:
+        """Current to zero as fast as voltage and sampling allow without a jerk: about 10 ms."""
+        fs, (d, q) = self.options.sampling_frequency_hz, self._simulator.set_point
+        reach_s = max(self.nameplate.l_d_h, self.nameplate.l_q_h) * math.hypot(d, q) / (0.5 * self._power.max_voltage_v)
+        ramp = max(1, self._planner.samples(max(_SAFE_RAMP_S, reach_s)))
+        fast = CurrentControl(bandwidth_hz=max(self._power.control.bandwidth_hz, min(_SAFE_BANDWIDTH_HZ, fs / 20)))
+        stretches = (
+            Stretch(Piece(CONTROL, ramp, d, q, -d / ramp, -q / ramp)),
+            Stretch(Piece(CONTROL, ramp // 2)),
+        )
+        return self._run(Program(stretches), samples, fast)
+
+    def warm_up(self) -> None:
+        """Compile everything; nothing moves."""
+        simulator, number = self._simulator, self.number
+        memory = simulator.memory
+        simulator.memory = replace(memory, state=memory.state.copy())
+        for excitation in (
+            Hold(current_d_a=0.0, current_q_a=0.0, settle_s=0.0, duration_s=2e-3),
+            GatesOff(duration_s=2e-3),
+        ):
+            for _ in self.excite(excitation, ENDLESS):
+                pass
+        simulator.memory, self.number = memory, number
+
+    def _run(self, program: Program, samples: int, control: CurrentControl | None = None) -> Iterator[Step]:
+        self._draws += 1
+        noise = self._simulator.noise(7, self._draws)
+        return self._simulator.stepwise(program, self._tuning(control), self._pwm_ratio, noise, samples)
+
+    @property
+    def _planner(self) -> Planner:
+        return Planner(self.options.sampling_frequency_hz, self.nameplate, self.capabilities.max_voltage_v)
+
+    def _tuning(self, control: CurrentControl | None = None) -> ControlParameters:
+        return tune(
+            self.nameplate,
+            control or self._power.control,
+            self._simulator.memory.angle_rad,
+            self.options.sampling_frequency_hz,
+            max_v=self._power.max_voltage_v,
+            trip_a=self.trip_a,
+            overload_s=self.options.overload_s,
+        )
+
+    # Memory
+
+    def save(self, directory: Path) -> None:
+        """Write the plant's state; raises `StorageError`."""
+        power = self._power.control
+        _memory.save(
+            directory,
+            _LATEST,
+            _memory.Saved(self._simulator.memory, self.number, self.braked, power.bandwidth_hz, power.damping, ()),
+        )
+
+    def load(self, directory: Path) -> bool:
+        """Take up the latest state that was saved, gates off; whether there was one."""
+        try:
+            saved = _memory.load(directory, _LATEST)
+        except DriveRefused:
+            return False
+        self._simulator.memory = saved.memory
+        self.number, self._bench.braked = saved.number, saved.braked
+        self._simulator.parameters = self._bench.mechanics(self._simulator)
+        self.drain()
+        return True
+
+
+def is_ramp(stretch: Stretch) -> bool:
+    """Whether the set-point is under way."""
+    return stretch.piece.mode == CONTROL and (stretch.piece.slope_d, stretch.piece.slope_q) != (0.0, 0.0)

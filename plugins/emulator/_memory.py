@@ -1,0 +1,169 @@
+"""The device's memory for captures: rows and ripple rows of the latest program. Sends nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from plugins.drives.simulated.rig import Step
+from plugins.drives.wire import (
+    RIPPLE,
+    CaptureSource,
+    Channel,
+    Message,
+    RippleD,
+    RippleGrid,
+    RippleQ,
+    RowFormat,
+    Scales,
+    demodulate,
+)
+
+Real = NDArray[np.floating[Any]]
+CHANNELS = (
+    Channel.I_ALPHA | Channel.I_BETA | Channel.V_ALPHA | Channel.V_BETA | Channel.V_DC
+    | Channel.I_A | Channel.I_B | Channel.I_C
+)  # fmt: skip
+RIPPLE_ROW_BYTES = 12
+
+
+class Capture:
+    """What one program captures.
+
+    Parameters
+    ----------
+    number, rows : int
+        Capture number, and samples when it is complete.
+    form : RowFormat, optional
+        None: no raw rows.
+    memory_bytes : int, optional
+        Size of the ring; None keeps everything.
+    """
+
+    def __init__(
+        self,
+        number: int,
+        rows: int,
+        form: RowFormat | None,
+        memory_bytes: int | None,
+        ripple: RippleMemory | None = None,
+    ) -> None:
+        self.number, self.rows = number, rows
+        self.row_bytes = 0 if form is None else form.row_bytes
+        self.ripple = ripple
+        self.done = 0
+        """Samples so far."""
+        self._form = form
+        self._raw = None if form is None else CaptureSource(number, rows * form.row_bytes, memory_bytes)
+
+    def source(self, number: int) -> CaptureSource | None:
+        """What is read under a capture number."""
+        if number == self.number:
+            return self._raw
+        if number == self.number + RIPPLE and self.ripple is not None:
+            return self.ripple.source
+        return None
+
+    def take(self, step: Step) -> list[Message]:
+        """Keep the samples of a step; returns live ripple rows."""
+        count = min(len(step.i_ab), self.rows - self.done)
+        i, v, v_dc = step.i_ab[:count], step.v_ab[:count], step.v_dc[:count]
+        self.done += count
+        if self._raw is not None and self._form is not None:
+            self._raw.append(self._form.pack(_columns(i, v, v_dc)))
+        return self.ripple.take(i, v, self.done == self.rows) if self.ripple is not None else []
+
+
+def _columns(i: Real, v: Real, v_dc: Real) -> dict[Channel, Real]:
+    b = -0.5 * i[:, 0] + 0.5 * math.sqrt(3.0) * i[:, 1]
+    return {
+        Channel.I_ALPHA: i[:, 0],
+        Channel.I_BETA: i[:, 1],
+        Channel.V_ALPHA: v[:, 0],
+        Channel.V_BETA: v[:, 1],
+        Channel.V_DC: v_dc,
+        Channel.I_A: i[:, 0],
+        Channel.I_B: b,
+        Channel.I_C: -i[:, 0] - b,
+    }
+
+
+class RippleMemory:
+    """Ripple rows, demodulated as the samples come: the rows sent live are those that are read afterwards.
+
+    Parameters
+    ----------
+    number : int
+        Capture number of the program.
+    grid : RippleGrid
+    samples : int
+        Of the capture.
+    angle_rad : float
+        Believed d axis in the stator frame.
+    base_v : (float, float)
+        Frozen voltage, believed dq frame.
+    """
+
+    def __init__(self, number: int, grid: RippleGrid, samples: int, angle_rad: float, scales: Scales) -> None:
+        self.rows = grid.rows(samples)
+        self.source = CaptureSource(number + RIPPLE, self.rows * RIPPLE_ROW_BYTES)
+        self.base_v = (0.0, 0.0)
+        self._grid, self._scales = grid, scales
+        self._starts = grid.starts(self.rows)
+        self._turn = np.exp(-1j * angle_rad)
+        self._i, self._v = np.zeros((0, 2)), np.zeros((0, 2))
+        self._made = 0
+
+    def take(self, i_ab: Real, v_ab: Real, last: bool) -> list[Message]:
+        """Samples in; the rows that they complete out."""
+        self._i = np.concatenate((self._i, self._believed(i_ab)))
+        self._v = np.concatenate((self._v, self._believed(v_ab)))
+        first = int(self._starts[self._made])
+        # A row ends where the next one starts, so that sample must have been taken, but for the last.
+        upto = self.rows if last else int(np.searchsorted(self._starts, first + len(self._i), side="right")) - 1
+        upto = min(upto, self.rows)
+        if upto <= self._made:
+            return []
+        count = int(self._starts[upto]) - first
+        tail = _Tail(**vars(self._grid), row=self._made, many=upto - self._made)
+        counts = demodulate(self._i[:count], self._v[:count], self.base_v, tail).counts(self._scales)
+        self._i, self._v = self._i[count:], self._v[count:]
+        self.source.append(counts.tobytes())
+        made, self._made = self._made, upto
+        return list(_live(counts.tolist(), made))
+
+    def _believed(self, ab: Real) -> NDArray[np.float64]:
+        dq = (ab[:, 0].astype(np.float64) + 1j * ab[:, 1]) * self._turn
+        return np.column_stack((dq.real, dq.imag))
+
+
+def _live(counts: list[list[int]], first: int) -> Iterator[Message]:
+    for n, row in enumerate(counts, first):
+        yield RippleD(n % 65536, *row[:3])
+        yield RippleQ(n % 65536, *row[3:])
+
+
+@dataclass(frozen=True)
+class _Tail(RippleGrid):
+    """Some rows of a grid, their first sample counted as 0."""
+
+    row: int = 0
+    many: int = 0
+
+    @property
+    def _first(self) -> int:
+        return int(super().starts(self.row)[-1])
+
+    def phase(self, samples: Real, delay: float = 0.0) -> NDArray[np.float64]:
+        return super().phase(np.asarray(samples + self._first), delay)
+
+    def rows(self, samples: int) -> int:
+        return self.many
+
+    def starts(self, rows: int) -> NDArray[np.int64]:
+        return super().starts(self.row + rows)[self.row :] - self._first

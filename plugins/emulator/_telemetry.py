@@ -1,0 +1,69 @@
+"""What the device says of itself unasked, each message at its own pace. Holds no state but counters."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from plugins.drives.wire import Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
+
+PROGRESS_S = 0.1
+TICK_S = 1.0
+_NOT_MEASURED = -128
+
+
+class Telemetry:
+    """Counts and due times of the periodic messages."""
+
+    def __init__(self, now_s: float) -> None:
+        self._born_s = now_s
+        self._status, self._measurement, self._progress = 0, 0, 0
+        self._due_s = self._tick_due_s = self._progress_due_s = now_s
+        self._told: tuple[object, ...] = ()
+        self._phase: tuple[Phase, int] = (Phase.IDLE, 0)
+
+    def status(
+        self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float
+    ) -> Iterator[Message]:
+        """Status, when it is due or something has changed."""
+        told = (state, cause, faults)
+        if told == self._told and now_s < self._due_s:
+            return
+        self._told = told
+        self._status = (self._status + 1) % 256
+        yield Status(state, cause, beat, faults, _volts(v_dc), _NOT_MEASURED, self._status)
+
+    def periodic(
+        self, now_s: float, period_s: float, shown: tuple[float, float, float], scale_a: float, ticks: int
+    ) -> Iterator[Message]:
+        """Measurement and clock, when they are due; `status` goes before."""
+        if now_s >= self._due_s:
+            self._due_s = now_s + period_s if now_s - self._due_s > period_s else self._due_s + period_s
+            self._measurement = (self._measurement + 1) % 256
+            i_d, i_q = (max(-32768, min(32767, round(i / scale_a))) for i in shown[:2])
+            yield Measurement(self._measurement, i_d, i_q, _volts(shown[2]))
+        if now_s >= self._tick_due_s:
+            self._tick_due_s = now_s + TICK_S
+            yield self.tick(now_s, ticks)
+
+    def wait_s(self, now_s: float) -> float:
+        """Until a message is due."""
+        return max(0.0, min(self._due_s, self._tick_due_s) - now_s)
+
+    def tick(self, now_s: float, ticks: int) -> Tick:
+        """The clock, now."""
+        return Tick(ticks % (1 << 32), int((now_s - self._born_s) * 1e6) % (1 << 32))
+
+    def progress(self, now_s: float, phase: Phase, capture: int, rows: int, running: bool) -> Iterator[Message]:
+        """Progress, when the phase changes and periodically while a program runs."""
+        changed = (phase, capture) != self._phase
+        if not changed and not (running and now_s >= self._progress_due_s):
+            return
+        self._phase = (phase, capture)
+        self._progress_due_s = now_s + PROGRESS_S
+        self._progress = (self._progress + 1) % 256
+        yield Progress(self._progress, phase, capture, rows)
+
+
+def _volts(v_dc: float) -> float:
+    return min(max(v_dc, 0.0), 1310.0) if math.isfinite(v_dc) else 0.0

@@ -1,0 +1,148 @@
+"""Asks on a link who is there: register reads and the description, which no drive minds in any state."""
+
+from __future__ import annotations
+
+import logging
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from plugins.drives._link import Host, Link, Port, link_errors
+from plugins.drives._link._host import fault_names
+from plugins.drives.wire import PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
+from protocols import Capabilities, DriveRefused
+
+ANSWER_S = 0.4
+_TELEMETRY_S = 0.3
+_LONGEST_PERIOD_S = 10.0
+_NOT_PROBED = ("serial", "virtual")
+"""Interfaces of python-can on every serial port, and within this process alone."""
+
+
+@dataclass(frozen=True)
+class LinkName:
+    """A link that may be opened, and how a procedure names it."""
+
+    text: str
+    settings: dict[str, Any]
+    """Options of the drive plugin, its name among them."""
+    open: Callable[[], Port]
+
+
+@dataclass(frozen=True)
+class Found:
+    """A drive that answered."""
+
+    link: LinkName
+    capabilities: Capabilities
+    description: dict[str, str]
+    registers: dict[str, float]
+    status: Status | None
+    i_dq_a: tuple[float, float] | None
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """Latched faults, the cause first."""
+        return () if self.status is None else fault_names(self.status)
+
+    def as_json(self) -> dict[str, Any]:
+        """The same for `--json`."""
+        status = self.status
+        seen = status and {
+            "state": status.state.name.lower(),
+            "cause": None if status.cause is Fault.NONE else status.cause.name.lower(),
+            "faults": self.faults,
+            "v_dc_v": status.v_dc,
+            "i_dq_a": self.i_dq_a,
+        }
+        return {
+            "link": self.link.text,
+            "drive": self.link.settings,
+            "description": self.description,
+            "capabilities": self.capabilities.model_dump(mode="json"),
+            "registers": self.registers,
+            "telemetry": seen,
+        }
+
+
+def serial_line(port: str, baud_rate: int) -> LinkName:
+    """A serial line by its device, path or socket://host:port."""
+
+    def opened() -> Port:
+        from plugins.drives.serial._port import SerialPort
+
+        return SerialPort(port, baud_rate)
+
+    return LinkName(port, {"name": "serial", "port": port, "baud_rate": baud_rate}, opened)
+
+
+def can_bus(interface: str, channel: str, bitrate: int, fd: bool) -> LinkName:
+    """A CAN bus as python-can names it."""
+
+    def opened() -> Port:
+        from plugins.drives.can._port import CanPort
+
+        return CanPort(interface, channel, bitrate, fd=fd)
+
+    settings = {"name": "can", "interface": interface, "channel": channel, "bitrate": bitrate, "fd": fd}
+    return LinkName(f"{interface}:{channel}", settings, opened)
+
+
+def links_of_this_machine(baud_rate: int, bitrate: int, fd: bool) -> list[LinkName]:
+    """All serial ports and CAN channels that pyserial and python-can know of here."""
+    import can
+    from serial.tools import list_ports
+
+    lines = [serial_line(port.device, baud_rate) for port in sorted(list_ports.comports())]
+    with _hushed("can"):
+        buses = can.detect_available_configs()
+    return lines + [
+        can_bus(str(bus["interface"]), str(bus["channel"]), bitrate, fd)
+        for bus in buses
+        if bus["interface"] not in _NOT_PROBED
+    ]
+
+
+@contextmanager
+def _hushed(logger: str) -> Iterator[None]:
+    """Without the complaints of interfaces whose drivers are not installed."""
+    log = logging.getLogger(logger)
+    level = log.level
+    log.setLevel(logging.CRITICAL + 1)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        log.setLevel(level)
+
+
+def found_on(name: LinkName) -> Found:
+    """The drive on this link.
+
+    Raises `DriveFault` where the link cannot be opened or nobody answers, `DriveRefused` where a
+    drive speaks another version of the protocol.
+    """
+    with link_errors(name.text):
+        port = name.open()
+    link = Link(port, _LONGEST_PERIOD_S)
+    try:
+        return _asked(name, link)
+    finally:
+        link.close()
+
+
+def _asked(name: LinkName, link: Link) -> Found:
+    host = Host(link, ANSWER_S)
+    major = host.read("protocol_major")
+    if major != PROTOCOL_MAJOR:
+        raise DriveRefused(f"{name.text}: a drive that speaks version {major:g} of the protocol, not {PROTOCOL_MAJOR}")
+    own = host.own_registers()
+    scales = facts_of(own).scales
+    description = host.description(own, link.layout(int(own["bulk_block_bytes"])))
+    news = link.news
+    link.wait(lambda: news.status is not None and news.measurement is not None, _TELEMETRY_S)
+    current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)
+    return Found(name, capabilities_of(own, description, None), description, own, news.status, current)

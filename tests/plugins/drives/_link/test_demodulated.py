@@ -1,0 +1,90 @@
+"""Injections as ripple rows: which rows are asked for, live and read again, and the waveforms they stand for."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from plugins.drives._link._demodulated import ripple_periods
+from plugins.drives.wire import Capability, Channel, DriveFacts, RippleD, Scales
+from protocols import DriveFault, DriveRefused, FaultCause, Hold
+from tests.plugins.drives._link.bench import LINKS, armed, taken
+from tests.plugins.drives._link.device import FS, Script, waveforms
+from tests.plugins.drives._link.test_drive import INJECTION, turned
+
+FACTS = DriveFacts(
+    bits=Capability.RIPPLE_ON_DRIVE,
+    channels=Channel(15),
+    scales=Scales.spanning(10.0, 100.0, 400.0, 5.0),
+    memory_bytes=16384,
+    ripple_rate_max_hz=500.0,
+    ripple_memory_rows=2500,
+)
+
+
+@pytest.mark.parametrize("link", LINKS)
+@pytest.mark.parametrize("live_every", [1, 7], ids=["all rows live", "live rows with gaps"])
+def test_waveforms_come_back_from_ripple_rows(link: str, live_every: int) -> None:
+    with armed(link, Script(live_every=live_every), capture="demodulated") as b:
+        capture = taken(b.drive, INJECTION)
+    i_dq, v_dq = waveforms(INJECTION, len(capture))
+    assert len(capture) == FS
+    inner = slice(40, -40)
+    swing = np.ptp(i_dq[:, 0]) / 2
+    np.testing.assert_allclose(capture.i_ab[inner], turned(i_dq, 0.4)[inner], atol=0.03 * swing)
+    np.testing.assert_allclose(capture.v_ab[inner], turned(v_dq, 0.4)[inner], atol=0.03 * INJECTION.amplitude_v)
+
+
+def test_live_rows_are_yielded_while_the_drive_injects() -> None:
+    with armed(script=Script(speed=1.0), capture="demodulated") as b:
+        for block in b.drive.execute(INJECTION):
+            if len(block):
+                break
+        assert b.device.capture is not None
+        assert b.device.ripple is None, "the first rows came only after the end"
+
+
+def test_live_rows_that_are_not_those_of_the_end_are_a_fault() -> None:
+    with armed(capture="demodulated", script=Script(speed=1.0)) as b:
+        blocks = b.drive.execute(INJECTION)
+        while not len(next(blocks)):
+            pass
+        b.device._counts = b.device._counts + np.int16(1)
+        with pytest.raises(DriveFault, match="not those that were seen live") as fault:
+            list(blocks)
+        assert fault.value.cause is FaultCause.WRONG_DATA
+
+
+def test_other_excitations_are_captured_raw() -> None:
+    hold = Hold(current_d_a=1.0, current_q_a=0.0, settle_s=0.1, duration_s=0.5)
+    with armed(capture="demodulated") as b:
+        assert len(taken(b.drive, hold)) == 0.5 * FS
+        assert not any(isinstance(m, RippleD) for m in b.device.heard)
+
+
+def test_the_drives_name_says_that_samples_are_a_model() -> None:
+    with armed(capture="demodulated") as b:
+        machine = b.drive._machine
+        assert machine is not None
+        assert machine.capabilities.name == "test device (injections as ripple demodulated on the drive)"
+
+
+@pytest.mark.parametrize(
+    ("frequency_hz", "duration_s", "periods"),
+    [(500.0, 5.0, 1), (1000.0, 1.0, 2), (1200.0, 1.0, 3), (500.0, 10.0, 2), (500.0, 20.0, 4), (700.0, 1.0, 2)],
+)
+def test_rows_are_as_fine_as_rate_and_memory_allow(frequency_hz: float, duration_s: float, periods: int) -> None:
+    injection = INJECTION.model_copy(update={"frequency_hz": frequency_hz, "duration_s": duration_s})
+    assert ripple_periods(injection, FACTS) == periods
+
+
+def test_rows_too_coarse_for_the_rotation_are_refused() -> None:
+    injection = INJECTION.model_copy(update={"frequency_hz": 500.0, "rotation_hz": 50.0})
+    with pytest.raises(DriveRefused, match="too coarse for a rotation at 50 Hz"):
+        ripple_periods(injection, FACTS)
+
+
+def test_a_long_injection_leaves_the_drive_time_to_answer_at_its_end() -> None:
+    long = INJECTION.model_copy(update={"settle_s": 1.0, "duration_s": 0.5})
+    with armed(script=Script(speed=1.0, slow_blocks_s=0.15), capture="demodulated") as b:
+        assert len(taken(b.drive, long)) == 0.5 * FS

@@ -1,0 +1,107 @@
+"""Whole runs on the emulated drive over a line or a bus: they measure what the same run measures in this process."""
+
+from __future__ import annotations
+
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+import xarray as xr
+
+from orchestrator.recording import open_recording
+from protocols import RunEnded
+from tests.support.emulator import emulator
+from tests.support.processes import start_fluxbench
+from tests.support.tiny import STAGES, messages_of, run_tiny
+
+MEASURING = [stage for stage in STAGES if stage["kind"] != "estimate"]
+RATED_A, RATED_V = 2.35, 113.0
+
+
+@cache
+def means(path: Path) -> dict[str, np.ndarray]:
+    """Mean current and voltage of each segment as parts of the rated ones, shape (4,)."""
+    recording = open_recording(path)
+    found = {}
+    for segment in recording.segments():
+        capture = recording.load(segment)
+        i, v = capture.i_ab.mean(axis=0) / RATED_A, capture.v_ab.mean(axis=0) / RATED_V
+        found[segment.id] = np.concatenate((i, v))
+    return found
+
+
+@pytest.mark.parametrize("capture", ["raw", "demodulated"])
+def test_a_run_over_a_serial_line_measures_what_a_run_in_process_does(capture: str, tmp_path: Path) -> None:
+    drive = {"name": "serial", "port": str(tmp_path / "line"), "capture": capture}
+    # The same plant as behind the simulated drive without options: no effects, no noise.
+    plant = ("--set", "plant.effects={}", "--set", "plant.sensors.noise_a=0")
+    with emulator(tmp_path, "--speed", "max", *plant) as machine:
+        result = run_tiny(tmp_path, drive=drive, stages=MEASURING)
+        assert result.outcome.ending == "finished", result.outcome.reason
+        assert [event["event"] for event in machine.events("armed", "disarmed")][-1] == "disarmed"
+    reference = tmp_path / "reference"
+    reference.mkdir()
+    run_tiny(reference, stages=MEASURING)
+    over_line, in_process = means(tmp_path / "run"), means(reference / "run")
+    assert over_line.keys() == in_process.keys()
+    for name, expected in in_process.items():
+        np.testing.assert_allclose(over_line[name], expected, atol=5e-3, err_msg=name)
+
+
+def maps(path: Path) -> xr.Dataset:
+    with xr.open_dataset(path / "results" / "flux_map.nc", engine="h5netcdf") as found:
+        return found.load()
+
+
+def require_same_maps(path: Path, reference: Path, flux: float, inductance: float) -> None:
+    """Flux linkages and the inductances on the diagonal agree, as parts of their largest value."""
+    expected = maps(reference)
+    found = maps(path).interp(i_d=expected.i_d, i_q=expected.i_q)
+    for name, allowed in (("psi_d", flux), ("psi_q", flux), ("l_dd", inductance), ("l_qq", inductance)):
+        apart = np.abs(found[name] - expected[name]) / float(np.abs(expected[name]).max())
+        assert float(apart.max()) <= allowed, f"{name} differs by {float(apart.max()):.2%}"
+
+
+def run_demo(path: Path, *words: str) -> None:
+    """The demo to its end, which takes minutes on a busy machine."""
+    process = start_fluxbench("run", "demo", *words, "--out", path, "--quiet")
+    _, told = process.communicate(timeout=280)
+    assert process.returncode == 0, told
+
+
+@pytest.fixture(scope="module")
+def demo_in_process(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("demo") / "run"
+    run_demo(path)
+    return path
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+@pytest.mark.parametrize(
+    ("link", "capture", "flux", "inductance"),
+    [
+        ("serial", "raw", 2e-3, 5e-3),
+        ("can", "raw", 2e-3, 5e-3),
+        # A ripple row has no curvature within its swing, and the maps are that much poorer.
+        ("serial", "demodulated", 1e-2, 6e-2),
+        ("can", "demodulated", 1e-2, 6e-2),
+    ],
+)
+def test_the_demo_over_a_link_gives_the_same_maps(
+    link: str, capture: str, flux: float, inductance: float, demo_in_process: Path, tmp_path: Path
+) -> None:
+    line = tmp_path / "line"
+    # A classic bus is slower than the rows; the emulator that waits for nobody keeps them all.
+    speed = "4" if link == "serial" else "max"
+    words = () if link == "serial" else (f"serial:{line}",)
+    settings = [f"drive.capture={capture}"]
+    settings += [f"drive.port={line}"] if link == "serial" else ["drive.interface=serial", f"drive.channel={line}"]
+    run = tmp_path / "run"
+    with emulator(tmp_path, *words, "--speed", speed, link=f"--{link}"):
+        overrides = [word for setting in settings for word in ("--set", setting)]
+        run_demo(run, "--drive", link, *overrides)
+    ended = messages_of(run)[-1]
+    assert isinstance(ended, RunEnded)
+    require_same_maps(run, demo_in_process, flux, inductance)
