@@ -6,12 +6,16 @@ a stream raises is counted and told at the end. A viewer that fails never touche
 
 from __future__ import annotations
 
+import signal
+import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import partial
+from types import FrameType
 from typing import TypeVar
 
 from protocols import Message, SamplesCaptured, Stream
@@ -20,6 +24,12 @@ T = TypeVar("T")
 
 CAPACITY = 512
 """Messages that may wait for one stream: half a second of samples each at most, so some 60 MB."""
+
+
+SILENT_S = 1.0
+"""So long nobody is told that the streams are still being closed."""
+STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_LOOKS_EVERY_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -64,19 +74,56 @@ class Dispatcher:
         for listener in self._listeners:
             listener.drain(deadline)
 
-    def close(self, timeout_s: float = 60.0) -> Sequence[StreamTally]:
-        """Deliver what is queued, close the streams, and say how each fared."""
+    def close(
+        self, timeout_s: float = 60.0, tell: Callable[[str], None] | None = None, silent_s: float = SILENT_S
+    ) -> Sequence[StreamTally]:
+        """Deliver what is queued, close the streams, and say how each fared.
+
+        What takes longer than `silent_s` is told, by default on standard error where that is a terminal. A stop
+        signal (Ctrl-C) ends the waiting: streams that are still at work are left unfinished.
+        """
         for listener in self._listeners:
             listener.put(None)
-        deadline = time.monotonic() + timeout_s
-        return [listener.finish(deadline) for listener in self._listeners]
+        now = time.monotonic()
+        with _stop_signals() as is_given_up:
+            late = [one for one in self._listeners if not one.wait(min(now + silent_s, now + timeout_s), is_given_up)]
+            if late and not is_given_up():
+                (tell or _tell)(f"closing {', '.join(one.name for one in late)} (Ctrl-C leaves it unfinished)")
+            for listener in late:
+                listener.wait(now + timeout_s, is_given_up)
+        return [listener.tally() for listener in self._listeners]
+
+
+@contextmanager
+def _stop_signals() -> Iterator[Callable[[], bool]]:
+    """Whether a signal asked to stop since the block began; the handlers before are put back."""
+    asked = threading.Event()
+
+    def stop(number: int, frame: FrameType | None) -> None:
+        asked.set()
+
+    if threading.current_thread() is not threading.main_thread():
+        yield asked.is_set  # signals are the main thread's alone
+        return
+    before = {number: signal.signal(number, stop) for number in STOP_SIGNALS}
+    try:
+        yield asked.is_set
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _tell(line: str) -> None:
+    with suppress(OSError, ValueError):  # the terminal may be gone
+        if sys.stderr.isatty():
+            print(f"fluxbench: {line}", file=sys.stderr, flush=True)
 
 
 class _Listener:
     """One stream, its queue and its thread."""
 
     def __init__(self, name: str, make: Callable[[], Stream], capacity: int) -> None:
-        self._name, self._make, self._capacity = name, make, capacity
+        self.name, self._make, self._capacity = name, make, capacity
         self._queue: deque[Message | None] = deque()
         self._changed = threading.Condition()
         self._busy = True
@@ -103,16 +150,22 @@ class _Listener:
         with self._changed:
             self._changed.wait_for(lambda: not self._queue and not self._busy, max(0.0, deadline - time.monotonic()))
 
-    def finish(self, deadline: float) -> StreamTally:
-        self._thread.join(max(0.0, deadline - time.monotonic()))
+    def wait(self, deadline: float, is_given_up: Callable[[], bool]) -> bool:
+        """Whether the stream came to its end before the deadline, and before it was given up."""
+        while self._thread.is_alive() and time.monotonic() < deadline and not is_given_up():
+            self._thread.join(min(_LOOKS_EVERY_S, max(0.0, deadline - time.monotonic())))
+        return not self._thread.is_alive()
+
+    def tally(self) -> StreamTally:
+        is_closed = not self._thread.is_alive()
         return StreamTally(
-            name=self._name,
+            name=self.name,
             delivered=self._delivered,
             dropped=self._dropped,
             errors=self._errors,
             first_error=self._first_error,
-            closed=not self._thread.is_alive(),
-            notes=self._notes,
+            closed=is_closed,
+            notes=self._notes if is_closed else ("was left unfinished",),
         )
 
     def _next(self) -> Message | None:

@@ -11,6 +11,8 @@ import pytest
 from tests.support.processes import fluxbench
 
 ROOT = Path(__file__).parents[1]
+
+
 def console_lines(page: Path) -> list[str]:
     """The lines of a page's console blocks."""
     blocks = re.findall(r"^```console\n(.*?)^```", page.read_text(), flags=re.DOTALL | re.MULTILINE)

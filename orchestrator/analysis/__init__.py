@@ -18,6 +18,7 @@ from orchestrator.analysis._integration import Inductances, IntegratedFlux, alon
 from orchestrator.analysis._lock import judge_lock
 from orchestrator.analysis._loops import KNOTS, VoltageLosses, close_loops
 from orchestrator.analysis._passes import each_capture
+from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._report import EstimationReport, ResistanceReport
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._surface import SmoothSurface, TaylorSurface, current_axes, inside_hull, require_area
@@ -35,6 +36,7 @@ from orchestrator.analysis._sweep import (
 __all__ = [
     "COPPER_PER_K",
     "KNOTS",
+    "NO_LOSS",
     "Dwell",
     "EnergyFit",
     "EstimationReport",
@@ -42,6 +44,7 @@ __all__ = [
     "Inductances",
     "IntegratedFlux",
     "Network",
+    "PhaseLoss",
     "PolynomialFit",
     "ResistanceReport",
     "Ripple",

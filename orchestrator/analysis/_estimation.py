@@ -26,7 +26,8 @@ from protocols import (
 
 _REPORT = "estimates.json"
 _PREFERRED = ("energy", "injection", "classical")
-_LAST = ("energy", "polynomial")  # they build on the others' maps, and on each other's fit
+_TURNS = ("injection", "energy", "polynomial")  # they build on what the others found, and on each other
+_ENERGIES = ("energy", "polynomial")
 _BAD_ENERGY_PERCENT = 2.0  # rms, off every map of the measurements it was fitted to
 _BAD_CROSSINGS_PERCENT = 5.0
 _BAD_PARITY_PERCENT = 5.0
@@ -50,8 +51,8 @@ def estimate_recording(
     ----------
     recording : RecordingReader
     estimators : sequence of Estimator
-        Those of the resistance run first, and the narrowest interval is used; an energy's run last; the others see
-        what they found. A map of an energy that
+        Those of the resistance run first, and the narrowest interval is used; injection's run after the sweeps', an
+        energy's run last; each sees what those before it found. A map of an energy that
         explains the measurements is recommended before one by injection, that before a classical one, any other
         after them.
     out : Path
@@ -95,7 +96,7 @@ def estimate_recording(
 
 def _turn(estimator: Estimator) -> tuple[bool, int]:
     """Resistances first, energies last."""
-    return estimator.produces != "resistance", _LAST.index(estimator.name) + 1 if estimator.name in _LAST else 0
+    return estimator.produces != "resistance", _TURNS.index(estimator.name) + 1 if estimator.name in _TURNS else 0
 
 
 def _other_resistances(chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]) -> list[str]:
@@ -118,7 +119,7 @@ def _explains(maps: dict[str, FluxMapEstimate], rated_a: float | None) -> bool:
     """Whether an energy agrees with one of the maps at least; one that does is better than any of them alone."""
     energy = maps["energy"].map
     rated = rated_flux_wb(energy, rated_a)
-    off = [difference_percent(energy, other.map, rated) for method, other in maps.items() if method not in _LAST]
+    off = [difference_percent(energy, other.map, rated) for method, other in maps.items() if method not in _ENERGIES]
     known = [one for one in off if one is not None]
     return not known or min(known) <= _BAD_ENERGY_PERCENT
 

@@ -4,18 +4,21 @@ Along a sweep psi is a function of the current, so at the same current all branc
 
     integral of (v - R_s(t) i - T e(i_abc) - v_0) dt  =  the same on every branch.
 
-R_s runs straight between the sweeps' starts, e is one odd shape for all phases, straight between knots and constant
+R_s runs straight between the sweeps' starts and, on top of that, with the heat that comes and goes within a sweep: in
+proportion to the integral of i^2, as R_s rises from sweep to sweep (within a sweep it hides behind an inductance: R_s
+falls on every way through zero). e is one odd shape for all phases, straight between knots and constant
 beyond the last, v_0 is one vector a sweep; all of that is linear, and fitted to all sweeps at once. A loop that
 hysteresis leaves does not look like any of it. What is constant in e and proportional to i is R_s by convention.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.analysis._phase_loss import PhaseLoss
 from orchestrator.analysis._sweep import SweepTrace, branch_table
 
 Array = NDArray[np.float64]
@@ -24,6 +27,8 @@ KNOTS: Array = np.array([0.004, 0.01, 0.02, 0.03, 0.045, 0.07, 0.12, 0.25])
 """Knots of the inverter's shape in units of the largest current: dead times act below some per cent of it."""
 
 
+_FEWEST = 6  # sweeps, for the heat to be told
+_SURE = 4.0  # standard deviations
 _ALIKE = 10.0  # neighbouring levels err alike: so many count as one
 
 
@@ -39,6 +44,8 @@ class VoltageLosses:
         R_s at times since the start of the experiment.
     bias_v : dict
         v_0 in the dq frame by segment, shape (2,).
+    rise : float
+        Of R_s with the integral of the squared current [ohm/A^2s]; zero where it is in doubt.
     """
 
     knots_a: Array
@@ -46,12 +53,19 @@ class VoltageLosses:
     node_s: Array
     node_ohm: Array
     bias_v: dict[str, Array]
+    rise: float = 0.0
+
+    @property
+    def phase(self) -> PhaseLoss:
+        """What the inverter keeps from each phase."""
+        return PhaseLoss(self.knots_a, self.error_v)
 
     def flux(self, trace: SweepTrace) -> Array:
         """Integral of the voltage that is left for the flux, shape (n, 2)."""
         resistive = np.einsum("nmx,m->nx", _resistive(trace, self.node_s), self.node_ohm)
         lost = np.einsum("nkx,k->nx", trace.steps, self.error_v)
-        psi: Array = trace.impulse - resistive - lost - np.outer(trace.time, self.bias_v[trace.where])
+        warm = self.rise * _resistive_heat(trace)
+        psi: Array = trace.impulse - resistive - warm - lost - np.outer(trace.time, self.bias_v[trace.where])
         return psi
 
 
@@ -68,6 +82,16 @@ def close_loops(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
     NotMeasuredError
         Where a current is not swept to and fro.
     """
+    losses = _closed(traces, knots_a)
+    rise = _rise(traces, losses)
+    if rise:
+        told = [replace(trace, impulse=trace.impulse - rise * _resistive_heat(trace)) for trace in traces]
+        losses = replace(_closed(told, knots_a), rise=rise)
+    return losses
+
+
+def _closed(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
+    """The same with an R_s that runs straight from sweep to sweep."""
     starts = np.array([trace.start_s for trace in traces])
     node_s = np.append(starts, starts[-1] + traces[-1].time[-1])
     nodes, knots = len(node_s), len(knots_a)
@@ -118,6 +142,35 @@ def _bends(knots_a: Array) -> Array:
         # Beyond the last knot the shape is constant.
         out[k, min(k + 1, len(knots_a) - 1)] -= share
     return out
+
+
+def _heat(trace: SweepTrace) -> Array:
+    """Integral of the squared current [A^2 s], shape (n,)."""
+    squares = (trace.i**2).sum(axis=1)
+    return np.asarray(np.cumsum(squares) * (trace.time[-1] / len(squares)))
+
+
+def _resistive_heat(trace: SweepTrace) -> Array:
+    """Integral of the current times what that heat is off a straight rise, shape (n, 2)."""
+    heat = _heat(trace)
+    uneven = heat - np.interp(trace.time, trace.time[[0, -1]], heat[[0, -1]])
+    return np.cumsum(uneven[:, None] * np.diff(trace.charge, axis=0, prepend=np.zeros((1, 2))), axis=0)
+
+
+def _rise(traces: list[SweepTrace], losses: VoltageLosses) -> float:
+    """How R_s rises with the heat, by its nodes: dR = rise i^2 dt - (R - R_0) dt / tau, least squares; 0 if unsure."""
+    if len(traces) < _FEWEST:
+        return 0.0
+    between = np.diff(losses.node_s)
+    heat = np.array([_heat(trace)[-1] / trace.time[-1] for trace in traces]) * between
+    middle = 0.5 * (losses.node_ohm[1:] + losses.node_ohm[:-1])
+    design = np.stack([heat, between, middle * between], axis=1)
+    size = np.linalg.norm(design, axis=0)
+    answer, squares, rank, _ = np.linalg.lstsq(design / size, np.diff(losses.node_ohm), rcond=1e-10)
+    if rank < 3:
+        return 0.0
+    variance = float(squares[0]) / (len(traces) - 3) * np.linalg.inv((design / size).T @ (design / size))[0, 0]
+    return float(answer[0] / size[0]) if answer[0] > _SURE * np.sqrt(variance) else 0.0
 
 
 def _resistive(trace: SweepTrace, node_s: Array) -> Array:

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.analysis._kept import take_out
+from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._samples import Samples, for_kernels
 
 Array = NDArray[np.float64]
@@ -19,7 +21,7 @@ Array = NDArray[np.float64]
 FEATURES = 11
 """P (2), Q (2), second-order products of the flux ripple P - R Q (3), third-order ones (4)."""
 
-_NO_DROP = np.zeros((2, 2))
+_NONE = np.zeros((2, 2))
 
 _RAMP = 13  # the row after the features and the two currents
 
@@ -33,9 +35,11 @@ class Moments:
     normal : array, shape (13, 13)
         Products of the eleven features and the two currents, each without its mean and ramp in a window.
     mean_squares : array, shape (3,)
-        Means of x_d^2, x_d x_q, x_q^2 of the flux ripple x = P - R Q.
+        Means of x_d^2, x_d x_q, x_q^2 of the flux x = P - R Q from the centre.
     mean_i, mean_v2 : array of shape (2,), float
         Mean current; mean square of the voltage's ripple.
+    moved_i : array, shape (2,)
+        rms of the windows' mean currents about the mean of all.
     samples, windows : int
     """
 
@@ -43,6 +47,7 @@ class Moments:
     mean_squares: Array
     mean_i: Array
     mean_v2: float
+    moved_i: Array
     samples: int
     windows: int
 
@@ -56,21 +61,32 @@ def ripple_moments(
     delay: float,
     first: int,
     width: int,
-    drop_ohm: Array = _NO_DROP,
+    drop_ohm: Array = _NONE,
+    centre_i: Array = _NONE[0],
+    inductance_h: Array = _NONE,
+    loss: PhaseLoss = NO_LOSS,
 ) -> Moments:
     """Accumulate the moments in the frame at `angle_rad`, from row `first` on, in windows of `width` samples.
 
     v[k] acts from t_k + delay Ts on; `first` must not be less than `delay`. `drop_ohm`, shape (2, 2), is R of the
-    flux ripple whose products are taken.
+    flux ripple whose products are taken. These are of the flux from its value at the current `centre_i`, which in a
+    window is the ripple and `inductance_h`, shape (2, 2), times what the window's mean current is off. `loss` is taken
+    out of the voltage first.
     """
     whole = math.floor(delay)
     windows = (len(i_ab) - first) // width
     i, v = for_kernels(i_ab, v_ab)
     frame = (math.cos(angle_rad), math.sin(angle_rad))
     lag = (whole, delay - whole)
-    normal, squares, mean_i, v2 = _accumulate(i, v, sampling_s, frame, lag, drop_ohm, first, width, windows)
+    inverter = (loss.knots_a, loss.error_v, loss.areas)
+    around = (drop_ohm, centre_i, inductance_h)
+    normal, squares, mean_i, square_i, v2 = _accumulate(
+        i, v, sampling_s, frame, lag, around, inverter, first, width, windows
+    )
     samples = windows * width
-    return Moments(normal, squares / samples, mean_i / samples, v2 / samples, samples, windows)
+    mean_i /= windows
+    moved = np.sqrt(np.maximum(square_i / windows - mean_i**2, 0.0))
+    return Moments(normal, squares / samples, mean_i, v2 / samples, moved, samples, windows)
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -80,13 +96,16 @@ def _accumulate(
     sampling_s: float,
     frame: tuple[float, float],
     delay: tuple[int, float],
-    drop_ohm: Array,
+    around: tuple[Array, Array, Array],
+    loss: tuple[Array, Array, Array],
     first: int,
     width: int,
     windows: int,
-) -> tuple[Array, Array, Array, float]:
+) -> tuple[Array, Array, Array, Array, float]:
     normal = np.zeros((13, 13))
-    squares, mean_i, v2 = np.zeros(3), np.zeros(2), 0.0
+    squares, mean_i, square_i, v2 = np.zeros(3), np.zeros(2), np.zeros(2), 0.0
+    drop_ohm, centre, inductance = around
+    off, place = np.zeros(2), np.zeros(2)
     z = np.empty((14, width))  # one row a feature, so that the products run along the samples
     z[_RAMP] = np.arange(width) - 0.5 * (width - 1)
     tt = (z[_RAMP] * z[_RAMP]).sum()
@@ -94,13 +113,19 @@ def _accumulate(
     product, level = np.empty((14, 14)), np.zeros(13)
     for window in range(windows):
         _rotate_window(i_ab, v_ab, frame, delay, first + window * width, z[11:13], v)
+        if len(loss[0]):
+            take_out(i_ab, first + window * width, frame, loss[0], loss[1], loss[2], v)
         for axis in range(2):
             i_mean, v_mean = z[11 + axis].mean(), v[axis].mean()
-            mean_i[axis] += width * i_mean
+            mean_i[axis] += i_mean
+            square_i[axis] += i_mean * i_mean
+            off[axis] = i_mean - centre[axis]
             z[11 + axis] -= i_mean
             v[axis] -= v_mean
             v2 += (v[axis] * v[axis]).sum()
-        _fill_features(z, v, drop_ohm, sampling_s, level)
+        for axis in range(2):
+            place[axis] = inductance[axis, 0] * off[0] + inductance[axis, 1] * off[1]
+        _fill_features(z, v, drop_ohm, place, sampling_s, level)
         _multiply(z, product)
         for a in range(13):
             along, up = level[a] / width, product[_RAMP, a] / tt
@@ -110,7 +135,7 @@ def _accumulate(
     for a in range(13):
         for b in range(a):
             normal[b, a] = normal[a, b]
-    return normal, squares, mean_i, v2
+    return normal, squares, mean_i, square_i, v2
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -132,7 +157,7 @@ def _rotate_window(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fill_features(z: Array, v: Array, drop_ohm: Array, sampling_s: float, level: Array) -> None:
+def _fill_features(z: Array, v: Array, drop_ohm: Array, place: Array, sampling_s: float, level: Array) -> None:
     """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current in rows 11 and 12.
 
     `level` gets the sums of the rows that do not have zero mean.
@@ -148,10 +173,10 @@ def _fill_features(z: Array, v: Array, drop_ohm: Array, sampling_s: float, level
         q_q += sampling_s * z[12, k]
     for row in range(4):
         z[row] -= z[row].mean()
-    # The voltage has done its work: its rows hold the flux ripple from here on.
+    # The voltage has done its work: its rows hold the flux from the centre from here on.
     for k in range(v.shape[1]):
-        v[0, k] = z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
-        v[1, k] = z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
+        v[0, k] = place[0] + z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
+        v[1, k] = place[1] + z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
     level[4], level[5], level[6] = _times(v, 0, v, 0, z, 4), _times(v, 0, v, 1, z, 5), _times(v, 1, v, 1, z, 6)
     level[7], level[8] = _times(z, 4, v, 0, z, 7), _times(z, 4, v, 1, z, 8)
     level[9], level[10] = _times(z, 6, v, 0, z, 9), _times(z, 6, v, 1, z, 10)

@@ -7,8 +7,9 @@ While the rotor stands still, dpsi/dt = v - R_s i and i = grad H(psi). Around th
 with P the zero-mean primitive of the voltage (F(Omega t) of Combes, Malrait, Martin, Rouchon, "Obtaining the
 current-flux relations of the saturated PMSM by signal injection") and Q that of the current. The ripple is
 regressed on P, on Q and on the products of psi~, over windows of whole injection periods, in each of which a
-constant and a ramp are free. R in the products is what the coefficient of Q says, found in a first pass where
-it matters. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
+constant and a ramp are free. R in the products is what the coefficient of Q says, and they are taken about the mean
+flux of all windows: behind dead time the mean current moves as the ripple turns. Both are found in a first pass where
+they matter. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
 the curvature that a finite ripple sees is told apart from the Hessian. H3 comes as a by-product: it is the
 slope of the inductances, and half of it shifts the mean current away from the current at the mean flux.
 """
@@ -22,6 +23,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._symmetric import symmetric_regression
 from protocols import Capture, NotMeasuredError
 
@@ -30,6 +32,8 @@ Array = NDArray[np.float64]
 _PERIODS = 4  # a window's least; a ramp is then nearly orthogonal to the ripple
 
 _SLOW = 0.3  # decay over a period below which R Q is too little of the ripple to matter in its products
+
+_STILL = 0.05  # of the ripple the mean may move, as it turns, before its place matters
 
 _ROWS = 16_384  # enough to find the frequency in
 
@@ -120,6 +124,7 @@ def demodulate(
     voltage_delay_samples: float = 0.0,
     discard_s: float | None = None,
     time_constant_s: float | None = None,
+    loss: PhaseLoss = NO_LOSS,
     where: str = "capture",
 ) -> Ripple:
     """Find the Hessian of the energy from the ripple of one injection capture.
@@ -136,6 +141,9 @@ def demodulate(
         time constants, at most a third of the capture.
     time_constant_s : float, optional
         L / R_s, for that default. Without it the ripple itself tells.
+    loss : PhaseLoss
+        What the inverter is known to keep. It follows the ripple where a phase current passes zero, and the inductance
+        then looks too large along that phase's axis.
     where : str
         Name of the segment, for errors.
 
@@ -146,16 +154,18 @@ def demodulate(
     """
     frequency = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, where)
     if discard_s is None and time_constant_s is None:
-        whole = _demodulated(capture, rotor_angle_rad, voltage_delay_samples, 0, frequency, where)
+        whole = _demodulated(capture, rotor_angle_rad, voltage_delay_samples, 0, frequency, loss, where)
         time_constant_s = 1.0 / whole.decay_per_s
     duration_s = len(capture) / capture.sampling_frequency_hz
     if discard_s is None:
         discard_s = min(5.0 * (time_constant_s or 0.0), duration_s / 3.0)
     skip = round(discard_s * capture.sampling_frequency_hz)
-    return _demodulated(capture, rotor_angle_rad, voltage_delay_samples, skip, frequency, where)
+    return _demodulated(capture, rotor_angle_rad, voltage_delay_samples, skip, frequency, loss, where)
 
 
-def _demodulated(capture: Capture, angle: float, delay: float, skip: int, frequency: float, where: str) -> Ripple:
+def _demodulated(
+    capture: Capture, angle: float, delay: float, skip: int, frequency: float, loss: PhaseLoss, where: str
+) -> Ripple:
     # numba stays out of an import that only wants the names
     from orchestrator.analysis._moments import ripple_moments
 
@@ -167,7 +177,7 @@ def _demodulated(capture: Capture, angle: float, delay: float, skip: int, freque
             f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {len(capture) - first} are there"
         )
         raise NotMeasuredError(where, "samples", problem)
-    drop_ohm = np.zeros((2, 2))
+    drop_ohm, inductance, centre = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     for _ in range(2):
         moments = ripple_moments(
             capture.i_ab,
@@ -178,11 +188,19 @@ def _demodulated(capture: Capture, angle: float, delay: float, skip: int, freque
             first=first,
             width=width,
             drop_ohm=drop_ohm,
+            centre_i=centre,
+            inductance_h=inductance,
+            loss=loss,
         )
         fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, 1.0 / rate, where)
-        if drop_ohm.any() or np.linalg.norm(fit.decay_per_s, 2) < _SLOW * frequency:
+        ripple_wb = math.sqrt((moments.normal[0, 0] + moments.normal[1, 1]) / moments.samples)
+        slow = np.linalg.norm(fit.decay_per_s, 2) < _SLOW * frequency
+        inductance = np.linalg.inv(fit.hessian).astype(np.float64)
+        still = np.linalg.norm(inductance @ moments.moved_i) < _STILL * ripple_wb
+        if slow and still:
             break
-        drop_ohm = np.linalg.inv(fit.hessian).astype(np.float64) @ fit.decay_per_s
+        drop_ohm = np.zeros((2, 2)) if slow else inductance @ fit.decay_per_s
+        centre = moments.mean_i
     s, t = moments.mean_squares, fit.third
     shift = 0.5 * np.array([s[0] * t[0] + 2 * s[1] * t[1] + s[2] * t[2], s[0] * t[1] + 2 * s[1] * t[2] + s[2] * t[3]])
     return Ripple(
@@ -191,7 +209,7 @@ def _demodulated(capture: Capture, angle: float, delay: float, skip: int, freque
         hessian=fit.hessian,
         third=fit.third,
         covariance=fit.covariance,
-        flux_rms_wb=math.sqrt(s[0] + s[2]),
+        flux_rms_wb=ripple_wb,
         frequency_hz=frequency,
         amplitude_v=math.sqrt(moments.mean_v2),
         decay_per_s=max(float(np.linalg.eigvals(fit.decay_per_s).real.min()), 1e-3),

@@ -18,7 +18,7 @@ from orchestrator.analysis._integration import Inductances
 
 Array = NDArray[np.float64]
 
-GAIN_STD = 2e-4
+GAIN_STD = 4e-4
 """Of all inductances together."""
 _KNOTS = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.07, 0.11, 0.16])
 """Of |i_phase| (n' L n), in units of the largest current's, L being the mean; f is zero at the last and beyond.
@@ -27,6 +27,7 @@ The ripple of the current is as large as that of the flux is over n' L n, and f'
 """
 SIZE = 0.04
 """Of f, where there is any: 8 V of dead time under an injection of 40 V."""
+_DEGREE = 4  # of the polynomials that stand for inductances without noise
 _ENTRIES = ((0, 0), (0, 1), (1, 1))
 
 
@@ -39,10 +40,8 @@ def error_modes(points: Inductances, rotor_angle_rad: Array) -> Array:
     rotor_angle_rad : array, shape (n,)
         Of the believed d axis, from phase a's.
     """
-    m, t = points.matrix, points.slope
-    gain = np.column_stack(
-        [*(m[:, i, j] for i, j in _ENTRIES), t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]
-    )
+    gain = _smooth(points)
+    m = gain[:, np.array([[0, 1], [1, 2]])]
     out = np.zeros((len(m), 7, len(_KNOTS)))
     out[:, :, 0] = gain
     places = _KNOTS * float(np.linalg.norm(points.current, axis=1).max())
@@ -57,3 +56,19 @@ def error_modes(points: Inductances, rotor_angle_rad: Array) -> Array:
             for row, (i, j) in enumerate(_ENTRIES):
                 out[:, row, 1 + k] += share * along * n[:, i] * n[:, j]
     return out
+
+
+def _smooth(points: Inductances) -> Array:
+    """Inductances and slopes, shape (n, 7), without their noise: polynomials of the current.
+
+    A mode that holds the noise of the very data it is fitted to takes out some of it: with as many data as there are
+    noise to be rid of, that would be a gain beyond what is probable.
+    """
+    m, t = points.matrix, points.slope
+    own = np.column_stack(
+        [*(m[:, i, j] for i, j in _ENTRIES), t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]
+    )
+    x, y = (points.current / np.maximum(np.abs(points.current).max(axis=0), 1e-300)).T
+    degree = next(n for n in range(_DEGREE, -1, -1) if n == 0 or (n + 1) * (n + 2) <= len(own))
+    design = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
+    return np.asarray(design @ np.linalg.lstsq(design, own, rcond=None)[0])

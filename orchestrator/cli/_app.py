@@ -306,7 +306,7 @@ def run_app(arguments: Sequence[str]) -> int:
         return 0
     except OSError as error:
         if error.filename is not None:
-            raise
+            return _say(f"{error.filename}: {error.strerror or error}", 3)
         give_up_broken_output()
         return _say(f"standard output: cannot be written: {error.strerror or error}", 3)
     except Exception as error:

@@ -26,7 +26,7 @@ from orchestrator.engine import (
     start_run,
 )
 from orchestrator.streaming import StreamTally
-from protocols import FluxbenchError
+from protocols import FluxbenchError, InputError
 
 
 @dataclass(frozen=True)
@@ -72,6 +72,8 @@ def run(
     """Commission into a new directory; returns the exit code."""
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     path = out if out is not None else Path("runs") / f"{loaded.procedure.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    if not path.name:
+        raise InputError("--out", "", "expected a folder of its own")
     refuse_file(path)
     with loaded.naming_its_places():
         return _with_crew(lambda crew: start_run(loaded.procedure, path, crew), audience)

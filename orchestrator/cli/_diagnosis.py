@@ -15,6 +15,7 @@ from orchestrator.diagnosis import (
     add_effects,
     compare_recording,
     diagnose_and_keep,
+    in_volts,
     remove_effect,
 )
 from orchestrator.exporting import load_map
@@ -82,14 +83,14 @@ def _model(choice: str | None) -> ModelChoice | None:
 def _print_comparison(report: CompareReport) -> None:
     print(f"{report.recording}: the model {report.model}")
     rows = [
-        (stage.stage, _millivolts(stage.rms_v), _number(stage.chi2), amount(stage.current_rms_a, "A"))
+        (stage.stage, in_volts(stage.rms_v), _number(stage.chi2), amount(stage.current_rms_a, "A"))
         for stage in report.stages
     ]
     print_table(("stage", "rms error", "chi2", "current error"), rows)
-    print(f"noise floor {_millivolts(report.noise_floor.rms_v)}, chi2 over all {_number(report.chi2)}")
+    print(f"noise floor {in_volts(report.noise_floor.rms_v)}, chi2 over all {_number(report.chi2)}")
     print_table(
         ("worst", "i_d", "i_q", "rms error"),
-        [(w.segment, amount(w.i_d_a, "A"), amount(w.i_q_a, "A"), _millivolts(w.rms_v)) for w in report.worst],
+        [(w.segment, amount(w.i_d_a, "A"), amount(w.i_q_a, "A"), in_volts(w.rms_v)) for w in report.worst],
     )
     _print_notes(report.notes)
 
@@ -122,8 +123,8 @@ def _print_ladder(report: DiagnosisReport | AddReport) -> None:
         (
             rung.added or "(the map alone)",
             _number(rung.chi2),
-            _millivolts(rung.rms_v),
-            _millivolts(rung.heldout_rms_v),
+            in_volts(rung.rms_v),
+            in_volts(rung.heldout_rms_v),
             amount(rung.current_rms_a, "A"),
         )
         for rung in report.ladder
@@ -140,9 +141,8 @@ def _print_notes(notes: Sequence[str]) -> None:
         print(f"note: {note}")
 
 
-def _millivolts(value: float | None) -> str:
-    return "-" if value is None else f"{1e3 * value:.3g} mV"
-
-
 def _number(value: float | None) -> str:
-    return "-" if value is None else f"{value:.4g}"
+    """Four digits, no exponent for what is large."""
+    if value is None:
+        return "-"
+    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"

@@ -1,14 +1,19 @@
 """Commands that belong to plugins: entry points of the group ``fluxbench.commands``, loaded when they are called.
 
 Such an entry point names a callable that takes the words after the command's name and returns an
-exit code; what it raises is explained as any other command's error is.
+exit code; what it raises is explained as any other command's error is. The list of commands says of it what the
+first line of its module's docstring says; that is read, not imported.
 """
 
 from __future__ import annotations
 
+import ast
 import copy
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
+from importlib.machinery import PathFinder
 from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
 
 import typer
 
@@ -20,11 +25,39 @@ def with_plugin_commands(app: typer.Typer) -> typer.Typer:
     whole = copy.copy(app)
     whole.registered_commands = list(app.registered_commands)
     for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
-        origin = entry.dist.name if entry.dist else "?"
         settings = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
-        add = whole.command(entry.name, help=f"A plugin's, from {origin}.", context_settings=settings)
+        add = whole.command(entry.name, help=summary_of(entry), context_settings=settings)
         add(_command(entry))
     return whole
+
+
+def summary_of(entry: EntryPoint) -> str:
+    """The first line of the docstring of a command's module, without "`fluxbench NAME`:" before it.
+
+    The source is parsed, never run; where there is none, or no docstring in it, the distribution is named.
+    """
+    source = _source_of(entry.module)
+    try:
+        told = ast.get_docstring(ast.parse(source.read_bytes())) if source is not None else None
+    except (OSError, SyntaxError, ValueError):
+        told = None  # the command itself says what is wrong with it
+    if not told:
+        return f"A plugin's, from {entry.dist.name if entry.dist else '?'}."
+    line = re.sub(r"^[^`:]*`+fluxbench [^`]*`+: *", "", told.splitlines()[0])
+    return line[:1].upper() + line[1:]
+
+
+def _source_of(module: str) -> Path | None:
+    """The file of a module, without importing the packages above it."""
+    places: Sequence[str] | None = None
+    origin: str | None = None
+    parts = module.split(".")
+    for depth in range(1, len(parts) + 1):
+        spec = PathFinder.find_spec(".".join(parts[:depth]), places)
+        if spec is None:
+            return None
+        places, origin = spec.submodule_search_locations, spec.origin
+    return Path(origin) if origin is not None and origin.endswith(".py") else None
 
 
 def _command(entry: EntryPoint) -> Callable[[typer.Context], int]:

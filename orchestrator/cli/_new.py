@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 from orchestrator.scaffolding import write_package
@@ -12,5 +13,5 @@ def new(kind: str, name: str, out: Path | None) -> int:
     folder = out if out is not None else Path(f"fluxbench-{name.replace('_', '-')}")
     for path in write_package(kind, name, folder):
         print(path)
-    print(f"next: cd {folder} && pip install -e . && pytest tests")
+    print(f"next: cd {shlex.quote(str(folder))} && pip install -e . && pytest tests")
     return 0

@@ -14,6 +14,7 @@ from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magn
 from orchestrator.diagnosis._model_file import MODEL_NAME, SavedModel, read_model
 from orchestrator.diagnosis._pictures import diagnosis_step
 from orchestrator.diagnosis._pictures_file import SavedDiagnosis, load_diagnosis, save_diagnosis
+from orchestrator.diagnosis._quantities import in_its_unit, in_volts, parameter_words
 from orchestrator.diagnosis._reports import AddReport, CompareReport, DiagnosisReport, Words
 from orchestrator.diagnosis._simulate import simulated_current
 from orchestrator.diagnosis._words import in_words
@@ -38,9 +39,12 @@ __all__ = [
     "diagnose_and_keep",
     "diagnose_recording",
     "diagnosis_step",
+    "in_its_unit",
+    "in_volts",
     "in_words",
     "linear_magnetics",
     "load_diagnosis",
+    "parameter_words",
     "read_model",
     "remove_effect",
     "save_diagnosis",

@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Fitter
+from orchestrator.diagnosis._fit import Effort, Fitter
 from orchestrator.diagnosis._fitted import Fit, MapSpace, Model
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics, on_grid
@@ -28,6 +28,8 @@ ROUGH = 1.03
 """chi2 per degree of freedom above which a finer map is tried on the whole recording."""
 COARSE = 10.0
 """And below which."""
+MOST_EFFORT = 1.5e8
+"""Samples times columns that a search may take."""
 _LEAST_CURRENT = 0.02
 _LEAST_ROWS, _LEAST_HOLDS = 12, 6
 
@@ -89,8 +91,9 @@ def open_for_diagnosis(recording: RecordingReader) -> Start:
     l_q = motor.q_inductance_h or l_d
     if motor.pm_flux_wb is None:
         notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
-    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0)
-    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb)
+    samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
+    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=Effort(max(MOST_EFFORT, 400.0 * samples)))
+    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=fitter.effort)
     return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
 
 
@@ -114,6 +117,9 @@ def _of_noise(noise: SensorNoise) -> list[str]:
     ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
     if ratio > 1.1:
         notes.append(f"the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)")
+    for line in noise.lines:
+        told = "switching ripple in the samples" if line.switching else "periodic disturbance"
+        notes.append(f"{told}: {1e3 * math.sqrt(2.0 * line.power):.2g} mA at {line.frequency_hz:.4g} Hz in the holds")
     return notes
 
 

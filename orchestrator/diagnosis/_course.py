@@ -18,12 +18,20 @@ from orchestrator.diagnosis._fit import Fitter
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import DETECTED, verdict_of
 from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate
-from orchestrator.diagnosis._search import LOG_EVIDENCE, Search, Step, forward
-from orchestrator.diagnosis._trust import inconstancy
+from orchestrator.diagnosis._search import LEAST_SIZE, LOG_EVIDENCE, Search, Step, forward, log_evidence, settled
+from orchestrator.diagnosis._trust import certainty, foretold, inconstancy
 from protocols import FluxMap, PluginError
 
 ModelChoice = str | FluxMap
 """``saturated`` (the free energy map), ``linear`` (the nameplate), or a map of one's own."""
+MINOR = 0.15
+"""Effects smaller than this part of their typical size are asked whether they can be spared."""
+SPARE = 0.03
+"""What minor effects may leave of chi2 - 1 when they go, over the root of what there was before the first effect."""
+UNDETECTED_SIZE = 0.03
+"""Least size of an effect that is named though the model fits without it."""
+LEAST_CERTAINTY = 5.0
+"""Least amplitude, in its standard deviations with the scatter between blocks, for a minor effect to be named."""
 STEADY = 0.2
 """Largest inconstancy of an effect that is named while something unknown remains."""
 
@@ -92,24 +100,88 @@ def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate
 
 
 def without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
-    """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named."""
+    """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named.
+
+    Nor is one that takes away less than remains.
+    """
     doubtful: list[str] = []
     first = search.steps[0].fit
     while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
         drift = inconstancy(search.fit)
+        if verdict_of(first, search.fit, 1) == "unknown_remains":
+            drift = {name: max(size, STEADY * _left_over_own(search, name)) for name, size in drift.items()}
         worst = max(drift, key=lambda name: drift[name])
         if drift[worst] <= STEADY:
             break
         doubtful.append(worst)
-        kept = [a for a in search.fit.model.active if a.name != worst]
-        steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
-        for active in kept:
+        search = without(start, search, worst)
+    return search, doubtful
+
+
+def _left_over_own(search: Search, name: str) -> float:
+    """What is left of chi2 over what one effect took away of it when it was added, as amplitudes."""
+    at = next(k for k, step in enumerate(search.steps) if step.added == name)
+    own = search.steps[at - 1].fit.chi2_per_dof - search.steps[at].fit.chi2_per_dof
+    left = search.fit.chi2_per_dof - 1.0
+    return math.sqrt(max(left, 0.0) / own) if own > 0.0 else math.inf
+
+
+def without(start: Start, search: Search, name: str, *, last: Fit | None = None) -> Search:
+    """The search with one effect taken out and the rest fitted again; `last` where that fit is there already."""
+    kept = [a for a in search.fit.model.active if a.name != name]
+    steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
+    for active in kept:
+        gain = next(s.log_evidence for s in search.steps if s.added == active.name)
+        if last is not None and active is kept[-1]:
+            fit = last
+        else:
             model = steps[-1].fit.model
             fit = start.fitter.fit(model.with_active([*model.active, active]), steps=4, renewals=0, tolerance=1e-3)
-            gain = next(s.log_evidence for s in search.steps if s.added == active.name)
-            steps.append(Step(active.name, fit, gain))
-        search = Search(steps, search.traces, search.rivals)
-    return search, doubtful
+        steps.append(Step(active.name, fit, gain))
+    return Search(steps, search.traces, search.rivals)
+
+
+def converged(start: Start, search: Search) -> Search:
+    """The search with its last fit taken to its end."""
+    if not search.fit.model.active or search.fit.model.names[-1] != search.steps[-1].added:
+        return search
+    last = search.steps[-1]
+    steps = [*search.steps[:-1], Step(last.added, settled(start.fitter, last.fit), last.log_evidence)]
+    return Search(steps, search.traces, search.rivals)
+
+
+def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
+    """The search without those effects that can be spared: what they took away may be the others' shape, or chance."""
+    spared: list[str] = []
+    first = search.steps[0].fit
+    while search.fit.model.active:
+        full = search.fit
+        doubted = sorted((a for a in full.model.active if a.relative_size < MINOR), key=lambda a: a.relative_size)
+        for active in doubted:
+            others = full.model.with_active([a for a in full.model.active if a.name != active.name])
+            less = start.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
+            if _can_be_spared(first, less, full, active.name):
+                spared.append(active.name)
+                search = without(start, search, active.name, last=less)
+                break
+        else:
+            break
+    return search, spared
+
+
+def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
+    size = next(a.relative_size for a in full.model.active if a.name == name)
+    if size < LEAST_SIZE or certainty(full)[name] < LEAST_CERTAINTY:
+        return True
+    inflation = max(1.0, full.chi2_per_dof)
+    if log_evidence(full, inflation) - log_evidence(without, inflation) < LOG_EVIDENCE:
+        return True
+    if without.chi2_per_dof < DETECTED and (size < UNDETECTED_SIZE or not foretold(without, full)):
+        return True
+    if len(full.model.active) < 2:
+        return False
+    allowed = max(DETECTED - 1.0, SPARE * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
+    return without.chi2_per_dof - 1.0 < allowed
 
 
 def name_of(model: ModelChoice) -> str:

@@ -13,10 +13,12 @@ from orchestrator._validation import suggestion
 from orchestrator.diagnosis._baseline import Start, open_for_diagnosis
 from orchestrator.diagnosis._course import (
     ModelChoice,
+    converged,
     first_steps,
     map_steps,
     name_of,
     on_a_finer_map,
+    pruned,
     search_effects,
     without_doubtful,
 )
@@ -121,14 +123,20 @@ def diagnose_recording(
     library = scaled_library(effects, start.prepared.manifest, without)
     search = search_effects(start, map_steps(start, model, without), library)
     search = on_a_finer_map(start, search, library)
+    search, spared = pruned(start, converged(start, search))
     search, doubtful = without_doubtful(start, search)
     first, last = search.steps[0].fit, search.fit
     notes = [*start.notes, *(f"{n} resembles a part of what is left, but not steadily" for n in doubtful)]
-    found = _magnetic_rungs(search) + found_effects(last, search.steps, search.rivals)
-    verdict = verdict_of(first, last, len(found))
+    found = _magnetic_rungs(search) + found_effects(start.fitter, last, search.steps, search.rivals)
+    periodic = any(not line.switching for line in start.fitter.noise.lines)
+    verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
     left = _unexplained(start, first, last)
+    if periodic and not left.shape:
+        left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > NOTEWORTHY and left.shape:
         notes.append(f"small beside what was found, but not noise: chi2 {last.chi2_per_dof:.3g}, {left.shape[0].group}")
+    if start.fitter.effort.exhausted:
+        notes.append("the search was cut short: it took more computing than a diagnosis may")
     if last.chi2_per_dof < QUIET:
         notes.append(
             f"chi2 {last.chi2_per_dof:.2g} is too small for random noise: the readings err from one to the next"
@@ -141,7 +149,7 @@ def diagnose_recording(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
         verdict=verdict,
         effects=found,
-        traces=tuple(dict.fromkeys([*doubtful, *search.traces])),
+        traces=tuple(dict.fromkeys([*doubtful, *spared, *search.traces])),
         joint=_joint(start, search, library),
         ladder=ladder,
         unexplained=left,
@@ -209,7 +217,7 @@ def _refitted(
         if name in library:
             steps.append(Step(name, with_effect(start.fitter, steps[-1].fit, library[name])))
     search = Search(steps)
-    found = _magnetic_rungs(search) + found_effects(search.fit, steps, {})
+    found = _magnetic_rungs(search) + found_effects(start.fitter, search.fit, steps, {})
     ladder = tuple(rung(step) for step in steps)
     notes = list(start.notes)
     problem = _save(recording, start, search, name_of(model), found, ladder, out)

@@ -39,8 +39,24 @@ _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
 
 
+LEAST_DAMPED, MOST_DAMPED = 0.1, 50.0
+"""Damping with which a step that failed is tried again, and the last."""
+_OWN_COLUMNS = 3
+"""What an evaluation without effects costs, in columns."""
 LIKE = 0.01
 """Relative change of the mean inductance that the noise's covariance bears."""
+
+
+@dataclass
+class Effort:
+    """How much was computed, in samples times columns: the same on every machine, unlike time."""
+
+    most: float = math.inf
+    spent: float = 0.0
+
+    @property
+    def exhausted(self) -> bool:
+        return self.spent > self.most
 
 
 @dataclass
@@ -52,12 +68,15 @@ class Fitter:
     prepared : Prepared
     noise : SensorNoise
     pm_flux_wb : float
+    effort : Effort
+        Of all fits; a search ends where it is exhausted.
     """
 
     prepared: Prepared
     noise: SensorNoise
     pm_flux_wb: float
     threads: int = 2
+    effort: Effort = field(default_factory=Effort)
     _raw_basis: dict[str, tuple[SplineGrid, Array]] = field(default_factory=dict)
 
     def fit(
@@ -87,25 +106,39 @@ class Fitter:
         return best
 
     def _descend(self, best: Fit, steps: int, tolerance: float) -> Fit:
-        length = 1.0
+        damping = 0.0
         for _ in range(steps if best.model.free else 0):
-            move, promise = _gauss_newton(best)
+            system = best.projected()
             enough = 0.2 + tolerance * max(best.chi2 - best.dof, 0.0)
-            if promise < enough:
+            if _gauss_newton(best, system, 0.0)[1] < enough:
                 break
             while True:
-                trial = self.evaluate(_moved(best.model, length * move), best.frame)
-                if trial.objective < best.objective + 0.05 or length < 0.1:
+                move, _ = _gauss_newton(best, system, damping)
+                trial = self._resized(self.evaluate(_moved(best.model, move), best.frame), best.objective)
+                if trial.objective < best.objective + 0.05 or damping > MOST_DAMPED:
                     break
-                length *= 0.3
+                damping = max(10.0 * damping, LEAST_DAMPED)
             gain = best.objective - trial.objective
             if gain > -0.05:
                 best = trial
             if gain < enough:
                 break
-            # Where a step had to be shortened, the next one most likely has to be too.
-            length = min(1.0, 2.5 * length)
+            # Where a step had to be damped, the next one most likely has to be too.
+            damping = 0.1 * damping if damping > LEAST_DAMPED else 0.0
         return best
+
+    def _resized(self, trial: Fit, wanted: float) -> Fit:
+        """A trial that missed, with the amplitudes that belong to its shapes.
+
+        Amplitude and shape of an effect lie along a curved valley (a heating's size and its time constant); a step
+        straight ahead leaves it, and the amplitudes alone, in which the residual is nearly linear, lead back.
+        """
+        sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
+        if trial.objective < wanted or sizes.all():
+            return trial
+        move, _ = _gauss_newton(trial, trial.projected(), 0.0, sizes)
+        again = self.evaluate(_moved(trial.model, move), trial.frame)
+        return again if again.objective < trial.objective else trial
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
@@ -126,6 +159,8 @@ class Fitter:
     def evaluate(self, model: Model, frame: Frame, extra: Sequence[tuple[Active, str]] = ()) -> Fit:
         """Solve for R_s and the map with the effects where they are; `extra` asks for more columns."""
         wanted = [*model.free, *extra]
+        samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
+        self.effort.spent += samples * (len(wanted) + _OWN_COLUMNS)
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
         rows = self._map(lambda job: self._piece_rows(model, job[0], job[1], wanted), jobs)
         return self._solve(model, frame, rows)
@@ -297,13 +332,22 @@ def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
     return np.asarray(np.linalg.lstsq(space.directions, coefficients - space.origin, rcond=None)[0])
 
 
-def _gauss_newton(fit: Fit) -> tuple[Array, float]:
-    """Step of all free coordinates, map and R_s following, and how far it would bring the objective down."""
+def _gauss_newton(
+    fit: Fit, system: tuple[Array, Array], damping: float, which: NDArray[np.bool_] | None = None
+) -> tuple[Array, float]:
+    """Step of all free coordinates (or of some), map and R_s following, and how far it would bring the objective down.
+
+    Damping as by Levenberg and Marquardt (doi:10.1137/0111030): a share of each coordinate's own curvature on top.
+    """
     x = np.array([a.coordinate(n) for a, n in fit.model.free])
-    own, right = fit.projected()
+    own, right = system
     count = len(x)
     slope = right[:count] + x
-    move = np.asarray(np.linalg.solve(own[:count, :count] + np.eye(count), -slope))
+    curvature = own[:count, :count] + np.eye(count)
+    curvature += damping * np.diag(np.diag(curvature))
+    moving = np.flatnonzero(which) if which is not None else np.arange(count)
+    move = np.zeros(count)
+    move[moving] = np.linalg.solve(curvature[np.ix_(moving, moving)], -slope[moving])
     return move, -float(slope @ move)
 
 

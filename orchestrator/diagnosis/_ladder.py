@@ -8,19 +8,24 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.diagnosis._fit import Fitter
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import Active, value_at
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._reports import FoundEffect, ParameterValue, Rung, Verdict
 from orchestrator.diagnosis._search import Step
 from orchestrator.diagnosis._simulate import current_rms
-from orchestrator.diagnosis._trust import BLOCKS, block_scatter
+from orchestrator.diagnosis._trust import coordinate_spread
 
 Array = NDArray[np.float64]
 
 DETECTED = 1.08
 """chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""
 EXPLAINED, MOSTLY = 0.05, 0.30
+SHAPE_ERROR = 0.12
+"""What a slightly wrong shape of the right effects may leave of chi2 - 1, over the root of what there was at first."""
+LEAST_LEFT = 1.0
+"""A remainder of chi2 - 1 below this is small whatever there was at first."""
 
 
 def training(piece: Piece) -> bool:
@@ -71,24 +76,32 @@ def left_fraction(before: Fit, after: Fit) -> float:
 
 
 def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
-    """The verdict on what is left."""
+    """The verdict on what is left: it has to be small beside what was found, and small in itself.
+
+    The fraction alone would forgive a large second error beside a huge first one. A wrong shape of the right effect
+    leaves some of it, the more the stronger it shows; what is beyond that is another effect's.
+    """
     if after.chi2_per_dof <= DETECTED:
         return "explained" if effects else "clean"
     fraction = left_fraction(before, after)
-    if not effects or fraction > MOSTLY:
+    if not effects or fraction > MOSTLY or not small_remainder(before, after):
         return "unknown_remains"
     return "explained" if fraction <= EXPLAINED else "mostly_explained"
 
 
-def found_effects(fit: Fit, steps: Sequence[Step], rivals: Mapping[str, Sequence[str]]) -> tuple[FoundEffect, ...]:
-    """The active effects with 95 % intervals.
+def small_remainder(before: Fit, after: Fit) -> bool:
+    """Whether what is left may be due to the found effects' shape."""
+    first = math.sqrt(max(before.chi2_per_dof - 1.0, 0.0))
+    return after.chi2_per_dof - 1.0 <= max(LEAST_LEFT, SHAPE_ERROR * first)
 
-    A coordinate's variance is the fit's, inflated by chi2 per degree of freedom, plus that of the mean over blocks
-    of the recording that disagree by more than noise: a slightly wrong shape makes the plain interval too narrow.
-    """
+
+def found_effects(
+    fitter: Fitter, fit: Fit, steps: Sequence[Step], rivals: Mapping[str, Sequence[str]]
+) -> tuple[FoundEffect, ...]:
+    """The active effects with 95 % intervals; see `coordinate_spread`."""
     if not fit.model.active:
         return ()
-    variance = np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + block_scatter(fit) ** 2 / BLOCKS
+    variance = coordinate_spread(fitter, fit) ** 2
     evidence = {s.added: s.log_evidence for s in steps}
     found, k = [], 0
     for active in fit.model.active:

@@ -10,12 +10,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-from protocols import Effect, EffectParameter, Manifest, ParameterRole, Signals
+from protocols import Effect, EffectParameter, FluxbenchError, Manifest, ParameterRole, PluginError, Signals
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
 MAGNETIC = (SATURATION, CROSS_SATURATION)
 """Rungs of the ladder that are no plugins: they free the map itself."""
+_FIELDS = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab")
+"""What an effect may change of its signals."""
 
 _REFERENCE_A, _REFERENCE_V, _REFERENCE_OHM = 1.66, 540.0, 4.25
 
@@ -148,7 +150,34 @@ def _logit(p: EffectParameter, value: float) -> float:
 
 
 def apply_effects(signals: Signals, active: Sequence[Active]) -> Signals:
-    """The signals with all effects accounted for, from the sensors inwards."""
+    """The signals with all effects accounted for, from the sensors inwards.
+
+    Raises
+    ------
+    PluginError
+        Where an effect raises, or returns what signals cannot be.
+    """
     for item in sorted(active, key=lambda a: a.candidate.effect.layer):
-        signals = item.candidate.effect.correct(signals, item.values)
+        before = signals
+        try:
+            signals = item.candidate.effect.correct(before, item.values)
+        except FluxbenchError:
+            raise
+        except Exception as error:  # somebody else's code may raise anything
+            raise PluginError("effects", item.name, f"correct: {type(error).__name__}: {error}") from error
+        _require_signals(item.name, before, signals)
     return signals
+
+
+def _require_signals(name: str, before: Signals, after: object) -> None:
+    if not isinstance(after, Signals):
+        raise PluginError("effects", name, f"correct: returned {type(after).__name__} instead of Signals")
+    for field in _FIELDS:
+        was, now = getattr(before, field), getattr(after, field)
+        if now is was:
+            continue
+        if getattr(now, "shape", None) != was.shape:
+            found = getattr(now, "shape", None)
+            raise PluginError("effects", name, f"correct: {field} has shape {found}, not {was.shape}")
+        if not math.isfinite(float(now.sum())):
+            raise PluginError("effects", name, f"correct: {field} is not finite")

@@ -19,6 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.diagnosis._lines import Line, added_noise, find_lines
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._residual import LocalMap
 from orchestrator.diagnosis._scatter import Scatter
@@ -43,11 +44,14 @@ class SensorNoise:
         The same while a ripple is injected, from repeated periods; jitter and PWM ripple show here.
     correlation : float
         From each reading to the next, as of a first-order process.
+    lines : tuple of Line
+        Disturbances of a fixed frequency.
     """
 
     covariance: Array
     ripple: Array
     correlation: float
+    lines: tuple[Line, ...] = ()
 
     def of(self, piece: Piece) -> Array:
         """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
@@ -57,11 +61,23 @@ class SensorNoise:
     def colour(self, piece: Piece) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
         w, rho = piece.windows, self.correlation
+        if len(w.carriers) == 1 and self.lines:
+            return np.array([self._steady(piece)])
         if rho == 0.0:
             return np.ones(len(w.carriers))
         order = np.array([0, *(h for h in HARMONICS for _ in range(2) if 0 < h < w.n_bins / 2)])
         turn = 2.0 * np.pi * order[: len(w.carriers)] / max(w.period, 1.0)
         return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
+
+    def _steady(self, piece: Piece) -> float:
+        """Of a hat: correlation, and switching ripple."""
+        rho, s = self.correlation, piece.signals
+        motor, variance = s.motor, 0.5 * float(np.trace(self.of(piece)))
+        ohm = (motor.stator_resistance_ohm if motor else None) or 1.0
+        henry = (motor.d_inductance_h if motor else None) or 0.01 * ohm
+        fs, step = s.sampling_frequency_hz, piece.windows.step
+        more = (added_noise(x, fs, piece.averaged, step, ohm, henry, variance) for x in self.lines if x.switching)
+        return (1.0 + rho) / (1.0 - rho) + sum(more)
 
 
 def sensor_noise(pieces: Sequence[Piece]) -> SensorNoise:
@@ -77,7 +93,10 @@ def sensor_noise(pieces: Sequence[Piece]) -> SensorNoise:
     # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
-    return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho)
+    holds = [p for p in pieces if p.stage is SegmentStage.RESISTANCE]
+    rate = holds[0].signals.sampling_frequency_hz * holds[0].averaged if holds else 0.0
+    lines = find_lines([p.scatter.spectrum for p in holds], [x.spectrum for x in of[SegmentStage.GATES_OFF]], rate)
+    return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho, lines)
 
 
 def _typical(scatters: Sequence[Scatter]) -> Array:

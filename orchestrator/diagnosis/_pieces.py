@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.diagnosis._heat import Heated, heated, loss_history, step_of, unread_heat
 from orchestrator.diagnosis._scatter import Scatter, scatter_of
 from orchestrator.diagnosis._windows import Windows, periodic_windows, plain_windows
 from protocols import (
@@ -30,11 +31,6 @@ HATS_PER_TURN = 8
 USABLE = (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
 _LEAST_SAMPLES = 17
 _FIRST = 5
-_SETTLE_S = 1.0
-"""How long before a capture its first current is taken to have flowed, where nothing was captured."""
-_LOSS_STEP_S = 0.05
-_LOSS_STEPS = 2000
-"""About how many steps the history of the loss has at most, those at the gaps aside."""
 _SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
 MOST_SAMPLES = 2_400_000
 """Of injection that are read; longer recordings are thinned."""
@@ -45,7 +41,7 @@ _STEP = 0.002
 """Largest step of the current between averaged samples, as a part of the largest current."""
 _QUIET = 0.2
 """The same as a part of the noise."""
-_MOST_AVERAGED = {SegmentStage.GATES_OFF: 10, SegmentStage.RESISTANCE: 10, SegmentStage.CLASSICAL: 8}
+_MOST_AVERAGED = {SegmentStage.GATES_OFF: 10, SegmentStage.RESISTANCE: 10, SegmentStage.CLASSICAL: 2}
 
 
 @dataclass(frozen=True)
@@ -65,7 +61,7 @@ class Piece:
         What the readings say of the current noise.
     averaged : int
     before_ab : array, shape (2,)
-        Current at the first reading: what had flowed until then [A].
+        Current at the first readings, ripple aside: what had flowed until then [A].
     """
 
     segment: Segment
@@ -135,7 +131,10 @@ def prepare(recording: RecordingReader) -> Prepared:
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
     pieces.sort(key=lambda p: p.segment.start_s)
-    return Prepared(manifest, _with_heat(pieces, manifest), tuple(notes))
+    read = {p.segment.id for p in pieces}
+    # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
+    unread = unread_heat(recording, [s for s in recording.segments() if s.id not in read])
+    return Prepared(manifest, _with_heat(pieces, unread, manifest), tuple(notes))
 
 
 def coarse(prepared: Prepared) -> Prepared:
@@ -191,7 +190,8 @@ def _piece(recording: RecordingReader, segment: Segment, fifth: bool, samples: i
         return None
     ripple = segment.stage is SegmentStage.INJECTION
     scatter = scatter_of(i_ab, _injection_period(segment, fs, v_ab) if ripple else None)
-    before, start = i_ab[:_FIRST].mean(axis=0), segment.start_s
+    # An injected ripple moves the current at once; its mean is what the drive had settled to.
+    before, start = (i_ab if ripple else i_ab[:_FIRST]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))))
     if width > 1:
         i_ab, v_ab, v_dc = _averaged(i_ab, v_ab, v_dc, width)
@@ -299,42 +299,29 @@ def _delayed(v_ab: Array, samples: float) -> Array:
     return np.ascontiguousarray((1.0 - part) * v_ab[last] + part * v_ab[np.maximum(last - 1, 0)])
 
 
-def _with_heat(pieces: Sequence[Piece], manifest: Manifest) -> tuple[Piece, ...]:
+def _with_heat(pieces: Sequence[Piece], unread: Sequence[Heated], manifest: Manifest) -> tuple[Piece, ...]:
     """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
-    resistance = manifest.motor.stator_resistance_ohm or 1.0
     last = pieces[-1].signals
-    step_s = max(_LOSS_STEP_S, (last.start_s + len(last.v_dc) / last.sampling_frequency_hz) / _LOSS_STEPS)
-    times: list[Array] = []
-    powers: list[Array] = []
-    captured: list[Array] = []
-    energy, end = 0.0, 0.0
-    warmed: list[tuple[Piece, Array]] = []
-    for piece in pieces:
-        s = piece.signals
-        ts = 1.0 / s.sampling_frequency_hz
-        power = 1.5 * resistance * np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
-        gap = max(s.start_s - end, 0.0)
-        settle = min(gap, _SETTLE_S)
-        first = 1.5 * resistance * float(piece.before_ab @ piece.before_ab) if s.bridge_on else 0.0
-        if gap > 0.0:
-            times.append(np.array([end, s.start_s - settle]))
-            powers.append(np.array([0.0, first]))
-            captured.append(np.zeros(2))
-            energy += first * settle
-        stride = max(1, round(step_s / ts))
-        starts = np.arange(0, len(power), stride)
-        times.append(np.asarray(s.start_s + starts * ts, dtype=np.float64))
-        powers.append(np.asarray(np.add.reduceat(power, starts) / np.diff(np.append(starts, len(power))), np.float64))
-        captured.append(np.ones(len(starts)))
-        heat = energy + np.cumsum(power) * ts
-        energy, end = float(heat[-1]), s.start_s + len(power) * ts
-        warmed.append((piece, heat))
-    times.append(np.array([end]))
-    powers.append(np.zeros(1))
-    captured.append(np.zeros(1))
-    losses = LossHistory(
-        time_s=np.concatenate(times), power_w=np.concatenate(powers), captured=np.concatenate(captured)
-    )
+    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
+    items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
+    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0)
+    energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])
     return tuple(
-        replace(p, signals=p.signals.model_copy(update={"heat_j": heat, "losses": losses})) for p, heat in warmed
+        replace(p, signals=p.signals.model_copy(update={"heat_j": _heat_of(p, losses, energy), "losses": losses}))
+        for p in pieces
     )
+
+
+def _heated(piece: Piece, step_s: float, fs: float) -> Heated:
+    """Of one piece: as captured, and as at its end where the segment went on after what was read."""
+    s = piece.signals
+    square = np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
+    end = max(s.start_s + len(square) / s.sampling_frequency_hz, piece.segment.start_s + piece.segment.samples / fs)
+    before = float(piece.before_ab @ piece.before_ab) if s.bridge_on else 0.0
+    return heated(square, s.start_s, end, s.sampling_frequency_hz, step_s, before)
+
+
+def _heat_of(piece: Piece, losses: LossHistory, energy: Array) -> Array:
+    s = piece.signals
+    now = s.start_s + np.arange(len(s.v_dc)) / s.sampling_frequency_hz
+    return np.asarray(np.interp(now, losses.time_s, energy), dtype=np.float64)

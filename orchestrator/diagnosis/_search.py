@@ -8,7 +8,7 @@ refined before another is tried: the wrong shape of the right effect causes most
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,11 +21,12 @@ from protocols import ParameterRole
 
 Array = NDArray[np.float64]
 
-LOG_EVIDENCE = 12.0
-"""Least gain in log evidence (natural) for an effect to be added: chance alone reaches this once in some 1e5 tries."""
+LOG_EVIDENCE = 16.0
+"""Least gain in log evidence (natural) for an effect to be added: chance alone reaches this once in some 1e6 tries,
+and some twenty effects with shapes to choose from are tried on each recording."""
 TIE = 3.0
 """Rivals this near in log evidence cannot be told apart."""
-LEAST_SIZE = 0.01
+LEAST_SIZE = 0.02
 """Effects smaller than this part of their typical size are traces."""
 LEAST_SHARE = 0.2
 """Least part of the excess chi2 - 1 that an effect has to remove to be added."""
@@ -35,6 +36,8 @@ STAND_IN = 0.8
 """Look-alikes that explain this part of what the best one does are its twins."""
 CLOSE = 2.0
 """Rivals whose excess chi2 is within this factor of the best one's are fitted to the end."""
+SHAPES = (-2.0, -1.0, 1.0)
+"""Shapes from which a refit may start beside the typical one, in widths of the prior."""
 NUDGE = 0.5
 """Where the fit of a flexible form starts, in widths of the prior."""
 MOST_TRIALS = 5
@@ -119,19 +122,22 @@ def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> Li
 def score(view: LinearView) -> list[Score]:
     """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
     kept = len(view.fit.model.free)
-    normal, right = view.normal[kept:, kept:], view.right[kept:]
-    if kept:
-        inner = view.normal[:kept, :kept] + np.eye(kept)
-        follow = np.linalg.solve(inner, view.normal[:kept, kept:])
-        right = right - follow.T @ view.right[:kept]
-        normal = normal - view.normal[kept:, :kept] @ follow
     scores = []
     for candidate in view.absent:
-        index = [k for k, (a, _) in enumerate(view.columns[kept:]) if a.name == candidate.name]
-        block = normal[np.ix_(index, index)] + np.eye(len(index))
-        x = np.asarray(-np.linalg.solve(block, right[index]), dtype=np.float64)
-        scores.append(Score(candidate, float(-right[index] @ x), x))
+        own = [k for k, (a, _) in enumerate(view.columns) if k >= kept and a.name == candidate.name]
+        scores.append(Score(candidate, *_linear(view.normal, view.right, kept, own)))
     return sorted(scores, key=lambda s: -s.gain)
+
+
+def _linear(normal: Array, right: Array, kept: int, own: Sequence[int]) -> tuple[float, Array]:
+    """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
+    block, pull = normal[np.ix_(own, own)], right[own]
+    if kept:
+        inner, across = normal[:kept, :kept] + np.eye(kept), normal[np.ix_(range(kept), own)]
+        follow = np.linalg.solve(inner, across)
+        block, pull = block - across.T @ follow, pull - follow.T @ right[:kept]
+    x = np.asarray(-np.linalg.solve(block + np.eye(len(own)), pull), dtype=np.float64)
+    return float(-pull @ x), x
 
 
 def forward(
@@ -152,7 +158,7 @@ def forward(
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
-    while len(search.fit.model.active) < MOST_EFFECTS:
+    while len(search.fit.model.active) < MOST_EFFECTS and not fitter.effort.exhausted:
         fit = search.fit
         rejected |= _alike(fit, candidates)
         if search.view is None or search.view.fit.model is not fit.model:
@@ -250,13 +256,30 @@ def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str
 
 
 def _refit(fitter: Fitter, fit: Fit, scored: Score) -> Fit:
-    """The model with one more effect, amplitudes started at the linear estimate, shapes free."""
-    active = scored.candidate.absent()
-    for name, x in zip(scored.candidate.amplitudes, scored.coordinates, strict=True):
-        active = active.moved(name, float(x))
+    """The model with one more effect, amplitudes and shape started at the best linear estimate, shapes free."""
+    active = _best_start(fitter, fit, scored)
     active = active.freeing(*scored.candidate.of_role(ParameterRole.SHAPE))
     model = fit.model.with_active([*fit.model.active, active])
     return fitter.fit(model, fit.frame, steps=4, renewals=0, tolerance=0.03)
+
+
+def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
+    """The absent effect at its linear estimate, for the best of a few shapes: a descent finds the nearest only."""
+    candidate = scored.candidate
+    best, gain, coordinates = candidate.absent(), scored.gain, scored.coordinates
+    for shape in candidate.of_role(ParameterRole.SHAPE)[:1]:
+        variants = [candidate.absent().moved(shape, x) for x in SHAPES]
+        columns = [(v, n) for v in variants for n in candidate.amplitudes]
+        normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+        kept, each = len(fit.model.free), len(candidate.amplitudes)
+        for k, variant in enumerate(variants):
+            own = list(range(kept + k * each, kept + (k + 1) * each))
+            found = _linear(normal, right, kept, own)
+            if found[0] > gain:
+                best, gain, coordinates = variant, *found
+    for name, x in zip(candidate.amplitudes, coordinates, strict=True):
+        best = best.moved(name, float(x))
+    return best
 
 
 def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
@@ -268,23 +291,43 @@ def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
 
 def repolished(fitter: Fitter, fit: Fit) -> Fit:
     """The earlier effects' flexible forms, where what hid their worth is now in the model."""
-    for index in range(len(fit.model.active) - 1):
+    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
         trial = _flexible(fitter, fit, index, 1.0)
         fit = fit if trial is None else trial
     return fit
+
+
+def settled(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
+    best = fitter.fit(fit.model, fit.frame, steps=4, renewals=0, tolerance=1e-3)
+    for index, active in enumerate(best.model.active):
+        names = active.candidate.of_role(ParameterRole.REFINEMENT)
+        if fitter.effort.exhausted or not set(names) & set(active.free):
+            continue
+        simple = replace(active, free=tuple(n for n in active.free if n not in names))
+        for name in names:
+            simple = simple.moved(name, 0.0)
+        models = list(best.model.active)
+        models[index] = simple
+        trial = fitter.fit(best.model.with_active(models), best.frame, steps=8, renewals=0, tolerance=3e-4)
+        inflation = max(1.0, min(best.chi2_per_dof, trial.chi2_per_dof))
+        if log_evidence(trial, inflation) > log_evidence(best, inflation) - TIE:
+            best = trial
+    return best
 
 
 def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
     """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
     active = list(fit.model.active)
     names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
-    if set(names) <= set(active[index].free):
+    if fitter.effort.exhausted or set(names) <= set(active[index].free):
         return None
     flexible = active[index].freeing(*names)
     for name in names:
         # Off the neutral form: there two halves of an effect may be alike, and no derivative tells them apart.
         flexible = flexible.moved(name, flexible.coordinate(name) + NUDGE)
     active[index] = flexible
-    trial = fitter.fit(fit.model.with_active(active), fit.frame, steps=9, renewals=1, tolerance=3e-4)
+    # Whether it pays shows early; the last fit of all is taken to its end.
+    trial = fitter.fit(fit.model.with_active(active), fit.frame, steps=5, renewals=0, tolerance=3e-3)
     inflation = max(1.0, min(inflation, trial.chi2_per_dof))
     return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + TIE else None

@@ -9,8 +9,9 @@ from operator import is_
 import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
-from orchestrator.diagnosis._ladder import mean_rms_v, noise_rms_v
+from orchestrator.diagnosis._ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis._pieces import believed_dq
+from orchestrator.diagnosis._quantities import in_its_unit, in_volts, parameter_words
 from orchestrator.diagnosis._reports import FoundEffect, Words
 from protocols import SegmentStage
 
@@ -47,17 +48,17 @@ def in_words(diagnosis: Diagnosis) -> Words:
 
 def _where(diagnosis: Diagnosis) -> str:
     fit = diagnosis.search.steps[0].fit
-    floor = noise_rms_v(fit) or 1.0
     rows = []
     for piece in fit.prepared.pieces:
         if piece.stage is not SegmentStage.GATES_OFF:
             rms = mean_rms_v(fit, partial(is_, piece))
             rows.append((rms or 0.0, piece))
     rms, piece = max(rows, key=lambda row: row[0])
+    floor = noise_rms_v(fit, partial(is_, piece))
     i_d, i_q = np.abs(believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
     return (
-        f"worst in {piece.segment.id} (|i_d| to {i_d:.2g} A, |i_q| to {i_q:.2g} A): {1e3 * rms:.3g} mV rms "
-        f"where noise alone makes {1e3 * floor:.2g} mV"
+        f"worst in {piece.segment.id} (|i_d| to {i_d:.2g} A, |i_q| to {i_q:.2g} A): {in_volts(rms)} rms "
+        f"where noise alone makes {in_volts(floor)}"
     )
 
 
@@ -65,7 +66,7 @@ def _looks(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
     if report.effects and report.verdict != "unknown_remains":
         signatures = {a.name: a.candidate.effect.signature for a in diagnosis.search.fit.model.active}
-        told = [signatures[e.name] for e in report.effects if e.name in signatures]
+        told = [_signature(signatures[e.name], e) for e in report.effects if e.name in signatures]
         if told:
             return " ".join(told)
     if not report.unexplained.shape:
@@ -74,11 +75,18 @@ def _looks(diagnosis: Diagnosis) -> str:
     return "; ".join(parts)
 
 
+def _signature(signature: str, effect: FoundEffect) -> str:
+    if not effect.twins:
+        return signature
+    return f"{signature} What would tell it from {_listed(effect.twins)} was not measured."
+
+
 def _cause(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
     if report.verdict == "clean":
         return "none: the model fits within the noise"
-    named = [_named(e) for e in report.effects]
+    amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
+    named = [_named(e, amplitudes.get(e.name, ())) for e in report.effects]
     if report.verdict == "unknown_remains":
         start = f"{_listed(named)}, and " if named else ""
         return f"{start}something that no effect of the library explains"
@@ -87,13 +95,18 @@ def _cause(diagnosis: Diagnosis) -> str:
     return _listed(named) + rest
 
 
-def _named(effect: FoundEffect) -> str:
-    name, value = next(iter(effect.parameters.items()))
-    told = f"{effect.name} ({name} {value.value:.4g} {value.unit}"
-    if value.low is not None and value.high is not None:
-        told += f", 95 % {value.low:.4g}..{value.high:.4g}"
-    twins = f", cannot be told from {_listed(list(effect.twins))} here" if effect.twins else ""
-    return told + ")" + twins
+def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
+    """The effect with the parameters that say how large it is."""
+    sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
+    told = []
+    for name in sizes:
+        found = effect.parameters[name]
+        size = f"{parameter_words(name)} {in_its_unit(found.value or 0.0, found.unit)}"
+        if found.low is not None and found.high is not None:
+            size += f", 95 % {found.low:.4g} to {found.high:.4g}"
+        told.append(size)
+    twins = f", cannot be told from {_listed(effect.twins)} here" if effect.twins else ""
+    return f"{effect.name} ({'; '.join(told)}){twins}"
 
 
 def _gain(diagnosis: Diagnosis) -> str:
@@ -101,13 +114,16 @@ def _gain(diagnosis: Diagnosis) -> str:
     if len(ladder) < 2:
         return "nothing was added"
     before, after = ladder[0], ladder[-1]
-    floor = diagnosis.report.noise_floor.rms_v or 0.0
-    first, last = diagnosis.search.steps[0].fit.model.r_s, diagnosis.search.fit.model.r_s
+    fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
     if before.heldout_rms_v is None or after.heldout_rms_v is None:
-        told = f"error {1e3 * (before.rms_v or 0.0):.3g} -> {1e3 * (after.rms_v or 0.0):.3g} mV"
+        told = f"error {in_volts(before.rms_v)} -> {in_volts(after.rms_v)}"
+        floor = noise_rms_v(fits[1])
     else:
-        told = f"held-out error {1e3 * before.heldout_rms_v:.3g} -> {1e3 * after.heldout_rms_v:.3g} mV"
-    return f"{told} (noise {1e3 * floor:.2g} mV); R_s {first:.4g} -> {last:.4g} ohm"
+        told = f"held-out error {in_volts(before.heldout_rms_v)} -> {in_volts(after.heldout_rms_v)}"
+        floor = noise_rms_v(fits[1], held_out)
+    first, last = (fit.model.r_s for fit in fits)
+    cold = ", at the start of the experiment" if "winding_heating" in fits[1].model.names else ""
+    return f"{told} (noise {in_volts(floor)}); the model's R_s {first:.4g} -> {last:.4g} Ω{cold}"
 
 
 def _next(diagnosis: Diagnosis) -> str:
@@ -117,6 +133,8 @@ def _next(diagnosis: Diagnosis) -> str:
         return f"{told}, tells {proposal.separates[0]} from {proposal.separates[1]}"
     if diagnosis.report.verdict == "unknown_remains":
         return "no experiment of the catalogue; look at the leftover's shape"
+    if diagnosis.report.verdict == "mostly_explained":
+        return "a part of the error remains that nothing in the library fits better; look at its shape"
     return "nothing left to decide"
 
 

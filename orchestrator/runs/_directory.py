@@ -136,6 +136,10 @@ class RunDirectory:
         RecordingError
             Where it cannot be made, is not empty, or another process holds it.
         """
+        if (path / _LOCK).exists():  # a run's, perhaps one at work: its lock tells
+            with _flock(path):
+                RunDirectory.refuse_occupied(path)
+        RunDirectory.refuse_occupied(path)  # before anything is put into somebody else's folder
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 from string import Template
 
 from orchestrator.registry import PluginKind, installed
-from protocols import PluginError, StorageError
+from protocols import InputError, PluginError, StorageError
 
 KINDS = {
     "drive": PluginKind.DRIVES,
@@ -19,6 +19,8 @@ KINDS = {
     "stream": PluginKind.STREAMS,
 }
 _NAME = re.compile(r"^[a-z][a-z0-9_]*$")
+_LONGEST = 80
+"""Letters of a name: files and folders are called after it."""
 
 
 def write_package(kind: str, name: str, folder: Path) -> list[Path]:
@@ -42,11 +44,15 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     ------
     PluginError
         A kind that there is not, or a name that cannot be or is taken.
+    InputError
+        The folder is there already, or cannot be made.
     StorageError
-        The folder is there already, or cannot be written.
+        It cannot be written to.
     """
     if kind not in KINDS:
         raise PluginError("new", kind, f"no such kind of plugin; there are {', '.join(KINDS)}")
+    if len(name) > _LONGEST:
+        raise PluginError(kind, f"{name[:12]}...", f"a name has at most {_LONGEST} letters")
     if not _NAME.match(name) or keyword.iskeyword(name):
         raise PluginError(kind, name, "a name has lower-case letters, digits and underscores, and is no word of Python")
     if any(info.name == name for info in installed(KINDS[kind])):
@@ -55,9 +61,9 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     try:
         folder.mkdir(parents=True)
     except FileExistsError:
-        raise StorageError(f"{folder}: is there already; nothing was written") from None
+        raise InputError(str(folder), "", "is there already; nothing was written") from None
     except OSError as error:
-        raise StorageError(f"{folder}: cannot be made: {error.strerror or error}") from None
+        raise InputError(str(folder), "", f"cannot be made: {error.strerror or error}") from None
     try:
         for relative, text in texts.items():
             path = folder / relative

@@ -25,6 +25,17 @@ def low_pass(x: Array, decay: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
+def held_lag(x: Array, decay: float) -> Array:
+    """y_k = decay y_k-1 + (1 - decay) x_k on each column of (n, m), from y_0 = x_0."""
+    y = np.empty_like(x)
+    y[0] = x[0]
+    for k in range(1, x.shape[0]):
+        for m in range(x.shape[1]):
+            y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * x[k, m]
+    return y
+
+
+@njit(cache=True, nogil=True)
 def _lagged_steps(times: Array, values: Array, time_constant: float) -> Array:
     y = np.zeros_like(values)
     for m in range(1, values.shape[0]):

@@ -10,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from plugins.effects._filters import held_lag
 from plugins.effects._phases import constant
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
 
@@ -19,9 +20,15 @@ Array = NDArray[np.float64]
 _TABLE_STEP, _TABLE_END = 0.01, 40.0
 
 
-def _soft_sign(sharpness: float) -> Array:
-    """Table of s(x) = x / (1 + x^p)^(1/p) over x = 0..40."""
+def _soft_sign(sharpness: float, spread: float) -> Array:
+    """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(spread), over x = 0..40."""
     x = np.arange(0.0, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP)
+    if spread == 0.0:
+        return _knee(x, sharpness)
+    return 0.5 * (_knee(x * math.exp(spread), sharpness) + _knee(x * math.exp(-spread), sharpness))
+
+
+def _knee(x: Array, sharpness: float) -> Array:
     small = np.minimum(x, 1.0)
     large = np.maximum(x, 1.0)
     below = small / (1.0 + small**sharpness) ** (1.0 / sharpness)
@@ -67,7 +74,7 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
 
 
 def _corrected(signals: Signals, volts: Array, values: Mapping[str, float]) -> Signals:
-    table = _soft_sign(values.get("sharpness", 2.0))
+    table = _soft_sign(values.get("sharpness", 2.0), values.get("spread", 0.0))
     v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
     i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
     return signals.model_copy(update={"v_ab": _without_sign(v_ab, i_ab, volts, values["threshold_a"], table)})
@@ -82,6 +89,19 @@ def _sharpness() -> EffectParameter:
         low=1.0,
         high=40.0,
         neutral=2.0,
+        role=ParameterRole.REFINEMENT,
+    )
+
+
+def _spread() -> EffectParameter:
+    return EffectParameter(
+        name="spread",
+        unit="1",
+        typical=0.0,
+        prior_width=0.4,
+        low=0.0,
+        high=1.5,
+        neutral=0.0,
         role=ParameterRole.REFINEMENT,
     )
 
@@ -104,7 +124,8 @@ class DeadTime:
 
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
     is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
-    capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p).
+    capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p). In the flexible
+    form p is free, and half of s is narrower, half wider, by exp(`spread`): the capacitances are not constant.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -120,6 +141,7 @@ class DeadTime:
         EffectParameter(name="voltage_v", unit="V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0, neutral=0.0),
         _threshold(0.1),
         _sharpness(),
+        _spread(),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
@@ -151,6 +173,7 @@ class DeviceDrop:
         EffectParameter(name="voltage_v", unit="V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0, neutral=0.0),
         _threshold(0.03),
         _sharpness(),
+        _spread(),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
@@ -190,8 +213,8 @@ class VoltageBias:
 class BusSag:
     """The bus voltage sags under load while the drive modulates for the nominal one.
 
-    v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The capacitors of the bus may
-    make the sag follow the power with a lag.
+    v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The bus's own capacitors make the sag follow
+    the power with a lag.
     """
 
     name: ClassVar[str] = "bus_sag"
@@ -205,30 +228,26 @@ class BusSag:
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter(name="per_watt", unit="1/W", typical=5e-5, prior_width=1e-4, low=-0.01, high=0.01, neutral=0.0),
         EffectParameter(
-            name="smoothing",
-            unit="1",
-            typical=0.0,
-            prior_width=0.5,
-            low=0.0,
-            high=1.0,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
+            name="lag_s",
+            unit="s",
+            typical=1e-3,
+            prior_width=1.5,
+            low=1e-5,
+            high=0.1,
+            neutral=1e-3,
+            role=ParameterRole.SHAPE,
         ),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
-        """Scale the commanded voltage by what the bus has left; `smoothing` takes the mean power of 10 ms."""
+        """Scale the commanded voltage by what the bus has left."""
         if values["per_watt"] == 0.0 or not signals.bridge_on:
             return signals
         after = np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]])
         power = 0.75 * np.einsum("ij,ij->i", signals.v_ab, signals.i_ab + after)
-        smoothing = values.get("smoothing", 0.0)
-        if smoothing > 0.0:
-            width = max(1, round(0.01 * signals.sampling_frequency_hz))
-            total = np.concatenate([np.zeros(1), np.cumsum(power)])
-            index = np.arange(len(power))
-            first = np.maximum(index - width + 1, 0)
-            mean = (total[index + 1] - total[first]) / (index + 1 - first)
-            power = (1.0 - smoothing) * power + smoothing * mean
+        lag = values.get("lag_s", 0.0)
+        if lag > 0.0:
+            decay = math.exp(-1.0 / (lag * signals.sampling_frequency_hz))
+            power = held_lag(np.ascontiguousarray(power[:, None], dtype=np.float64), decay)[:, 0]
         left = 1.0 - values["per_watt"] * power
         return signals.model_copy(update={"v_ab": signals.v_ab * left[:, None]})

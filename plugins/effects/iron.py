@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from plugins.effects._filters import lagged_steps
+from plugins.effects._filters import held_lag, lagged_steps
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
 
 Array = NDArray[np.float64]
@@ -19,8 +19,9 @@ Array = NDArray[np.float64]
 class EddyCurrents:
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
-    A sample taken just before the voltage changes has seen the voltage of the interval before. Source: the
-    core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
+    A sample taken just before the voltage changes has seen the voltage of the interval before. In the flexible form
+    the eddy current's path has an inductance too, and follows within `lag_s`. Source: the core-loss resistance of
+    the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
     """
 
     name: ClassVar[str] = "eddy_currents"
@@ -42,6 +43,16 @@ class EddyCurrents:
             neutral=1e7,
             strong_when_small=True,
         ),
+        EffectParameter(
+            name="lag_s",
+            unit="s",
+            typical=1e-5,
+            prior_width=2e-5,
+            low=0.0,
+            high=1e-3,
+            neutral=0.0,
+            role=ParameterRole.REFINEMENT,
+        ),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
@@ -51,7 +62,11 @@ class EddyCurrents:
             return signals
         before = np.concatenate([signals.v_ab[:1], signals.v_ab[:-1]])
         eddy = (before - signals.resistance_ohm[:, None] * signals.i_ab) / core
-        step = 0.5 * signals.resistance_ohm[:, None] * (signals.v_ab - before) / core
+        late = values.get("lag_s", 0.0) * signals.sampling_frequency_hz
+        if late > 0.0:
+            # Voltage held over an interval: at its end the current has come this much nearer to it.
+            eddy = held_lag(np.ascontiguousarray(eddy), math.exp(-1.0 / late))
+        step = (0.5 - late) * signals.resistance_ohm[:, None] * (signals.v_ab - before) / core
         return signals.model_copy(update={"i_m_ab": signals.i_m_ab - eddy, "v_ab": signals.v_ab - step})
 
 

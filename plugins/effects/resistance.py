@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plugins.effects._filters import lagged_steps, low_pass
 from plugins.effects._phases import from_phases, to_phases
-from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+from protocols import EffectLayer, EffectParameter, ParameterRole, RealArray, Signals
+
+Array = NDArray[np.float64]
+
+_FIXED_POINT = 2
 
 
 class PhaseResistanceImbalance:
@@ -42,7 +47,8 @@ class WindingHeating:
     """Copper that warms up: R = R_0 (1 + a y), tau dy/dt = P - y, P the copper loss [W].
 
     a = alpha R_th [1/W], alpha = 0.39 %/K for copper; tau is the winding's thermal time constant [s].
-    `gap_share` scales the loss assumed between captures.
+    In the flexible form a `slow_share` of the rise comes later,
+    as the iron around the copper warms up: with `slow_ratio` times tau.
     """
 
     name: ClassVar[str] = "winding_heating"
@@ -70,13 +76,23 @@ class WindingHeating:
             role=ParameterRole.SHAPE,
         ),
         EffectParameter(
-            name="gap_share",
+            name="slow_share",
             unit="1",
-            typical=1.0,
-            prior_width=0.5,
+            typical=0.0,
+            prior_width=0.4,
             low=0.0,
-            high=1.5,
-            neutral=1.0,
+            high=0.95,
+            neutral=0.0,
+            role=ParameterRole.REFINEMENT,
+        ),
+        EffectParameter(
+            name="slow_ratio",
+            unit="1",
+            typical=6.0,
+            prior_width=4.0,
+            low=3.0,
+            high=40.0,
+            neutral=6.0,
             role=ParameterRole.REFINEMENT,
         ),
     )
@@ -90,24 +106,29 @@ class WindingHeating:
             # No history: as if nothing had been lost to the surroundings.
             warm = signals.heat_j / tau
         else:
-            # A warmer winding loses more: one fixed-point step of P = P_0 (1 + a y).
+            # A warmer winding loses more: fixed-point steps of P = P_0 (1 + a y).
             losses = signals.losses
             power = losses.power_w
-            if losses.captured is not None:
-                power = power * np.where(losses.captured > 0.0, 1.0, values.get("gap_share", 1.0))
-            lagged = lagged_steps(signals.losses.time_s, power, tau)
-            power = power * (1.0 + values["rise_per_watt"] * lagged)
-            lagged = lagged_steps(signals.losses.time_s, power, tau)
+            lags = ((1.0 - (share := values.get("slow_share", 0.0)), tau), (share, values.get("slow_ratio", 6.0) * tau))
+            lagged = _warmth(losses.time_s, power, lags)
+            for _ in range(_FIXED_POINT):
+                lagged = _warmth(losses.time_s, power * (1.0 + values["rise_per_watt"] * lagged), lags)
             now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
             warm = np.interp(now, signals.losses.time_s, lagged)
         factor = 1.0 + values["rise_per_watt"] * warm
         return signals.model_copy(update={"resistance_ohm": signals.resistance_ohm * factor})
 
 
+def _warmth(time_s: RealArray, power_w: RealArray, lags: Sequence[tuple[float, float]]) -> Array:
+    """Sum of lags of the power, each a share and its time constant."""
+    return np.asarray(sum(share * lagged_steps(time_s, power_w, tau) for share, tau in lags if share != 0.0))
+
+
 class SkinEffect:
     """Extra resistance for what changes fast: e = R_x (i - i_slow) [V], i_slow behind a first-order corner.
 
-    R_x in ohm, the corner in Hz. It stands for the current that is crowded to the conductors' surface.
+    R_x in ohm, the corner in Hz. It stands for the current that is crowded to the conductors' surface. In the flexible
+    form half of it has its corner below and half above, by the factor exp(`spread`).
     """
 
     name: ClassVar[str] = "skin_effect"
@@ -130,14 +151,28 @@ class SkinEffect:
             neutral=60.0,
             role=ParameterRole.SHAPE,
         ),
+        EffectParameter(
+            name="spread",
+            unit="1",
+            typical=0.0,
+            prior_width=0.6,
+            low=0.0,
+            high=2.0,
+            neutral=0.0,
+            role=ParameterRole.REFINEMENT,
+        ),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
         """Subtract what the extra resistance drops, at the mean current of each interval."""
         if values["extra_ohm"] == 0.0 or not signals.bridge_on:
             return signals
-        decay = math.exp(-2.0 * math.pi * values["corner_hz"] / signals.sampling_frequency_hz)
+        rate, spread = 2.0 * math.pi * values["corner_hz"] / signals.sampling_frequency_hz, values.get("spread", 0.0)
         i = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
-        fast = i - low_pass(i, decay)
+        if spread > 0.0:
+            parts = [low_pass(i, math.exp(-rate * math.exp(side * spread))) for side in (-1.0, 1.0)]
+            fast = i - 0.5 * (parts[0] + parts[1])
+        else:
+            fast = i - low_pass(i, math.exp(-rate))
         mean = 0.5 * (fast + np.concatenate([fast[1:], fast[-1:]]))
         return signals.model_copy(update={"v_ab": signals.v_ab - values["extra_ohm"] * mean})

@@ -1,4 +1,4 @@
-"""`fluxbench emulate`: reads the command line and starts the emulator."""
+"""`fluxbench emulate`: a drive that is not there, behind a real line."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -86,17 +86,18 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
     """
     injected, swept = context.maps.get("injection"), context.maps.get("classical")
     problems = []
+    if not isinstance(swept, SweptFlux):
+        try:
+            swept = ClassicalEstimator().estimate(recording, context)
+            context = replace(context, maps={**context.maps, "classical": swept})
+        except NotMeasuredError as error:
+            swept = None
+            problems.append(str(error))
     if not isinstance(injected, InjectedFlux):
         try:
             injected = InjectionEstimator().estimate(recording, context)
         except NotMeasuredError as error:
             injected = None
-            problems.append(str(error))
-    if not isinstance(swept, SweptFlux):
-        try:
-            swept = ClassicalEstimator().estimate(recording, context)
-        except NotMeasuredError as error:
-            swept = None
             problems.append(str(error))
     sources = [source for source in (injected, swept) if source is not None]
     where = recording.manifest.name

@@ -3,22 +3,29 @@
     v = R_s i + V_f T s(i_abc / i_th) + v_0
 
 V_f is one voltage for each PWM frequency (dead time grows with it), s goes from -1 to 1 with each phase's current, more
-or less abruptly (R_s would err by what its shape errs), T maps phases to (alpha, beta). Nothing here knows what a
-recording is.
+or less abruptly (R_s would err by what its shape errs), T maps phases to (alpha, beta). R_s drifts along a line and, by
+how much the data say, along a random walk about it; what is told is its mean over the strong currents' instants.
+Nothing here knows what a recording is.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+
+from plugins.estimators._wandering import Walk, no_walk, random_walk
 
 Array = NDArray[np.float64]
 
 _TO_PHASES = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
 _TO_AB = 2.0 / 3.0 * _TO_PHASES.T
 
+STRONG = 0.2
+"""Of the largest current: what is held at less says little of R_s."""
+
+_LONG = 8.0  # times the usual time between two holds
 
 _ABRUPTNESS = (-1.0, -0.5, 0.0, 0.4, 0.7, 1.0, 1.4)
 
@@ -45,7 +52,7 @@ class VoltageFit:
     Attributes
     ----------
     resistance_ohm, std_ohm, freedom
-        R_s with its standard deviation and degrees of freedom.
+        Mean of R_s over the instants of strong currents, with its standard deviation and degrees of freedom.
     drift_ohm_per_s : float
         How R_s changes over the holds.
     error_v : dict
@@ -53,6 +60,12 @@ class VoltageFit:
     threshold_a, abruptness : float
         Of the step.
     bias_v : array, shape (2,)
+    noise_v : float
+        Standard deviation of what is left of a held voltage.
+    loss_covariance : array, shape (k, k)
+        Of bias (2, where told), V_f, and the step's two parameters: what readings err by together.
+    biased : bool
+        Whether the bias was told.
     """
 
     resistance_ohm: float
@@ -63,73 +76,150 @@ class VoltageFit:
     threshold_a: float
     abruptness: float
     bias_v: Array
+    noise_v: float
+    loss_covariance: Array
+    biased: bool
 
     def resistive(self, i_ab: Array, v_ab: Array, pwm_hz: float) -> Array:
         """Voltage without the inverter's share, shape (n, 2)."""
-        nearest = min(self.error_v, key=lambda f: abs(f - pwm_hz), default=None)
-        error = self.error_v[nearest] * step_ab(i_ab, self.threshold_a, self.abruptness) if nearest is not None else 0.0
-        out: Array = v_ab - self.bias_v - error
+        out: Array = v_ab - self.lost(i_ab, pwm_hz)
         return out
 
+    def lost(self, i_ab: Array, pwm_hz: float) -> Array:
+        """What the inverter keeps at these currents, shape (n, 2)."""
+        volts, shape = self._volts(pwm_hz), (self.threshold_a, self.abruptness)
+        out: Array = self.bias_v + (volts * step_ab(i_ab, *shape) if volts else np.zeros_like(i_ab))
+        return out
 
-def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array) -> VoltageFit:
+    def lost_std(self, i_ab: Array, pwm_hz: float, along: Array) -> float:
+        """Standard deviation of the mean of `lost` over some currents, along a direction."""
+        rows = [*np.eye(2)] if self.biased else []
+        if self.error_v:
+            volts, nearest = self._volts(pwm_hz), self._nearest(pwm_hz)
+            step = step_ab(i_ab, self.threshold_a, self.abruptness).mean(axis=0)
+            rows += [step if f == nearest else np.zeros(2) for f in self.error_v]
+            rows += [volts * aside.mean(axis=0) for aside in _asides(i_ab, self.threshold_a, self.abruptness)]
+        if not rows:
+            return 0.0
+        seen: Array = np.array(rows) @ along
+        return float(np.sqrt(max(float(seen @ self.loss_covariance @ seen), 0.0)))
+
+    def _nearest(self, pwm_hz: float) -> float | None:
+        return min(self.error_v, key=lambda f: abs(f - pwm_hz), default=None)
+
+    def _volts(self, pwm_hz: float) -> float:
+        nearest = self._nearest(pwm_hz)
+        return 0.0 if nearest is None else self.error_v[nearest]
+
+
+def _asides(i_ab: Array, threshold: float, abruptness: float) -> list[Array]:
+    """What a tenth of its threshold and two tenths of its abruptness do to the step, shape (n, 2) each."""
+    return [
+        step_ab(i_ab, 1.05 * threshold, abruptness) - step_ab(i_ab, threshold / 1.05, abruptness),
+        step_ab(i_ab, threshold, abruptness + 0.1) - step_ab(i_ab, threshold, abruptness - 0.1),
+    ]
+
+
+@dataclass(frozen=True)
+class _Held:
+    """Held voltages as a regression: columns of R_s, its drift and the bias; the inverter's come to them."""
+
+    i_ab: Array
+    target: Array
+    columns: list[Array]
+    on: list[Array]
+    """Which rows each PWM frequency holds for."""
+    walk: Walk
+
+    def design(self, shape: tuple[float, float]) -> Array:
+        if not self.on:
+            return np.stack(self.columns, axis=1)
+        step = step_ab(self.i_ab, *shape).ravel()
+        return np.stack([*self.columns, *(step * rows for rows in self.on)], axis=1)
+
+    def left(self, shape: tuple[float, float]) -> float:
+        return self.walk.solve(self.design(shape), self.target)[0]
+
+    def best_shape(self, largest: float) -> tuple[float, float]:
+        """Threshold and abruptness that leave least."""
+        if not self.on:
+            return 1.0, 0.0
+        return min(((self._best_threshold(largest, k), k) for k in _ABRUPTNESS), key=self.left)
+
+    def _best_threshold(self, largest: float, abruptness: float) -> float:
+        from scipy.optimize import minimize_scalar
+
+        places = np.geomspace(2e-3, 0.2, 24) * largest
+        coarse = float(min(places, key=lambda t: self.left((float(t), abruptness))))
+        near = (coarse / 1.3, coarse * 1.3)
+        return float(minimize_scalar(lambda t: self.left((t, abruptness)), bounds=near, method="bounded").x)
+
+
+def _jumps(time_s: Array) -> list[Array]:
+    """Steps where nothing was held for long: whatever happened then has nothing to do with the drift elsewhere."""
+    gaps = np.diff(np.sort(time_s))
+    long = np.flatnonzero(gaps > _LONG * np.median(gaps))
+    return [(time_s > np.sort(time_s)[k]).astype(np.float64) for k in long[: len(time_s) // 6]]
+
+
+def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array, heat: Array | None = None) -> VoltageFit:
     """Regress held voltages on held currents.
 
     Parameters
     ----------
     i_ab, v_ab : array, shape (n, 2)
     time_s, pwm_hz : array, shape (n,)
+    heat : array, shape (n,), optional
+        What the currents had brought the winding by then, in any unit: R_s may rise with it.
 
     Where different currents are few the model shrinks: no drift, no inverter, at last no bias.
     """
-    from scipy.optimize import minimize_scalar
-
     length = np.linalg.norm(i_ab, axis=1)
-    sizes = len(np.unique(np.round(length / max(length.max(), 1e-12), 2)))
+    largest = float(length.max())
+    strong = length > STRONG * largest
+    sizes = len(np.unique(np.round(length / max(largest, 1e-12), 2)))
     frequencies = sorted(set(pwm_hz.tolist())) if sizes >= 3 and len(i_ab) >= 6 else []
     both_ways = len(i_ab) >= 2 and bool((i_ab @ i_ab[int(np.argmax(length))] < 0).any())
-    late = time_s - time_s.mean()
+    late = time_s - time_s[strong].mean()
     columns = [i_ab.ravel()]
-    if len(i_ab) >= 6 and np.ptp(late) > 0:
-        columns.append((i_ab * late[:, None]).ravel())
-    drifts = len(columns) > 1
+    drifts = len(i_ab) >= 6 and np.ptp(late) > 0
+    if drifts:
+        grown = [late, *([] if heat is None else [heat]), *_jumps(time_s)]
+        columns += [(i_ab * (one - one[strong].mean())[:, None]).ravel() for one in grown]
+    drifted = len(columns)
     if both_ways:
         columns += [np.tile(e, len(i_ab)) for e in np.eye(2)]
-    thresholds = np.geomspace(2e-3, 0.2, 24) * length.max() if frequencies else np.ones(1)
-
-    def solve(threshold: float, abruptness: float) -> tuple[float, Array, Array]:
-        step = step_ab(i_ab, threshold, abruptness)
-        steps = [(step * (pwm_hz == f)[:, None]).ravel() for f in frequencies]
-        design = np.stack([*columns, *steps], axis=1)
-        answer = np.linalg.lstsq(design, v_ab.ravel(), rcond=None)[0]
-        return float(((v_ab.ravel() - design @ answer) ** 2).sum()), answer, design
-
-    def best_threshold(abruptness: float) -> float:
-        coarse = float(min(thresholds, key=lambda t: solve(float(t), abruptness)[0]))
-        near = (coarse / 1.3, coarse * 1.3)
-        return float(minimize_scalar(lambda t: solve(t, abruptness)[0], bounds=near, method="bounded").x)
-
-    threshold, abruptness = 1.0, 0.0
-    if frequencies:
-        shapes = [(best_threshold(k), k) for k in _ABRUPTNESS]
-        threshold, abruptness = min(shapes, key=lambda shape: solve(*shape)[0])
-    squares, answer, design = solve(threshold, abruptness)
-    if frequencies:
-        # The shape was fitted as well; its share in the errors is that of two more columns.
-        sides = [((1.05 * threshold, abruptness), (threshold / 1.05, abruptness))]
-        sides.append(((threshold, abruptness + 0.1), (threshold, abruptness - 0.1)))
-        aside = [(solve(*up)[2] - solve(*down)[2]) @ answer for up, down in sides]
-        design = np.column_stack([design, *aside])
-    freedom = max(design.shape[0] - design.shape[1], 1)
-    variance = squares / freedom * np.linalg.pinv(design.T @ design)[0, 0]
-    bias = answer[1 + drifts : 3 + drifts] if both_ways else np.zeros(2)
+    held = _Held(
+        i_ab=i_ab,
+        target=v_ab.ravel(),
+        columns=columns,
+        on=[np.repeat(pwm_hz == f, 2).astype(np.float64) for f in frequencies],
+        walk=no_walk(v_ab.size),
+    )
+    shape = held.best_shape(largest)
+    if drifts:
+        held = replace(held, walk=random_walk(late, i_ab, strong).likeliest(held.design(shape), held.target))
+        shape = held.best_shape(largest)
+        held = replace(held, walk=held.walk.likeliest(held.design(shape), held.target))
+    squares, answer = held.walk.solve(held.design(shape), held.target)
+    # The shape was fitted as well; its share in the errors is that of two more columns.
+    volts = sum((v * rows for v, rows in zip(answer[len(columns) :], held.on, strict=True)), np.zeros(v_ab.size))
+    asides = [volts * aside.ravel() for aside in _asides(i_ab, *shape)] if frequencies else []
+    design = np.column_stack([held.design(shape), *asides])
+    freedom = max(round(design.shape[0] - design.shape[1] - held.walk.freedom), 1)
+    variance = squares / max(design.shape[0] - design.shape[1], 1)
+    covariance = variance * held.walk.covariance(design)
+    losses = slice(drifted, None)
     return VoltageFit(
         resistance_ohm=float(answer[0]),
-        std_ohm=float(np.sqrt(variance)),
+        std_ohm=float(np.sqrt(max(covariance[0, 0], 0.0))),
         freedom=freedom,
         drift_ohm_per_s=float(answer[1]) if drifts else 0.0,
         error_v=dict(zip(frequencies, answer[len(columns) :].tolist(), strict=True)),
-        threshold_a=threshold,
-        abruptness=abruptness,
-        bias_v=bias,
+        threshold_a=shape[0],
+        abruptness=shape[1],
+        bias_v=answer[drifted : drifted + 2] if both_ways else np.zeros(2),
+        noise_v=float(np.sqrt(variance)),
+        loss_covariance=covariance[losses, losses],
+        biased=both_ways,
     )

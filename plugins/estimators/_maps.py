@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import FluxPath, Inductances, current_axes
+from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss, current_axes
 from protocols import FluxMap, FluxMapEstimate, Motor, RecordingReader
 
 Array = NDArray[np.float64]
@@ -14,9 +14,10 @@ QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
 
 class SweptFlux(FluxMapEstimate):
-    """A map by integration, with the paths that it was made of."""
+    """A map by integration, with the paths that it was made of, and what the inverter kept where that is clear."""
 
     paths: tuple[FluxPath, ...]
+    loss: PhaseLoss = NO_LOSS
 
 
 class InjectedFlux(FluxMapEstimate):

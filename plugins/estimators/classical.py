@@ -8,7 +8,7 @@ averaged, paths are tied together where they cross, and zero current has zero fl
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from orchestrator.analysis import (
     KNOTS,
+    NO_LOSS,
     Network,
     SmoothSurface,
     Sweep,
@@ -47,6 +48,8 @@ Array = NDArray[np.float64]
 
 _SMOOTHING = 1e-4  # of the surface through the paths, which disagree a little where they cross
 _THINNED = 3  # every third point of a path makes the surface
+_UNSEEN = 0.003  # of what an inverter does to a loop: its share in the mean that no loop shows
+_SAID = 0.005  # of R_s times the largest current: what an inverter must keep to be spoken of
 _DRAWS = 24  # of the flux's errors, for the errors of its derivatives
 
 
@@ -85,6 +88,7 @@ class ClassicalEstimator:
             checks=check_map(flux_map, rated, network.misfit),
             notes=_notes(swept, network, rated),
             paths=network.paths,
+            loss=swept.losses.phase if swept.clear else NO_LOSS,
         )
 
 
@@ -104,8 +108,27 @@ class _Swept:
         return _widest(self.with_model) <= _widest(self.bare)
 
     @property
+    def clear(self) -> bool:
+        """Whether the loops leave no doubt about an inverter."""
+        drop_v = self.losses.node_ohm.max() * self.losses.knots_a[-1] / KNOTS[-1]
+        said = float(np.abs(self.losses.error_v).max()) > _SAID * drop_v
+        return said and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
+
+    @property
     def sweeps(self) -> list[Sweep]:
-        return self.with_model if self.modelled else self.bare
+        return (
+            [_widened(*both) for both in zip(self.with_model, self.bare, strict=True)] if self.modelled else self.bare
+        )
+
+
+def _widened(sweep: Sweep, bare: Sweep) -> Sweep:
+    """A sweep not known better than a share of what was taken out of it.
+
+    Where a phase current stalls on its way through zero, it does so beyond zero in both directions: an error of the
+    inverter's shape there opens no loop, and stays in the mean.
+    """
+    path = replace(sweep.path, std=np.hypot(sweep.path.std, _UNSEEN * np.abs(bare.loop_wb - sweep.loop_wb)))
+    return replace(sweep, path=path)
 
 
 def _widest(sweeps: list[Sweep]) -> float:
@@ -188,8 +211,7 @@ def _notes(swept: _Swept, network: Network, rated: float | None) -> tuple[str, .
         return tuple(notes)
     left, bare = (100 * _widest(sweeps) / rated for sweeps in (swept.with_model, swept.bare))
     error_v = float(np.abs(swept.losses.error_v).max())
-    drop_v = swept.losses.node_ohm.max() * swept.losses.knots_a[-1] / KNOTS[-1]
-    if swept.modelled and left < 0.5 * bare and error_v > 0.005 * drop_v:
+    if swept.clear:
         apart = [a.path.psi - b.path.psi for a, b in zip(swept.with_model, swept.bare, strict=True)]
         moved = np.concatenate([one - one.mean(axis=0) for one in apart])
         off = 100 / rated * float(np.sqrt((moved**2).sum(axis=1).mean()))

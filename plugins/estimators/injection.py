@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis import (
+    NO_LOSS,
     FluxPath,
     Inductances,
     IntegratedFlux,
+    PhaseLoss,
     Ripple,
     TaylorSurface,
     along,
@@ -30,7 +32,7 @@ from orchestrator.analysis import (
     rated_flux_wb,
 )
 from plugins.estimators._lines import straight_lines
-from plugins.estimators._maps import InjectedFlux, as_map, grid_of, voltage_delay
+from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (
     Capture,
     EstimationContext,
@@ -85,7 +87,7 @@ class InjectionEstimator:
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> InjectedFlux:
         """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
-        groups, skipped = _groups(recording)
+        groups, skipped = _groups(recording, _known_loss(context))
         if not groups:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
@@ -105,13 +107,21 @@ class InjectionEstimator:
         )
 
 
-def _groups(recording: RecordingReader) -> tuple[list[_Group], list[str]]:
+def _known_loss(context: EstimationContext) -> PhaseLoss:
+    """What the inverter keeps, where sweeps told it already."""
+    swept = context.maps.get("classical")
+    return swept.loss if isinstance(swept, SweptFlux) else NO_LOSS
+
+
+def _groups(recording: RecordingReader, loss: PhaseLoss) -> tuple[list[_Group], list[str]]:
     """Demodulate every point; group by frequency and ripple, largest group first."""
     segments = recording.segments(SegmentStage.INJECTION)
     time_constant_s = _time_constant(recording, segments)
     found: list[_Group] = []
     skipped = []
-    ripples = each_capture(recording, segments, lambda s, c: _ripple(recording, s, c, time_constant_s=time_constant_s))
+    ripples = each_capture(
+        recording, segments, lambda s, c: _ripple(recording, s, c, time_constant_s=time_constant_s, loss=loss)
+    )
     for segment, ripple in zip(segments, ripples, strict=True):
         if isinstance(ripple, str):
             skipped.append(ripple)
@@ -138,6 +148,7 @@ def _ripple(
     *,
     discard_s: float | None = None,
     time_constant_s: float | None = None,
+    loss: PhaseLoss = NO_LOSS,
 ) -> Ripple | str:
     """The ripple of one point, or why it has none."""
     try:
@@ -147,10 +158,18 @@ def _ripple(
             voltage_delay_samples=voltage_delay(recording),
             discard_s=discard_s,
             time_constant_s=time_constant_s,
+            loss=loss if _same_pwm(recording, segment) else NO_LOSS,
             where=segment.id,
         )
     except NotMeasuredError as error:
         return str(error)
+
+
+def _same_pwm(recording: RecordingReader, segment: Segment) -> bool:
+    """Whether the inverter is switched as in the sweeps: dead time takes in proportion to the frequency."""
+    usual = recording.manifest.drive.pwm_frequency_hz
+    own = [s.settings.get("pwm_frequency_hz") or usual for s in (segment, *recording.segments(SegmentStage.CLASSICAL))]
+    return all(one == own[0] for one in own)
 
 
 def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFlux) -> FluxMap:

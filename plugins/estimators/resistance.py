@@ -1,4 +1,4 @@
-"""Stator resistance from constant currents: DC holds, and the rests of the classical sweeps for its drift.
+"""Stator resistance from constant currents: DC holds, the rests of the classical sweeps, and the means of injection.
 
 Heating is told as a drift of readings, not modelled; a common gain of both kinds of sensor cannot be seen.
 """
@@ -8,10 +8,12 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.analysis import COPPER_PER_K, Dwell, dwell, each_capture, find_dwells, temperature_rise
-from plugins.estimators._inverter import VoltageFit, fit_voltage
+from plugins.estimators._inverter import STRONG, VoltageFit, fit_voltage
 from protocols import (
+    Capture,
     EstimationContext,
     NotMeasuredError,
     RecordingReader,
@@ -21,14 +23,25 @@ from protocols import (
     SegmentStage,
 )
 
+Array = NDArray[np.float64]
+
+_INJECTED = 60  # of the injection's points make readings, at most
+_LONGEST_S = 1.0  # of each of them
+_FEWEST = 100  # samples
+_OTHERWISE = 2.0  # what the inverter's shape errs by shows in a ripple otherwise than in what it was told from
+_WORTHLESS = 0.02  # of R_s
+_SAME_PWM = 0.01
+_HEATED = 2.0  # times its length a current has flowed before it was watched, at most
 _SETTLING = 1 / 3  # share of a hold that is left out: foreign loggers begin before the current has settled
 
 
 class ResistanceEstimator:
     """R_s as the slope of mean voltage over mean current, the inverter's step taken out.
 
-    The value is that of the DC holds, with a 95 % interval from their scatter; readings over the whole recording
-    show how it drifts.
+    R_s drifts as the winding heats up. `value_ohm` is its mean over the instants of the DC holds, or of the sweeps'
+    rests where nothing was held, and the 95 % interval is that of this mean; where R_s was at other times the readings
+    say, of which `first_ohm` and `last_ohm` are the first and the last. Currents of less than a fifth of the largest
+    tell of the inverter, and are neither readings nor in the mean.
     """
 
     name: ClassVar[str] = "resistance"
@@ -37,22 +50,23 @@ class ResistanceEstimator:
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> ResistanceEstimate:
         """Estimate R_s; raises `NotMeasuredError` without a segment that rests at a current."""
-        holds = _holds(recording)
-        dwells = sorted([*holds, *_rests(recording)], key=lambda one: one[1].start_s)
-        used = holds or dwells
+        holds, rests = _holds(recording), _rests(recording)
+        used = holds or rests
         largest = max((float(np.linalg.norm(d.i_ab)) for _, d in used), default=0.0)
         if largest <= 0.0:
             problem = "no segment of stage resistance or classical in which a current rests"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
-        pwm = {s.id: _pwm_hz(recording, s) for s, _ in dwells}
         fit = fit_voltage(
             np.array([d.i_ab for _, d in used]),
             np.array([d.v_ab for _, d in used]),
             np.array([d.start_s + 0.5 * d.seconds for _, d in used]),
-            np.array([pwm[s.id] for s, _ in used]),
+            np.array([_pwm_hz(recording, s) for s, _ in used]),
+            _heat([d for _, d in used]),
         )
-        strong = [(s, d) for s, d in dwells if np.linalg.norm(d.i_ab) > 0.2 * largest]
-        readings = tuple(_reading(fit, d, pwm[s.id]) for s, d in strong)
+        strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > STRONG * largest]
+        found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
+        found += _injected(recording, fit, STRONG * largest)
+        readings = tuple(sorted(found, key=lambda reading: reading.start_s))
         half = _student_95(fit.freedom) * fit.std_ohm
         return ResistanceEstimate(
             value_ohm=fit.resistance_ohm,
@@ -63,6 +77,13 @@ class ResistanceEstimator:
             readings=readings,
             notes=_notes(fit, [d for _, d in used], bool(holds), readings),
         )
+
+
+def constant_currents(recording: RecordingReader) -> list[Dwell]:
+    """The stretches over whose instants `value_ohm` is the mean."""
+    used = [d for _, d in _holds(recording) or _rests(recording)]
+    largest = max((float(np.linalg.norm(d.i_ab)) for d in used), default=0.0)
+    return [d for d in used if np.linalg.norm(d.i_ab) > STRONG * largest]
 
 
 def _holds(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
@@ -81,6 +102,18 @@ def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
     return [(s, d) for s, dwells in zip(sweeps, found, strict=True) for d in dwells]
 
 
+def _heat(dwells: list[Dwell]) -> Array:
+    """Integral of the squared current up to the middle of each dwell, as far as it was seen.
+
+    What flowed before a dwell, since the one before it, was its own current settling.
+    """
+    start, seconds = np.array([d.start_s for d in dwells]), np.array([d.seconds for d in dwells])
+    squares = np.array([d.i_ab @ d.i_ab for d in dwells])
+    before = np.diff(start, prepend=-np.inf) - np.concatenate([[0.0], seconds[:-1]])
+    gained = squares * (np.clip(before, 0.0, _HEATED * seconds) + seconds)
+    return np.asarray(np.cumsum(gained) - 0.5 * squares * seconds)
+
+
 def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:
     own = segment.settings.get("pwm_frequency_hz")
     return float(own if own is not None else recording.manifest.drive.pwm_frequency_hz or 0.0)
@@ -90,10 +123,48 @@ def _reading(fit: VoltageFit, rest: Dwell, pwm_hz: float) -> ResistanceReading:
     length = float(np.linalg.norm(rest.i_ab))
     along = rest.i_ab / length
     voltage = fit.resistive(rest.i_ab[None], rest.v_ab[None], pwm_hz)[0]
-    noise = float(np.sqrt(along @ rest.v_covariance @ along)) / length
-    return ResistanceReading(
-        start_s=rest.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(np.hypot(noise, fit.std_ohm))
-    )
+    own = max(float(np.sqrt(along @ rest.v_covariance @ along)), fit.noise_v)
+    std = np.hypot(own, fit.lost_std(rest.i_ab[None], pwm_hz, along)) / length
+    return ResistanceReading(start_s=rest.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
+
+
+def _injected(recording: RecordingReader, fit: VoltageFit, least_a: float) -> list[ResistanceReading]:
+    """Readings at some of the injection's points, as far as the inverter is known at their PWM frequency."""
+    known = [
+        s
+        for s in recording.segments(SegmentStage.INJECTION)
+        if any(abs(_pwm_hz(recording, s) - f) <= _SAME_PWM * f for f in fit.error_v)
+    ]
+    some = known[:: max(1, -(-len(known) // _INJECTED))]
+    found = each_capture(recording, some, lambda s, c: _mean_reading(fit, c, _pwm_hz(recording, s), least_a))
+    return [reading for reading in found if reading is not None]
+
+
+def _mean_reading(fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float) -> ResistanceReading | None:
+    """R_s of the means, in which the ripple cancels; what the inverter keeps follows the ripple, and is averaged too.
+
+    The means are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
+    """
+    rate = capture.sampling_frequency_hz
+    first = max(round(_SETTLING * len(capture)), len(capture) - round(_LONGEST_S * rate))
+    if len(capture) - first < _FEWEST:
+        return None
+    i, v = (x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
+    weight = np.hanning(len(i) + 2)[1:-1]
+    weight /= weight.sum()
+    mean_i = weight @ i
+    length = float(np.linalg.norm(mean_i))
+    if length <= least_a:
+        return None
+    # Between two samples the current runs straight: Simpson's rule.
+    middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
+    lost = weight @ (fit.lost(i, pwm_hz) + 2.0 * fit.lost(middle, pwm_hz)) / 3.0
+    along = mean_i / length
+    std = float(np.hypot(_OTHERWISE * fit.noise_v, fit.lost_std(i, pwm_hz, along))) / length
+    if std > _WORTHLESS * fit.resistance_ohm:
+        return None
+    value = float(along @ (weight @ v - lost)) / length
+    return ResistanceReading(start_s=capture.start_s + first / rate, value_ohm=value, std_ohm=std)
 
 
 def _student_95(freedom: int) -> float:

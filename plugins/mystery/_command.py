@@ -1,23 +1,28 @@
-"""`fluxbench mystery N`: make the motor behind a number, take guesses, reveal."""
+"""`fluxbench mystery N`: a motor with hidden effects: measure, guess, reveal."""
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from protocols import InputError
+
 if TYPE_CHECKING:
     from plugins.mystery._guessing import Effects, Verdict
     from protocols import Procedure
+
+WHOLE = "expected a whole number from 0 on"
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
 @app.command()
 def mystery(
-    number: Annotated[int, typer.Argument(min=0, help="Which mystery: the same number gives the same motor.")],
+    number: Annotated[int, typer.Argument(help="Which mystery: the same number gives the same motor.")],
     guess: Annotated[
         str | None, typer.Option(help="Names of effects, each with its size where you know it, or: nothing.")
     ] = None,
@@ -29,13 +34,19 @@ def mystery(
     """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
     from orchestrator.runs import is_run
     from plugins.mystery._guessing import sealed_effects
-    from protocols import InputError
 
+    if number < 0:
+        raise InputError("fluxbench mystery", str(number), WHOLE)
+    if out is not None and not out.name:
+        raise InputError("--out", "", "expected a folder of its own")
     path = out if out is not None else Path("runs") / f"mystery-{number}"
+    if is_run(path):
+        _refuse_another(number, path)
     if guess is None and not reveal:
         return _measure(number, path, quiet, as_json)
     if not is_run(path):
         raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
+    _refuse_unfinished(path)
     verdict = None if guess is None else _judged(path, guess)
     hidden = sealed_effects(path) if reveal else None
     if as_json:
@@ -50,13 +61,18 @@ def mystery(
 
 def command(arguments: Sequence[str]) -> int:
     """Entry point of the command."""
+    negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
+    if negative is not None:  # else it would be taken for an option
+        raise InputError("fluxbench mystery", negative, WHOLE)
     return int(app(list(arguments), prog_name="fluxbench mystery", standalone_mode=False) or 0)
 
 
 def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     from orchestrator.runs import is_run
 
-    if not is_run(path):
+    if is_run(path):
+        _refuse_unfinished(path)
+    else:
         error = _run(number, path, quiet or as_json)
         if error is not None:
             raise error
@@ -70,6 +86,24 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
         usual = path == Path("runs") / f"mystery-{number}"
         print(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
     return 0
+
+
+def _refuse_another(number: int, path: Path) -> None:
+    """Raise `InputError` where the run is not this mystery: its name, motor or seed is another."""
+    from orchestrator.runs import RunDirectory
+
+    measured, wanted = RunDirectory.open(path).record.procedure, procedure_of(number)
+    if (measured.name, measured.seed, measured.motor) != (wanted.name, wanted.seed, wanted.motor):
+        raise InputError(str(path), "", f"this run is not mystery {number}: it has another motor or seed")
+
+
+def _refuse_unfinished(path: Path) -> None:
+    """Raise `InputError` where there is something left to measure."""
+    from orchestrator.runs import RunDirectory
+
+    ended = RunDirectory.open(path).ended()
+    if ended is None or ended.outcome != "finished":
+        raise InputError(str(path), "", f"not measured to its end: `fluxbench resume {path}` comes first")
 
 
 def procedure_of(number: int) -> Procedure:
@@ -94,8 +128,8 @@ def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
     from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
 
     with handling_signals() as interrupts:
-        crew = Crew(AbsentOperator(), interrupts, {"console": {"mode": "quiet" if quiet else "auto"}})
-        return start_run(procedure_of(number), path, crew).outcome.error
+        streams = {"console": {"mode": "quiet" if quiet else "auto"}, "report": {}, "rerun": {"view": "none"}}
+        return start_run(procedure_of(number), path, Crew(AbsentOperator(), interrupts, streams)).outcome.error
 
 
 def _judged(path: Path, words: str) -> Verdict:

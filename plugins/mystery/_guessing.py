@@ -59,6 +59,8 @@ def read_guess(words: str) -> tuple[Guess, ...]:
         return ()
     names = [info.name for info in installed(PluginKind.EFFECTS)]
     guesses: dict[str, Guess] = {}
+    if NOTHING in (part.partition("=")[0].strip() for part in words.split(",")):
+        raise InputError("--guess", NOTHING, "stands alone: say it, or the names of what you found")
     for word in filter(None, (part.strip() for part in words.split(","))):
         name, equals, size = (part.strip() for part in word.partition("="))
         if name not in names:

@@ -1,4 +1,4 @@
-"""The command `fluxbench probe`: looks, and prints what it found."""
+"""`fluxbench probe`: drives on this machine's ports and buses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`fluxbench reproduce`: the paper's procedure on the simulated drive, then its figures and tables."""
+"""`fluxbench reproduce`: the paper's experiment, figures and tables."""
 
 from __future__ import annotations
 

@@ -29,7 +29,8 @@ def recorded(folder: Path) -> RecordingReader:
 def estimators() -> list[Estimator]:
     """All that are installed, in the order in which they see what the others found."""
     found = [load_plugin(PluginKind.ESTIMATORS, name)() for name in installed_estimators()]
-    return sorted(found, key=lambda e: (e.produces != "resistance", e.name == "energy"))
+    turns = ("injection", "energy", "polynomial")
+    return sorted(found, key=lambda e: (e.produces != "resistance", e.name in turns and turns.index(e.name) + 1))
 
 
 def seconds_of(recording: RecordingReader) -> dict[str, float]:

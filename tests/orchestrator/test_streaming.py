@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -155,3 +156,44 @@ def test_a_drained_dispatcher_has_delivered_everything() -> None:
     waits(dispatcher)
     assert texts(stream) == ["question follows"]
     dispatcher.close()
+
+
+class Slow(Listening):
+    """A stream that takes its time to close."""
+
+    def __init__(self, release: threading.Event) -> None:
+        super().__init__()
+        self._release = release
+
+    def close(self) -> None:
+        self._release.wait(10.0)
+
+
+def test_closing_that_takes_long_is_told_and_only_then() -> None:
+    told: list[str] = []
+    release = threading.Event()
+
+    def tell(line: str) -> None:
+        told.append(line)
+        release.set()
+
+    quick = Dispatcher({"quick": Listening}).close(tell=tell)
+    assert told == []
+    slow = Dispatcher({"report": lambda: Slow(release), "quick": Listening}).close(tell=tell, silent_s=0.1)
+    assert len(told) == 1
+    assert "report" in told[0]
+    assert "quick" not in told[0]
+    assert all(tally.closed for tally in (*quick, *slow))
+
+
+def test_a_stop_signal_ends_the_closing_and_its_handler_is_put_back() -> None:
+    release = threading.Event()
+    before = signal.getsignal(signal.SIGINT)
+    begun = time.monotonic()
+    dispatcher = Dispatcher({"report": lambda: Slow(release)})
+    (tally,) = dispatcher.close(tell=lambda line: signal.raise_signal(signal.SIGINT), silent_s=0.1)
+    assert time.monotonic() - begun < 3.0
+    assert not tally.closed
+    assert tally.notes == ("was left unfinished",)
+    assert signal.getsignal(signal.SIGINT) is before
+    release.set()

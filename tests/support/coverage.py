@@ -16,8 +16,8 @@ from orchestrator.config import load_procedure
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
-from plugins.estimators.resistance import ResistanceEstimator
-from protocols import EstimationContext, FluxMap, FluxMapEstimate, Procedure, SegmentStage
+from plugins.estimators.resistance import ResistanceEstimator, constant_currents
+from protocols import EstimationContext, FluxMap, FluxMapEstimate, Procedure
 from tests.orchestrator.analysis.plant import Array
 from tests.support.simulated import Measured, measure
 
@@ -157,10 +157,9 @@ def judged(measured: Measured) -> Coverage:
 
 
 def _held_ohm(measured: Measured) -> float:
-    """R_s over the holds that its estimate is of; without, over the sweeps."""
-    recording = measured.recording
-    held = recording.segments(SegmentStage.RESISTANCE) or recording.segments(SegmentStage.CLASSICAL)
-    return float(np.mean([measured.ohm[segment.id] for segment in held]))
+    """Mean of R_s over the instants that its estimate is the mean over."""
+    used = constant_currents(measured.recording)
+    return float(np.mean(measured.ohm_at(np.array([d.start_s + 0.5 * d.seconds for d in used]))))
 
 
 def _errors(flux_map: FluxMap, measured: Measured) -> tuple[Array, Array]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +11,7 @@ from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagne
 from plugins.drives.simulated._plant import HEAT
 from protocols import Capture, DriveRecord, DriveSetup, Manifest, Procedure, Segment, SegmentStage
 from tests.orchestrator.analysis.campaign import MemoryRecording
+from tests.orchestrator.analysis.plant import Array
 
 NEEDED = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
 """What estimators read; other stages are neither measured nor waited for."""
@@ -24,8 +24,13 @@ class Measured:
     recording: MemoryRecording
     procedure: Procedure
     truth: TrueMagnetics
-    ohm: Mapping[str, float]
-    """R_s at the end of each segment."""
+    time_s: Array
+    ohm: Array
+    """R_s at these instants, shape (n,) each; it runs straight between them."""
+
+    def ohm_at(self, time_s: Array | float) -> Array:
+        """R_s at any time since the start of the experiment."""
+        return np.asarray(np.interp(time_s, self.time_s, self.ohm))
 
 
 def measure(procedure: Procedure) -> Measured:
@@ -39,11 +44,11 @@ def measure(procedure: Procedure) -> Measured:
     cold = options.plant.resistance_ohm or procedure.motor.stator_resistance_ohm
     assert cold is not None
     points = make_plan(procedure, capabilities).points
-    captures, ohm = {}, {}
+    captures, heat = {}, [(0.0, 0.0)]
     for point in points:
-        captures[point.id] = _executed(drive, point)
-        ohm[point.id] = cold * (1.0 + float(drive._plant.memory.state[HEAT]))
+        captures[point.id] = _executed(drive, point, heat)
     drive.close()
+    time_s, warmer = np.array(heat).T
     manifest = Manifest(
         format="fluxbench-recording",
         version=1,
@@ -59,11 +64,22 @@ def measure(procedure: Procedure) -> Measured:
         ),
         segments=tuple(_segment(point, captures[point.id]) for point in points),
     )
-    return Measured(MemoryRecording(manifest, captures), procedure, true_flux(options, procedure.motor), ohm)
+    return Measured(
+        MemoryRecording(manifest, captures),
+        procedure,
+        true_flux(options, procedure.motor),
+        time_s,
+        cold * (1.0 + warmer),
+    )
 
 
-def _executed(drive: SimulatedDrive, point: PlannedPoint) -> Capture:
-    blocks = [block for block in drive.execute(point.excitation) if len(block)]
+def _executed(drive: SimulatedDrive, point: PlannedPoint, heat: list[tuple[float, float]]) -> Capture:
+    """All blocks as one capture; `heat` grows by the time after each, and how much the resistance has risen."""
+    blocks = []
+    for block in drive.execute(point.excitation):
+        heat.append((drive._plant.time_s, float(drive._plant.memory.state[HEAT])))
+        if len(block):
+            blocks.append(block)
     return Capture(
         start_s=blocks[0].start_s,
         sampling_frequency_hz=blocks[0].sampling_frequency_hz,

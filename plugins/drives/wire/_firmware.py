@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+import os
 from enum import IntEnum, IntFlag
 from pathlib import Path
 
+from orchestrator.recording import replace_file
 from plugins.drives.wire._dbc import message_database
 from plugins.drives.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
 from plugins.drives.wire._program import AXES, KINDS, WAVEFORMS
 from plugins.drives.wire._registers import registers
 from plugins.drives.wire._rows import CaptureFormat, Channel
-from protocols import StorageError
+from protocols import InputError
 
 FILES = ("fluxbench.h", "fluxbench.c", "fluxbench_registers.h")
 _HEADER = """\
@@ -45,15 +47,28 @@ typedef struct {{
 
 
 def write_firmware(directory: Path) -> tuple[Path, ...]:
-    """Write the C files and return their paths; raises `StorageError` where they cannot be written."""
+    """Write the C files, each whole or not at all, and return their paths.
+
+    Raises
+    ------
+    InputError
+        The directory cannot be made, or nothing can be written to it.
+    StorageError
+        The disk is full.
+    """
     texts = (*codec_source(), registers_header())
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        paths = tuple(directory / name for name in FILES)
-        for path, text in zip(paths, texts, strict=True):
-            path.write_text(text, encoding="utf-8")
     except OSError as error:
-        raise StorageError(f"{directory}: {error.strerror}") from None
+        raise InputError("--c", str(directory), f"cannot be made: {error.strerror or error}") from None
+    if not os.access(directory, os.W_OK | os.X_OK):
+        raise InputError("--c", str(directory), "cannot be written to")
+    paths = tuple(directory / name for name in FILES)
+    occupied = next((path for path in paths if path.is_dir()), None)
+    if occupied is not None:
+        raise InputError("--c", str(occupied), "is a folder")
+    for path, text in zip(paths, texts, strict=True):
+        replace_file(path, text.encode("utf-8"))
     return paths
 
 

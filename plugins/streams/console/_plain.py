@@ -24,6 +24,7 @@ from plugins.streams.console._words import (
     state_name,
     summary_rows,
     time_left,
+    typeset,
     vector,
 )
 from protocols import (
@@ -105,14 +106,14 @@ class PlainView:
             prompt, self._prompt = self._prompt or "operator", ""
             return [f"{prompt} {message.answer}{', says the procedure' if message.by == 'procedure' else ''}"]
         if isinstance(message, LockChecked):
-            return [f"lock check: {message.summary}"]
+            return [f"lock check: {typeset(message.summary)}"]
         if isinstance(message, ResistanceEstimated):
             return [f"R_s = {resistance(message.estimate)}"]
         if isinstance(message, MapEstimated):
             grid = message.estimate.map
             return [f"flux map by {grid.method}: {len(grid.i_d)} x {len(grid.i_q)} currents"]
         if isinstance(message, Note):
-            return [f"{'' if message.level == 'info' else message.level + ': '}{message.text}"]
+            return [f"{'' if message.level == 'info' else message.level + ': '}{typeset(message.text)}"]
         if isinstance(message, RunEnded):
             return ["", *_table(message)]
         return []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TextIO
 
@@ -24,6 +25,10 @@ NAMES = {
 ASCII = str.maketrans({"Ω": "ohm", "−": "-", "×": "x", "━": "=", "→": "->", "±": "+-"})
 
 
+LONGEST_REMARK = 220
+_MINUS = re.compile(r"(?<![\w.\-−)/])-(?=\.?\d)")
+
+
 def can_draw(output: TextIO) -> bool:
     """Whether the output's encoding holds what the live display is drawn with."""
     try:
@@ -31,6 +36,18 @@ def can_draw(output: TextIO) -> bool:
     except (UnicodeEncodeError, LookupError):
         return False
     return True
+
+
+def typeset(text: str) -> str:
+    """A sentence with ± and with true minus signs before its numbers."""
+    return _MINUS.sub("−", text.replace("+-", "±"))
+
+
+def shortened(text: str) -> str:
+    """At most `LONGEST_REMARK` letters, cut between words; the whole of it is in the report."""
+    if len(text) <= LONGEST_REMARK:
+        return text
+    return text[:LONGEST_REMARK].rsplit(" ", 1)[0].rstrip(" ,;:=±") + " ... (the whole is in the report)"
 
 
 def printable(text: str) -> str:
@@ -98,10 +115,11 @@ def _estimate_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for key, label, text in ESTIMATE_ROWS:
         value = found.get(key)
         if value not in (None, "", [], {}):
-            yield label, text(value)
+            by = BY_CONSTRUCTION if key in HELD_BY_AN_ENERGY and found.get("method") in ENERGIES else ""
+            yield label, text(value) + by
     remarks = found.get("reasons")
     for number, remark in enumerate(remarks if isinstance(remarks, list | tuple) else ()):
-        yield "" if number else "remarks", str(remark)
+        yield "" if number else "remarks", shortened(typeset(str(remark)))
     known = {"reasons", *(key for key, _, _ in ESTIMATE_ROWS)}
     for key, value in found.items():
         if key not in known and isinstance(value, str | int | float):
@@ -137,6 +155,9 @@ def _yes_or_no(value: Any) -> str:
     return "yes" if value else "no"
 
 
+ENERGIES = ("energy", "polynomial")
+HELD_BY_AN_ENERGY = ("parity", "reciprocity_percent")
+BY_CONSTRUCTION = " (by construction)"
 ESTIMATE_ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
     ("resistance", "R_s", _resistance_text),
     ("method", "map by", str),

@@ -96,8 +96,8 @@ def is_worth_a_report(directory: Path) -> bool:
     return any((directory / name).is_file() for name in names)
 
 
-def collect(directory: Path) -> Material:
-    """Read everything; raises `RecordingError` where the directory holds neither run nor recording."""
+def collect(directory: Path, *, reads_paths: bool = True) -> Material:
+    """Read everything (`reads_paths`: waveforms too); raises `RecordingError` where it is neither run nor recording."""
     if not is_worth_a_report(directory):
         raise RecordingError(str(directory), "", "neither run.json nor recording.json is there: nothing to report on")
     # Its kernels take a second to import, and the stream is loaded when a run begins.
@@ -129,7 +129,9 @@ def collect(directory: Path) -> Material:
         for e in journal
         if isinstance(e.message, PointDone)
     }
-    paths = None if recording is None else attempt(lambda: _paths(recording, achieved, problems), wanted=True)
+    paths = None
+    if recording is not None:
+        paths = attempt(lambda: _paths(recording, achieved, problems), wanted=reads_paths)
     manifest = None if recording is None else recording.manifest
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
     return Material(

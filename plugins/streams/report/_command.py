@@ -1,4 +1,4 @@
-"""`fluxbench report`: the page, made again or for a recording that no run has made."""
+"""`fluxbench report`: the page of a run, made again, or of any recording."""
 
 from __future__ import annotations
 

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
 import numpy as np
 
+from orchestrator.analysis import EstimationReport, check_map, rated_flux_wb
 from plugins.streams.report._collect import Material
 from plugins.streams.report._text import NOT_MEASURED, borne, fixed, percent, plain, typographic
 from protocols import (
@@ -30,6 +32,11 @@ PAPER = AxisPercent(d_percent=1.3, q_percent=2.9)
 """Largest flux difference where current paths cross, as the paper prints it."""
 MOST_EVENTS = 200
 QUANTITIES = (("psi_d", "mWb"), ("psi_q", "mWb"), ("l_dd", "mH"), ("l_dq", "mH"), ("l_qq", "mH"))
+
+
+ENERGIES = ("energy", "polynomial")
+"""Methods whose maps are symmetric and reciprocal whatever was measured."""
+_COEFFICIENT = re.compile(r"\b(L_d|L_q|alpha\d+) = (\S+) \+- (\S+) (mH|A/Wb\^\d+)")
 
 
 @dataclass(frozen=True)
@@ -107,7 +114,28 @@ def summary(material: Material) -> Iterator[Line]:
 def remarks(material: Material) -> list[str]:
     """What the estimators say beside their numbers."""
     found = material.estimates
-    return [typographic(reason) for reason in found.reasons] if found is not None else []
+    return [typographic(_without_coefficients(reason)) for reason in found.reasons] if found is not None else []
+
+
+def coefficient_rows(material: Material) -> list[list[str]]:
+    """The polynomial's coefficients out of its remark: name, value, standard deviation, unit."""
+    found = material.estimates.reasons if material.estimates is not None else []
+    rows = [row for reason in found for row in (_COEFFICIENT.findall(reason) if _has_coefficients(reason) else ())]
+    return [[_greek(name), *(typographic(value) for value in values)] for name, *values in rows]
+
+
+def _has_coefficients(reason: str) -> bool:
+    return len(_COEFFICIENT.findall(reason)) > 1
+
+
+def _without_coefficients(reason: str) -> str:
+    if not _has_coefficients(reason):
+        return reason
+    return f"{_COEFFICIENT.split(reason)[0].rstrip(' :')}; its coefficients are in the table"
+
+
+def _greek(name: str) -> str:
+    return name.replace("alpha", "α")
 
 
 def checks(material: Material) -> Iterator[Check]:
@@ -115,13 +143,14 @@ def checks(material: Material) -> Iterator[Check]:
     found = material.estimates
     if found is None:
         return
+    parity, reciprocity, whose = _symmetry(material, found)
     both = f"the paper’s: {percent(PAPER.d_percent)} on d, {percent(PAPER.q_percent)} on q"
     for name, meaning, value, told in (
         ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", found.crossings, both),
         (
             "Parity",
-            "Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.",
-            found.parity,
+            f"Largest oddness of ψ_d and evenness of ψ_q in i_q, of the rated flux.{whose}",
+            parity,
             "tick: the paper’s crossings",
         ),
     ):
@@ -130,8 +159,8 @@ def checks(material: Material) -> Iterator[Check]:
     for name, meaning, figure in (
         (
             "Reciprocity",
-            "rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.",
-            found.reciprocity_percent,
+            f"rms of ∂ψ_d/∂i_q − ∂ψ_q/∂i_d, of the mean inductance.{whose}",
+            reciprocity,
         ),
         (
             "Classical against injection",
@@ -140,6 +169,17 @@ def checks(material: Material) -> Iterator[Check]:
         ),
     ):
         yield Check(name, meaning, (_bar("", figure),), "tick: the paper’s crossings on d")
+
+
+def _symmetry(material: Material, found: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
+    """Parity and reciprocity, and whose: an energy's map has both by construction, so injection's are shown."""
+    if found.method not in ENERGIES:
+        return found.parity, found.reciprocity_percent, ""
+    injection, motor = material.maps.get("injection"), motor_of(material)
+    if injection is None or motor is None:
+        return found.parity, found.reciprocity_percent, " By construction: the map is an energy’s."
+    own = check_map(injection, rated_flux_wb(injection, motor.rated_current_a), None)
+    return own.parity, own.reciprocity_percent, f" Of the injection map; that by {found.method} has it by construction."
 
 
 def _bar(axis: str, value: float | None) -> Bar:

@@ -26,7 +26,7 @@ INDUCTANCES = {
 }
 
 
-def write_report(directory: Path, out: Path | None = None) -> Path:
+def write_report(directory: Path, out: Path | None = None, *, draws: bool = True) -> Path:
     """Make the report of a run directory, or of any recording that has been estimated.
 
     Parameters
@@ -35,6 +35,8 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
         Read only: run.json, journal.jsonl, recording.json, captures/ and results/, as far as they are there.
     out : Path, optional
         The file to write; ``report.html`` in the directory where it is left out.
+    draws : bool
+        With its pictures, which take some seconds; else the page says how to have them.
 
     Returns
     -------
@@ -48,13 +50,13 @@ def write_report(directory: Path, out: Path | None = None) -> Path:
     StorageError
         Where the file cannot be written.
     """
-    page = render(collect(directory))
+    page = render(collect(directory, reads_paths=draws), draws=draws)
     target = out if out is not None else directory / FILE_NAME
     replace_file(target, page.encode("utf-8"))
     return target
 
 
-def render(material: Material) -> str:
+def render(material: Material, *, draws: bool = True) -> str:
     """The page as text."""
     from jinja2 import Environment, StrictUndefined
 
@@ -70,10 +72,11 @@ def render(material: Material) -> str:
         name=material.directory.resolve().name,
         created=content.date(created or (material.record.created if material.record is not None else "")),
         summary=list(content.summary(material)),
-        diagnosis=_diagnosis(material),
+        diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
         remarks=content.remarks(material),
-        pictures=list(_pictures(material, main)),
+        coefficients=content.coefficient_rows(material),
+        pictures=list(_pictures(material, main)) if draws else [_undrawn(material)],
         quantities=content.QUANTITIES,
         map_method=main.method if main is not None else "",
         map_rows=content.map_rows(main, motor) if main is not None else [],
@@ -85,7 +88,7 @@ def render(material: Material) -> str:
     )
 
 
-def _diagnosis(material: Material) -> dict[str, Any] | None:
+def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
     """The diagnosis' part of the page; None where there was none."""
     found = material.diagnosis
     if found is None:
@@ -93,7 +96,7 @@ def _diagnosis(material: Material) -> dict[str, Any] | None:
     return {
         "verdict": findings.verdict(found),
         "slots": list(findings.slots(found)),
-        "pictures": list(diagnosis_pictures(found)),
+        "pictures": list(diagnosis_pictures(found)) if draws else [],
         "ladder": findings.ladder_rows(found),
         "effects": findings.effect_rows(found),
         "alike": findings.alike_rows(found),
@@ -102,6 +105,11 @@ def _diagnosis(material: Material) -> dict[str, Any] | None:
         "experiment": findings.experiment(found),
         "remarks": findings.remarks(found),
     }
+
+
+def _undrawn(material: Material) -> Picture:
+    told = f"Not drawn: the run was stopped. `fluxbench report {material.directory}` draws what was measured."
+    return Picture("Pictures", told)
 
 
 def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:

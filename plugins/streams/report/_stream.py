@@ -1,4 +1,4 @@
-"""The report as a stream: waits for the end of the run, then writes the page. Looks at no message."""
+"""The report as a stream: waits for the end of the run, then writes the page out of files."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pydantic import BaseModel
 
 from plugins.streams.report._collect import is_worth_a_report
 from plugins.streams.report._page import write_report
-from protocols import Message, NoOptions, StreamSetup
+from protocols import Message, NoOptions, RunEnded, StreamSetup
 
 
 class ReportStream:
@@ -20,11 +20,14 @@ class ReportStream:
 
     def __init__(self, setup: StreamSetup) -> None:
         self._run = setup.run
+        self._is_stopped = False
 
     def receive(self, message: Message) -> None:
-        """Nothing to do: the page is made from files, which say the same."""
+        """Note whether the run was stopped; all else the page is made of is in files."""
+        if isinstance(message, RunEnded):
+            self._is_stopped = message.outcome == "aborted"
 
     def close(self) -> None:
-        """Write the page, where there is anything to report."""
+        """Write the page, where there is anything to report; that of a run that was stopped without its pictures."""
         if is_worth_a_report(self._run):
-            write_report(self._run)
+            write_report(self._run, draws=not self._is_stopped)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -11,7 +12,7 @@ from orchestrator.analysis import EstimationReport
 from orchestrator.runs import RunDirectory
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
-from protocols import Diagnosed, FluxbenchError, PointDone, RunEnded
+from protocols import Diagnosed, FluxbenchError, Message, PointDone, RunEnded
 
 DATASET = "runs"
 COLUMNS = ("run", "created", "motor", "drive", "points", "outcome", "r_s_ohm", "map_by", "usable", "verdict", "view")
@@ -38,8 +39,17 @@ def row(path: Path) -> dict[str, Any]:
     found["outcome"] = "unfinished" if ended is None else ended.outcome
     if ended is not None:
         found |= _estimates(ended.estimates)
-    verdicts = [m.report.get("verdict") for m in messages if isinstance(m, Diagnosed)]
-    return found | {"verdict": verdicts[-1] if verdicts else None}
+    return found | {"verdict": _verdict(path, messages)}
+
+
+def _verdict(path: Path, messages: Sequence[Message]) -> Any:
+    """That of ``results/diagnosis.json``, which is the newest; else what the run itself said last."""
+    try:
+        kept = json.loads((path / "results" / "diagnosis.json").read_text(encoding="utf-8"))
+        return kept.get("report", kept)["verdict"]
+    except (OSError, ValueError, AttributeError, KeyError, TypeError):
+        verdicts = [m.report.get("verdict") for m in messages if isinstance(m, Diagnosed)]
+        return verdicts[-1] if verdicts else None
 
 
 def _estimates(estimates: dict[str, Any]) -> dict[str, Any]:

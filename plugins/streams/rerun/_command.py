@@ -1,4 +1,4 @@
-"""`fluxbench view`: a run in the viewer, or a folder of runs as a catalogue. Everything stays on this machine."""
+"""`fluxbench view`: a run in the viewer, or a folder of runs. Everything stays on this machine."""
 
 from __future__ import annotations
 
@@ -32,15 +32,13 @@ def view(
     if not path.exists():
         raise RecordingError(str(path), "", "no such file or directory")
     from plugins.streams.rerun._catalogue import as_text, row, runs_in
-    from plugins.streams.rerun._making import is_viewable, whole_view
+    from plugins.streams.rerun._making import is_viewable, refuse_unreadable
 
     if path.suffix == SUFFIX and path.is_file():
+        refuse_unreadable(path)
         return _see(path, web, port, screenshot, tab)
     if is_viewable(path):
-        found = whole_view(path, _tell)
-        if found.remark:
-            _tell(found.remark)
-        return _see(found.file, web, port, screenshot, tab)
+        return _see_run(path, web, port, screenshot, tab)
     runs = runs_in(path)
     if not runs:
         raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
@@ -51,7 +49,26 @@ def view(
 
 def command(arguments: Sequence[str]) -> int:
     """Entry point of the command."""
-    return int(app(list(arguments), prog_name="fluxbench view", standalone_mode=False) or 0)
+    from plugins.streams.rerun._viewer import interruptible
+
+    with interruptible():
+        return int(app(list(arguments), prog_name="fluxbench view", standalone_mode=False) or 0)
+
+
+def _see_run(path: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
+    """A run or recording; what had to be made elsewhere goes when it was seen, but stays where a window shows it."""
+    from plugins.streams.rerun._making import whole_view
+    from plugins.streams.rerun._viewer import has_display
+
+    stays = screenshot is None and not web and has_display()
+    found = whole_view(path, _tell)
+    if found.remark and (stays or found.folder is None):
+        _tell(found.remark)
+    try:
+        return _see(found.file, web, port, screenshot, tab)
+    finally:
+        if not stays:
+            found.remove()
 
 
 def _see(file: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
@@ -69,10 +86,10 @@ def _see(file: Path, web: bool, port: int | None, screenshot: Path | None, tab: 
 def _serve(sources: Sequence[str], port: int | None) -> int:
     """A page for the browser, until it is interrupted."""
     from plugins.streams.rerun._live import free_port, wait_for_viewer
-    from plugins.streams.rerun._viewer import has_ended, page_url, start, stop, viewer_words
+    from plugins.streams.rerun._viewer import has_ended, page_url, start, stop, tied, viewer_words
 
     data_port, web_port = free_port(), port or free_port()
-    server = start(viewer_words(data_port, MEMORY_LIMIT, web_port=web_port, files=sources))
+    server = start(tied(viewer_words(data_port, MEMORY_LIMIT, web_port=web_port, files=sources)))
     try:
         if not wait_for_viewer(web_port, 30.0, lambda: has_ended(server)):
             raise RecordingError(sources[0], "", f"the page's server does not start; is port {web_port} taken?")
@@ -90,12 +107,21 @@ def _serve(sources: Sequence[str], port: int | None) -> int:
 
 def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
     """Serve the catalogue and open it."""
-    from plugins.streams.rerun._catalogue import served
     from plugins.streams.rerun._making import whole_view
+
+    found = [whole_view(run, _tell) for run in runs]
+    try:
+        return _show_catalogue([one.file for one in found], web, port)
+    finally:
+        for one in found:
+            one.remove()
+
+
+def _show_catalogue(files: Sequence[Path], web: bool, port: int | None) -> int:
+    from plugins.streams.rerun._catalogue import served
     from plugins.streams.rerun._tape import is_whole
     from plugins.streams.rerun._viewer import has_display, has_ended, start, viewer_words
 
-    files = [whole_view(run, _tell).file for run in runs]
     with served([file for file in files if is_whole(file)]) as url:
         if web or not has_display():
             return _serve([url], port)
@@ -110,13 +136,14 @@ def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
 
 
 def _picture(file: Path, to: Path, tab: str | None) -> int:
+    from orchestrator.recording import replace_file
     from plugins.streams.rerun._shooting import headless_viewer, shoot
 
     with headless_viewer() as viewer:
         shots = shoot(viewer, file, tab, most=1 if tab is None else None)
     if not shots:
         raise RecordingError(str(file), "tab", f"has no tab named {tab!r}")
-    to.write_bytes(shots[0].png)
+    replace_file(to, shots[0].png)
     print(to)
     return 0
 

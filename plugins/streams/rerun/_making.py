@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import shutil
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -13,8 +14,8 @@ from orchestrator.runs import is_run
 from plugins.streams.rerun._options import RerunOptions
 from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._stream import RerunStream
-from plugins.streams.rerun._tape import FILE_NAME, is_whole
-from protocols import StreamSetup
+from plugins.streams.rerun._tape import FILE_NAME, is_whole, refuse_foreign
+from protocols import RecordingError, StorageError, StreamSetup
 
 _RUN_LOCK = ".lock"
 
@@ -25,6 +26,13 @@ class Found:
 
     file: Path
     remark: str = ""
+    folder: Path | None = None
+    """Made for this file alone, where it could not go into the run: whoever looked at it removes it."""
+
+    def remove(self) -> None:
+        """Leave nothing behind."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)
 
 
 def is_viewable(path: Path) -> bool:
@@ -39,6 +47,8 @@ def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
     ------
     RecordingError
         Where there is nothing to make it from.
+    StorageError
+        Where it cannot be written; what there is of it is removed.
     """
     file = directory / FILE_NAME
     if file.is_file() and is_whole(file):
@@ -52,12 +62,30 @@ def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
 
 def make_view(directory: Path) -> Found:
     """Replay a run or recording into a view; into the run itself, or elsewhere where it is not ours to write to."""
-    if is_run(directory) and os.access(directory, os.W_OK):
-        with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
-            made = _replayed(directory, Path(name))
-            return Found(made.replace(directory / FILE_NAME))
+    try:
+        if is_run(directory) and os.access(directory, os.W_OK):
+            with tempfile.TemporaryDirectory(prefix=".view-", dir=directory) as name:
+                made = _replayed(directory, Path(name))
+                return Found(made.replace(directory / FILE_NAME))
+        return _made_elsewhere(directory)
+    except OSError as error:
+        raise StorageError(f"{directory / FILE_NAME}: cannot be written: {error.strerror or error}") from error
+
+
+def _made_elsewhere(directory: Path) -> Found:
     folder = Path(tempfile.mkdtemp(prefix=f"{directory.resolve().name}-"))
-    return Found(_replayed(directory, folder), f"kept in {folder}: the recording is left as it is")
+    try:
+        return Found(_replayed(directory, folder), f"kept in {folder}: the recording is left as it is", folder)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+
+
+def refuse_unreadable(file: Path) -> None:
+    """Raise `RecordingError` where a file that was named is none of rerun's, or torn and nobody is at work on it."""
+    refuse_foreign(file)
+    if not is_whole(file) and not _is_at_work(file.parent):
+        raise RecordingError(str(file), "", "torn: its end is missing; `fluxbench view` of the run makes it anew")
 
 
 def _replayed(directory: Path, folder: Path) -> Path:

@@ -19,7 +19,7 @@ from rerun.experimental import View, ViewerClient
 
 from plugins.streams.rerun._live import address, free_port, wait_for_viewer
 from plugins.streams.rerun._viewer import has_ended, start, stop, viewer_words
-from protocols import PluginError
+from protocols import PluginError, RecordingError
 
 STARTS_S, SETTLES_S = 60.0, 30.0
 NO_DRIVER = "does not start: it needs a graphics driver (Debian: mesa-vulkan-drivers)"
@@ -69,13 +69,17 @@ def headless_viewer(size: tuple[int, int] = (1600, 1000)) -> Iterator[ViewerClie
 
 def shoot(viewer: ViewerClient, file: Path, wanted: str | None = None, most: int | None = None) -> list[Shot]:
     """Open a recording and take a picture of each tab of its layout (of the one `wanted`; of the first few),
-    at the end of its time."""
+    at the end of its time; raises `RecordingError` where the file has no recording, or no tabs."""
     opened = viewer.open(str(file)).store_ids
+    if not opened:
+        raise RecordingError(str(file), "", "the viewer finds no recording in it")
     _until(lambda: not viewer.get_state().loading)
     recording = opened[0]
     viewer.set_time(play_state="paused", recording=recording)
     shots = []
     layout = viewer.get_blueprint(of="recording", store_id=recording).blueprint
+    if not any(part.get("container_kind") == "Tabs" for part in _containers(layout).values()):
+        raise RecordingError(str(file), "", "has no layout of tabs to take a picture of; was it made by fluxbench?")
     for name, path in list(tabs(layout).items())[:most]:
         if wanted in (None, name):
             layout[f"/{_root(layout)}"]["ContainerBlueprint"]["active_tab"] = path

@@ -14,7 +14,7 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from plugins.streams.rerun._programs import executable
-from protocols import RealArray
+from protocols import RealArray, RecordingError, StorageError
 
 APPLICATION = "fluxbench"
 FILE_NAME = "view.rrd"
@@ -24,7 +24,7 @@ EFFECT_ADDED = "effect_added"
 """Timeline: one step for each effect that the model took up."""
 
 _BEFORE = ".view-before.rrd"
-_FOOTER, _TAIL = b"RRF2FOOT", 16
+_MAGIC, _FOOTER, _TAIL = b"RRF", b"RRF2FOOT", 16
 _ENTRY_BYTES = 600
 """What an entry without arrays takes, roughly."""
 
@@ -144,9 +144,13 @@ class Tape:
         item.write(self._stream)
 
     def close(self) -> None:
-        """Finish the file."""
-        self._stream.flush()
-        self._stream.disconnect()
+        """Finish the file; raises `StorageError` where it cannot be written."""
+        try:
+            self._stream.flush()
+        except RuntimeError as error:
+            raise StorageError(f"{self.file}: cannot be written (is the disk full?): {error}") from None
+        finally:
+            self._stream.disconnect()
 
 
 def take_over(file: Path, stream: rr.RecordingStream) -> None:
@@ -163,6 +167,17 @@ def take_over(file: Path, stream: rr.RecordingStream) -> None:
     finally:
         if source != file:
             source.unlink(missing_ok=True)
+
+
+def refuse_foreign(file: Path) -> None:
+    """Raise `RecordingError` where a file cannot be read, or is none of rerun's."""
+    try:
+        with file.open("rb") as stream:
+            begins = stream.read(len(_MAGIC))
+    except OSError as error:
+        raise RecordingError(str(file), "", f"cannot be read: {error.strerror or error}") from None
+    if begins != _MAGIC:
+        raise RecordingError(str(file), "", "not a rerun file")
 
 
 def is_whole(file: Path) -> bool:

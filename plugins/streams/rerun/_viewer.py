@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import os
+import shutil
 import signal
 import sys
+import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
+from types import FrameType
 from typing import Literal
 from urllib.parse import quote
 
@@ -54,6 +58,30 @@ def start(words: Sequence[str], extra: Mapping[str, str] | None = None) -> int:
     ]  # a viewer has nothing to say that belongs into the run's terminal
     surroundings = {**os.environ, "RERUN_APP_ONLY": "true", **(extra or {})}
     return os.posix_spawn(words[0], list(words), surroundings, file_actions=nothing, setsid=True)
+
+
+@contextmanager
+def interruptible() -> Iterator[None]:
+    """SIGTERM and SIGHUP end the block as Ctrl-C does: by `KeyboardInterrupt`, so that what it started is stopped."""
+
+    def interrupt(number: int, frame: FrameType | None) -> None:
+        raise KeyboardInterrupt
+
+    if threading.current_thread() is not threading.main_thread():
+        yield  # signals are the main thread's alone
+        return
+    before = {number: signal.signal(number, interrupt) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def tied(words: Sequence[str]) -> list[str]:
+    """The command line that ends with the process that starts it, even a killed one, where the system can do that."""
+    setpriv = shutil.which("setpriv") if sys.platform == "linux" else None
+    return [setpriv, "--pdeathsig", "TERM", "--", *words] if setpriv else list(words)
 
 
 def has_ended(pid: int) -> bool:

@@ -16,9 +16,10 @@ def test_intervals_hold_the_truth_and_are_not_vacuous() -> None:
     maps = slice(0, QUANTITIES.index("R_s"))
     assert (every.share[maps] > 0.90).all(), told
     assert (every.share[maps] < 0.99).all(), told
-    for name, coverage in found.items():
-        # Behind 8 V of dead time something is left that the intervals do not know of.
-        assert (coverage.share[maps] > (0.6 if name == "paper" else 0.85)).all(), told
+    # Of so few runs a share of 95 % may show as a little less.
+    assert every.share[QUANTITIES.index("R_s")] > 0.9, told
+    for coverage in found.values():
+        assert (coverage.share[maps] > 0.85).all(), told
         # Neither too good to be true nor too wide to be of use.
         assert (coverage.width_over_error[maps] > 0.4).all(), told
         assert (coverage.width_over_error[maps] < 3.0).all(), told

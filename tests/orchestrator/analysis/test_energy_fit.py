@@ -138,6 +138,17 @@ def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
     assert both().dead_time == 0.0
 
 
+def test_noise_is_not_taken_for_a_gain() -> None:
+    """A gain that all points have in common cannot be told from the points themselves, however many there are."""
+    random = np.random.default_rng(3)
+    places = random.uniform(-3.0, 3.0, (300, 2))
+    clean = exact(places, 0.05)
+    noise = random.normal(size=(300, 3))[:, [[0, 1], [1, 2]]] * 0.05
+    points = replace(clean, matrix=np.asarray(np.linalg.inv(np.linalg.inv(clean.matrix) + noise), dtype=np.float64))
+    gain = fit_energy(points, ()).taken_out[:, 0] / clean.matrix[:, 0, 0]
+    assert abs(gain.mean()) < 0.2 * GAIN_STD
+
+
 def test_points_that_nothing_confirms_count_for_less() -> None:
     points = measured()
     matrix = points.matrix.copy()

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.analysis import Ripple, demodulate, injection_frequency
+from orchestrator.analysis import PhaseLoss, Ripple, demodulate, injection_frequency
 from protocols import Capture, NotMeasuredError
 from tests.orchestrator.analysis.plant import (
     L_D,
@@ -168,6 +168,42 @@ def test_standard_deviations_are_those_of_repetitions() -> None:
     seen = np.std([[r.hessian[0, 0], r.hessian[0, 1], r.hessian[1, 1], *r.third] for r in repeated], axis=0)
     told = np.sqrt(np.diag(repeated[0].covariance))
     np.testing.assert_allclose(seen, told, rtol=0.35)
+
+
+PHASES = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
+NEAR_ZERO = np.array([[0.25, 0.0], [1.5, 0.9], [-2.0, -1.155]])
+"""Currents at which the ripple takes a phase current through zero."""
+
+
+@cache
+def behind_dead_time() -> Run:
+    """8 V of dead time; while the injection turns, the mean current moves by tenths of an ampere."""
+
+    def acts(v: Array, i: Array) -> Array:
+        return np.asarray(v - 8.0 * np.tanh(i @ PHASES.T / 0.09) @ (2 / 3 * PHASES))
+
+    base = R_S * NEAR_ZERO + (8.0 * np.tanh(NEAR_ZERO @ PHASES.T / 0.09)) @ (2 / 3 * PHASES)
+    voltage = injection_voltage(base, 40.0, 500.0, 4.0)
+    return integrate_motor(voltage, flux_for(NEAR_ZERO, saturated_current), 5000, saturated_current, acts=acts)
+
+
+@pytest.mark.parametrize("point", range(3))
+def test_dead_time_that_is_known_is_taken_out_of_the_ripple(point: int) -> None:
+    knots = np.concatenate([np.linspace(0.01, 0.3, 30), [0.4, 0.6]])
+    loss = PhaseLoss(knots, 8.0 * np.tanh(knots / 0.09))
+    capture = capture_of(behind_dead_time(), point)
+    unaware = off_percent(demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S))
+    known = off_percent(demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, loss=loss))
+    assert known < 0.35
+    assert known < 0.3 * unaware
+
+
+def test_where_no_phase_current_passes_zero_a_known_dead_time_changes_nothing() -> None:
+    loss = PhaseLoss(np.array([0.01, 0.1]), np.array([4.0, 8.0]))
+    capture = capture_of(injected(), 2)
+    bare = demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)
+    aware = demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, loss=loss)
+    np.testing.assert_allclose(aware.hessian, bare.hessian, rtol=1e-9)
 
 
 def test_a_wave_that_does_not_turn_is_refused() -> None:

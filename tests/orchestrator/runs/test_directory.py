@@ -220,3 +220,19 @@ def test_a_run_that_is_gone_cannot_be_locked(run: RunDirectory, tmp_path: Path) 
     run.path.rename(tmp_path / "elsewhere")
     with pytest.raises(StorageError, match="cannot be opened"), run.lock():
         pass
+
+
+def test_a_refused_folder_is_left_as_it_was(tmp_path: Path) -> None:
+    (tmp_path / "letters").mkdir()
+    (tmp_path / "letters" / "to-aunt.txt").write_text("dear")
+    with pytest.raises(RecordingError, match="not empty"), RunDirectory.claim(tmp_path / "letters"):
+        pytest.fail("it was claimed")
+    assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to-aunt.txt"]
+
+
+def test_a_folder_whose_place_beside_is_taken_is_not_made(tmp_path: Path) -> None:
+    (tmp_path / "new.sealed").mkdir()
+    (tmp_path / "new.sealed" / "options.json").write_text("{}")
+    with pytest.raises(RecordingError, match="not empty"), RunDirectory.claim(tmp_path / "new"):
+        pytest.fail("it was claimed")
+    assert not (tmp_path / "new").exists()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import configparser
 import os
 import re
+import shlex
 import subprocess
 import sys
 import tomllib
@@ -12,8 +13,9 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.cli._new import new
 from orchestrator.scaffolding import KINDS, write_package
-from protocols import PluginError, StorageError
+from protocols import InputError, PluginError
 
 ROOT = Path(__file__).parents[3]
 
@@ -89,6 +91,21 @@ def test_a_kind_that_there_is_not_is_refused(tmp_path: Path) -> None:
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path) -> None:
     (tmp_path / "new").mkdir()
     (tmp_path / "new" / "precious").write_text("x")
-    with pytest.raises(StorageError, match="is there already"):
+    with pytest.raises(InputError, match="is there already"):
         write_package("drive", "mine", tmp_path / "new")
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["precious"]
+
+
+@pytest.mark.parametrize("name", ["x" * 81, "x" * 400])
+def test_a_name_too_long_for_a_file_is_refused_in_one_short_line(tmp_path: Path, name: str) -> None:
+    with pytest.raises(PluginError, match="at most 80 letters") as caught:
+        write_package("drive", name, tmp_path / "new")
+    assert len(str(caught.value)) < 100
+    assert not (tmp_path / "new").exists()
+
+
+def test_what_to_do_next_can_be_pasted(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / "my plugin's; folder"
+    assert new("effect", "mine", folder) == 0
+    last = capsys.readouterr().out.splitlines()[-1].removeprefix("next: ")
+    assert shlex.split(last.partition(" && ")[0]) == ["cd", str(folder)]

@@ -123,8 +123,8 @@ def test_heating_reaches_its_steady_rise() -> None:
     losses = LossHistory(time_s=np.linspace(0.0, 5000.0, 2001), power_w=np.full(2001, 20.0), captured=np.ones(2001))
     signals = _signals().model_copy(update={"losses": losses, "start_s": 4900.0})
     out = WindingHeating().correct(signals, {"rise_per_watt": 0.003, "time_constant_s": 150.0})
-    # 20 W warm it by 6 %, and the warmer winding loses 6 % more.
-    assert out.resistance_ohm[0] / 4.0 == pytest.approx(1.0 + 0.06 * 1.06, abs=1e-6)
+    # 20 W warm it by 6 %, and the warmer winding loses more: y = 0.06 (1 + y).
+    assert out.resistance_ohm[0] / 4.0 == pytest.approx(1.0 + 0.06 / (1.0 - 0.06), abs=2e-5)
 
 
 def test_misalignment_is_true_minus_believed() -> None:

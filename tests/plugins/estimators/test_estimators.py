@@ -13,7 +13,7 @@ from orchestrator.analysis import estimate_recording, load_flux_map
 from plugins.estimators._maps import InjectedFlux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator
-from plugins.estimators.resistance import ResistanceEstimator
+from plugins.estimators.resistance import ResistanceEstimator, constant_currents
 from protocols import (
     EstimationContext,
     Estimator,
@@ -255,6 +255,35 @@ def test_resistance_drift_is_read_off_the_sweeps() -> None:
     assert "temperature by +25 " in told
     starts = [reading.start_s for reading in found.readings]
     assert starts == sorted(starts)
+
+
+def test_the_value_is_the_mean_over_the_instants_that_it_is_told_from() -> None:
+    recording = clean()
+    end = recording.manifest.segments[-1].start_s
+
+    def ohm(time_s: Array) -> Array:
+        return np.asarray(R_S * (1.0 + 0.2 * np.sqrt(time_s / end)))
+
+    warmed = {}
+    for segment in recording.manifest.segments:
+        capture = recording.load(segment)
+        time_s = capture.start_s + np.arange(len(capture)) / capture.sampling_frequency_hz
+        extra = (ohm(time_s) - R_S)[:, None] * capture.i_ab
+        warmed[segment.id] = capture.model_copy(update={"v_ab": capture.v_ab + extra})
+    drifting = MemoryRecording(recording.manifest, warmed)
+    found = resistance_of(drifting)
+    truth = np.mean([ohm(np.array(d.start_s + 0.5 * d.seconds)) for d in constant_currents(drifting)])
+    assert found.low < truth < found.high
+    assert found.high - found.low < 0.02 * R_S
+
+
+@pytest.mark.parametrize("known", [False, True], ids=["no inverter", "dead time"])
+def test_injections_points_are_readings_too(known: bool) -> None:
+    recording = behind_dead_time() if known else clean()
+    start_s = min(segment.start_s for segment in recording.segments(SegmentStage.INJECTION))
+    late = [reading for reading in resistance_of(recording).readings if reading.start_s > start_s]
+    assert len(late) > 10
+    assert all(abs(one.value_ohm - R_S) < max(4.0 * one.std_ohm, 5e-3 * R_S) for one in late)
 
 
 def test_sweeps_alone_tell_a_resistance_too() -> None:

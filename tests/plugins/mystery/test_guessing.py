@@ -74,3 +74,8 @@ def test_a_size_is_judged_by_the_first_parameter_or_by_the_larger_phase() -> Non
 def test_sizes_that_are_not_said_are_the_models() -> None:
     verdict = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}})
     assert verdict.sizes[0].ratio == pytest.approx(1.1)
+
+
+def test_nothing_stands_alone() -> None:
+    with pytest.raises(InputError, match="stands alone"):
+        read_guess("nothing,skin_effect")

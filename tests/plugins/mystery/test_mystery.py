@@ -42,9 +42,9 @@ def test_its_run_is_a_recording_with_every_stage_that_tells_effects_apart(run: P
 def test_the_truth_never_enters_the_run_directory(run: Path) -> None:
     hidden = draw(NUMBER).plant["effects"]
     assert hidden
-    told = "".join(file.read_text() for file in run.iterdir() if file.is_file())
+    told = b"".join(file.read_bytes() for file in run.iterdir() if file.is_file())
     for name in hidden:
-        assert name not in told
+        assert name.encode() not in told
     assert dict(sealed_effects(run)).keys() == hidden.keys()
 
 
@@ -83,3 +83,31 @@ def test_a_lost_answer_is_said_in_one_line(run: Path, tmp_path: Path) -> None:
     shutil.copytree(run, copy)
     with pytest.raises(RecordingError, match="sealed"):
         command([str(NUMBER), "--reveal", "--out", str(copy)])
+
+
+def test_its_run_has_a_report_and_a_view_like_every_other(run: Path) -> None:
+    assert {"report.html", "view.rrd"} <= {file.name for file in run.iterdir()}
+
+
+@pytest.mark.parametrize("words", [(), ("--guess", "nothing"), ("--reveal",)])
+def test_one_that_was_killed_is_to_be_resumed_first(run: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "copy"))
+    lines = (copy / "journal.jsonl").read_text().splitlines(keepends=True)
+    (copy / "journal.jsonl").write_text("".join(lines[: len(lines) // 2]))
+    with pytest.raises(InputError, match=f"fluxbench resume {copy}"):
+        command([str(NUMBER), "--out", str(copy), *words])
+
+
+@pytest.mark.parametrize("words", [(), ("--guess", "nothing"), ("--reveal",)])
+def test_another_mystery_is_not_judged_by_this_ones_answer(run: Path, words: tuple[str, ...]) -> None:
+    with pytest.raises(InputError, match=f"not mystery {NUMBER + 1}"):
+        command([str(NUMBER + 1), "--out", str(run), *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"), [(["-1"], "whole number"), (["--", "-2"], "whole number"), (["3", "--out", ""], "--out")]
+)
+def test_what_cannot_be_a_mystery_is_one_line(words: list[str], problem: str) -> None:
+    with pytest.raises(InputError, match=problem) as caught:
+        command(words)
+    assert "\n" not in str(caught.value)

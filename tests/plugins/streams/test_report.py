@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from plugins.streams.report import ReportStream, write_report
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, map_rows
+from plugins.streams.report._content import checks, coefficient_rows, map_rows, remarks
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -23,7 +23,8 @@ from plugins.streams.report._figures import (
     inductance_figure,
     profile,
 )
-from protocols import NoOptions, RecordingError, StorageError, StreamSetup
+from plugins.streams.report._page import render
+from protocols import NoOptions, RecordingError, RunEnded, StorageError, StreamSetup
 from tests.plugins.streams.example_run import a_map, a_run_directory
 
 HOSTILE = "<script>alert(1)</script>\"><img src=x onerror=alert(2)> & 'motor' {{ 7*7 }}"
@@ -241,6 +242,16 @@ def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
     assert [bar.text for bar in parity.bars] == ["not measured", "not measured"]
 
 
+def test_a_run_that_was_stopped_is_reported_without_waiting_for_pictures(tmp_path: Path) -> None:
+    run = a_run_directory(tmp_path / "run")
+    stream = ReportStream(StreamSetup(run=run, options=NoOptions()))
+    stream.receive(RunEnded(outcome="aborted", reason="signal SIGINT", run=str(run), estimates={}))
+    stream.close()
+    page = Page((run / "report.html").read_text(encoding="utf-8"))
+    assert page.all("img") == []
+    assert any(f"fluxbench report {run}" in word for word in page.words)
+
+
 def test_a_motor_without_saturation_is_drawn() -> None:
     found = a_map("injection")
     flat = found.model_copy(update={"l_dd": np.full_like(found.l_dd, 0.043), "l_dq": np.zeros_like(found.l_dq)})
@@ -296,3 +307,41 @@ def test_pictures_are_svg_and_leave_no_figure_behind(finished: Path) -> None:
         svg = base64.b64decode(str(image["src"]).split(",", 1)[1])
         assert svg.rstrip().endswith(b"</svg>")
     assert pyplot.get_fignums() == []
+
+
+POLYNOMIAL = (
+    "polynomial: H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, i = grad H: "
+    "L_d = 43.2 +- 0.1 mH, L_q = 69.1 +- 0.2 mH, alpha30 = -12.5 +- 0.31 A/Wb^2"
+)
+
+
+def estimated(run: Path, **changes: object) -> Path:
+    """The run with other estimates."""
+    report = collect(run).estimates
+    assert report is not None
+    file = run / "results" / "estimates.json"
+    file.write_text(report.model_copy(update=changes).model_dump_json(), encoding="utf-8")
+    return run
+
+
+def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(tmp_path: Path) -> None:
+    material = collect(estimated(a_run_directory(tmp_path / "run"), reasons=[POLYNOMIAL, "energy: known to +-0.1 %"]))
+    assert coefficient_rows(material) == [
+        ["L_d", "43.2", "0.1", "mH"],
+        ["L_q", "69.1", "0.2", "mH"],
+        ["α30", "−12.5", "0.31", "A/Wb^2"],
+    ]
+    formula, other = remarks(material)
+    assert formula.endswith("i = grad H; its coefficients are in the table")
+    assert other == "energy: known to ±0.1 %"
+    assert "coefficients" in render(material, draws=False)
+
+
+def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(tmp_path: Path) -> None:
+    run = estimated(a_run_directory(tmp_path / "run"), method="energy", parity=None, reciprocity_percent=None)
+    shown = {check.name: check for check in checks(collect(run))}
+    for name in ("Parity", "Reciprocity"):
+        assert "Of the injection map" in shown[name].meaning
+        assert all(bar.text != "not measured" for bar in shown[name].bars)
+    (run / "results" / "flux_map.nc").unlink()
+    assert any("By construction" in check.meaning for check in checks(collect(run)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+import resource
 import shutil
 import struct
 import subprocess
@@ -14,7 +15,7 @@ from plugins.drives.wire import registers
 from plugins.drives.wire._command import command
 from plugins.drives.wire._dbc import layouts
 from plugins.drives.wire._firmware import FILES, write_firmware
-from protocols import StorageError
+from protocols import InputError, StorageError
 from tests.plugins.drives.wire.test_codec import database, random_payload
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror")
@@ -96,5 +97,18 @@ def test_the_command_writes_the_files(tmp_path: Path, capsys: pytest.CaptureFixt
 
 def test_a_directory_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    with pytest.raises(StorageError, match="file"):
+    with pytest.raises(InputError, match="file"):
         write_firmware(tmp_path / "file" / "below")
+
+
+def test_a_full_disk_leaves_the_old_files_and_no_half_ones(tmp_path: Path) -> None:
+    write_firmware(tmp_path)
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(StorageError):
+            write_firmware(tmp_path)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

@@ -13,6 +13,7 @@ import pytest
 from plugins.streams.console import ConsoleOptions, ConsoleStream
 from plugins.streams.console._findings import BAR, step_bar, volts
 from plugins.streams.console._lines import without_arrays
+from plugins.streams.console._words import summary_rows
 from protocols import (
     Compared,
     Diagnosed,
@@ -22,6 +23,7 @@ from protocols import (
     MapChecks,
     MapEstimated,
     Message,
+    RunEnded,
     StateChanged,
     StreamSetup,
 )
@@ -152,3 +154,14 @@ def test_a_bar_is_as_long_as_the_error_has_decades_above_the_noise() -> None:
     for error, cells in ((1e-3, 0), (0.004, 0), (0.04, BAR // 3), (4.0, BAR), (4e3, BAR)):
         assert len(step_bar(step.model_copy(update={"heldout_rms_v": error}))) == cells
     assert [volts(x) for x in (0.9999, 0.0003, None)] == ["1 V", "0.3 mV", "-"]
+
+
+def test_a_long_remark_is_one_line_and_numbers_are_typeset() -> None:
+    wall = "polynomial: H = " + ", ".join(f"alpha{k} = -1.5 +- 0.1 A/Wb^2" for k in range(30))
+    estimates = {"method": "energy", "reciprocity_percent": 0.002, "reasons": ["moved -0.2 +- 0.1 deg", wall]}
+    ended = RunEnded(outcome="finished", reason="", run="r", estimates=estimates)
+    rows = list(summary_rows(ended))
+    assert ("remarks", "moved −0.2 ± 0.1 deg") in rows
+    assert ("reciprocity", "0.002 % (by construction)") in rows
+    assert max(len(text) for _, text in rows) < 270
+    assert any(text.endswith("(the whole is in the report)") for _, text in rows)

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import shutil
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
 
-from plugins.streams.rerun._catalogue import served
+from plugins.streams.rerun._catalogue import row, served
 from plugins.streams.rerun._command import command
 from plugins.streams.rerun._live import HOST, free_port, wait_for_viewer
 from plugins.streams.rerun._making import whole_view
 from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._tape import is_whole
-from protocols import PointDone, RecordingError, RunStarted, SamplesCaptured
+from protocols import PointDone, RecordingError, RunStarted, SamplesCaptured, StorageError
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.rerun.reading import entities, rows
 from tests.plugins.streams.rerun.test_live import listening
@@ -123,7 +125,10 @@ def test_what_cannot_be_viewed_is_one_line(tmp_path: Path, name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_without_a_display_it_is_a_page_on_this_machine_until_interrupted(tmp_path: Path, example: Path) -> None:
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_without_a_display_it_is_a_page_on_this_machine_until_interrupted(
+    tmp_path: Path, example: Path, by: signal.Signals
+) -> None:
     run, port = copied(example, tmp_path / "run"), free_port()
     code = "import sys; from plugins.streams.rerun._command import command; sys.exit(command(sys.argv[1:]))"
     words = [sys.executable, "-c", code, str(run), "--port", str(port)]
@@ -136,8 +141,77 @@ def test_without_a_display_it_is_a_page_on_this_machine_until_interrupted(tmp_pa
             wait_until(lambda: bool(listening(process.pid)))
             assert listening(process.pid) == {HOST}
         finally:
-            process.send_signal(signal.SIGINT)
+            process.send_signal(by)
         out, err = process.communicate(timeout=20)
     assert process.returncode == 0, err
     assert out.startswith(f"http://{HOST}:{port}/?url=")
     assert not wait_for_viewer(port, 0.3)
+
+
+def test_a_killed_page_takes_its_server_with_it(tmp_path: Path, example: Path) -> None:
+    if shutil.which("setpriv") is None:
+        pytest.skip("there is no setpriv here")
+    code = """
+import sys, time
+from plugins.streams.rerun._viewer import start, tied
+print(start(tied([sys.executable, "-c", "import time; time.sleep(60)"])), flush=True)
+time.sleep(60)
+"""
+    root = Path(__file__).parents[4]
+    with subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True, cwd=root) as process:
+        assert process.stdout is not None
+        server = int(process.stdout.readline())
+        wait_until(lambda: b"setpriv" not in Path(f"/proc/{server}/cmdline").read_bytes())
+        process.kill()
+    wait_until(lambda: not Path(f"/proc/{server}/fd").exists() or _is_zombie(server))
+
+
+def _is_zombie(pid: int) -> bool:
+    try:
+        return ") Z" in Path(f"/proc/{pid}/stat").read_text()
+    except FileNotFoundError:
+        return True
+
+
+@pytest.mark.parametrize("content", [b"junk", b"", b"RRF2 and no end"])
+def test_a_file_that_is_none_of_reruns_or_torn_is_one_line(tmp_path: Path, content: bytes) -> None:
+    file = tmp_path / "some.rrd"
+    file.write_bytes(content)
+    with pytest.raises(RecordingError, match=r"torn: its end" if content.startswith(b"RRF") else "not a rerun file"):
+        command([str(file), "--screenshot", str(tmp_path / "x.png")])
+    assert not (tmp_path / "x.png").exists()
+
+
+@pytest.mark.parametrize("is_ours", [True, False])
+def test_a_full_disk_is_one_line_and_leaves_no_half_view(
+    tmp_path: Path, example: Path, is_ours: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = copied(example, tmp_path / "run") if is_ours else Path(shutil.copytree(RECORDING, tmp_path / "run"))
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    before = sorted(tmp_path.rglob("*"))
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, hard))
+    try:
+        with pytest.raises(StorageError, match="cannot be written") as caught:
+            whole_view(run, print)
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert "\n" not in str(caught.value)
+    assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_what_was_made_for_a_picture_alone_is_removed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = Path(shutil.copytree(RECORDING, tmp_path / "foreign"))
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "tmp"))
+    monkeypatch.setattr("plugins.streams.rerun._command._picture", lambda file, to, tab: int(not file.is_file()))
+    assert command([str(recording), "--screenshot", str(tmp_path / "x.png")]) == 0
+    assert list((tmp_path / "tmp").iterdir()) == []
+
+
+def test_the_table_has_the_verdict_of_a_later_diagnosis(tmp_path: Path, example: Path) -> None:
+    run = copied(example, tmp_path / "run")
+    (run / "results").mkdir(exist_ok=True)
+    (run / "results" / "diagnosis.json").write_text('{"verdict": "within_noise"}', encoding="utf-8")
+    assert row(run)["verdict"] == "within_noise"

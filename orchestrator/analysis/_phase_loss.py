@@ -1,0 +1,33 @@
+"""What an inverter takes from each phase as a function of its current: one odd shape, straight between knots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class PhaseLoss:
+    """The shape; zero at no current, constant beyond the last knot.
+
+    Attributes
+    ----------
+    knots_a, error_v : array, shape (k,)
+        What each phase loses at these phase currents [V]; increasing and positive currents.
+    """
+
+    knots_a: Array
+    error_v: Array
+
+    @property
+    def areas(self) -> Array:
+        """Integral of the shape from zero to each knot [VA], shape (k,)."""
+        ends, volts = np.append(0.0, self.knots_a), np.append(0.0, self.error_v)
+        return np.asarray(np.cumsum(0.5 * (volts[1:] + volts[:-1]) * np.diff(ends)))
+
+
+NO_LOSS = PhaseLoss(np.zeros(0), np.zeros(0))

@@ -1,0 +1,98 @@
+"""The copper loss over the whole experiment: measured where it was captured, taken from what follows where not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from protocols import LossHistory, RecordingReader, Segment, SegmentStage
+
+Array = NDArray[np.float64]
+
+_SETTLE_S = 1.0
+"""How long before a capture its first current is taken to have flowed, where nothing was captured."""
+_STEP_S = 0.05
+_STEPS = 2000
+"""About how many steps the history of the loss has at most, those at the gaps aside."""
+_SILENT = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
+
+
+@dataclass(frozen=True)
+class Heated:
+    """What is known of the current of one segment, for the heat it leaves.
+
+    Attributes
+    ----------
+    start_s, end_s : float
+    times_s, squares : array, shape (m,)
+        Mean square of the current from each time to the next [A^2].
+    before : float
+        The same of what had flowed until the first reading.
+    """
+
+    start_s: float
+    end_s: float
+    times_s: Array
+    squares: Array
+    before: float
+
+
+def step_of(duration_s: float) -> float:
+    """Time step of the history of an experiment that took so long [s]."""
+    return max(_STEP_S, duration_s / _STEPS)
+
+
+def heated(square: Array, start_s: float, end_s: float, fs: float, step_s: float, before: float) -> Heated:
+    """From the square of the current at each sample, shape (n,)."""
+    starts = np.arange(0, len(square), max(1, round(step_s * fs)))
+    means = np.add.reduceat(square, starts) / np.diff(np.append(starts, len(square)))
+    return Heated(start_s, end_s, start_s + starts / fs, np.asarray(means, dtype=np.float64), before)
+
+
+def unread_heat(recording: RecordingReader, segments: Sequence[Segment]) -> list[Heated]:
+    """Of segments that are not fitted: as captured, injection points that were left out by what they aimed at."""
+    fs = recording.manifest.drive.sampling_frequency_hz
+    found = []
+    for segment in segments:
+        end = segment.start_s + segment.samples / fs
+        target = [segment.settings.get(f"target_{axis}_a") for axis in "dq"]
+        if segment.stage in _SILENT and segment.samples:
+            i_ab = np.asarray(recording.load(segment).i_ab, dtype=np.float64)
+            square = np.einsum("ij,ij->i", i_ab, i_ab)
+            found.append(heated(square, segment.start_s, end, fs, _STEP_S, float(square[0])))
+        elif segment.stage is SegmentStage.INJECTION and None not in target:
+            aimed = sum(float(x) ** 2 for x in target if x is not None)
+            found.append(Heated(segment.start_s, end, np.array([segment.start_s]), np.array([aimed]), aimed))
+    return found
+
+
+def loss_history(items: Sequence[Heated], resistance_ohm: float) -> LossHistory:
+    """All of them in order of time.
+
+    In a gap the drive settles to what flows next; a longer one than it takes to settle is spent without current.
+    """
+    times: list[Array] = []
+    squares: list[Array] = []
+    captured: list[Array] = []
+    end = 0.0
+    for item in sorted(items, key=lambda h: h.start_s):
+        gap = max(item.start_s - end, 0.0)
+        if gap > 0.0:
+            times.append(np.array([end, item.start_s - min(gap, _SETTLE_S)]))
+            squares.append(np.array([0.0, item.before]))
+            captured.append(np.zeros(2))
+        times.append(item.times_s)
+        squares.append(item.squares)
+        captured.append(np.ones(len(item.squares)))
+        end = item.end_s
+    times.append(np.array([end]))
+    squares.append(np.zeros(1))
+    captured.append(np.zeros(1))
+    return LossHistory(
+        time_s=np.concatenate(times),
+        power_w=1.5 * resistance_ohm * np.concatenate(squares),
+        captured=np.concatenate(captured),
+    )

@@ -1,0 +1,120 @@
+"""Lines in the spectrum of the current readings: disturbances that come back with a fixed frequency. Fits nothing.
+
+Between the samples of a steady hold only noise should differ. A line there is a disturbance of the readings or of the
+voltage. Switching ripple that the sampling catches unevenly is absent with the bridge off and equally strong in
+every hold; it is allowed for as noise. Every other line is an error that no effect of a catalogue explains.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+LEAST_HZ = 40.0
+"""Below this, current control answers to what is slow."""
+STANDS_OUT = 30.0
+"""Least height of a line over the median of its neighbourhood, spectra averaged over all holds."""
+LEAST_SIZE = 0.3
+"""Least rms of a line that matters, in standard deviations of a reading, where it is strongest."""
+STEADY = 0.35
+"""Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
+_NEAR, _FAR, _MOST = 4, 24, 6
+
+
+@dataclass(frozen=True)
+class Line:
+    """One line.
+
+    Attributes
+    ----------
+    frequency_hz : float
+    power : float
+        Mean square in the holds, per axis [A^2].
+    switching : bool
+        Whether it looks like switching ripple.
+    """
+
+    frequency_hz: float
+    power: float
+    switching: bool
+
+
+def spectrum_of(i_ab: Array) -> Array:
+    """Mean square per axis and frequency bin of a steady segment's readings, shape (n // 2 + 1,): trend removed."""
+    n = len(i_ab)
+    t = np.linspace(-1.0, 1.0, n)
+    centred = i_ab - i_ab.mean(axis=0)
+    centred = centred - t[:, None] * (t @ centred / (t @ t))
+    window = np.hanning(n)
+    power = np.abs(np.fft.rfft(centred * window[:, None], axis=0)) ** 2
+    return np.asarray(power.mean(axis=1) / float(window @ window))
+
+
+def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple[Line, ...]:
+    """The lines that matter, strongest first.
+
+    Parameters
+    ----------
+    holds, off : sequence of array
+        `spectrum_of` holds, and of readings with the bridge off.
+    """
+    length = max((len(s) for s in holds), default=0)
+    alike = np.array([s for s in holds if len(s) == length])
+    if len(alike) < 4 or length < 8 * _FAR:
+        return ()
+    mean = alike.mean(axis=0)
+    noise = float(np.median(mean))
+    step_hz = fs / (2.0 * (length - 1))
+    left, found = mean.copy(), []
+    for _ in range(_MOST):
+        left[: max(2, math.ceil(LEAST_HZ / step_hz))] = 0.0
+        at = int(np.argmax(left))
+        low, high = max(at - _FAR, 1), min(at + _FAR + 1, length)
+        around = np.concatenate([mean[low : max(at - _NEAR, low)], mean[min(at + _NEAR + 1, high) : high]])
+        if left[at] < STANDS_OUT * float(np.median(around)):
+            break
+        own = slice(max(at - _NEAR, 0), min(at + _NEAR + 1, length))
+        left[own] = 0.0
+        # A Hann window spreads a line over bins that add up to its power times n / 2 (twice at the very end).
+        each = alike[:, own].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
+        size = np.sqrt(np.maximum(each, 0.0))
+        if size.max() < LEAST_SIZE * math.sqrt(noise):
+            continue
+        quiet = all(_height(s, at * step_hz, fs) < STANDS_OUT for s in off)
+        switching = bool(off) and quiet and at < length - 2 and float(np.std(size)) < STEADY * float(np.mean(size))
+        found.append(Line(at * step_hz, float(each.mean()), switching))
+    return tuple(found)
+
+
+def _height(spectrum: Array, frequency_hz: float, fs: float) -> float:
+    """Of a frequency over the median of a spectrum."""
+    at = round(frequency_hz / fs * 2.0 * (len(spectrum) - 1))
+    return float(spectrum[max(at - 2, 0) : at + 3].max() / max(float(np.median(spectrum)), 1e-300))
+
+
+def added_noise(line: Line, fs: float, averaged: int, step: float, ohm: float, henry: float, variance: float) -> float:
+    """Power that a line adds to a hat's equation, over that of white readings.
+
+    Parameters
+    ----------
+    fs : float
+        Of the averaged samples.
+    step : float
+        Of the hats, in samples.
+    variance : float
+        Of one averaged sample.
+    """
+    w = np.concatenate([[0.0], 1.0 - np.abs(np.arange(-round(step), round(step) + 1)) / step, [0.0]])
+    # Each sample counts through the resistive drop and through the change of flux on its two sides.
+    weight = ohm / fs * 0.5 * (w[1:] + w[:-1]) + henry * np.diff(w)
+    turn = 2.0 * math.pi * line.frequency_hz / fs
+    seen = float(abs(np.sum(weight * np.exp(1j * turn * np.arange(len(weight))))) ** 2)
+    part = turn / averaged
+    mean = math.sin(0.5 * turn) / (averaged * math.sin(0.5 * part)) if averaged > 1 else 1.0
+    return line.power * mean**2 * seen / (variance * float(weight @ weight))

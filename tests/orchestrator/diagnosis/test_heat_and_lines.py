@@ -1,0 +1,79 @@
+"""The history of the loss, and lines in the spectrum of the readings, each against what defines it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis._heat import heated, loss_history
+from orchestrator.diagnosis._lines import added_noise, find_lines, spectrum_of
+
+Array = NDArray[np.float64]
+
+FS = 10_000.0
+NOISE_A = 0.004
+
+
+def _holds(ripple_a: Array, frequency_hz: float, seed: int = 1) -> list[Array]:
+    rng = np.random.default_rng(seed)
+    t = np.arange(2500) / FS
+    turns = [2.0 * np.pi * (frequency_hz * t + rng.random()) for _ in ripple_a]
+    noise = (rng.normal(0.0, NOISE_A, (len(t), 2)) for _ in ripple_a)
+    return [
+        spectrum_of(n + a * np.stack([np.cos(x), np.sin(x)], axis=1))
+        for a, x, n in zip(ripple_a, turns, noise, strict=True)
+    ]
+
+
+def test_energy_of_the_history_is_that_of_what_flowed() -> None:
+    first = heated(np.full(5000, 4.0), 1.0, 1.5, FS, 0.05, 4.0)
+    second = heated(np.full(5000, 9.0), 1.75, 2.25, FS, 0.05, 9.0)
+    losses = loss_history([second, first], 2.0)
+    energy = float(losses.power_w[:-1] @ np.diff(losses.time_s))
+    # Settled for the whole second before the first, and for the quarter of a second between the two.
+    assert energy == pytest.approx(3.0 * (4.0 * 1.5 + 9.0 * 0.75))
+    assert (np.diff(losses.time_s) >= 0.0).all()
+
+
+def test_a_long_gap_is_spent_without_current_until_the_drive_settles() -> None:
+    items = [heated(np.full(1000, 4.0), t, t + 0.1, FS, 0.05, 4.0) for t in (1.0, 60.0)]
+    losses = loss_history(items, 1.0)
+    assert np.interp(30.0, losses.time_s, losses.power_w) < np.interp(59.5, losses.time_s, losses.power_w)
+    assert float(losses.power_w[:-1] @ np.diff(losses.time_s)) == pytest.approx(1.5 * 4.0 * 2.2)
+
+
+def test_noise_has_no_lines() -> None:
+    assert find_lines(_holds(np.zeros(20), 300.0), _holds(np.zeros(1), 300.0), FS) == ()
+
+
+def test_ripple_alike_in_every_hold_and_absent_with_the_bridge_off_is_switching_ripple() -> None:
+    (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS)
+    assert line.switching
+    assert line.frequency_hz == pytest.approx(131.7, abs=4.0)
+    assert line.power == pytest.approx(0.5 * 0.01**2, rel=0.1)
+
+
+@pytest.mark.parametrize(("ripple_a", "off_a"), [(np.linspace(0.0, 0.02, 20), 0.0), (np.full(20, 0.01), 0.01)])
+def test_ripple_that_grows_or_stays_with_the_bridge_off_is_not(ripple_a: Array, off_a: float) -> None:
+    (line,) = find_lines(_holds(ripple_a, 300.0), _holds(np.array([off_a]), 300.0, seed=2), FS)
+    assert not line.switching
+
+
+def test_readings_that_alternate_are_a_line_at_half_the_sampling_frequency() -> None:
+    rng = np.random.default_rng(3)
+    odd = 0.003 * (-1.0) ** np.arange(2500)
+    holds = [spectrum_of(rng.normal(0.0, NOISE_A, (2500, 2)) + odd[:, None]) for _ in range(12)]
+    (line,) = find_lines(holds, [], FS)
+    assert line.frequency_hz == pytest.approx(FS / 2.0)
+    assert not line.switching
+
+
+def test_noise_that_a_line_adds_is_what_it_does_to_the_equation() -> None:
+    (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS)
+    step, ohm, henry = 100, 4.0, 0.05
+    w = np.concatenate([[0.0], 1.0 - np.abs(np.arange(-step, step + 1)) / step, [0.0]])
+    weight = ohm / FS * 0.5 * (w[1:] + w[:-1]) + henry * np.diff(w)
+    phase = 2.0 * np.pi * (131.7 / FS * np.arange(len(weight)) + np.random.default_rng(4).random((4000, 1)))
+    made = float(np.var(0.01 * np.cos(phase) @ weight)) / (NOISE_A**2 * float(weight @ weight))
+    assert added_noise(line, FS, 1, float(step), ohm, henry, NOISE_A**2) == pytest.approx(made, rel=0.2)

@@ -1,0 +1,347 @@
+"""The moteus drive against an emulated board that the official library accepts."""
+
+from __future__ import annotations
+
+import cmath
+import math
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("moteus", reason="the official library of moteus is an optional extra")
+
+from pydantic import ValidationError
+
+from orchestrator.testing._drive_bench import Heart, measure
+from plugins.drives.moteus import MoteusDrive, MoteusOptions
+from plugins.drives.moteus._frame import Frame
+from protocols import (
+    DriveFault,
+    DriveRefused,
+    DriveSetup,
+    DriveState,
+    FaultCause,
+    GatesOff,
+    Hold,
+    Limits,
+    Motor,
+    PluginError,
+)
+from tests.plugins.drives.moteus.emulator import Fdcanusb, Servo, can_bus, fdcanusb
+
+MOTOR = Motor(name="mj5208", pole_pairs=7, rated_current_rms_a=5.0, stator_resistance_ohm=0.4)
+LIMITS = Limits(current_a=8.0, voltage_v=10.0)
+HOLD = Hold(current_d_a=3.0, current_q_a=-2.0, settle_s=0.1, duration_s=0.3, rotor_angle_rad=0.7)
+
+
+def nothing(servo: Servo) -> None:
+    """A board as it comes."""
+
+
+def made(board: Fdcanusb, **options: Any) -> MoteusDrive:
+    options = {"port": board.path, "sampling_frequency_hz": 50.0, **options}
+    return MoteusDrive(DriveSetup(motor=MOTOR, options=MoteusOptions(**options), seed=1))
+
+
+@contextmanager
+def connected(change: Callable[[Servo], Any] = nothing, **options: Any) -> Iterator[tuple[MoteusDrive, Fdcanusb]]:
+    """A connected drive and the port that it is on."""
+    with fdcanusb(change) as port:
+        drive = made(port, **options)
+        drive.connect()
+        try:
+            yield drive, port
+        finally:
+            drive.close()
+
+
+@contextmanager
+def armed(change: Callable[[Servo], Any] = nothing, limits: Limits = LIMITS) -> Iterator[tuple[MoteusDrive, Fdcanusb]]:
+    """An armed drive with a beating heart."""
+    with connected(change) as (drive, port), Heart(drive, 0.05):
+        drive.arm(limits)
+        yield drive, port
+
+
+def test_a_hold_is_captured_where_it_was_asked_for_and_its_voltage_is_the_resistance_times_it() -> None:
+    with armed() as (drive, port):
+        measured = measure(drive, HOLD)
+        assert port.servo.configuration["servo.max_current_A"] == 8.0, "the board does not hold the limit"
+        drive.ramp_down()
+        drive.disarm()
+        assert port.servo.configuration["servo.max_current_A"] == 20.0, "the board's own limit was not put back"
+        assert drive.telemetry().state is DriveState.DISARMED
+    expected = complex(3.0, -2.0) * cmath.exp(0.7j)
+    i, v = (complex(*x.mean(axis=0)) for x in (measured.i_ab, measured.v_ab))
+    assert len(measured.i_ab) == 15
+    assert abs(i - expected) < 0.02
+    assert abs(v - 0.4 * expected) < 0.01
+
+
+@pytest.mark.parametrize("theta_rad", [-3.0, 0.0, 0.4, 3.1])
+@pytest.mark.parametrize("sign", [1, -1])
+def test_a_position_stands_for_its_angle(theta_rad: float, sign: int) -> None:
+    frame = Frame(poles=14, sign=sign, ratio=0.25, zero_rad=1.1)
+    found = frame.zero_rad + sign * frame.position(theta_rad) / 0.25 * 7 * 2.0 * math.pi
+    assert math.remainder(found - theta_rad, 2.0 * math.pi) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_with_the_power_stage_off_amplifiers_that_are_off_are_not_believed() -> None:
+    with connected() as (drive, _):
+        telemetry = drive.telemetry()
+    assert (telemetry.i_d_a, telemetry.i_q_a) == (0.0, 0.0)
+    assert telemetry.v_dc_v == 24.0
+    assert telemetry.temperature_c == 31.5
+
+
+def test_capabilities_claim_what_the_board_is_configured_for() -> None:
+    with fdcanusb() as port:
+        drive = made(port)
+        says = drive.connect()
+        drive.close()
+    assert says.name == "moteus (firmware 1.1.0)"
+    assert says.max_current_a == 20.0
+    assert says.max_voltage_v == 12.0
+    assert says.watchdog_covers == says.excitations == {"hold"}
+    assert not says.has_brake
+
+
+def test_without_a_safe_timeout_mode_no_watchdog_is_claimed() -> None:
+    with fdcanusb(lambda servo: servo.configuration.update({"servo.timeout_mode": 10})) as port:
+        drive = made(port)
+        says = drive.connect()
+        drive.close()
+    assert says.watchdog_s is None
+    assert not says.watchdog_covers
+
+
+def test_without_a_heartbeat_the_board_hears_no_setpoint_and_stops_by_itself() -> None:
+    with connected() as (drive, port):
+        drive.arm(LIMITS)
+        time.sleep(0.5)
+        assert port.servo.position_commands == 1, "somebody else than the heartbeat fed the board's watchdog"
+        telemetry = drive.telemetry()
+        assert telemetry.state is DriveState.FAULTED
+        assert telemetry.faults == ("heartbeat_lost: the board heard no heartbeat for 0.3 s (mode 11)",)
+        with pytest.raises(DriveRefused, match="clear it first"):
+            drive.arm(LIMITS)
+        drive.clear_fault()
+        drive.arm(LIMITS)
+        assert drive.telemetry().state is DriveState.ARMED
+
+
+@pytest.mark.parametrize(
+    ("code", "cause", "words"),
+    [
+        (33, FaultCause.INTERNAL, "gate driver"),
+        (34, FaultCause.BUS_VOLTAGE, "max_voltage"),
+        (38, FaultCause.OVERTEMPERATURE, "hotter"),
+        (40, FaultCause.BUS_VOLTAGE, "too low"),
+        (77, FaultCause.INTERNAL, "moteus fault 77: unknown"),
+    ],
+)
+def test_a_fault_is_told_in_words_and_latched(code: int, cause: FaultCause, words: str) -> None:
+    with armed() as (drive, port):
+        port.servo.trip(code)
+        with pytest.raises(DriveFault, match=words) as fault:
+            measure(drive, HOLD)
+        assert fault.value.cause is cause
+        drive.disarm()
+        assert drive.telemetry().state is DriveState.FAULTED
+        drive.clear_fault()
+        assert drive.telemetry().state is DriveState.DISARMED
+
+
+def test_a_current_that_the_board_limits_is_no_hold() -> None:
+    with armed() as (drive, port):
+        port.servo.code = 98
+        with pytest.raises(DriveFault, match="below its target because of the bus voltage"):
+            measure(drive, HOLD)
+        assert port.servo.mode == 0, "the power stage is still on"
+
+
+def test_more_voltage_than_allowed_trips() -> None:
+    with (
+        armed(lambda servo: setattr(servo, "resistance_ohm", 3.0)) as (drive, _),
+        pytest.raises(DriveFault, match="above the limit of 10 V"),
+    ):
+        measure(drive, HOLD)
+
+
+def test_more_current_than_allowed_trips(monkeypatch: pytest.MonkeyPatch) -> None:
+    with armed() as (drive, port):
+        read = port.servo._read
+        monkeypatch.setattr(port.servo, "_read", lambda r: 10.5 if r == 5 else read(r))
+        with pytest.raises(DriveFault, match="with a limit of 8 A") as fault:
+            measure(drive, HOLD)
+        assert fault.value.cause is FaultCause.OVERCURRENT
+        assert port.servo.mode == 0, "the power stage is still on"
+
+
+def test_a_board_at_another_angle_is_not_energised() -> None:
+    with armed() as (drive, port):
+        port.servo.angle_error_rad = 0.1
+        with pytest.raises(DriveFault, match="electrical angle") as fault:
+            measure(drive, HOLD)
+        assert fault.value.cause is FaultCause.WRONG_DATA
+        assert port.servo.mode == 0
+
+
+def test_readings_that_never_come_evenly_are_told() -> None:
+    with armed() as (drive, port):
+        answer = port.servo.answer
+
+        def slowly(frame: bytes) -> bytes | None:
+            time.sleep(0.015)
+            return answer(frame)
+
+        port.servo.answer = slowly  # type: ignore[method-assign]
+        with pytest.raises(DriveFault, match="ask for a lower sampling_frequency_hz"):
+            measure(drive, HOLD)
+
+
+def test_a_silent_board_is_a_lost_link() -> None:
+    with connected() as (drive, port):
+        port.servo.mute = True
+        with pytest.raises(DriveFault) as fault:
+            drive.telemetry()
+        assert fault.value.cause is FaultCause.LINK_LOST
+        with pytest.raises(DriveFault, match="link_lost"):
+            drive.arm(LIMITS)
+
+
+def test_a_pulled_plug_is_a_lost_link() -> None:
+    with armed() as (drive, port):
+        under_way = iter(drive.execute(HOLD.model_copy(update={"duration_s": 2.0})))
+        next(under_way)
+        port.pull_the_plug()
+        begun_s = time.monotonic()
+        with pytest.raises(DriveFault) as fault:
+            list(under_way)
+        assert fault.value.cause is FaultCause.LINK_LOST
+        assert time.monotonic() - begun_s < 2.0
+        with pytest.raises(DriveFault, match="link_lost"):
+            drive.disarm()
+
+
+def test_an_iterator_that_was_left_commands_nothing_any_more() -> None:
+    with armed() as (drive, _):
+        left = iter(drive.execute(HOLD.model_copy(update={"duration_s": 5.0})))
+        next(left)
+        drive.ramp_down()
+        with pytest.raises(DriveRefused, match="given up"):
+            next(left)
+        time.sleep(0.1)
+        telemetry = drive.telemetry()
+        assert math.hypot(telemetry.i_d_a, telemetry.i_q_a) < 0.1
+        assert len(measure(drive, HOLD).i_ab) == 15, "the conversation was spoilt"
+
+
+def test_what_it_cannot_do_is_refused_with_its_reason() -> None:
+    with armed() as (drive, _):
+        with pytest.raises(DriveRefused, match="amplifiers are switched off"):
+            drive.execute(GatesOff(duration_s=0.1))
+        with pytest.raises(DriveRefused, match="lock it by hand"):
+            drive.set_brake(True)
+
+
+def test_more_voltage_than_allowed_by_the_nameplate_is_refused_before_moving() -> None:
+    with (
+        armed(limits=Limits(current_a=8.0, voltage_v=1.0)) as (drive, _),
+        pytest.raises(DriveRefused, match="above the limit of 1 V"),
+    ):
+        drive.execute(HOLD)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (lambda servo: setattr(servo, "register_map", 4), "register map 4"),
+        (lambda servo: setattr(servo, "mode", 10), "somebody else drives it"),
+        (lambda servo: servo.configuration.update({"motor.poles": 8}), "configured for 8 poles"),
+        (lambda servo: servo.configuration.update({"servo.fixed_voltage_mode": 1}), "controls no current"),
+    ],
+)
+def test_a_board_that_does_not_fit_is_refused(change: Callable[[Servo], Any], told: str) -> None:
+    def made_so(servo: Servo) -> None:
+        servo._expires_s = math.inf
+        change(servo)
+
+    with fdcanusb(made_so) as port:
+        drive = made(port)
+        with pytest.raises(DriveRefused, match=told):
+            drive.connect()
+        drive.close()
+
+
+def test_a_fault_found_on_connecting_stays_unless_it_was_seen_to() -> None:
+    with connected(lambda servo: servo.trip(34)) as (drive, _):
+        assert drive.telemetry().state is DriveState.FAULTED
+    with connected(lambda servo: servo.trip(34), clear_fault=True) as (drive, _):
+        assert drive.telemetry().state is DriveState.DISARMED
+    with connected(lambda servo: setattr(servo, "mode", 11)) as (drive, _):
+        assert drive.telemetry().state is DriveState.DISARMED
+
+
+def test_firmware_without_flow_control_is_talked_to_as_well() -> None:
+    with connected(lambda servo: setattr(servo, "knows_flow_control", False)) as (drive, _):
+        assert drive.telemetry().state is DriveState.DISARMED
+
+
+@pytest.mark.parametrize("problem", ["no port", "nobody there"])
+def test_nobody_there_is_one_clear_line(problem: str) -> None:
+    with fdcanusb(servo_id=5) as port:
+        drive = made(port, port="/dev/no-such-port") if problem == "no port" else made(port)
+        with pytest.raises(DriveFault) as fault:
+            drive.connect()
+        drive.close()
+    assert fault.value.cause is FaultCause.LINK_LOST
+    assert "moteus 1 on" in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+def test_a_missing_library_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "moteus", None)
+    drive = MoteusDrive(DriveSetup(motor=MOTOR, options=MoteusOptions(port="/dev/null"), seed=1))
+    with pytest.raises(PluginError, match=r"pip install 'fluxbench\[moteus\]'"):
+        drive.connect()
+    drive.close()
+
+
+@pytest.mark.parametrize("options", [{}, {"port": "/dev/ttyACM0", "channel": "can0"}])
+def test_one_way_to_the_board_is_to_be_given(options: dict[str, str]) -> None:
+    with pytest.raises(ValidationError, match="either port"):
+        MoteusOptions(**options)
+
+
+def test_the_clock_goes_on_where_the_experiment_s_stands() -> None:
+    with connected() as (drive, _):
+        drive.checkpoint("p-000")
+        drive.restore("p-000", 120.0)
+        assert drive.telemetry().time_s == pytest.approx(120.0, abs=1.0)
+
+
+def test_rows_are_no_copies_of_each_other() -> None:
+    with armed() as (drive, _):
+        i_ab = measure(drive, HOLD).i_ab
+    assert len(np.unique(i_ab, axis=0)) == len(i_ab)
+
+
+def test_a_board_on_a_can_bus_is_reached_as_well() -> None:
+    options = MoteusOptions(interface="virtual", channel="moteus-test", sampling_frequency_hz=50.0)
+    with can_bus("moteus-test") as servo:
+        drive = MoteusDrive(DriveSetup(motor=MOTOR, options=options, seed=1))
+        drive.connect()
+        with Heart(drive, 0.05):
+            drive.arm(LIMITS)
+            i_ab = measure(drive, HOLD).i_ab
+            drive.ramp_down()
+            drive.disarm()
+        drive.close()
+    assert abs(complex(*i_ab.mean(axis=0)) - complex(3.0, -2.0) * cmath.exp(0.7j)) < 0.02
+    assert servo.mode == 0
