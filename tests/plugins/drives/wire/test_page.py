@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from plugins.drives.wire._page import page
 
 from plugins.drives.wire import AckStatus, Fault, Op, registers
 from plugins.drives.wire._command import command
 from plugins.drives.wire._dbc import dbc_text, layouts
+from plugins.drives.wire._page import page
 
 PAGE = Path(__file__).parents[4] / "docs" / "wire.md"
 
