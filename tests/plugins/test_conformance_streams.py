@@ -33,7 +33,7 @@ class TestConsoleQuiet(TestConsoleAuto):
 
 
 class TestConsoleJson(TestConsoleAuto):
-    options_given = ConsoleOptions(mode="json")
+    options_given = ConsoleOptions(mode="jsonl")
 
 
 class TestReport(StreamConformance):

@@ -290,6 +290,7 @@ def test_an_emergency_stop_needs_no_session_and_stays_latched(real: EmulatorProc
 # Ends and beginnings
 
 
+@pytest.mark.slow
 def test_a_restart_takes_the_same_path_and_plant_and_an_end_is_safe(tmp_path: Path) -> None:
     state = str(tmp_path / "state")
     with emulator(tmp_path, "--speed", "max", "--state", state) as process, host_at(process) as host:
@@ -315,6 +316,7 @@ def test_a_restart_takes_the_same_path_and_plant_and_an_end_is_safe(tmp_path: Pa
 # Links that lose
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.01, 0.05])
 def test_a_capture_over_a_lossy_link_is_exact(tmp_path: Path, part: float) -> None:
     rates = (word for name in ("drop", "duplicate", "reorder", "corrupt") for word in (f"--{name}", str(part)))
@@ -374,6 +376,7 @@ def test_a_capture_over_can_fd_is_exact(tmp_path: Path) -> None:
             host.close()
 
 
+@pytest.mark.slow
 def test_classic_can_by_python_cans_serial_interface(tmp_path: Path) -> None:
     path = tmp_path / "bus"
     short = Hold(current_d_a=0.5, current_q_a=1.0, settle_s=0.1, duration_s=0.02)
