@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -49,8 +49,8 @@ class Start:
     notes: tuple[str, ...]
 
 
-def open_for_diagnosis(recording: RecordingReader) -> Start:
-    """Read a recording and find its noise.
+def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> Start:
+    """Read a recording and find its noise; what `poll` raises ends any fit of it.
 
     Raises
     ------
@@ -92,8 +92,9 @@ def open_for_diagnosis(recording: RecordingReader) -> Start:
     if motor.pm_flux_wb is None:
         notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
-    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=Effort(max(MOST_EFFORT, 400.0 * samples)))
-    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=fitter.effort)
+    effort = Effort(max(MOST_EFFORT, 400.0 * samples))
+    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=effort, poll=poll)
+    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
     return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
 
 

@@ -92,6 +92,7 @@ def diagnose_recording(
     without: Sequence[str] = (),
     out: Path | None = None,
     on_step: Callable[[DiagnosisStep], None] | None = None,
+    poll: Callable[[], None] = lambda: None,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -107,6 +108,8 @@ def diagnose_recording(
         Where `model.json` goes; the recording's own directory by default.
     on_step : callable, optional
         Called with each rung of the ladder in order, once the search is over.
+    poll : callable
+        Called several times a second; what it raises ends the diagnosis.
 
     Raises
     ------
@@ -119,7 +122,7 @@ def diagnose_recording(
     """
     began = time.monotonic()
     _known(without, effects)
-    start = open_for_diagnosis(recording)
+    start = open_for_diagnosis(recording, poll)
     library = scaled_library(effects, start.prepared.manifest, without)
     search = search_effects(start, map_steps(start, model, without), library)
     search = on_a_finer_map(start, search, library)

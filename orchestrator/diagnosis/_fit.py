@@ -70,6 +70,8 @@ class Fitter:
     pm_flux_wb : float
     effort : Effort
         Of all fits; a search ends where it is exhausted.
+    poll : callable
+        Called before each evaluation; what it raises ends the fit.
     """
 
     prepared: Prepared
@@ -77,6 +79,7 @@ class Fitter:
     pm_flux_wb: float
     threads: int = 2
     effort: Effort = field(default_factory=Effort)
+    poll: Callable[[], None] = lambda: None
     _raw_basis: dict[str, tuple[SplineGrid, Array]] = field(default_factory=dict)
 
     def fit(
@@ -158,6 +161,7 @@ class Fitter:
 
     def evaluate(self, model: Model, frame: Frame, extra: Sequence[tuple[Active, str]] = ()) -> Fit:
         """Solve for R_s and the map with the effects where they are; `extra` asks for more columns."""
+        self.poll()
         wanted = [*model.free, *extra]
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * (len(wanted) + _OWN_COLUMNS)

@@ -21,6 +21,7 @@ def diagnose_and_keep(
     without: Sequence[str] = (),
     out: Path | None = None,
     on_step: Callable[[DiagnosisStep], None] | None = None,
+    poll: Callable[[], None] = lambda: None,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
     """`diagnose_recording`, and what it found written to ``results/diagnosis.json`` and ``.npz``.
 
@@ -30,6 +31,8 @@ def diagnose_and_keep(
     ----------
     on_step : callable, optional
         Called with each rung of the ladder; what it raises ends the diagnosis.
+    poll : callable
+        Called several times a second; what it raises ends the diagnosis.
     out : Path, optional
         Directory that gets `model.json` and the folder ``results``; the recording's own by default.
     """
@@ -40,7 +43,7 @@ def diagnose_and_keep(
         if on_step is not None:
             on_step(step)
 
-    diagnosis = diagnose_recording(recording, effects, model=model, without=without, out=out, on_step=keep)
+    diagnosis = diagnose_recording(recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll)
     words = in_words(diagnosis)
     try:
         save_diagnosis(out or recording.path, diagnosis.report, words, steps)

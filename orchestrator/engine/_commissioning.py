@@ -327,7 +327,9 @@ class Commissioning:
         try:
             self._log.say(compared(recording, stage), durable=True)
             self._machine.fire(Trigger.DIAGNOSE)
-            found, proposal = diagnosed(recording, stage, self._effects, self._agenda.experiments, self._say_step)
+            found, proposal = diagnosed(
+                recording, stage, self._effects, self._agenda.experiments, self._say_step, self._interrupts.check
+            )
         except NotMeasuredError as error:
             self._log.say(Note(level="warning", text=f"no diagnosis: {error}"))
             return

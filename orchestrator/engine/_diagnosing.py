@@ -45,6 +45,7 @@ def diagnosed(
     effects: Sequence[Effect],
     number: int,
     on_step: Callable[[DiagnosisStep], None],
+    poll: Callable[[], None],
 ) -> tuple[Diagnosed, ExperimentProposed | None]:
     """The diagnosis of the recording, written to its results, and the experiment that it asks for, not accepted yet.
 
@@ -54,6 +55,8 @@ def diagnosed(
         How many proposed experiments are in the recording.
     on_step : callable
         Told each rung of the ladder as it is reached; what it raises ends the diagnosis.
+    poll : callable
+        Called several times a second; what it raises ends the diagnosis.
 
     Raises
     ------
@@ -62,7 +65,9 @@ def diagnosed(
     """
     from orchestrator.diagnosis import diagnose_and_keep
 
-    diagnosis, kept = diagnose_and_keep(recording, effects, model=stage.model, without=stage.without, on_step=on_step)
+    diagnosis, kept = diagnose_and_keep(
+        recording, effects, model=stage.model, without=stage.without, on_step=on_step, poll=poll
+    )
     message = Diagnosed(round=number, report=kept.report, words=kept.words)
     return message, _proposal(diagnosis.report, number)
 

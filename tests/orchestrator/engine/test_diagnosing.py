@@ -48,7 +48,7 @@ def propose(monkeypatch: pytest.MonkeyPatch) -> Propose:
 
     def put(stage: dict[str, Any]) -> None:
         def diagnosed(
-            recording: object, diagnose: DiagnoseStage, effects: object, number: int, on_step: object
+            recording: object, diagnose: DiagnoseStage, effects: object, number: int, on_step: object, poll: object
         ) -> tuple[Diagnosed, ExperimentProposed]:
             proposal = ExperimentProposed(
                 round=number, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
