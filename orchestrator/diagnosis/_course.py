@@ -74,7 +74,8 @@ def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candid
     fits = list(steps)
     for step in quick.steps[1:]:
         last = step is quick.steps[-1]
-        fit = start.fitter.fit(step.fit.model, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
+        frame = start.fitter.frame(step.fit.model, fits[-1].fit.frame)
+        fit = start.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
         fits.append(Step(step.added, fit, step.log_evidence))
     found = forward(start.fitter, fits, library, rivals=quick.rivals)
     found.traces = [n for n in dict.fromkeys([*quick.traces, *found.traces]) if n not in found.fit.model.names]
@@ -147,7 +148,7 @@ def converged(start: Start, search: Search) -> Search:
         return search
     last = search.steps[-1]
     steps = [*search.steps[:-1], Step(last.added, settled(start.fitter, last.fit), last.log_evidence)]
-    return Search(steps, search.traces, search.rivals)
+    return Search(steps, search.traces, search.rivals, search.view)
 
 
 def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:

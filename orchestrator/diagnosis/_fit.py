@@ -41,6 +41,10 @@ _Result = TypeVar("_Result")
 
 LEAST_DAMPED, MOST_DAMPED = 0.1, 50.0
 """Damping with which a step that failed is tried again, and the last."""
+KEPT = 0.75
+"""Part of its promise that a damped step keeps where the next one may be damped less."""
+NOTHING = 2.0
+"""A promise that is not worth a second try where the first did not keep it."""
 _OWN_COLUMNS = 3
 """What an evaluation without effects costs, in columns."""
 LIKE = 0.01
@@ -113,12 +117,13 @@ class Fitter:
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
             enough = 0.2 + tolerance * max(best.chi2 - best.dof, 0.0)
-            if _gauss_newton(best, system, 0.0)[1] < enough:
+            promised = _gauss_newton(best, system, 0.0)[1]
+            if promised < enough:
                 break
             while True:
                 move, _ = _gauss_newton(best, system, damping)
                 trial = self._resized(self.evaluate(_moved(best.model, move), best.frame), best.objective)
-                if trial.objective < best.objective + 0.05 or damping > MOST_DAMPED:
+                if trial.objective < best.objective + 0.05 or damping > MOST_DAMPED or promised < NOTHING:
                     break
                 damping = max(10.0 * damping, LEAST_DAMPED)
             gain = best.objective - trial.objective
@@ -127,8 +132,13 @@ class Fitter:
             if gain < enough:
                 break
             # Where a step had to be damped, the next one most likely has to be too.
-            damping = 0.1 * damping if damping > LEAST_DAMPED else 0.0
+            if gain > KEPT * promised:
+                damping = 0.1 * damping if damping > LEAST_DAMPED else 0.0
         return best
+
+    def promise(self, fit: Fit) -> float:
+        """How far one more step would bring the objective down, if all were linear."""
+        return _gauss_newton(fit, fit.projected(), 0.0)[1]
 
     def _resized(self, trial: Fit, wanted: float) -> Fit:
         """A trial that missed, with the amplitudes that belong to its shapes.
@@ -246,8 +256,11 @@ class Fitter:
     def _piece_rows(
         self, model: Model, piece: Piece, kept: PieceFrame, parameters: Sequence[tuple[Active, str]]
     ) -> PieceRows:
-        base = kept.base
-        corrected = apply_effects(base, model.active)
+        base, ordered = kept.base, sorted(model.active, key=lambda a: a.candidate.effect.layer)
+        chain = [base]
+        for active in ordered:
+            chain.append(apply_effects(chain[-1], [active]))
+        corrected = chain[-1]
         here = local_map(piece, corrected, model.magnetics)
         known, resistance = voltage_and_resistance(
             piece,
@@ -256,14 +269,25 @@ class Fitter:
             self.pm_flux_wb,
         )
         known = known + flux_terms(piece, here)
-        columns = [self._column(piece, base, corrected, here, model, a, n) for a, n in parameters]
+        sums = [self._column(piece, chain, ordered, here, a, n) for a, n in parameters]
+        columns = [piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
         white = kept.whitener(np.column_stack([known, resistance, *columns]))
         return PieceRows(known, resistance, white)
 
     def _column(
-        self, piece: Piece, base: Signals, corrected: Signals, here: LocalMap, model: Model, active: Active, name: str
+        self,
+        piece: Piece,
+        chain: Sequence[Signals],
+        ordered: Sequence[Active],
+        here: LocalMap,
+        active: Active,
+        name: str,
     ) -> Array:
-        """Derivative of y by one parameter's coordinate; a secant to typical size where the effect is absent."""
+        """Derivative of y by one parameter's coordinate, summed over samples; to typical size where it is absent.
+
+        `chain` has the signals before each of the `ordered` effects and after the last: those outside of the one that
+        changes need not be applied again.
+        """
         p = active.candidate.named(name)
         x = active.coordinate(name)
         if p.role is not ParameterRole.AMPLITUDE:
@@ -274,9 +298,14 @@ class Fitter:
             step = 0.05 * max(abs(x), 0.02)
         if active.moved(name, x + step).values[name] == active.values[name]:
             step = -step
-        others = [a for a in model.active if a.name != active.name]
-        other = apply_effects(base, [*others, active.moved(name, x + step)])
-        return difference(piece, corrected, other, here, self.pm_flux_wb) / step
+        at = next((k for k, a in enumerate(ordered) if a.name == active.name), None)
+        if at is None:
+            at = sum(a.candidate.effect.layer <= active.candidate.effect.layer for a in ordered)
+            inner = ordered[at:]
+        else:
+            inner = ordered[at + 1 :]
+        other = apply_effects(chain[at], [active.moved(name, x + step), *inner])
+        return difference(piece, chain[-1], other, here, self.pm_flux_wb) / step
 
     def _solve(self, model: Model, frame: Frame, rows: Sequence[PieceRows]) -> Fit:
         space, pieces = model.space, self.prepared.pieces
@@ -342,8 +371,10 @@ def _gauss_newton(
     """Step of all free coordinates (or of some), map and R_s following, and how far it would bring the objective down.
 
     Damping as by Levenberg and Marquardt (doi:10.1137/0111030): a share of each coordinate's own curvature on top.
+    A parameter at its bound that is drawn beyond it stays, and the others move as if it were fixed.
     """
-    x = np.array([a.coordinate(n) for a, n in fit.model.free])
+    free = fit.model.free
+    x = np.array([a.coordinate(n) for a, n in free])
     own, right = system
     count = len(x)
     slope = right[:count] + x
@@ -351,8 +382,20 @@ def _gauss_newton(
     curvature += damping * np.diag(np.diag(curvature))
     moving = np.flatnonzero(which) if which is not None else np.arange(count)
     move = np.zeros(count)
-    move[moving] = np.linalg.solve(curvature[np.ix_(moving, moving)], -slope[moving])
+    while moving.size:
+        move[:] = 0.0
+        move[moving] = np.linalg.solve(curvature[np.ix_(moving, moving)], -slope[moving])
+        stuck = np.array([_at_its_bound(*free[k], float(x[k] + move[k])) for k in moving])
+        if not stuck.any():
+            break
+        moving = moving[~stuck]
+        move[:] = 0.0
     return move, -float(slope @ move)
+
+
+def _at_its_bound(active: Active, name: str, wanted: float) -> bool:
+    """Whether a parameter stays where it is though it is asked to move."""
+    return active.moved(name, wanted).values[name] == active.values[name]
 
 
 def _moved(model: Model, move: Array) -> Model:

@@ -19,7 +19,7 @@ from orchestrator.diagnosis._basis import sum_basis
 from orchestrator.diagnosis._magnetics import PIECES, Magnetics
 from orchestrator.diagnosis._pieces import Piece
 from orchestrator.diagnosis._windows import sum_intervals
-from protocols import Signals
+from protocols import RealArray, Signals
 
 Array = NDArray[np.float64]
 
@@ -34,6 +34,8 @@ class LocalMap:
         Magnetising current in the true frame [A].
     delta : array, shape (n,) or (0,)
         True minus believed angle [rad]; empty where zero throughout.
+    turn : array, shape (n, 2) or (0, 2)
+        Cosine and sine of delta.
     psi : array, shape (n, 2)
         Without the magnet's own [Wb].
     inductance : array, shape (n, 3)
@@ -42,6 +44,7 @@ class LocalMap:
 
     i_dq: Array
     delta: Array
+    turn: Array
     psi: Array
     inductance: Array
 
@@ -50,7 +53,7 @@ def local_map(piece: Piece, signals: Signals, magnetics: Magnetics) -> LocalMap:
     """Evaluate the magnetics where the (corrected) signals of a piece are."""
     i_dq, delta = true_frame(piece, signals)
     psi, inductance = magnetics.flux_and_inductance(i_dq)
-    return LocalMap(i_dq, delta, psi, inductance)
+    return LocalMap(i_dq, delta, np.stack([np.cos(delta), np.sin(delta)], axis=1), psi, inductance)
 
 
 def true_frame(piece: Piece, signals: Signals) -> tuple[Array, Array]:
@@ -71,7 +74,7 @@ def voltage_and_resistance(piece: Piece, signals: Signals, here: LocalMap, pm_fl
         np.ascontiguousarray(signals.v_ab),
         np.ascontiguousarray(signals.i_ab),
         np.ascontiguousarray(signals.resistance_ohm),
-        here.delta,
+        here.turn,
         here.inductance,
         float(piece.segment.rotor_angle_rad),
         1.0 / signals.sampling_frequency_hz,
@@ -91,37 +94,45 @@ def basis(piece: Piece, here: LocalMap, magnetics: Magnetics) -> Array:
 def flux_terms(piece: Piece, here: LocalMap) -> Array:
     """The weak form's -(psi_k+1 - psi_k) by the present map, without the magnet's flux; shape (rows,)."""
     psi = here.psi
-    if here.delta.size:
-        c, s = np.cos(here.delta), np.sin(here.delta)
+    if here.turn.size:
+        c, s = here.turn.T
         psi = np.stack([c * psi[:, 0] - s * psi[:, 1], s * psi[:, 0] + c * psi[:, 1]], axis=1)
     return _summed(piece, -np.diff(psi, axis=0))
 
 
 def difference(piece: Piece, base: Signals, other: Signals, here: LocalMap, pm_flux_wb: float) -> Array:
-    """Change of y, to first order in the magnetics, when the signals change from `base` to `other`; shape (rows,)."""
+    """Change of y, to first order in the magnetics, when the signals change from `base` to `other`.
+
+    Summed over samples, for `Windows.combine`: shape (hats, n_bins, 2).
+    """
     believed = float(piece.segment.rotor_angle_rad)
-    d_theta = np.ascontiguousarray(other.theta_rad - base.theta_rad) if other.theta_rad is not base.theta_rad else _NONE
     x = _interval_difference(
-        other.v_ab - base.v_ab if other.v_ab is not base.v_ab else _NONE2,
+        _change(other.v_ab, base.v_ab, _NONE2),
         np.ascontiguousarray(base.i_ab),
-        other.i_ab - base.i_ab if other.i_ab is not base.i_ab else _NONE2,
+        _change(other.i_ab, base.i_ab, _NONE2),
         np.ascontiguousarray(base.resistance_ohm),
-        other.resistance_ohm - base.resistance_ohm if other.resistance_ohm is not base.resistance_ohm else _NONE,
-        other.i_m_ab - base.i_m_ab if other.i_m_ab is not base.i_m_ab else _NONE2,
-        d_theta,
+        _change(other.resistance_ohm, base.resistance_ohm, _NONE),
+        _change(other.i_m_ab, base.i_m_ab, _NONE2),
+        _change(other.theta_rad, base.theta_rad, _NONE),
         here.i_dq,
-        here.delta,
+        here.turn,
         here.psi,
         here.inductance,
         believed,
         1.0 / base.sampling_frequency_hz,
         pm_flux_wb,
     )
-    return _summed(piece, x)
+    w = piece.windows
+    return sum_intervals(x, w.step, w.hats, w.bins, w.n_bins)
 
 
 _NONE = np.zeros(0)
 _NONE2 = np.zeros((0, 2))
+
+
+def _change(now: RealArray, before: RealArray, none: Array) -> Array:
+    """What changed; nothing where both are one and the same array."""
+    return np.ascontiguousarray(now - before, dtype=np.float64) if now is not before else none
 
 
 def _summed(piece: Piece, x: Array) -> Array:
@@ -148,7 +159,7 @@ def _interval_terms(
     v_ab: Array,
     i_ab: Array,
     resistance: Array,
-    delta: Array,
+    turn: Array,
     inductance: Array,
     believed: float,
     ts: float,
@@ -187,9 +198,9 @@ def _interval_terms(
         v_out[k, 1] = vq * ts
         r_out[k, 0] = -r * (0.5 * ts * (id0 + id1) + sixth * gd)
         r_out[k, 1] = -r * (0.5 * ts * (iq0 + iq1) + sixth * gq)
-        if delta.shape[0] > 0:
-            v_out[k, 0] -= pm_flux * (math.cos(delta[k + 1]) - math.cos(delta[k]))
-            v_out[k, 1] -= pm_flux * (math.sin(delta[k + 1]) - math.sin(delta[k]))
+        if turn.shape[0] > 0:
+            v_out[k, 0] -= pm_flux * (turn[k + 1, 0] - turn[k, 0])
+            v_out[k, 1] -= pm_flux * (turn[k + 1, 1] - turn[k, 1])
     return v_out, r_out
 
 
@@ -203,7 +214,7 @@ def _interval_difference(
     dim: Array,
     dtheta: Array,
     i_dq: Array,
-    delta: Array,
+    turn: Array,
     psi: Array,
     inductance: Array,
     believed: float,
@@ -232,11 +243,11 @@ def _interval_difference(
             st = s
             cd = 1.0
             sd = 0.0
-            if delta.shape[0] > 0:
-                ct = math.cos(believed + delta[k])
-                st = math.sin(believed + delta[k])
-                cd = math.cos(delta[k])
-                sd = math.sin(delta[k])
+            if turn.shape[0] > 0:
+                cd = turn[k, 0]
+                sd = turn[k, 1]
+                ct = c * cd - s * sd
+                st = s * cd + c * sd
             xd = 0.0
             xq = 0.0
             if has_m:

@@ -38,8 +38,8 @@ CLOSE = 2.0
 """Rivals whose excess chi2 is within this factor of the best one's are fitted to the end."""
 SHAPES = (-2.0, -1.0, 1.0)
 """Shapes from which a refit may start beside the typical one, in widths of the prior."""
-NUDGE = 0.5
-"""Where the fit of a flexible form starts, in widths of the prior."""
+NEEDED = 1000.0
+"""Loss of chi2 beyond which, to first order, an effect's simple form cannot do."""
 MOST_TRIALS = 5
 MOST_EFFECTS = 6
 
@@ -304,6 +304,8 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
         names = active.candidate.of_role(ParameterRole.REFINEMENT)
         if fitter.effort.exhausted or not set(names) & set(active.free):
             continue
+        if _is_needed(best, active, names):
+            continue
         simple = replace(active, free=tuple(n for n in active.free if n not in names))
         for name in names:
             simple = simple.moved(name, 0.0)
@@ -316,18 +318,29 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
     return best
 
 
+def _is_needed(fit: Fit, active: Active, names: Sequence[str]) -> bool:
+    """Whether a flexible form lies so far from the simple one that a fit of the simple one is not worth a try.
+
+    Wald's test: what the fit would lose, to first order, if these parameters were put back to neutral.
+    """
+    free = fit.model.free
+    which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
+    away = np.array([active.coordinate(n) - active.moved(n, 0.0).coordinate(n) for _, n in (free[k] for k in which)])
+    block = fit.covariance()[np.ix_(which, which)] * max(fit.chi2_per_dof, 1.0)
+    return float(away @ np.linalg.solve(block, away)) > NEEDED
+
+
 def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
     """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
     active = list(fit.model.active)
     names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
     if fitter.effort.exhausted or set(names) <= set(active[index].free):
         return None
-    flexible = active[index].freeing(*names)
-    for name in names:
-        # Off the neutral form: there two halves of an effect may be alike, and no derivative tells them apart.
-        flexible = flexible.moved(name, flexible.coordinate(name) + NUDGE)
-    active[index] = flexible
+    active[index] = active[index].freeing(*names)
     # Whether it pays shows early; the last fit of all is taken to its end.
-    trial = fitter.fit(fit.model.with_active(active), fit.frame, steps=5, renewals=0, tolerance=3e-3)
+    trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
+    if fitter.promise(trial) < TIE * inflation:
+        return None
+    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
     inflation = max(1.0, min(inflation, trial.chi2_per_dof))
     return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + TIE else None

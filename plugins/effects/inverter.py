@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -20,9 +21,10 @@ Array = NDArray[np.float64]
 _TABLE_STEP, _TABLE_END = 0.01, 40.0
 
 
-def _soft_sign(sharpness: float, spread: float) -> Array:
+@lru_cache(maxsize=32)
+def _soft_sign(softness: float, spread: float) -> Array:
     """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(spread), over x = 0..40."""
-    x = np.arange(0.0, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP)
+    x, sharpness = np.arange(0.0, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP), 1.0 / softness
     if spread == 0.0:
         return _knee(x, sharpness)
     return 0.5 * (_knee(x * math.exp(spread), sharpness) + _knee(x * math.exp(-spread), sharpness))
@@ -37,14 +39,12 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _look_up(table: Array, x: float) -> float:
-    size = abs(x) / 0.01
-    if size >= table.shape[0] - 2:
-        value = table[-1]
-    else:
-        m = int(size)
-        value = table[m] + (size - m) * (table[m + 1] - table[m])
-    return float(value if x >= 0.0 else -value)
+def _look_up(table: Array, place: float) -> float:
+    """s at a place in the table's steps, odd."""
+    size = abs(place)
+    m = min(int(size), table.shape[0] - 2)
+    value = table[m] + min(size - m, 1.0) * (table[m + 1] - table[m])
+    return float(value if place >= 0.0 else -value)
 
 
 @njit(cache=True, nogil=True)
@@ -53,42 +53,50 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
     half = 0.5 * math.sqrt(3.0)
-    now = np.zeros(3)
-    end = np.zeros(3)
-    mean = np.zeros(3)
+    steps = 1.0 / (threshold * 0.01)
+    a0 = 0.0
+    b0 = 0.0
+    c0 = 0.0
+    s0 = 0.0
+    s1 = 0.0
+    s2 = 0.0
     for k in range(n + 1):
-        after = min(k, n - 1)
-        before = max(after - 1, 0) if k == after else after
-        for m in range(3):
-            ca = 1.0 if m == 0 else -0.5
-            cb = 0.0 if m == 0 else (half if m == 1 else -half)
-            x1 = (ca * i_ab[after, 0] + cb * i_ab[after, 1]) / threshold
-            x0 = (ca * i_ab[before, 0] + cb * i_ab[before, 1]) / threshold
-            end[m] = _look_up(table, x1)
-            mean[m] = (now[m] + 4.0 * _look_up(table, 0.5 * (x0 + x1)) + end[m]) / 6.0
-            now[m] = end[m]
+        last = min(k, n - 1)
+        a1 = steps * i_ab[last, 0]
+        beta = steps * half * i_ab[last, 1]
+        b1 = -0.5 * a1 + beta
+        c1 = -0.5 * a1 - beta
+        e0 = _look_up(table, a1)
+        e1 = _look_up(table, b1)
+        e2 = _look_up(table, c1)
         if k > 0:
-            out[k - 1, 0] = v_ab[k - 1, 0] - volts[k - 1] * (2.0 * mean[0] - mean[1] - mean[2]) / 3.0
-            out[k - 1, 1] = v_ab[k - 1, 1] - volts[k - 1] * (mean[1] - mean[2]) / math.sqrt(3.0)
+            m0 = s0 + 4.0 * _look_up(table, 0.5 * (a0 + a1)) + e0
+            m1 = s1 + 4.0 * _look_up(table, 0.5 * (b0 + b1)) + e1
+            m2 = s2 + 4.0 * _look_up(table, 0.5 * (c0 + c1)) + e2
+            sixth = volts[k - 1] / 6.0
+            out[k - 1, 0] = v_ab[k - 1, 0] - sixth * (2.0 * m0 - m1 - m2) / 3.0
+            out[k - 1, 1] = v_ab[k - 1, 1] - sixth * (m1 - m2) / math.sqrt(3.0)
+        a0, b0, c0 = a1, b1, c1
+        s0, s1, s2 = e0, e1, e2
     return out
 
 
 def _corrected(signals: Signals, volts: Array, values: Mapping[str, float]) -> Signals:
-    table = _soft_sign(values.get("sharpness", 2.0), values.get("spread", 0.0))
+    table = _soft_sign(values.get("softness", 0.5), values.get("spread", 0.0))
     v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
     i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
     return signals.model_copy(update={"v_ab": _without_sign(v_ab, i_ab, volts, values["threshold_a"], table)})
 
 
-def _sharpness() -> EffectParameter:
+def _softness() -> EffectParameter:
     return EffectParameter(
-        name="sharpness",
+        name="softness",
         unit="1",
-        typical=2.0,
-        prior_width=2.0,
-        low=1.0,
-        high=40.0,
-        neutral=2.0,
+        typical=0.5,
+        prior_width=0.3,
+        low=0.02,
+        high=1.0,
+        neutral=0.5,
         role=ParameterRole.REFINEMENT,
     )
 
@@ -124,8 +132,9 @@ class DeadTime:
 
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
     is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
-    capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p). In the flexible
-    form p is free, and half of s is narrower, half wider, by exp(`spread`): the capacitances are not constant.
+    capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
+    In the flexible form the softness is free, and half of s is narrower, half wider, by exp(`spread`): the
+    capacitances are not constant.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -140,7 +149,7 @@ class DeadTime:
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter(name="voltage_v", unit="V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0, neutral=0.0),
         _threshold(0.1),
-        _sharpness(),
+        _softness(),
         _spread(),
     )
 
@@ -172,7 +181,7 @@ class DeviceDrop:
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter(name="voltage_v", unit="V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0, neutral=0.0),
         _threshold(0.03),
-        _sharpness(),
+        _softness(),
         _spread(),
     )
 

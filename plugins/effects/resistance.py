@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from plugins.effects._filters import lagged_steps, low_pass
+from plugins.effects._filters import low_pass
 from plugins.effects._phases import from_phases, to_phases
-from protocols import EffectLayer, EffectParameter, ParameterRole, RealArray, Signals
+from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
 
 Array = NDArray[np.float64]
-
-_FIXED_POINT = 2
 
 
 class PhaseResistanceImbalance:
@@ -106,22 +105,51 @@ class WindingHeating:
             # No history: as if nothing had been lost to the surroundings.
             warm = signals.heat_j / tau
         else:
-            # A warmer winding loses more: fixed-point steps of P = P_0 (1 + a y).
-            losses = signals.losses
-            power = losses.power_w
-            lags = ((1.0 - (share := values.get("slow_share", 0.0)), tau), (share, values.get("slow_ratio", 6.0) * tau))
-            lagged = _warmth(losses.time_s, power, lags)
-            for _ in range(_FIXED_POINT):
-                lagged = _warmth(losses.time_s, power * (1.0 + values["rise_per_watt"] * lagged), lags)
-            now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
-            warm = np.interp(now, signals.losses.time_s, lagged)
+            warm = _warmth(
+                np.ascontiguousarray(signals.losses.time_s, dtype=np.float64),
+                np.ascontiguousarray(signals.losses.power_w, dtype=np.float64),
+                values["rise_per_watt"],
+                np.array([tau, values.get("slow_ratio", 6.0) * tau]),
+                values.get("slow_share", 0.0),
+                signals.start_s,
+                1.0 / signals.sampling_frequency_hz,
+                len(signals.v_dc),
+            )
         factor = 1.0 + values["rise_per_watt"] * warm
         return signals.model_copy(update={"resistance_ohm": signals.resistance_ohm * factor})
 
 
-def _warmth(time_s: RealArray, power_w: RealArray, lags: Sequence[tuple[float, float]]) -> Array:
-    """Sum of lags of the power, each a share and its time constant."""
-    return np.asarray(sum(share * lagged_steps(time_s, power_w, tau) for share, tau in lags if share != 0.0))
+@njit(cache=True, nogil=True)
+def _warmth(
+    time_s: Array,
+    power_w: Array,
+    rise: float,
+    constants_s: Array,
+    slow_share: float,
+    start_s: float,
+    step_s: float,
+    n: int,
+) -> Array:
+    """Lagged loss at the n samples from `start_s` on; a warmer winding loses more: P = P_0 (1 + a y)."""
+    out = np.empty(n)
+    fast, slow, before, after = 0.0, 0.0, 0.0, 0.0
+    m, k = 0, 0
+    while k < n:
+        now = start_s + k * step_s
+        while m + 1 < time_s.shape[0] and time_s[m] <= now:
+            span = time_s[m + 1] - time_s[m]
+            power = power_w[m] * (1.0 + rise * after)
+            fast += (1.0 - math.exp(-span / constants_s[0])) * (power - fast)
+            slow += (1.0 - math.exp(-span / constants_s[1])) * (power - slow)
+            before, after = after, (1.0 - slow_share) * fast + slow_share * slow
+            m += 1
+        # Between the steps on both sides; beyond the last one as at its end.
+        reached, end = time_s[max(m - 1, 0)], time_s[m]
+        while k < n and (m + 1 == time_s.shape[0] or start_s + k * step_s < end):
+            part = (start_s + k * step_s - reached) / (end - reached) if end > reached else 1.0
+            out[k] = before + min(max(part, 0.0), 1.0) * (after - before)
+            k += 1
+    return out
 
 
 class SkinEffect:

@@ -54,7 +54,7 @@ def _reads(signals: Signals, i_ab: Array) -> Signals:
 
 
 def test_dead_time_opposes_the_current_and_grows_with_the_pwm_frequency() -> None:
-    effect, values = DeadTime(), {"voltage_v": 8.0, "threshold_a": 0.01, "sharpness": 2.0}
+    effect, values = DeadTime(), {"voltage_v": 8.0, "threshold_a": 0.01, "softness": 0.5}
     for pwm_hz, volts in ((FS, 8.0), (2 * FS, 16.0)):
         signals = _signals(pwm_hz=pwm_hz)
         lost = signals.v_ab - effect.correct(signals, values).v_ab
