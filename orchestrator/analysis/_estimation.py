@@ -6,6 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from orchestrator._sound import SoundRecording
 from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
 from orchestrator.analysis._flux_map_file import save_flux_map
 from orchestrator.analysis._heating import temperature_rise
@@ -63,10 +64,11 @@ def estimate_recording(
     Raises
     ------
     NotMeasuredError
-        Where nothing at all can be estimated; no file is written then.
+        Where nothing at all can be estimated, or currents and voltages cannot be a motor's; no file is written then.
     StorageError
         Where a result cannot be written.
     """
+    SoundRecording(recording).read_through()
     resistance: ResistanceEstimate | None = None
     resistances: dict[str, ResistanceEstimate] = {}
     maps: dict[str, FluxMapEstimate] = {}

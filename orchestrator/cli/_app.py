@@ -5,11 +5,24 @@ from __future__ import annotations
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
+import typer.core
+
+
+class _Commands(typer.core.TyperGroup):
+    """The group of commands; typer itself would leave at Ctrl-C without a word."""
+
+    def invoke(self, ctx: Any) -> Any:
+        try:
+            return super().invoke(ctx)
+        except KeyboardInterrupt:
+            raise typer.Abort from None
+
 
 app = typer.Typer(
+    cls=_Commands,
     name="fluxbench",
     help="Commission a permanent-magnet synchronous motor: saturated current-flux relations, measured and checked.",
     no_args_is_help=True,
@@ -154,7 +167,7 @@ def compare_command(
     recording: RecordingArgument,
     model: ModelOption = None,
     effects: EffectsOption = None,
-    out: OutOption = None,
+    out: Annotated[Path | None, typer.Option(help="Take model.json from there instead of from the recording.")] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Where the model fails.

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from orchestrator.cli._results import open_any
+from orchestrator.cli._interrupting import prompt_interrupt
+from orchestrator.cli._results import open_any, refuse_file
 from orchestrator.cli._tables import amount, print_table, stage_as_yaml
 from orchestrator.diagnosis import (
+    CROSS_SATURATION,
+    SATURATION,
     AddReport,
     CompareReport,
     DiagnosisReport,
@@ -15,12 +19,13 @@ from orchestrator.diagnosis import (
     add_effects,
     compare_recording,
     diagnose_and_keep,
+    guarded,
     in_volts,
     remove_effect,
 )
 from orchestrator.exporting import load_map
 from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
-from protocols import Effect
+from protocols import Effect, PluginError
 
 SLOTS = {
     "where_it_fails": "where it fails",
@@ -33,7 +38,9 @@ SLOTS = {
 
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Hold the model against the measurements."""
-    report = compare_recording(open_any(path), _library(effects), model=_model(model), out=out)
+    _refuse_files(out)
+    with prompt_interrupt():
+        report = compare_recording(open_any(path), _library(effects), model=_model(model), out=out)
     if as_json:
         print(report.model_dump_json(indent=2))
     else:
@@ -45,9 +52,11 @@ def diagnose(
     path: Path, model: str | None, effects: Path | None, without: Sequence[str], out: Path | None, as_json: bool
 ) -> int:
     """Name what the model lacks."""
-    diagnosis, kept = diagnose_and_keep(
-        open_any(path), _library(effects), model=_model(model) or "saturated", without=without, out=out
-    )
+    _refuse_files(out)
+    with prompt_interrupt():
+        diagnosis, kept = diagnose_and_keep(
+            open_any(path), _library(effects), model=_model(model) or "saturated", without=without, out=out
+        )
     if as_json:
         print(diagnosis.report.model_dump_json(indent=2))
     else:
@@ -59,21 +68,44 @@ def add(
     path: Path, names: Sequence[str], model: str | None, effects: Path | None, out: Path | None, as_json: bool
 ) -> int:
     """Refit with these effects."""
-    _say_added(add_effects(open_any(path), names, _library(effects), model=_model(model), out=out), as_json)
+    _refuse_files(out)
+    with prompt_interrupt():
+        report = add_effects(open_any(path), names, _library(effects), model=_model(model), out=out)
+    _say_added(report, as_json)
     return 0
 
 
 def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Refit without this effect."""
-    _say_added(remove_effect(open_any(path), name, _library(effects), out=out), as_json)
+    _refuse_files(out)
+    with prompt_interrupt():
+        report = remove_effect(open_any(path), name, _library(effects), out=out)
+    _say_added(report, as_json)
     return 0
 
 
+def _refuse_files(out: Path | None) -> None:
+    if out is not None:
+        refuse_file(out)
+
+
 def _library(extra: Path | None) -> list[Effect]:
-    classes = [load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)]
-    if extra is not None:
-        classes += load_effects_file(extra)
-    return [effect() for effect in classes]
+    """The installed effects, and those of a file; raises `PluginError` where two have one name."""
+    effects: list[Effect] = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
+    for made in load_effects_file(extra) if extra is not None else []:
+        effect = guarded(_made(made, extra))
+        if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
+            raise PluginError(str(extra), effect.name, "there is an effect of that name already: choose another")
+        effects.append(effect)
+    return effects
+
+
+def _made(kind: type[Any], file: Path | None) -> Effect:
+    try:
+        effect: Effect = kind()
+    except (Exception, SystemExit) as error:  # somebody else's code may raise anything
+        raise PluginError(str(file), kind.__name__, f"cannot be made: {type(error).__name__}: {error}") from error
+    return effect
 
 
 def _model(choice: str | None) -> ModelChoice | None:
@@ -145,4 +177,4 @@ def _number(value: float | None) -> str:
     """Four digits, no exponent for what is large."""
     if value is None:
         return "-"
-    return f"{value:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
+    return f"{value + 0.0:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"

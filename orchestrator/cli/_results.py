@@ -41,6 +41,8 @@ def refuse_file(path: Path) -> None:
 
 def open_any(path: Path, *, keep: bool = False) -> Recording:
     """Open a recording; a run's manifest is made from its journal, which knows best, and with `keep` written too."""
+    if path.exists() and not path.is_dir() and path.name != MANIFEST_NAME:
+        raise RecordingError(str(path), "", "is a file; expected the directory of a recording or run")
     manifest = path / MANIFEST_NAME
     if manifest.exists() and not manifest.is_file():
         raise RecordingError(str(manifest), "", "is not a plain file")

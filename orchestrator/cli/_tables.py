@@ -19,7 +19,8 @@ def print_table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
 
 def amount(value: float | None, unit: str) -> str:
     """Three digits and a unit; a dash where there is no number."""
-    return "-" if value is None else f"{value:.4g} {unit}"
+    # Zero has no sign here.
+    return "-" if value is None else f"{value + 0.0:.4g} {unit}"
 
 
 def duration(seconds: float) -> str:

@@ -7,6 +7,7 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 from orchestrator.diagnosis._compare import compare_recording
 from orchestrator.diagnosis._course import ModelChoice
 from orchestrator.diagnosis._diagnose import Diagnosis, add_effects, diagnose_recording, remove_effect
+from orchestrator.diagnosis._foreign import guarded
 from orchestrator.diagnosis._keeping import diagnose_and_keep
 from orchestrator.diagnosis._ladder import DETECTED
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
@@ -39,6 +40,7 @@ __all__ = [
     "diagnose_and_keep",
     "diagnose_recording",
     "diagnosis_step",
+    "guarded",
     "in_its_unit",
     "in_volts",
     "in_words",

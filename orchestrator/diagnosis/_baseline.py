@@ -1,22 +1,21 @@
-"""Where a diagnosis starts: the recording prepared, and the first map with nothing but R_s and magnetics."""
+"""Where a diagnosis starts: the first map, with nothing but R_s and magnetics. Reads nothing."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._fit import Effort, Fitter
+from orchestrator.diagnosis._fit import Fitter
 from orchestrator.diagnosis._fitted import Fit, MapSpace, Model
 from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics, on_grid
-from orchestrator.diagnosis._noise import SensorNoise, sensor_noise
-from orchestrator.diagnosis._pieces import Piece, Prepared, believed_dq, coarse, prepare
-from protocols import FluxMap, NotMeasuredError, RecordingReader, SegmentStage
+from orchestrator.diagnosis._pieces import Piece, Prepared, believed_dq
+from protocols import FluxMap, NotMeasuredError, SegmentStage
 
 Array = NDArray[np.float64]
 
@@ -28,10 +27,6 @@ ROUGH = 1.03
 """chi2 per degree of freedom above which a finer map is tried on the whole recording."""
 COARSE = 10.0
 """And below which."""
-MOST_EFFORT = 1.5e8
-"""Samples times columns that a search may take."""
-_LEAST_CURRENT = 0.02
-_LEAST_ROWS, _LEAST_HOLDS = 12, 6
 
 
 @dataclass(frozen=True)
@@ -45,102 +40,8 @@ class Start:
     l_d_h: float
     l_q_h: float
     current_a: float
-    """Rated current, or the largest used [A peak]."""
+    """Rated current, or the largest used; no more than twice that [A peak]."""
     notes: tuple[str, ...]
-
-
-def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> Start:
-    """Read a recording and find its noise; what `poll` raises ends any fit of it.
-
-    Raises
-    ------
-    NotMeasuredError
-        Where there is too little current, or no change of flux, to tell anything from.
-    """
-    prepared = prepare(recording)
-    motor = prepared.manifest.motor
-    low, high, q = prepared.current_range
-    reach = max(-low, high, q)
-    noise = sensor_noise(prepared.pieces)
-    spread = math.sqrt(float(np.trace(noise.covariance)))
-    if reach < max(_LEAST_CURRENT * (motor.rated_current_a or 0.0), 5.0 * spread):
-        raise NotMeasuredError(
-            prepared.manifest.name, "i_alpha, i_beta", f"no excitation: currents stay below {reach:.3g} A"
-        )
-    _enough(prepared)
-    notes = list(prepared.notes)
-    stages = {p.stage for p in prepared.pieces}
-    if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
-        notes.append("no sweep and no injection: flux and inductance cannot be seen, only the resistance")
-    elif SegmentStage.CLASSICAL not in stages:
-        notes.append("no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
-    if SegmentStage.RESISTANCE not in stages:
-        notes.append("no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure")
-    if SegmentStage.GATES_OFF not in stages:
-        notes.append("no gates-off reading: a current offset and a voltage bias cannot be told apart")
-    if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
-        notes.append("one PWM frequency only: dead time and device drop cannot be told apart")
-    amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
-    if not amplitudes:
-        notes.append("no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
-    elif max(amplitudes) < 1.3 * min(amplitudes):
-        notes.append("one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
-    notes += _of_noise(noise)
-    current = motor.rated_current_a or reach
-    l_d = motor.d_inductance_h or _rough_inductance(prepared)
-    l_q = motor.q_inductance_h or l_d
-    if motor.pm_flux_wb is None:
-        notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
-    samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
-    effort = Effort(max(MOST_EFFORT, 400.0 * samples))
-    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=effort, poll=poll)
-    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
-    return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
-
-
-def _enough(prepared: Prepared) -> None:
-    """Refuses what has fewer equations, or fewer currents, than any model has unknowns."""
-    used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and not p.held_out]
-    rows = sum(p.windows.rows for p in used)
-    moving = any(p.stage in (SegmentStage.CLASSICAL, SegmentStage.INJECTION) for p in used)
-    if rows < _LEAST_ROWS or (not moving and len(used) < _LEAST_HOLDS):
-        seconds = sum(len(p.signals.v_dc) / p.signals.sampling_frequency_hz for p in used)
-        expected = f"{_LEAST_HOLDS} holds, or a sweep or an injection of some periods"
-        problem = f"{len(used)} segments of {seconds:.3g} s are too little to tell a cause from; expected {expected}"
-        raise NotMeasuredError(prepared.manifest.name, "segments", problem)
-
-
-def _of_noise(noise: SensorNoise) -> list[str]:
-    """What is unusual about the current readings' noise; all of it is allowed for."""
-    notes = []
-    if noise.correlation != 0.0:
-        notes.append(f"the current readings' noise is correlated, {noise.correlation:.2f} from one to the next")
-    ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
-    if ratio > 1.1:
-        notes.append(f"the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)")
-    for line in noise.lines:
-        told = "switching ripple in the samples" if line.switching else "periodic disturbance"
-        notes.append(f"{told}: {1e3 * math.sqrt(2.0 * line.power):.2g} mA at {line.frequency_hz:.4g} Hz in the holds")
-    return notes
-
-
-def _swing(piece: Piece) -> float:
-    v = piece.signals.v_ab
-    return float(np.linalg.norm(np.std(v, axis=0)))
-
-
-def _rough_inductance(prepared: Prepared) -> float:
-    """Flux swing over current swing of the best excited segment, by plain integration."""
-    best, ratio = 0.0, 0.01
-    for piece in prepared.pieces:
-        s = piece.signals
-        di = np.diff(s.i_ab, axis=0)
-        dv = (s.v_ab - s.v_ab.mean(axis=0))[:-1] / s.sampling_frequency_hz
-        power = float(np.sum(di * di))
-        together = float(np.sum(di * dv))
-        if together > best and power > 0.0:
-            best, ratio = together, float(np.sum(dv * dv)) / together
-    return ratio
 
 
 def saturated_model(start: Start, intervals: int) -> Model:

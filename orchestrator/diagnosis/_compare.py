@@ -10,12 +10,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._baseline import Start, open_for_diagnosis
+from orchestrator.diagnosis._baseline import Start
 from orchestrator.diagnosis._course import ModelChoice, first_steps, name_of
+from orchestrator.diagnosis._enough import solvable
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis._library import MAGNETIC, scaled_library
-from orchestrator.diagnosis._model_file import read_model
+from orchestrator.diagnosis._model_file import MODEL_NAME, read_model
+from orchestrator.diagnosis._opening import open_for_diagnosis
 from orchestrator.diagnosis._pieces import Piece, believed_dq
 from orchestrator.diagnosis._reports import CompareReport, NoiseFloor, PercentPair, StageError, WorstSegment
 from orchestrator.diagnosis._search import with_effect
@@ -29,6 +31,7 @@ Array = NDArray[np.float64]
 WORST = 8
 
 
+@solvable
 def compare_recording(
     recording: Recording, effects: Sequence[Effect] = (), *, model: ModelChoice | None = None, out: Path | None = None
 ) -> CompareReport:
@@ -41,6 +44,8 @@ def compare_recording(
     model : {"saturated", "linear"} or FluxMap, optional
         A bare baseline to compare; by default the model of `model.json` with its effects, where there is one,
         else ``saturated``.
+    out : Path, optional
+        Directory whose `model.json` is taken; the recording's own by default.
 
     Raises
     ------
@@ -50,10 +55,12 @@ def compare_recording(
     start = open_for_diagnosis(recording)
     kept = read_model(out or recording.path) if model is None else None
     names: list[str] = [e.name for e in kept.effects] if kept is not None else []
+    notes = list(start.notes)
+    if model is None and kept is None and out is not None:
+        notes.append(f"no {MODEL_NAME} in {out}: the bare map is compared")
     if model is None:
         model = kept.baseline if kept is not None and kept.baseline in ("linear", "saturated") else "saturated"
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
-    notes = list(start.notes)
     fit = first_steps(start, model, [n for n in names if n in MAGNETIC])[-1].fit
     for name in names:
         if name in library:

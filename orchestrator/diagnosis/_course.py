@@ -17,8 +17,17 @@ from orchestrator.diagnosis._baseline import (
 from orchestrator.diagnosis._fit import Fitter
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import DETECTED, verdict_of
-from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate
-from orchestrator.diagnosis._search import LEAST_SIZE, LOG_EVIDENCE, Search, Step, forward, log_evidence, settled
+from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Active, Candidate
+from orchestrator.diagnosis._search import (
+    LEAST_SIZE,
+    LOG_EVIDENCE,
+    Search,
+    Step,
+    forward,
+    log_evidence,
+    loss_without,
+    settled,
+)
 from orchestrator.diagnosis._trust import certainty, foretold, inconstancy
 from protocols import FluxMap, PluginError
 
@@ -28,6 +37,8 @@ MINOR = 0.15
 """Effects smaller than this part of their typical size are asked whether they can be spared."""
 SPARE = 0.03
 """What minor effects may leave of chi2 - 1 when they go, over the root of what there was before the first effect."""
+OBVIOUS = 10.0
+"""How many times that an effect has to be worth, to first order, not to be asked at all."""
 UNDETECTED_SIZE = 0.03
 """Least size of an effect that is named though the model fits without it."""
 LEAST_CERTAINTY = 5.0
@@ -157,7 +168,7 @@ def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
     first = search.steps[0].fit
     while search.fit.model.active:
         full = search.fit
-        doubted = sorted((a for a in full.model.active if a.relative_size < MINOR), key=lambda a: a.relative_size)
+        doubted = sorted((a for a in full.model.active if _is_minor(first, full, a)), key=lambda a: a.relative_size)
         for active in doubted:
             others = full.model.with_active([a for a in full.model.active if a.name != active.name])
             less = start.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
@@ -168,6 +179,17 @@ def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
         else:
             break
     return search, spared
+
+
+def _is_minor(first: Fit, full: Fit, active: Active) -> bool:
+    """Whether an effect is small, and not one that obviously nothing else could stand in for."""
+    lost = loss_without(full, active, active.candidate.amplitudes) / full.dof
+    return active.relative_size < MINOR and lost < OBVIOUS * _spare(first)
+
+
+def _spare(first: Fit) -> float:
+    """What minor effects may leave of chi2 - 1 when they go."""
+    return max(DETECTED - 1.0, SPARE * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
 
 
 def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
@@ -181,8 +203,7 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
         return True
     if len(full.model.active) < 2:
         return False
-    allowed = max(DETECTED - 1.0, SPARE * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
-    return without.chi2_per_dof - 1.0 < allowed
+    return without.chi2_per_dof - 1.0 < _spare(first)
 
 
 def name_of(model: ModelChoice) -> str:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator._validation import suggestion
-from orchestrator.diagnosis._baseline import Start, open_for_diagnosis
+from orchestrator.diagnosis._baseline import Start
 from orchestrator.diagnosis._course import (
     ModelChoice,
     converged,
@@ -22,6 +22,7 @@ from orchestrator.diagnosis._course import (
     search_effects,
     without_doubtful,
 )
+from orchestrator.diagnosis._enough import solvable
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._ladder import (
     DETECTED,
@@ -34,6 +35,7 @@ from orchestrator.diagnosis._ladder import (
 from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
 from orchestrator.diagnosis._model_file import SavedModel, read_model, saved_map, write_model
 from orchestrator.diagnosis._next import next_experiment
+from orchestrator.diagnosis._opening import open_for_diagnosis
 from orchestrator.diagnosis._reports import (
     AddReport,
     DiagnosisReport,
@@ -57,10 +59,12 @@ from orchestrator.diagnosis._search import (
 )
 from orchestrator.diagnosis._shape import leftover_shape
 from orchestrator.recording import Recording
-from protocols import DiagnosisStep, Effect, PluginError
+from protocols import DiagnosisStep, Effect, PluginError, StorageError
 
 SAME = 0.95
 """Correlation above which two effects are one in the joint fit."""
+UNMOVED = 0.01
+"""Change of chi2 beyond which effects have to be scored anew, relative."""
 QUIET = 0.8
 """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
 NOTEWORTHY = 1.5
@@ -84,6 +88,7 @@ class Diagnosis:
     search: Search
 
 
+@solvable
 def diagnose_recording(
     recording: Recording,
     effects: Sequence[Effect],
@@ -210,22 +215,27 @@ def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *,
     return _refitted(recording, [n for n in have if n != name], effects, model, out)
 
 
+@solvable
 def _refitted(
     recording: Recording, names: Sequence[str], effects: Sequence[Effect], model: ModelChoice, out: Path | None
 ) -> AddReport:
     start = open_for_diagnosis(recording)
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
     steps = first_steps(start, model, [n for n in names if n in MAGNETIC])
+    notes = list(start.notes)
     for name in names:
         if name in library:
             steps.append(Step(name, with_effect(start.fitter, steps[-1].fit, library[name])))
+        elif name in MAGNETIC and model != "linear":
+            notes.append(f"{name}: in the map {name_of(model)} already")
+        elif name not in MAGNETIC:
+            notes.append(f"{name}: in model.json, but not among the installed effects: left out")
     search = Search(steps)
     found = _magnetic_rungs(search) + found_effects(start.fitter, search.fit, steps, {})
     ladder = tuple(rung(step) for step in steps)
-    notes = list(start.notes)
     problem = _save(recording, start, search, name_of(model), found, ladder, out)
     if problem is not None:
-        notes.append(problem)
+        raise StorageError(problem)
     left = _unexplained(start, steps[0].fit, search.fit)
     return AddReport(effects=found, ladder=ladder, unexplained=left, notes=tuple(notes))
 
@@ -241,7 +251,7 @@ def _known(names: Sequence[str], effects: Sequence[Effect]) -> None:
     have = [e.name for e in effects] + list(MAGNETIC)
     for name in names:
         if name not in have:
-            raise PluginError("effects", name, f"no such effect{suggestion(name, have)}")
+            raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}")
 
 
 def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
@@ -275,7 +285,7 @@ def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
 
 def _joint(start: Start, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
     """All effects at once, linearly around the model, under the priors; ranked by relative size."""
-    view = search.view if search.view is not None and search.view.fit is search.fit else None
+    view = search.view if search.view is not None and _still_holds(search.view, search.fit) else None
     view = view or linear_view(start.fitter, search.fit, library)
     which = _distinct(view)
     if not which:
@@ -299,6 +309,14 @@ def _joint(start: Start, search: Search, library: Sequence[Candidate]) -> tuple[
             entries[active.name] = entry
     # An effect that chance could have made is ranked below all that it could not, whatever its size.
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < 4.0, -(e.relative_size or 0.0))))
+
+
+def _still_holds(view: LinearView, fit: Fit) -> bool:
+    """Whether a view was taken of this fit, or of one that it has hardly moved from since."""
+    seen = view.fit
+    same = seen.model.names == fit.model.names and seen.model.space is fit.model.space
+    parameters = [n for _, n in seen.model.free] == [n for _, n in fit.model.free]
+    return same and parameters and abs(seen.chi2 - fit.chi2) < UNMOVED * fit.chi2
 
 
 def _distinct(view: LinearView) -> list[int]:

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis._fitted import Fit, Frame, MapSpace, Model, PieceFrame, PieceRows
 from orchestrator.diagnosis._library import Active, Candidate, apply_effects, typical_coordinate
 from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid
+from orchestrator.diagnosis._newton import is_stuck, moved_by, newton_step
 from orchestrator.diagnosis._noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis._observer import smooth_flux
 from orchestrator.diagnosis._pieces import Piece, Prepared
@@ -117,12 +118,12 @@ class Fitter:
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
             enough = 0.2 + tolerance * max(best.chi2 - best.dof, 0.0)
-            promised = _gauss_newton(best, system, 0.0)[1]
+            promised = newton_step(best, system, 0.0)[1]
             if promised < enough:
                 break
             while True:
-                move, _ = _gauss_newton(best, system, damping)
-                trial = self._resized(self.evaluate(_moved(best.model, move), best.frame), best.objective)
+                move, _ = newton_step(best, system, damping)
+                trial = self._resized(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
                 if trial.objective < best.objective + 0.05 or damping > MOST_DAMPED or promised < NOTHING:
                     break
                 damping = max(10.0 * damping, LEAST_DAMPED)
@@ -138,7 +139,7 @@ class Fitter:
 
     def promise(self, fit: Fit) -> float:
         """How far one more step would bring the objective down, if all were linear."""
-        return _gauss_newton(fit, fit.projected(), 0.0)[1]
+        return newton_step(fit, fit.projected(), 0.0)[1]
 
     def _resized(self, trial: Fit, wanted: float) -> Fit:
         """A trial that missed, with the amplitudes that belong to its shapes.
@@ -149,8 +150,8 @@ class Fitter:
         sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
         if trial.objective < wanted or sizes.all():
             return trial
-        move, _ = _gauss_newton(trial, trial.projected(), 0.0, sizes)
-        again = self.evaluate(_moved(trial.model, move), trial.frame)
+        move, _ = newton_step(trial, trial.projected(), 0.0, sizes)
+        again = self.evaluate(moved_by(trial.model, move), trial.frame)
         return again if again.objective < trial.objective else trial
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
@@ -296,7 +297,7 @@ class Fitter:
             step = typical_coordinate(p)
         else:
             step = 0.05 * max(abs(x), 0.02)
-        if active.moved(name, x + step).values[name] == active.values[name]:
+        if is_stuck(active, name, x + step):
             step = -step
         at = next((k for k, a in enumerate(ordered) if a.name == active.name), None)
         if at is None:
@@ -363,49 +364,6 @@ def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
     if space.is_free:
         return coefficients - space.origin
     return np.asarray(np.linalg.lstsq(space.directions, coefficients - space.origin, rcond=None)[0])
-
-
-def _gauss_newton(
-    fit: Fit, system: tuple[Array, Array], damping: float, which: NDArray[np.bool_] | None = None
-) -> tuple[Array, float]:
-    """Step of all free coordinates (or of some), map and R_s following, and how far it would bring the objective down.
-
-    Damping as by Levenberg and Marquardt (doi:10.1137/0111030): a share of each coordinate's own curvature on top.
-    A parameter at its bound that is drawn beyond it stays, and the others move as if it were fixed.
-    """
-    free = fit.model.free
-    x = np.array([a.coordinate(n) for a, n in free])
-    own, right = system
-    count = len(x)
-    slope = right[:count] + x
-    curvature = own[:count, :count] + np.eye(count)
-    curvature += damping * np.diag(np.diag(curvature))
-    moving = np.flatnonzero(which) if which is not None else np.arange(count)
-    move = np.zeros(count)
-    while moving.size:
-        move[:] = 0.0
-        move[moving] = np.linalg.solve(curvature[np.ix_(moving, moving)], -slope[moving])
-        stuck = np.array([_at_its_bound(*free[k], float(x[k] + move[k])) for k in moving])
-        if not stuck.any():
-            break
-        moving = moving[~stuck]
-        move[:] = 0.0
-    return move, -float(slope @ move)
-
-
-def _at_its_bound(active: Active, name: str, wanted: float) -> bool:
-    """Whether a parameter stays where it is though it is asked to move."""
-    return active.moved(name, wanted).values[name] == active.values[name]
-
-
-def _moved(model: Model, move: Array) -> Model:
-    active, k = [], 0
-    for item in model.active:
-        for name in item.free:
-            item = item.moved(name, item.coordinate(name) + float(move[k]))
-            k += 1
-        active.append(item)
-    return model.with_active(active)
 
 
 def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:

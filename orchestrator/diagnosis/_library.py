@@ -10,14 +10,15 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from orchestrator.diagnosis._foreign import CHANGEABLE, require_effect
 from protocols import Effect, EffectParameter, FluxbenchError, Manifest, ParameterRole, PluginError, Signals
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
 MAGNETIC = (SATURATION, CROSS_SATURATION)
 """Rungs of the ladder that are no plugins: they free the map itself."""
-_FIELDS = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab")
-"""What an effect may change of its signals."""
 
 _REFERENCE_A, _REFERENCE_V, _REFERENCE_OHM = 1.66, 540.0, 4.25
 
@@ -88,7 +89,9 @@ class Active:
 
 
 def scaled_library(effects: Sequence[Effect], manifest: Manifest, without: Sequence[str] = ()) -> tuple[Candidate, ...]:
-    """Candidates for one machine, in the effects' order."""
+    """Candidates for one machine, in the effects' order; raises `PluginError` where one cannot be fitted."""
+    for effect in effects:
+        require_effect(effect)
     motor, drive = manifest.motor, manifest.drive
     amps = (motor.rated_current_rms_a or _REFERENCE_A) / _REFERENCE_A
     volts = drive.dc_bus_voltage_v / _REFERENCE_V
@@ -163,7 +166,7 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Signals:
             signals = item.candidate.effect.correct(before, item.values)
         except FluxbenchError:
             raise
-        except Exception as error:  # somebody else's code may raise anything
+        except (Exception, SystemExit) as error:  # somebody else's code may raise anything
             raise PluginError("effects", item.name, f"correct: {type(error).__name__}: {error}") from error
         _require_signals(item.name, before, signals)
     return signals
@@ -172,12 +175,16 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Signals:
 def _require_signals(name: str, before: Signals, after: object) -> None:
     if not isinstance(after, Signals):
         raise PluginError("effects", name, f"correct: returned {type(after).__name__} instead of Signals")
-    for field in _FIELDS:
+    for field in CHANGEABLE:
         was, now = getattr(before, field), getattr(after, field)
         if now is was:
             continue
         if getattr(now, "shape", None) != was.shape:
             found = getattr(now, "shape", None)
             raise PluginError("effects", name, f"correct: {field} has shape {found}, not {was.shape}")
-        if not math.isfinite(float(now.sum())):
+        if now.dtype.kind != "f":
+            raise PluginError("effects", name, f"correct: {field} is of type {now.dtype}, not float64")
+        with np.errstate(over="ignore", invalid="ignore"):
+            total = float(now.sum())
+        if not math.isfinite(total):
             raise PluginError("effects", name, f"correct: {field} is not finite")

@@ -71,7 +71,9 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple
     mean = alike.mean(axis=0)
     noise = float(np.median(mean))
     step_hz = fs / (2.0 * (length - 1))
-    left, found = mean.copy(), []
+    # A line is higher than both its neighbours; the tail of a current that is still settling only falls.
+    beside = np.pad(mean, 1, constant_values=0.0)
+    left, found = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
     for _ in range(_MOST):
         left[: max(2, math.ceil(LEAST_HZ / step_hz))] = 0.0
         at = int(np.argmax(left))

@@ -8,6 +8,7 @@ from typing import Literal
 
 from pydantic import ValidationError
 
+from orchestrator._validation import first_problem
 from orchestrator.diagnosis._fitted import Model
 from orchestrator.diagnosis._reports import FoundEffect, Rung
 from orchestrator.recording import replace_file
@@ -70,13 +71,23 @@ def read_model(directory: Path) -> SavedModel | None:
     Raises
     ------
     RecordingError
-        Where the file is not a model.
+        Where the file is not a model: which field is wrong.
     """
     path = directory / MODEL_NAME
     if not path.is_file():
         return None
     try:
-        return SavedModel.model_validate(json.loads(path.read_text()))
-    except (OSError, ValueError, ValidationError) as error:
-        reason = str(error).splitlines()[0]
-        raise RecordingError(str(path), "", f"not a model that can be read: {reason}") from None
+        raw = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
+    except json.JSONDecodeError as error:
+        raise RecordingError(f"{path}:{error.lineno}", "", f"broken JSON: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(str(path), "", f"broken JSON: {error}") from None
+    if not isinstance(raw, dict):
+        raise RecordingError(str(path), "", f"expected a JSON object, got {type(raw).__name__}")
+    try:
+        return SavedModel.model_validate(raw)
+    except ValidationError as error:
+        problem = first_problem(error, SavedModel, raw)
+        raise RecordingError(str(path), problem.field, problem.text) from None

@@ -256,11 +256,16 @@ def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str
 
 
 def _refit(fitter: Fitter, fit: Fit, scored: Score) -> Fit:
-    """The model with one more effect, amplitudes and shape started at the best linear estimate, shapes free."""
+    """The model with one more effect, amplitudes and shape started at the best linear estimate, its shape free.
+
+    The shapes of the effects that are there already rest meanwhile: they have been fitted to their end without it.
+    """
     active = _best_start(fitter, fit, scored)
     active = active.freeing(*scored.candidate.of_role(ParameterRole.SHAPE))
-    model = fit.model.with_active([*fit.model.active, active])
-    return fitter.fit(model, fit.frame, steps=4, renewals=0, tolerance=0.03)
+    resting = [replace(a, free=a.candidate.amplitudes) for a in fit.model.active]
+    rough = fitter.fit(fit.model.with_active([*resting, active]), fit.frame, steps=4, renewals=0, tolerance=0.03)
+    awake = [replace(a, free=b.free) for a, b in zip(rough.model.active, [*fit.model.active, active], strict=True)]
+    return fitter.evaluate(rough.model.with_active(awake), fit.frame) if resting else rough
 
 
 def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
@@ -304,7 +309,7 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
         names = active.candidate.of_role(ParameterRole.REFINEMENT)
         if fitter.effort.exhausted or not set(names) & set(active.free):
             continue
-        if _is_needed(best, active, names):
+        if loss_without(best, active, names) > NEEDED:
             continue
         simple = replace(active, free=tuple(n for n in active.free if n not in names))
         for name in names:
@@ -318,16 +323,16 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
     return best
 
 
-def _is_needed(fit: Fit, active: Active, names: Sequence[str]) -> bool:
-    """Whether a flexible form lies so far from the simple one that a fit of the simple one is not worth a try.
+def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:
+    """How much chi2 would rise, to first order, if some parameters were put back to neutral and all others followed.
 
-    Wald's test: what the fit would lose, to first order, if these parameters were put back to neutral.
+    Wald's test, in units of the noise that is left.
     """
     free = fit.model.free
     which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
-    away = np.array([active.coordinate(n) - active.moved(n, 0.0).coordinate(n) for _, n in (free[k] for k in which)])
+    away = np.array([active.coordinate(free[k][1]) for k in which])
     block = fit.covariance()[np.ix_(which, which)] * max(fit.chi2_per_dof, 1.0)
-    return float(away @ np.linalg.solve(block, away)) > NEEDED
+    return float(away @ np.linalg.solve(block, away))
 
 
 def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:

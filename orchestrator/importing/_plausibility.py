@@ -12,6 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator._plausible import HEXAGON, rms, slow_part
 from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._lag import voltage_lag
 from orchestrator.importing._mapping import ImportMapping
@@ -21,13 +22,10 @@ from orchestrator.importing._vectors import TO_PEAK, clarke
 from protocols import SegmentStage
 
 _MOST_RATED_CURRENTS, _LEAST_RATED_CURRENTS = 20.0, 0.01
-_HEXAGON = 2.0 / 3.0
-"""Longest voltage vector of a bridge, in bus voltages."""
 _MOST_BUS_VOLTAGES, _LEAST_BUS_VOLTAGES = 5.0, 2e-4
 _BUS_RANGE = (0.3, 3.0)
 _RESISTANCE_RANGE = (0.01, 100.0)
 _SIGNIFICANT = 0.05
-_DC_WINDOW_S = 0.02
 _LAG_WORTH_SAYING = 0.25
 
 
@@ -104,7 +102,7 @@ class Plausibility:
         peak = float(np.max(length))
         if w.stage is not SegmentStage.GATES_OFF:
             self._largest_current_a = max(self._largest_current_a, peak)
-            self._largest_rms_a = max(self._largest_rms_a, _rms(w.i_ab))
+            self._largest_rms_a = max(self._largest_rms_a, rms(w.i_ab))
         rated = self._mapping.motor.rated_current_a
         if rated is not None and peak > _MOST_RATED_CURRENTS * rated:
             self._findings.doubt(
@@ -123,15 +121,15 @@ class Plausibility:
         largest = float(modulation[worst])
         if w.stage is not SegmentStage.GATES_OFF:
             self._largest_modulation = max(self._largest_modulation, largest)
-        if largest <= 1.05 * _HEXAGON:
+        if largest <= 1.05 * HEXAGON:
             return
         bus = abs(float(w.v_dc[worst]))
         said = (
             f"{length[worst]:.4g} V at sample {worst + 1} from {w.rows} on is more than a bridge makes of {bus:.4g} V "
-            f"({_HEXAGON * bus:.4g} V)"
+            f"({HEXAGON * bus:.4g} V)"
         )
         if largest > _MOST_BUS_VOLTAGES:
-            hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, _HEXAGON * bus)
+            hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, HEXAGON * bus)
             self._findings.doubt(Finding.VOLTAGE_UNIT, w.file, self._voltage_names, said + hint)
         else:
             # Controllers that saturate late command such voltages.
@@ -152,12 +150,12 @@ class Plausibility:
 
     def _zero_sequence(self, w: Waveforms, i_abc: Numbers) -> None:
         total = i_abc.sum(axis=1)
-        share = _rms(total / 3.0) / max(_rms(i_abc), 1e-30)
-        if share <= 0.05 or not self._is_significant(_rms(i_abc)):
+        share = rms(total / 3.0) / max(rms(i_abc), 1e-30)
+        if share <= 0.05 or not self._is_significant(rms(i_abc)):
             return
         names = self._mapping.phase_currents or self._mapping.current
         text = f"the three currents do not add up to zero (from {w.rows} on): zero sequence {100 * share:.2g} % of them"
-        without = {phase: _rms(total - 2.0 * x) / _rms(total) for phase, x in zip("abc", i_abc.T, strict=True)}
+        without = {phase: rms(total - 2.0 * x) / rms(total) for phase, x in zip("abc", i_abc.T, strict=True)}
         phase = min(without, key=without.__getitem__)
         if share <= 0.2:
             hint = f"phase {phase} may be reversed" if without[phase] < 0.2 else "offsets or gains of the sensors"
@@ -167,7 +165,7 @@ class Plausibility:
         self._findings.doubt(Finding.ZERO_SEQUENCE, w.file, ", ".join(names.columns.values()), f"{text}; {hint}")
 
     def _scaling(self, w: Waveforms, from_phases: Numbers) -> None:
-        if not self._is_significant(max(_rms(from_phases), _rms(w.i_ab))):
+        if not self._is_significant(max(rms(from_phases), rms(w.i_ab))):
             return
         likeness, gain, angle = _compared(from_phases, w.i_ab)
         if likeness > 0.9 and abs(gain * np.exp(1j * angle) - 1.0) < 0.05:
@@ -189,8 +187,8 @@ class Plausibility:
         )
 
     def _polarity(self, w: Waveforms) -> None:
-        i, v = (_slow_part(x, w.rate_hz) for x in (w.i_ab, w.v_ab))
-        if _rms(i) < 0.2 * _rms(w.i_ab) or not self._is_significant(_rms(i)):
+        i, v = (slow_part(x, w.rate_hz) for x in (w.i_ab, w.v_ab))
+        if rms(i) < 0.2 * rms(w.i_ab) or not self._is_significant(rms(i)):
             return
         self._power_w += float(np.sum(v * i))
         self._square_a2 += float(np.sum(i * i))
@@ -228,7 +226,7 @@ class Plausibility:
                 file,
                 self._voltage_names,
                 f"nowhere more than {100 * largest:.2g} % of the bus voltage"
-                f"{_unit_hint(self._mapping.voltage.unit, largest, 1e-3, _HEXAGON)}",
+                f"{_unit_hint(self._mapping.voltage.unit, largest, 1e-3, HEXAGON)}",
             )
 
     def _resistance(self, file: str) -> None:
@@ -255,18 +253,6 @@ class Plausibility:
                 f"the current follows the commanded voltage by {lag:.1f} samples (median of {len(self._lags)} "
                 f"injection segments), drive.voltage_delay_samples is {given:g}: {lag:.1f} would fit",
             )
-
-
-def _rms(x: Numbers) -> float:
-    return math.sqrt(float(np.mean(np.square(x))) * (x.shape[1] if x.ndim == 2 else 1))
-
-
-def _slow_part(x: Numbers, rate_hz: float) -> Numbers:
-    """Means over windows that hold several periods of an injection."""
-    window = min(max(round(_DC_WINDOW_S * rate_hz), 1), len(x))
-    windows = len(x) // window
-    means: Numbers = x[: windows * window].reshape(windows, window, 2).mean(axis=1)
-    return means
 
 
 def _compared(x: Numbers, y: Numbers) -> tuple[float, float, float]:

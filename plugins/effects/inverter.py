@@ -22,11 +22,12 @@ _TABLE_STEP, _TABLE_END = 0.01, 40.0
 
 
 @lru_cache(maxsize=32)
-def _soft_sign(softness: float, spread: float) -> Array:
-    """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(spread), over x = 0..40."""
+def _soft_sign(softness: float, variance: float) -> Array:
+    """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(sqrt(variance)), over x = 0..40."""
     x, sharpness = np.arange(0.0, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP), 1.0 / softness
-    if spread == 0.0:
+    if variance == 0.0:
         return _knee(x, sharpness)
+    spread = math.sqrt(variance)
     return 0.5 * (_knee(x * math.exp(spread), sharpness) + _knee(x * math.exp(-spread), sharpness))
 
 
@@ -82,7 +83,7 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
 
 
 def _corrected(signals: Signals, volts: Array, values: Mapping[str, float]) -> Signals:
-    table = _soft_sign(values.get("softness", 0.5), values.get("spread", 0.0))
+    table = _soft_sign(values.get("softness", 0.5), values.get("variance", 0.0))
     v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
     i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
     return signals.model_copy(update={"v_ab": _without_sign(v_ab, i_ab, volts, values["threshold_a"], table)})
@@ -101,14 +102,14 @@ def _softness() -> EffectParameter:
     )
 
 
-def _spread() -> EffectParameter:
+def _variance() -> EffectParameter:
     return EffectParameter(
-        name="spread",
+        name="variance",
         unit="1",
         typical=0.0,
-        prior_width=0.4,
+        prior_width=0.2,
         low=0.0,
-        high=1.5,
+        high=2.25,
         neutral=0.0,
         role=ParameterRole.REFINEMENT,
     )
@@ -133,7 +134,7 @@ class DeadTime:
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
     is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
     capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
-    In the flexible form the softness is free, and half of s is narrower, half wider, by exp(`spread`): the
+    In the flexible form the softness is free, and half of s is narrower, half wider, by exp(sqrt(`variance`)): the
     capacitances are not constant.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
@@ -150,7 +151,7 @@ class DeadTime:
         EffectParameter(name="voltage_v", unit="V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0, neutral=0.0),
         _threshold(0.1),
         _softness(),
-        _spread(),
+        _variance(),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
@@ -182,7 +183,7 @@ class DeviceDrop:
         EffectParameter(name="voltage_v", unit="V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0, neutral=0.0),
         _threshold(0.03),
         _softness(),
-        _spread(),
+        _variance(),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:

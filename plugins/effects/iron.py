@@ -101,7 +101,7 @@ class Hysteresis:
 
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
     loop's width; small loops see 1/L + kappa instead of 1/L, so `reversible_ratio` = 1 / (1 + kappa L).
-    In the flexible form the two stops have limits 1 -+ `spread`, and the first has `early_share` of kappa.
+    In the flexible form the two stops have limits 1 -+ sqrt(`variance`), and the first has `early_share` of kappa.
     Source: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0.
     """
 
@@ -126,12 +126,12 @@ class Hysteresis:
             role=ParameterRole.SHAPE,
         ),
         EffectParameter(
-            name="spread",
+            name="variance",
             unit="1",
             typical=0.0,
-            prior_width=0.5,
+            prior_width=0.25,
             low=0.0,
-            high=0.95,
+            high=0.9,
             neutral=0.0,
             role=ParameterRole.REFINEMENT,
         ),
@@ -154,7 +154,7 @@ class Hysteresis:
             return signals
         psi, inductance = _flux(signals)
         stiffness = (1.0 / values["reversible_ratio"] - 1.0) / inductance
-        early, spread = values.get("early_share", 0.5), values.get("spread", 0.0)
+        early, spread = values.get("early_share", 0.5), math.sqrt(values.get("variance", 0.0))
         held = _stops(
             psi,
             stiffness * np.array([early, 1.0 - early]),

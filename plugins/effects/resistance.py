@@ -156,7 +156,7 @@ class SkinEffect:
     """Extra resistance for what changes fast: e = R_x (i - i_slow) [V], i_slow behind a first-order corner.
 
     R_x in ohm, the corner in Hz. It stands for the current that is crowded to the conductors' surface. In the flexible
-    form half of it has its corner below and half above, by the factor exp(`spread`).
+    form half of it has its corner below and half above, by the factor exp(sqrt(`variance`)).
     """
 
     name: ClassVar[str] = "skin_effect"
@@ -180,12 +180,12 @@ class SkinEffect:
             role=ParameterRole.SHAPE,
         ),
         EffectParameter(
-            name="spread",
+            name="variance",
             unit="1",
             typical=0.0,
-            prior_width=0.6,
+            prior_width=0.4,
             low=0.0,
-            high=2.0,
+            high=4.0,
             neutral=0.0,
             role=ParameterRole.REFINEMENT,
         ),
@@ -195,7 +195,8 @@ class SkinEffect:
         """Subtract what the extra resistance drops, at the mean current of each interval."""
         if values["extra_ohm"] == 0.0 or not signals.bridge_on:
             return signals
-        rate, spread = 2.0 * math.pi * values["corner_hz"] / signals.sampling_frequency_hz, values.get("spread", 0.0)
+        rate = 2.0 * math.pi * values["corner_hz"] / signals.sampling_frequency_hz
+        spread = math.sqrt(values.get("variance", 0.0))
         i = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
         if spread > 0.0:
             parts = [low_pass(i, math.exp(-rate * math.exp(side * spread))) for side in (-1.0, 1.0)]

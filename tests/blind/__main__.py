@@ -11,7 +11,16 @@ from pathlib import Path
 
 from tests.blind.hidden import KINDS, draw_case
 
-USUAL = {"clean": 10, "single": 54, "double": 20, "clutter": 18, "left_out": 18, "foreign": 18, "nuisance": 26}
+USUAL = {
+    "clean": 40,
+    "single": 54,
+    "double": 20,
+    "clutter": 18,
+    "left_out": 18,
+    "foreign": 18,
+    "nuisance": 26,
+    "faint": 36,
+}
 
 
 def main(words: Sequence[str] | None = None) -> int:

@@ -72,7 +72,9 @@ NUISANCES: tuple[str, ...] = (
 SILENT = ("too_short", "no_excitation")
 """Nuisances that leave nothing to diagnose."""
 
-KINDS = ("clean", "single", "double", "clutter", "left_out", "foreign", "nuisance")
+KINDS = ("clean", "single", "double", "clutter", "left_out", "foreign", "nuisance", "faint")
+FAINT = (0.02, 0.2)
+"""Sizes of faint effects, in units of the typical one."""
 
 
 def draw_case(kind: str, index: int, seed: int) -> Case:
@@ -98,6 +100,8 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
     if kind == "clutter":
         rest = [(name, 0.05) for name in names if name != first]
         return _case(kind, index, first, rng, [(first, None), *rest])
+    if kind == "faint":
+        return _case(kind, index, first, rng, [(first, float(np.exp(rng.uniform(*np.log(FAINT)))))])
     without = (first,) if kind == "left_out" else ()
     return _case(kind, index, first, rng, [(first, None)], without=without)
 

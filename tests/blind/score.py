@@ -5,6 +5,7 @@ A declared twin counts as the name; so do two effects that the campaign lacks th
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +17,10 @@ from tests.blind.hidden import SILENT, Case
 
 FLOORS = 3.0
 """A held-out error is said to close only where it was this many noise floors before."""
+
+FAINT_EDGES = (0.02, 0.05, 0.1, 0.2)
+"""Sizes, in units of the typical one, between which faint effects are counted apart."""
+FAINT_FIGURES = tuple(f"faint, {a:g} to {b:g} of typical: named" for a, b in itertools.pairwise(FAINT_EDGES))
 
 TWINS_HERE = {"voltage_delay", "current_filter"}
 """One injection frequency and one sampling phase cannot part these: with one left out, the other's name is right."""
@@ -35,8 +40,8 @@ class Judgement:
 
     @property
     def wrong(self) -> list[str]:
-        """Names of the figures that this answer misses."""
-        return [name for name, right in self.right.items() if not right]
+        """Names of the figures that this answer misses; not to name what is faint is no mistake."""
+        return [name for name, right in self.right.items() if not right and name not in FAINT_FIGURES]
 
 
 def judge(answer: Answer) -> Judgement:
@@ -89,6 +94,10 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
         right["left out: unknown flagged"] = unknown or (bool(found) and {names[0], *set.union(*found)} == TWINS_HERE)
     elif case.kind == "foreign":
         right["foreign: unknown flagged"] = unknown
+    elif case.kind == "faint":
+        figure = FAINT_FIGURES[sum(case.truths[0].size > edge for edge in FAINT_EDGES[1:-1])]
+        right[figure] = bool(found) and names[0] in found[0]
+        right["faint: no wrong name"] = all(names[0] in one for one in found)
     elif case.kind == "nuisance":
         about = "nuisance: " + ("first name right" if names else "no false name")
         right[about] = (bool(found) and names[0] in found[0]) if names else not found

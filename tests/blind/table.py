@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.hidden import NUISANCES
-from tests.blind.score import Judgement, said, wilson
+from tests.blind.score import FAINT_FIGURES, Judgement, said, wilson
 
 AIMS = {
     "clean: no false name": "0 false of 300",
@@ -18,12 +18,15 @@ AIMS = {
     "left out: unknown flagged": "97 %",
     "foreign: unknown flagged": "90 %",
     "explained, and not flagged unknown": "99 %",
+    FAINT_FIGURES[1]: "95 % from 0.03 on",
+    FAINT_FIGURES[2]: "95 %",
 }
 ORDER = (
     "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
     "clutter: first name right", "double: exact set", "double: first name right", "left out: unknown flagged",
     "foreign: unknown flagged", "explained, and not flagged unknown", "nuisance: no false name",
-    "nuisance: first name right", "too little to say: said so", "answered at all",
+    "nuisance: first name right", "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so",
+    "answered at all",
 )  # fmt: skip
 
 

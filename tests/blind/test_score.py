@@ -42,6 +42,16 @@ def test_a_name_on_clean_data_is_false() -> None:
     assert "clean: no false name" in judge(answered(case, report("dead_time"))).wrong
 
 
+def test_a_faint_effect_may_go_unnamed_but_not_by_another_name() -> None:
+    case = draw_case("faint", 0, SEED)
+    name = case.truths[0].name
+    unnamed, named, wrong = (judge(answered(case, found)) for found in (report(), report(name), report("hysteresis")))
+    assert 0.02 <= case.truths[0].size <= 0.2
+    assert unnamed.wrong == named.wrong == []
+    assert sum(named.right.values()) == sum(unnamed.right.values()) + 1
+    assert "faint: no wrong name" in wrong.wrong
+
+
 def test_a_twin_counts_as_the_name() -> None:
     case = draw_case("single", 3, SEED)
     assert case.truths[0].name == "voltage_delay"

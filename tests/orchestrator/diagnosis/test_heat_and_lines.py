@@ -47,6 +47,14 @@ def test_noise_has_no_lines() -> None:
     assert find_lines(_holds(np.zeros(20), 300.0), _holds(np.zeros(1), 300.0), FS) == ()
 
 
+def test_a_current_that_is_still_settling_is_no_line() -> None:
+    t = np.arange(1500) / FS
+    tail = 0.5 * np.exp(-t / 0.015)[:, None] * np.stack([np.cos(60.0 * t), np.sin(60.0 * t)], axis=1)
+    rng = np.random.default_rng(1)
+    settling = [spectrum_of(tail + rng.normal(0.0, NOISE_A, (len(t), 2))) for _ in range(20)]
+    assert find_lines(settling, [], FS) == ()
+
+
 def test_ripple_alike_in_every_hold_and_absent_with_the_bridge_off_is_switching_ripple() -> None:
     (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS)
     assert line.switching

@@ -8,11 +8,12 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter
 
-from orchestrator.diagnosis._baseline import Start, open_for_diagnosis
+from orchestrator.diagnosis._baseline import Start
 from orchestrator.diagnosis._course import first_steps
 from orchestrator.diagnosis._fitted import Fit
 from orchestrator.diagnosis._library import Candidate, scaled_library
 from orchestrator.diagnosis._next import catalogue, next_experiment
+from orchestrator.diagnosis._opening import open_for_diagnosis
 from orchestrator.diagnosis._predicted import rivals, separation
 from orchestrator.diagnosis._search import with_effect
 from orchestrator.recording import Recording

@@ -10,9 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis._baseline import INTERVALS, Start, open_for_diagnosis, saturated_model
+from orchestrator.diagnosis._baseline import INTERVALS, Start, saturated_model
 from orchestrator.diagnosis._ladder import rung
 from orchestrator.diagnosis._library import scaled_library
+from orchestrator.diagnosis._opening import open_for_diagnosis
 from orchestrator.diagnosis._pictures import MOST_ROWS, diagnosis_step, kept_rows
 from orchestrator.diagnosis._pictures_excerpts import ripple_pair
 from orchestrator.diagnosis._pictures_file import REPORT_NAME, STEPS_NAME, load_diagnosis, save_diagnosis

@@ -105,15 +105,19 @@ class ExampleDrive:
     def block(self, excitation: Excitation, i: Complex, v: Complex) -> Capture:
         """One block in the stator frame; clock and heat go on."""
         turn = np.exp(1j * excitation.rotor_angle_rad)
-        start_s, self.clock_s = self.clock_s, self.clock_s + len(i) / FS
-        self.heat_j += 1.5 * float(np.sum(np.abs(i) ** 2)) * self.resistance_ohm / FS
+        start_s, self.clock_s = self.clock_s, self.clock_s + len(i) / self.fs
+        self.heat_j += 1.5 * float(np.sum(np.abs(i) ** 2)) * self.resistance_ohm / self.fs
         return Capture(
             start_s=start_s,
-            sampling_frequency_hz=FS,
+            sampling_frequency_hz=self.fs,
             i_ab=np.stack([(i * turn).real, (i * turn).imag], axis=1),
             v_ab=np.stack([(v * turn).real, (v * turn).imag], axis=1),
             v_dc=np.full(len(i), 540.0),
         )
+
+    @property
+    def fs(self) -> float:
+        return self.capabilities.sampling_frequency_hz
 
     @property
     def resistance_ohm(self) -> float:
@@ -133,7 +137,7 @@ class ExampleDrive:
         if isinstance(excitation, Injection):
             return self.injection(excitation)
         if isinstance(excitation, Trapezoid):
-            t = np.arange(round(excitation.periods * excitation.period_s * FS)) / FS
+            t = np.arange(round(excitation.periods * excitation.period_s * self.fs)) / self.fs
             wave = np.interp(t / excitation.period_s % 1, [0, 0.125, 0.375, 0.625, 0.875, 1], [0, 1, 1, -1, -1, 0])
             swept = excitation.amplitude_a * wave
             held = excitation.held_a
@@ -143,22 +147,22 @@ class ExampleDrive:
                 "dq": swept * (1 + 1j) / np.sqrt(2),
             }
             i_dq = paths[excitation.swept_axis]
-            rise = np.gradient(i_dq, 1 / FS)
+            rise = np.gradient(i_dq, 1 / self.fs)
             return i_dq, self.resistance_ohm * i_dq + INDUCTANCE_H * rise
-        rows = round(excitation.duration_s * FS)
+        rows = round(excitation.duration_s * self.fs)
         if excitation.kind == "gates_off":
             return np.zeros(rows, dtype=complex), np.zeros(rows, dtype=complex)
         i_dq = np.full(rows, complex(excitation.current_d_a, excitation.current_q_a))
         return i_dq, self.resistance_ohm * i_dq
 
     def injection(self, excitation: Injection) -> tuple[Complex, Complex]:
-        t = excitation.discard_s + np.arange(round(excitation.duration_s * FS)) / FS
+        t = excitation.discard_s + np.arange(round(excitation.duration_s * self.fs)) / self.fs
         phase = np.round(excitation.frequency_hz * t, 9) % 1.0
         wave = np.where(phase < 0.5, 1.0, -1.0) if excitation.waveform == "square" else np.sin(2 * np.pi * phase)
         turn = np.exp(2j * np.pi * excitation.rotation_hz * t)
         base = complex(excitation.target_d_a, excitation.target_q_a)
         flux = np.cumsum(wave) - wave
-        i = base + excitation.amplitude_v * turn * (flux - flux.mean()) / FS / INDUCTANCE_H
+        i = base + excitation.amplitude_v * turn * (flux - flux.mean()) / self.fs / INDUCTANCE_H
         return i, self.resistance_ohm * base + excitation.amplitude_v * turn * wave
 
     def rests_at(self, excitation: Excitation) -> complex:

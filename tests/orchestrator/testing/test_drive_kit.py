@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from orchestrator.testing import DriveConformance
+from orchestrator.testing._drive_bench import FEWEST_PERIODS, SAMPLES_PER_PERIOD, Sizes
 from protocols import (
     Capabilities,
     Capture,
@@ -76,6 +77,34 @@ class OnlyHolds(ExampleDrive):
 
 def test_asks_nothing_of_excitations_that_are_not_claimed(tmp_path: Path) -> None:
     assert failures(kit_for(OnlyHolds), tmp_path) == {}
+
+
+class SamplesSlowly(ExampleDrive):
+    capabilities = ExampleDrive.capabilities.model_copy(update={"sampling_frequency_hz": 30.0})
+
+
+@pytest.mark.parametrize("fs", [1.0, 30.0, 39.9, 40.0, 250.0, FS])
+@pytest.mark.parametrize("longest_s", [None, 0.1, 30.0])
+def test_an_injection_is_a_whole_number_of_periods_however_slowly_a_drive_samples(
+    fs: float, longest_s: float | None
+) -> None:
+    update = {"sampling_frequency_hz": fs, "longest_capture_s": longest_s}
+    motor = Motor(name="example", pole_pairs=2, rated_current_rms_a=1.66)
+    sizes = Sizes.of(motor, ExampleDrive.capabilities.model_copy(update=update))
+    periods = sizes.injection_s * sizes.frequency_hz
+    assert periods == pytest.approx(round(periods))
+    assert sizes.rotation_hz * sizes.injection_s == pytest.approx(1.0)
+    if longest_s is None:
+        assert periods >= FEWEST_PERIODS - 1e-9
+    else:
+        assert sizes.injection_s <= max(longest_s, SAMPLES_PER_PERIOD / fs) + 1e-9
+
+
+@pytest.mark.parametrize("waveform", ["square", "sine"])
+def test_passes_a_drive_that_samples_slowly(tmp_path: Path, waveform: str) -> None:
+    kit = kit_for(SamplesSlowly)
+    kit.test_injection_is_found_in_the_captured_voltage(tmp_path, waveform)
+    kit.test_injection_ripples_about_its_target(tmp_path)
 
 
 class WrongPolarity(ExampleDrive):

@@ -1,0 +1,234 @@
+"""A recording looked at while it is read: refused where it cannot be a motor's, whatever its sensors do.
+
+A gain that is wrong by ten, or a nameplate that is, still passes: such a recording can be diagnosed. Units that
+are wrong by a thousand, columns of zeros and reversed polarity do not.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator._plausible import DRIVE_RANGES, MOTOR_RANGES, Numbers, outside, slow_part
+from protocols import Capture, Manifest, NotMeasuredError, RecordingError, RecordingReader, Segment, SegmentStage
+
+_MOST_RATED_CURRENTS = 50.0
+"""Five times the rated current, and a gain that is wrong by ten."""
+_MOST_CURRENT_A = 1e6
+"""Where there is no rated current."""
+_MOST_BUS_VOLTAGES, _LEAST_BUS_VOLTAGES = 10.0, 2e-5
+_BUS_RANGE = (0.02, 20.0)
+_RESISTANCE_RANGE = (0.02, 1000.0)
+"""Of the nameplate's. At small currents an inverter's dead time passes for many times the resistance."""
+_INDUCTANCE_RANGE = (0.01, 100.0)
+_LATEST_S = 1e8
+_RATES = ("frequency_hz", "rotation_hz", "period_s", "pwm_frequency_hz")
+_TARGETS = ("target_d_a", "target_q_a", "held_a")
+_LARGEST_SETTING = 1e9
+_MEASURING = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
+_RIPPLE_SAMPLES = 4000
+_EVERY = 16
+"""Of so many samples of the bus voltage one is looked at."""
+_MOST_SAMPLES = 2_000_000
+_ALIKE = 0.5
+_SIGNIFICANT, _NOISE = 0.05, 0.02
+"""Of the rated current."""
+
+
+@dataclass(frozen=True)
+class _Seen:
+    """Of one segment: means over its slow parts, and sums over the steps of its ripple."""
+
+    current_a: float
+    voltage_v: float
+    i_squared: float = 0.0
+    v_squared: float = 0.0
+    v_on_i: complex = 0.0
+    """Mean of conj(i) v."""
+    steps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """sum di^2, sum dv^2 Ts^2, sum di dv Ts."""
+
+
+class SoundRecording:
+    """A `protocols.RecordingReader` that refuses what cannot be a motor's.
+
+    Nameplate and settings are looked at when it is made, each capture when it is loaded, and what only the whole
+    tells in `conclude`.
+
+    Raises
+    ------
+    RecordingError
+        Where the manifest has numbers that cannot be meant.
+    """
+
+    def __init__(self, recording: RecordingReader) -> None:
+        self._recording = recording
+        self._seen: dict[str, _Seen] = {}
+        _check_manifest(recording.manifest)
+
+    @property
+    def manifest(self) -> Manifest:
+        return self._recording.manifest
+
+    def segments(self, *stages: SegmentStage) -> Sequence[Segment]:
+        return self._recording.segments(*stages)
+
+    def load(self, segment: Segment) -> Capture:
+        """The segment's waveforms; raises `NotMeasuredError` too, where they are beyond any motor's."""
+        capture = self._recording.load(segment)
+        if segment.id not in self._seen:
+            self._check_sizes(segment, capture)
+            self._seen[segment.id] = _seen(segment, capture, self.manifest.drive.voltage_delay_samples or 0.0)
+        return capture
+
+    def read_through(self) -> None:
+        """Load so many segments, evenly spread, that `conclude` can tell, and conclude."""
+        segments = self.segments(*_MEASURING)
+        total = sum(s.samples for s in segments)
+        stride = max(1, math.ceil(total / _MOST_SAMPLES))
+        for segment in segments[::stride]:
+            self.load(segment)
+        self.conclude()
+
+    def conclude(self) -> None:
+        """Judge what was loaded as a whole.
+
+        Raises
+        ------
+        NotMeasuredError
+            Where currents and voltages are not those of one motor.
+        """
+        stage_of = {s.id: s.stage for s in self.segments()}
+        seen = [x for name, x in self._seen.items() if stage_of.get(name) in _MEASURING]
+        if not seen:
+            return
+        current, voltage = max(x.current_a for x in seen), max(x.voltage_v for x in seen)
+        bus = self.manifest.drive.dc_bus_voltage_v
+        if current == 0.0:
+            self._refuse("i_alpha, i_beta", "zero throughout: no current was measured")
+        # Noise alone needs no voltage, and is no motor's wrong voltage.
+        if voltage < _LEAST_BUS_VOLTAGES * bus and current > _NOISE * (self.manifest.motor.rated_current_a or 0.0):
+            told = f"nowhere more than {voltage:.3g} V, though up to {current:.3g} A flow and the bus has {bus:g} V"
+            self._refuse("v_alpha, v_beta", f"{told}: not the voltage at a motor")
+        self._check_polarity_and_resistance(seen)
+        self._check_inductance(seen)
+
+    def _check_sizes(self, segment: Segment, capture: Capture) -> None:
+        motor, bus = self.manifest.motor, self.manifest.drive.dc_bus_voltage_v
+        rated = motor.rated_current_a
+        most_a = _MOST_CURRENT_A if rated is None else _MOST_RATED_CURRENTS * rated
+        peak = _largest(capture.i_ab)
+        if peak > most_a:
+            held = "any motor's" if rated is None else f"{peak / rated:.3g} times the rated current, {rated:.3g} A peak"
+            self._refuse(
+                f"{segment.id}: i_alpha, i_beta", f"{_place(capture.i_ab, peak)}: {peak:.4g} A, {held}; a unit is wrong"
+            )
+        peak = _largest(capture.v_ab)
+        if peak > _MOST_BUS_VOLTAGES * bus:
+            held = f"{peak / bus:.3g} times the bus voltage, {bus:g} V"
+            self._refuse(
+                f"{segment.id}: v_alpha, v_beta", f"{_place(capture.v_ab, peak)}: {peak:.4g} V, {held}; a unit is wrong"
+            )
+        low, high = (limit * bus for limit in _BUS_RANGE)
+        # With the bridge off the bus may be off too.
+        low = 0.0 if segment.stage is SegmentStage.GATES_OFF else low
+        measured = float(np.median(capture.v_dc[::_EVERY]))
+        if not low <= measured <= high:
+            told = f"{measured:.4g} V (median) on a nominal bus of {bus:g} V; a unit is wrong"
+            self._refuse(f"{segment.id}: v_dc", told)
+
+    def _check_polarity_and_resistance(self, seen: Sequence[_Seen]) -> None:
+        i2, v2 = sum(x.i_squared for x in seen), sum(x.v_squared for x in seen)
+        motor = self.manifest.motor
+        least = _SIGNIFICANT * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
+        # Offsets of the sensors and of the inverter go together in any way.
+        if v2 == 0.0 or math.sqrt(i2 / len(seen)) < least:
+            return
+        product = sum((x.v_on_i for x in seen), 0j)
+        likeness, angle = abs(product) / math.sqrt(i2 * v2), math.atan2(product.imag, product.real)
+        if likeness > _ALIKE and abs(angle) > math.pi / 3.0:
+            told = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
+            hint = "one of both is reversed" if abs(angle) > 2.6 else "phases are exchanged, or frames differ"
+            self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{told}: {hint}")
+        nameplate, ohm = motor.stator_resistance_ohm, product.real / i2
+        if nameplate is None or _RESISTANCE_RANGE[0] * nameplate <= ohm <= _RESISTANCE_RANGE[1] * nameplate:
+            return
+        told = f"{ohm:.3g} ohm, where the nameplate has {nameplate:g} ohm: a unit is wrong"
+        self._refuse("v_alpha, v_beta over i_alpha, i_beta", told)
+
+    def _check_inductance(self, seen: Sequence[_Seen]) -> None:
+        i2, v2, product = (sum(x.steps[k] for x in seen) for k in range(3))
+        if i2 == 0.0 or v2 == 0.0 or abs(product) < 0.2 * math.sqrt(i2 * v2):
+            return
+        where = "ripple of v_alpha, v_beta and i_alpha, i_beta"
+        if product < -_ALIKE * math.sqrt(i2 * v2):
+            self._refuse(where, "the current falls where the voltage drives it up: one is reversed, or far too late")
+        motor = self.manifest.motor
+        if product < 0.0 or motor.d_inductance_h is None or motor.q_inductance_h is None:
+            return
+        henry, nameplate = v2 / product, math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
+        if not _INDUCTANCE_RANGE[0] * nameplate <= henry <= _INDUCTANCE_RANGE[1] * nameplate:
+            told = f"an inductance of {henry:.3g} H, where the nameplate has {nameplate:.3g} H"
+            self._refuse(where, f"{told}; a unit, or the sampling frequency, is wrong")
+
+    def _refuse(self, field: str, problem: str) -> None:
+        raise NotMeasuredError(self.manifest.name, field, problem)
+
+
+def _check_manifest(manifest: Manifest) -> None:
+    for name, problem in outside(manifest.motor.model_dump(), MOTOR_RANGES, "no motor has that"):
+        raise RecordingError(manifest.name, f"motor.{name}", problem)
+    for name, problem in outside(manifest.drive.model_dump(), DRIVE_RANGES, "no drive does that"):
+        raise RecordingError(manifest.name, f"drive.{name}", problem)
+    for segment in manifest.segments:
+        if abs(segment.start_s) > _LATEST_S:
+            told = f"{segment.start_s:g} s; expected seconds since the start of the experiment"
+            raise RecordingError(manifest.name, f"segments.{segment.id}.start_s", told)
+        _check_settings(manifest.name, segment)
+
+
+def _check_settings(name: str, segment: Segment) -> None:
+    settings: Mapping[str, object] = segment.settings
+    for key in (*_RATES, *_TARGETS):
+        value = settings.get(key)
+        if value is None:
+            continue
+        field = f"segments.{segment.id}.settings.{key}"
+        if isinstance(value, bool) or not isinstance(value, int | float):
+            raise RecordingError(name, field, f"expected a number, got {value!r}"[:120])
+        if abs(value) > _LARGEST_SETTING or (key in _RATES and value < 0):
+            raise RecordingError(name, field, f"{value!r} cannot be meant"[:120])
+
+
+def _largest(x: Numbers) -> float:
+    """Size of the largest component of vectors (n, 2)."""
+    return max(float(x.max()), -float(x.min()))
+
+
+def _place(x: Numbers, size: float) -> str:
+    return f"sample {int(np.argmax(np.abs(x).max(axis=1) >= size))}"
+
+
+def _seen(segment: Segment, capture: Capture, late: float) -> _Seen:
+    current, voltage = _largest(capture.i_ab), _largest(capture.v_ab)
+    if segment.stage not in _MEASURING:
+        return _Seen(current, voltage)
+    fs = capture.sampling_frequency_hz
+    i, v = (np.asarray(slow_part(x, fs), dtype=np.float64) @ [1.0, 1j] for x in (capture.i_ab, capture.v_ab))
+    steps = _steps(capture, round(late)) if segment.stage is SegmentStage.INJECTION else (0.0, 0.0, 0.0)
+    powers = (np.vdot(x, y) / len(i) for x, y in ((i, i), (v, v), (i, v)))
+    i_squared, v_squared, v_on_i = powers
+    return _Seen(current, voltage, float(i_squared.real), float(v_squared.real), complex(v_on_i), steps)
+
+
+def _steps(capture: Capture, late: int) -> tuple[float, float, float]:
+    i = np.asarray(capture.i_ab[:_RIPPLE_SAMPLES], dtype=np.float64)
+    v = np.asarray(capture.v_ab[: len(i)], dtype=np.float64)
+    if len(i) < late + 3:
+        return 0.0, 0.0, 0.0
+    di = np.diff(i, axis=0)[late:]
+    dv = (v - v.mean(axis=0))[: len(di)] / capture.sampling_frequency_hz
+    return float(np.sum(di * di)), float(np.sum(dv * dv)), float(np.sum(di * dv))

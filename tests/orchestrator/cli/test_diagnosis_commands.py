@@ -1,0 +1,186 @@
+"""`compare`, `diagnose`, `add` and `remove` from outside: wrong words, wrong files and what cannot be kept."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from orchestrator.cli._app import run_app
+from orchestrator.cli._tables import amount
+
+DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
+EFFECT = """
+from protocols import EffectLayer, EffectParameter
+
+class Mine:
+    name = "mine"
+    summary = signature = "mine"
+    layer = EffectLayer.INVERTER
+    family = "mine"
+    twins = experiments = ()
+    gauge = ""
+    parameters = (
+        EffectParameter(name="offset_v", unit="V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0, neutral=0.0),
+    )
+
+    def correct(self, signals, values):
+        {body}
+"""
+
+
+def refused(capsys: pytest.CaptureFixture[str], code: int, *words: str | Path) -> str:
+    """Run a command that is refused with this exit code; its one line."""
+    assert run_app(list(map(str, words))) == code
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith("fluxbench: ")
+    assert err.count("\n") == 1
+    return err
+
+
+@pytest.fixture
+def kept(tmp_path: Path) -> Path:
+    """A directory with a `model.json` that could be right."""
+    model = {
+        "format": "fluxbench-model", "version": 1, "recording": "r", "baseline": "saturated", "r_s_ohm": 4.0,
+        "pm_flux_wb": 0.3, "effects": [], "ladder": [],
+        "magnetics": {"d_low_a": -3.0, "d_high_a": 3.0, "q_high_a": 3.0, "d_intervals": 6, "q_intervals": 6,
+                      "coefficients_j": [0.0]},
+    }  # fmt: skip
+    (tmp_path / "model.json").write_text(json.dumps(model))
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["add", DATA, "dead_tme"], "dead_tme: no such effect; did you mean 'dead_time'?"),
+        (["add", DATA, "xyz"], "no such effect; valid: "),
+        (["diagnose", DATA, "--without", "dead_tme"], "no such effect; did you mean 'dead_time'?"),
+        (["diagnose", "nowhere"], "nowhere"),
+        (["diagnose", DATA / "recording.json" / "x"], "x"),
+        (["diagnose", Path(__file__)], "is a file; expected the directory of a recording or run"),
+        (["compare", "/dev/null"], "is a file"),
+        (["diagnose"], "RECORDING"),
+        (["diagnose", DATA, "--out", Path(__file__)], "is not a directory"),
+        (["diagnose", DATA, "--model", "staurated"], "staurated"),
+        (["diagnose", DATA, "--effects", "nowhere.py"], "nowhere.py"),
+    ],
+)
+def test_wrong_words_are_one_line(words: list[str | Path], told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert told in refused(capsys, 2, *words)
+
+
+def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "recording.json" in refused(capsys, 2, "diagnose", tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        ({"r_s_ohm": "four"}, "model.json: r_s_ohm: expected a number"),
+        ({"r_s_ohm": float("nan")}, "model.json: r_s_ohm"),
+        ({"magnetics": {}}, "model.json: magnetics.d_low_a: missing"),
+        ({"ladder": [{"added": 1}]}, "model.json: ladder.0"),
+        ({"colour": "red"}, "model.json: colour: unknown key"),
+        ({"version": 2}, "model.json: version"),
+    ],
+)
+def test_a_field_of_model_json_is_named(
+    change: dict[str, object], told: str, kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    file = kept / "model.json"
+    file.write_text(json.dumps(json.loads(file.read_text()) | change))
+    assert told in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [("{", "model.json:1: broken JSON"), ("[1]", "expected a JSON object, got list"), ("\xff", "broken JSON")],
+)
+def test_a_model_json_that_is_none_is_said(
+    text: str, told: str, kept: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (kept / "model.json").write_bytes(text.encode("latin-1"))
+    assert told in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
+
+
+def test_what_cannot_be_kept_was_not_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "model.json").mkdir()
+    assert "model.json was not written" in refused(capsys, 3, "add", DATA, "dead_time", "--out", tmp_path)
+
+
+def test_compare_says_where_there_is_no_model_to_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["compare", str(DATA), "--out", str(tmp_path)]) == 0
+    assert f"no model.json in {tmp_path}" in capsys.readouterr().out
+
+
+def test_an_effect_that_writes_into_the_recording_is_refused(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body="signals.v_ab[:] = 0.0\n        return signals"))
+    told = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+    assert "mine: correct: writes into the signals" in told
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("body", "told"),
+    [
+        ("raise SystemExit(7)", "correct: SystemExit: 7"),
+        ("return None", "returned NoneType"),
+        ("return signals.model_copy(update={'v_ab': signals.v_ab[:5]})", "v_ab has shape (5, 2)"),
+        ("return signals.model_copy(update={'v_ab': signals.v_ab * float('nan')})", "v_ab is not finite"),
+        ("return signals.model_copy(update={'v_ab': signals.v_ab * 1j})", "v_ab is of type complex128"),
+        ("return signals.model_copy(update={'v_ab': signals.v_ab.tolist()})", "v_ab has shape None"),
+    ],
+)
+def test_an_effect_that_returns_no_signals_is_named(
+    body: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body=body))
+    assert told in refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (('name = "mine"', 'name = "dead_time"'), "dead_time: there is an effect of that name already"),
+        (('name = "mine"', 'name = "saturation"'), "saturation: there is an effect of that name already"),
+        (("typical=0.15", "typical=0.0"), "offset_v: typical 0"),
+        (
+            ("gauge = ", "def __init__(self):\n        raise OSError(5, 'no')\n\n    gauge = "),
+            "cannot be made: OSError",
+        ),
+    ],
+)
+def test_an_effect_that_makes_no_candidate_is_named(
+    change: tuple[str, str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body="return signals").replace(*change))
+    assert told in refused(capsys, 2, "compare", DATA, "--effects", mine)
+
+
+@pytest.mark.parametrize("command", ["compare", "diagnose", "estimate"])
+def test_a_recording_that_cannot_be_a_motor_s_is_refused(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(DATA, copy)
+    manifest = json.loads((copy / "recording.json").read_text())
+    manifest["motor"]["rated_current_rms_a"] = 1e-3
+    (copy / "recording.json").write_text(json.dumps(manifest))
+    assert "times the rated current" in refused(capsys, 2, command, copy)
+    assert not (copy / "results").exists()
+    assert not (copy / "model.json").exists()
+
+
+def test_zero_has_no_sign() -> None:
+    assert amount(-0.0, "A") == "0 A"
+    assert amount(-0.25, "A") == "-0.25 A"

@@ -1,0 +1,100 @@
+"""Ctrl-C in the middle of a diagnosis: one line, exit code 130, at once, whatever an effect's thread is doing."""
+
+from __future__ import annotations
+
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from orchestrator.recording import open_recording
+from protocols import StateChanged
+from tests.support.processes import fluxbench, start_fluxbench, wait_until
+from tests.support.tiny import STAGES, messages_of, tiny_file
+
+DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
+EFFECT = """
+import time
+from pathlib import Path
+from protocols import EffectLayer, EffectParameter
+
+class Mine:
+    name = "mine"
+    summary = signature = "mine"
+    layer = EffectLayer.INVERTER
+    family = "mine"
+    twins = experiments = ()
+    gauge = ""
+    parameters = (
+        EffectParameter(name="offset_v", unit="V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0, neutral=0.0),
+    )
+
+    def correct(self, signals, values):
+        Path({marker!r}).touch()
+        time.sleep({seconds})
+        return signals
+"""
+
+
+def interrupted(words: list[str | Path], marker: Path, times: int = 1) -> tuple[subprocess.Popen[str], str, float]:
+    """Start a command, interrupt it as soon as the effect is at work; what it said, and how long it took to leave."""
+    process = start_fluxbench(*words)
+    wait_until(lambda: marker.exists() or process.poll() is not None)
+    began = time.monotonic()
+    for _ in range(times):
+        process.send_signal(signal.SIGINT)
+        time.sleep(0.05)
+    _, told = process.communicate(timeout=20)
+    return process, told, time.monotonic() - began
+
+
+def effect_that_takes(seconds: float, folder: Path) -> tuple[Path, Path]:
+    mine, marker = folder / "mine.py", folder / "at-work"
+    mine.write_text(EFFECT.format(marker=str(marker), seconds=seconds))
+    return mine, marker
+
+
+@pytest.mark.parametrize(("seconds", "times"), [(0.01, 1), (1e6, 1), (1e6, 2)])
+def test_ctrl_c_ends_a_search_at_once(seconds: float, times: int, tmp_path: Path) -> None:
+    mine, marker = effect_that_takes(seconds, tmp_path)
+    words: list[str | Path] = ["diagnose", DATA, "--effects", mine, "--out", tmp_path / "out"]
+    process, told, took = interrupted(words, marker, times)
+    assert (process.returncode, told) == (130, "fluxbench: interrupted\n")
+    assert took < 1.5
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_anywhere_else_is_one_line_too() -> None:
+    code = (
+        "from orchestrator.cli import _app, _inspect\n"
+        "def raising(*_):\n    raise KeyboardInterrupt\n"
+        "_inspect.procedures = raising\nraise SystemExit(_app.run_app(['procedures']))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (130, "fluxbench: interrupted\n")
+
+
+def test_a_signal_while_diagnosing_ends_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
+    run = tmp_path / "run"
+    stages = [*STAGES[:-1], {"kind": "diagnose", "rounds": 0}]
+    process = start_fluxbench("run", tiny_file(tmp_path, stages=stages), "--out", run)
+    wait_until(lambda: diagnosing(run) or process.poll() is not None)
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=30)
+    assert process.returncode == 130, told
+    assert "signal SIGINT" in told
+    assert time.monotonic() - began < 6.0
+    assert len(open_recording(run).segments()) > 10
+    assert not (run / "results" / "diagnosis.json").exists()
+    assert fluxbench("resume", run, "--quiet").returncode == 0
+    assert (run / "results" / "diagnosis.json").exists()
+
+
+def diagnosing(run: Path) -> bool:
+    if not (run / "journal.jsonl").exists():
+        return False
+    return any(isinstance(message, StateChanged) and message.target == "diagnosing" for message in messages_of(run))
