@@ -24,6 +24,7 @@ from orchestrator.diagnosis._course import (
 )
 from orchestrator.diagnosis._enough import solvable
 from orchestrator.diagnosis._fitted import Fit
+from orchestrator.diagnosis._joint import joint_fit, other_opinion
 from orchestrator.diagnosis._ladder import (
     DETECTED,
     found_effects,
@@ -40,7 +41,6 @@ from orchestrator.diagnosis._reports import (
     AddReport,
     DiagnosisReport,
     FoundEffect,
-    JointEntry,
     NextExperiment,
     NoiseFloor,
     ParameterValue,
@@ -50,21 +50,14 @@ from orchestrator.diagnosis._reports import (
     Verdict,
 )
 from orchestrator.diagnosis._search import (
-    LinearView,
     Search,
     Step,
-    linear_view,
-    score,
     with_effect,
 )
 from orchestrator.diagnosis._shape import leftover_shape
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep, Effect, PluginError, StorageError
 
-SAME = 0.95
-"""Correlation above which two effects are one in the joint fit."""
-UNMOVED = 0.01
-"""Change of chi2 beyond which effects have to be scored anew, relative."""
 QUIET = 0.8
 """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
 NOTEWORTHY = 1.5
@@ -149,6 +142,8 @@ def diagnose_recording(
         notes.append(
             f"chi2 {last.chi2_per_dof:.2g} is too small for random noise: the readings err from one to the next"
         )
+    joint = joint_fit(start.fitter, search, library)
+    notes += other_opinion(joint, found)
     ladder = tuple(rung(step) for step in search.steps)
     if on_step is not None:
         _show(start, search, ladder, on_step)
@@ -158,7 +153,7 @@ def diagnose_recording(
         verdict=verdict,
         effects=found,
         traces=tuple(dict.fromkeys([*doubtful, *spared, *search.traces])),
-        joint=_joint(start, search, library),
+        joint=joint,
         ladder=ladder,
         unexplained=left,
         next_experiment=_proposal(start, last, library, found, verdict, [*doubtful, *search.traces]),
@@ -281,57 +276,6 @@ def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
                 )
             )
     return tuple(found)
-
-
-def _joint(start: Start, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
-    """All effects at once, linearly around the model, under the priors; ranked by relative size."""
-    view = search.view if search.view is not None and _still_holds(search.view, search.fit) else None
-    view = view or linear_view(start.fitter, search.fit, library)
-    which = _distinct(view)
-    if not which:
-        return ()
-    fit, columns = view.fit, [view.columns[k] for k in which]
-    normal, right = view.normal[np.ix_(which, which)], view.right[which]
-    inflation = max(fit.chi2_per_dof, 1.0)
-    x0 = np.array([a.coordinate(n) for a, n in columns])
-    precision = normal / inflation + np.eye(len(columns))
-    x = x0 - np.linalg.solve(precision, right / inflation + x0)
-    spread = np.sqrt(np.diag(np.linalg.inv(precision)))
-    entries: dict[str, JointEntry] = {}
-    for (active, name), value, sigma in zip(columns, x, spread, strict=True):
-        p = active.candidate.named(name)
-        if name not in active.candidate.amplitudes:
-            continue
-        size = abs(float(value)) * p.prior_width / abs(p.typical)
-        entry = JointEntry(name=active.name, relative_size=size, z=float(value / sigma))
-        known = entries.get(active.name)
-        if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
-            entries[active.name] = entry
-    # An effect that chance could have made is ranked below all that it could not, whatever its size.
-    return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < 4.0, -(e.relative_size or 0.0))))
-
-
-def _still_holds(view: LinearView, fit: Fit) -> bool:
-    """Whether a view was taken of this fit, or of one that it has hardly moved from since."""
-    seen = view.fit
-    same = seen.model.names == fit.model.names and seen.model.space is fit.model.space
-    parameters = [n for _, n in seen.model.free] == [n for _, n in fit.model.free]
-    return same and parameters and abs(seen.chi2 - fit.chi2) < UNMOVED * fit.chi2
-
-
-def _distinct(view: LinearView) -> list[int]:
-    """The columns of a view without those effects whose column is that of a better one all over again.
-
-    Two such columns would be fitted against each other, to large sizes of opposite sign that mean nothing.
-    """
-    scale = np.sqrt(np.maximum(np.diag(view.normal), 1e-300))
-    like = np.abs(view.normal / np.outer(scale, scale))
-    taken = list(range(len(view.fit.model.free)))
-    for scored in score(view):
-        own = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
-        if not taken or like[np.ix_(own, taken)].max() < SAME:
-            taken += own
-    return taken
 
 
 def _unexplained(start: Start, first: Fit, last: Fit) -> Unexplained:

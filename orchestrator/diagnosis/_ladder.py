@@ -24,7 +24,7 @@ DETECTED = 1.08
 EXPLAINED, MOSTLY = 0.05, 0.30
 SHAPE_ERROR = 0.12
 """What a slightly wrong shape of the right effects may leave of chi2 - 1, over the root of what there was at first."""
-LEAST_LEFT = 1.0
+LEAST_LEFT = 1.5
 """A remainder of chi2 - 1 below this is small whatever there was at first."""
 
 

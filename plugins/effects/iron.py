@@ -152,8 +152,8 @@ class Hysteresis:
         width = values["half_width_a"]
         if width == 0.0:
             return signals
-        psi, inductance = _flux(signals)
-        stiffness = (1.0 / values["reversible_ratio"] - 1.0) / inductance
+        psi = _flux(signals)
+        stiffness = (1.0 / values["reversible_ratio"] - 1.0) / _inductance(signals)
         early, spread = values.get("early_share", 0.5), math.sqrt(values.get("variance", 0.0))
         held = _stops(
             psi,
@@ -163,18 +163,21 @@ class Hysteresis:
         return signals.model_copy(update={"i_m_ab": signals.i_m_ab - held})
 
 
-def _flux(signals: Signals) -> tuple[Array, float]:
-    """Flux linkage (n, 2), up to a constant, and a typical inductance."""
+def _flux(signals: Signals) -> Array:
+    """Flux linkage (n, 2), up to a constant."""
     if signals.psi_smooth_ab is not None:
-        psi = np.ascontiguousarray(signals.psi_smooth_ab, dtype=np.float64)
-    else:
-        drop = signals.v_ab - signals.resistance_ohm[:, None] * signals.i_ab
-        psi = np.cumsum(drop, axis=0) / signals.sampling_frequency_hz
+        return np.ascontiguousarray(signals.psi_smooth_ab, dtype=np.float64)
+    drop = signals.v_ab - signals.resistance_ohm[:, None] * signals.i_ab
+    return np.asarray(np.cumsum(drop, axis=0) / signals.sampling_frequency_hz)
+
+
+def _inductance(signals: Signals) -> float:
+    """A typical one: the nameplate's, or else the swing of flux over that of current [H]."""
     motor = signals.motor
     if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        return psi, math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
+        return math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
     swing = float(np.ptp(signals.i_m_ab, axis=0).max())
-    return psi, float(np.ptp(psi, axis=0).max()) / swing if swing > 0.0 else 1.0
+    return float(np.ptp(_flux(signals), axis=0).max()) / swing if swing > 0.0 else 1.0
 
 
 class MagnetHeating:
@@ -218,7 +221,7 @@ class MagnetHeating:
         else:
             warm = lagged_steps(signals.losses.time_s, signals.losses.power_w, values["time_constant_s"])
             part = np.interp(now, signals.losses.time_s, warm / max(float(warm[-1]), 1e-12))
-        inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _flux(signals)[1]
+        inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
         slide = values["flux_change_wb"] / inductance * part
         axis = np.stack([np.cos(signals.theta_rad), np.sin(signals.theta_rad)], axis=1)
         return signals.model_copy(update={"i_m_ab": signals.i_m_ab + slide[:, None] * axis})
@@ -227,8 +230,9 @@ class MagnetHeating:
 class SlotHarmonics:
     """Slots give the locked angle a saliency of its own: an L_dq that is even in i_q, `relative` times L.
 
-    Written as i_m = i + r (i_q, i_d) with the mean inductance, so that reciprocity is kept. Which part of
-    L(theta) appears depends on the angle at which the rotor is locked.
+    The energy r L i_d i_q beside the map's own, so that reciprocity is kept: its flux r L (i_q, i_d) [Wb] is taken
+    out of the voltage. Which part of L(theta) appears depends on the angle at which the rotor is locked. In the
+    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2.
     """
 
     name: ClassVar[str] = "slot_harmonics"
@@ -241,19 +245,33 @@ class SlotHarmonics:
     gauge: ClassVar[str] = "A part that is even in the true i_q belongs to the map at this angle."
     parameters: ClassVar[tuple[EffectParameter, ...]] = (
         EffectParameter(name="relative", unit="1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3, neutral=0.0),
+        EffectParameter(
+            name="fading_per_a2",
+            unit="1/A^2",
+            typical=0.0,
+            prior_width=0.1,
+            low=-0.03,
+            high=10.0,
+            neutral=0.0,
+            role=ParameterRole.REFINEMENT,
+        ),
     )
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
-        """Mix the axes of the magnetising current."""
+        """Take the change of this flux from the voltage of each interval."""
         if values["relative"] == 0.0:
             return signals
-        motor = signals.motor
-        ratio = 1.0
-        if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-            ratio = math.sqrt(motor.q_inductance_h / motor.d_inductance_h)
-        c, s = np.cos(signals.theta_rad), np.sin(signals.theta_rad)
-        i = signals.i_m_ab
-        d, q = c * i[:, 0] + s * i[:, 1], -s * i[:, 0] + c * i[:, 1]
-        add_d, add_q = values["relative"] * ratio * q, values["relative"] / ratio * d
-        change = np.stack([c * add_d - s * add_q, s * add_d + c * add_q], axis=1)
-        return signals.model_copy(update={"i_m_ab": i + change})
+        psi = values["relative"] * _inductance(signals) * _crossed(signals, values.get("fading_per_a2", 0.0))
+        induced = np.diff(psi, axis=0, append=psi[-1:]) * signals.sampling_frequency_hz
+        return signals.model_copy(update={"v_ab": signals.v_ab - induced})
+
+
+def _crossed(signals: Signals, fading: float) -> Array:
+    """Gradient of i_d i_q / (1 + f |i|^2) in the stator frame, shape (n, 2)."""
+    c, s = np.cos(signals.theta_rad), np.sin(signals.theta_rad)
+    i = signals.i_m_ab
+    d, q = c * i[:, 0] + s * i[:, 1], -s * i[:, 0] + c * i[:, 1]
+    left = 1.0 / np.maximum(1.0 + fading * (d * d + q * q), 0.1)
+    bend = 2.0 * fading * d * q * left * left
+    psi_d, psi_q = q * left - bend * d, d * left - bend * q
+    return np.stack([c * psi_d - s * psi_q, s * psi_d + c * psi_q], axis=1)

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.hidden import NUISANCES
-from tests.blind.score import FAINT_FIGURES, Judgement, said, wilson
+from tests.blind.score import FAINT_FIGURES, FOUND_FIRST, Judgement, said, wilson
 
 AIMS = {
     "clean: no false name": "0 false of 300",
@@ -23,9 +23,9 @@ AIMS = {
 }
 ORDER = (
     "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
-    "clutter: first name right", "double: exact set", "double: first name right", "left out: unknown flagged",
-    "foreign: unknown flagged", "explained, and not flagged unknown", "nuisance: no false name",
-    "nuisance: first name right", "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so",
+    "clutter: first name right", FOUND_FIRST, "double: exact set", "double: first name right",
+    "left out: unknown flagged", "foreign: unknown flagged", "explained, and not flagged unknown",
+    "nuisance: no false name", "nuisance: first name right", "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so",
     "answered at all",
 )  # fmt: skip
 

@@ -59,6 +59,16 @@ def test_a_twin_counts_as_the_name() -> None:
     assert "single: first name right" in judge(answered(case, report("current_filter"))).wrong
 
 
+def test_in_clutter_the_largest_of_the_joint_fit_is_the_first_name() -> None:
+    case = draw_case("clutter", 3, SEED)
+    found = report("dead_time")
+    found["joint"] = [{"name": "current_filter", "relative_size": 1.0, "z": 20.0}]
+    assert case.truths[0].name == "voltage_delay"
+    assert judge(answered(case, found)).wrong == []
+    found["joint"][0]["name"] = "dead_time"
+    assert judge(answered(case, found)).wrong == ["clutter: first name right"]
+
+
 def test_identical_effects_count_where_their_stage_is_missing() -> None:
     seed = next(s for s in range(999) if draw_case("nuisance", 16, s).truths[0].name == "voltage_bias")
     case = draw_case("nuisance", 16, seed)
