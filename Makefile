@@ -7,7 +7,7 @@ BIN := $(VENV)/bin
 export OPENBLAS_NUM_THREADS ?= 1
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all bench blind pictures lint lock clean
+.PHONY: demo test test-all test-socketcan bench blind pictures lint lock clean
 
 demo: $(STAMP)
 	$(BIN)/fluxbench run demo
@@ -17,6 +17,10 @@ test: $(STAMP) lint
 
 test-all: $(STAMP) lint
 	$(BIN)/pytest -q -n 2 -m "slow or not slow"
+
+# Real SocketCAN in a virtual machine: qemu-system-x86, busybox-static and a Debian kernel (docs/robustness.md).
+test-socketcan: $(STAMP)
+	$(BIN)/python -m tests.socketcan
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks

@@ -31,6 +31,8 @@ from protocols import (
 
 SAMPLES_PER_PERIOD = 20
 """Rows in one injection period: a whole number, so that the kit's spectra have no leakage."""
+FEWEST_PERIODS = 5
+"""Injection periods in one turn of the injected vector, also on a drive that samples slowly."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +58,10 @@ class Sizes:
         amplitude = 0.1 * capabilities.max_voltage_v
         if motor.d_inductance_h is not None:
             amplitude = 4.0 * frequency * 0.2 * motor.d_inductance_h * rated
-        injection_s = int(min(0.5, longest) * frequency) / frequency
+        periods = max(FEWEST_PERIODS, int(0.5 * frequency))
+        if capabilities.longest_capture_s is not None:
+            periods = max(1, min(periods, int(capabilities.longest_capture_s * frequency)))
+        injection_s = periods / frequency
         return cls(
             limits=Limits(current_a=min(capabilities.max_current_a, 1.5 * rated), voltage_v=capabilities.max_voltage_v),
             current_a=0.4 * rated,

@@ -37,6 +37,7 @@ def emulate(
             help="Join this bus, as python-can names it. serial:PATH makes the terminal that its interface opens.",
         ),
     ] = None,
+    node: Annotated[int, typer.Option(min=0, max=3, help="Which of the drives on the CAN bus it is.")] = 0,
     fd: Annotated[bool, typer.Option("--fd", help="The bus is CAN FD.")] = False,
     bitrate: Annotated[int, typer.Option(help="Of the CAN bus.")] = 1_000_000,
     data_bitrate: Annotated[int, typer.Option(help="Of CAN FD's data.")] = 5_000_000,
@@ -87,7 +88,7 @@ def emulate(
     own = DeviceSettings(
         memory_rows=memory_rows, ring=ring, longest_program_s=longest_program, speed=pace, directory=state
     )
-    port = _port(serial, can, fd, bitrate, data_bitrate, can_settings or ())
+    port = _port(serial, can, node, fd, bitrate, data_bitrate, can_settings or ())
     device = Device(options, nameplate, seed, port.layout, own, journal)
     losses = Losses(drop, duplicate, reorder, corrupt)
     run_emulation(device, port, LinkSettings(rate, losses, seed, priority), journal)
@@ -138,9 +139,10 @@ def _speed(text: str) -> float | None:
 
 
 def _port(
-    serial: Path | None, can: str | None, fd: bool, bitrate: int, data_bitrate: int, settings: Sequence[str]
+    serial: Path | None, can: str | None, node: int, fd: bool, bitrate: int, data_bitrate: int, settings: Sequence[str]
 ) -> Port:
-    from plugins.emulator._ports import CanPort, PtyPort, SerialCanPort
+    from plugins.emulator._can_ports import CanPort, SerialCanPort
+    from plugins.emulator._ports import PtyPort
     from protocols import InputError
 
     if serial is not None:
@@ -151,14 +153,14 @@ def _port(
     if interface == "serial":
         if fd:
             raise InputError("--can", interface, "python-can's serial interface is classic only")
-        return SerialCanPort(Path(channel))
+        return SerialCanPort(Path(channel), node)
     further: dict[str, Any] = {}
     for setting in settings:
         key, equals, value = setting.partition("=")
         if not equals:
             raise InputError("--can-set", setting, "expected key=value")
         further[key.strip()] = _plain(value)
-    return CanPort(interface, channel, fd=fd, bitrate=bitrate, data_bitrate=data_bitrate, settings=further)
+    return CanPort(interface, channel, node=node, fd=fd, bitrate=bitrate, data_bitrate=data_bitrate, settings=further)
 
 
 def _plain(text: str) -> str | int | float | bool:

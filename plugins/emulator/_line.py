@@ -13,13 +13,13 @@ from plugins.emulator._ports import Port, Unit
 
 T = TypeVar("T")
 
-_BATCH = 32
+_BATCH = 64
 """Frames that are sent before watchdog and link are looked at again: a bus may take 0.1 ms for each."""
 _BURST_S = 0.01
 """A paced line makes up for so much time that it was not attended to."""
 _GIVEN_UP_S = 0.25
 """What nobody took for so long is thrown away, as a line without a reader does."""
-_MOST_WAITING = 16_384
+_MOST_WAITING = 4096
 _LET_GO = 0.2
 """Chance that a frame that was held back goes out after the next one."""
 

@@ -61,6 +61,7 @@ class PowerStage:
         self._armed_at = 0
         self._fed_s = self._tripped_s = self._since_s = clock()
         self._off_after = self._recording = False
+        self._begun_at = self._due_at = 0
         self._samples = max(1, round(self._fs * (_FREE_STEP_S if speed is None else _STEP_S * min(speed, 20.0))))
         self._idle = self._samples if speed is None else max(1, round(self._fs * _IDLE_STEP_S * min(speed, 20.0)))
         self._steps: Iterator[Step] = rig.off(self._idle)
@@ -98,6 +99,7 @@ class PowerStage:
         self.capture, self.capture_start = capture, 0
         self.state, self.phase = PowerState.RUNNING, Phase.RAMPING
         self._off_after, self._recording = isinstance(excitation, GatesOff), False
+        self._begun_at, self._due_at = self.rig.ticks, self.rig.ticks + self.rig.length(excitation)
         self._do(self.rig.excite(excitation, self._samples))
 
     def record(self, capture: Capture) -> None:
@@ -279,7 +281,7 @@ class PowerStage:
         return self.capture.take(step)
 
     def _watch(self, step: Step) -> None:
-        """What the step loop does not look at itself: energy, duration, bus voltage."""
+        """What the step loop does not look at itself: energy, durations, bus voltage."""
         if not self.energised or self._limits is None:
             return
         squares = float(np.einsum("nk,nk->", step.i_ab, step.i_ab, dtype=np.float64))
@@ -288,6 +290,9 @@ class PowerStage:
         for used, most in ((self.energy_j, self._limits.energy_j), (duration_s, self._limits.duration_s)):
             if most is not None and used > most:
                 self.trip(Fault.LIMIT, used, most)
+        if self.state is PowerState.RUNNING and self.rig.ticks > self._due_at:
+            taken, allowed = self.rig.ticks - self._begun_at, self._due_at - self._begun_at
+            self.trip(Fault.PROGRAM_TOO_LONG, taken / self._fs, allowed / self._fs)
         nominal, v_dc = self.rig.capabilities.dc_bus_voltage_v, float(step.v_dc[-1])
         if not _BUS_BAND[0] * nominal <= v_dc <= _BUS_BAND[1] * nominal:
             edge = _BUS_BAND[v_dc > nominal] * nominal

@@ -30,7 +30,7 @@ ROW_BYTES = 8
 """Four int16 channels: what `memory_rows` counts in."""
 RIPPLE_RATE_HZ = 500.0
 _RIPPLE_ROWS = 8192
-_MOST_PERIODS = 10_000
+_MOST_PERIODS = 2_000
 _ROUNDING = 1.0 + 1e-6
 _LONGEST_CAPTURE = (1 << 26) - 1
 
@@ -115,7 +115,7 @@ class Programs:
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
         if isinstance(excitation, Trapezoid) and excitation.periods > _MOST_PERIODS:
             return AckStatus.TOO_LONG
-        if _seconds(excitation) > self._settings.longest_program_s:
+        if _seconds(excitation) > self._settings.longest_program_s * _ROUNDING:
             return AckStatus.TOO_LONG
         if captured_rows(excitation, fs) < 1 or excitation.control.bandwidth_hz > fs / 10:
             return AckStatus.OUT_OF_RANGE

@@ -28,7 +28,7 @@ def probe(
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Find drives on this machine's serial ports and CAN buses, and say what they can do. Moves nothing."""
-    from plugins.probe._finding import can_bus, found_on, links_of_this_machine, serial_line
+    from plugins.probe._finding import Found, can_bus, found_on, links_of_this_machine, serial_line
     from protocols import DriveError
 
     named = [serial_line(port, baud_rate) for port in serial or ()]
@@ -37,7 +37,11 @@ def probe(
     silent: list[tuple[LinkName, str]] = []
     for link in named or links_of_this_machine(baud_rate, bitrate, fd):
         try:
-            found.append(found_on(link))
+            for drive in found_on(link):
+                if isinstance(drive, Found):
+                    found.append(drive)
+                else:
+                    silent.append((link, str(drive)))
         except DriveError as error:
             silent.append((link, str(error)))
     if named and not found:
@@ -77,10 +81,10 @@ def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_js
 
 def _told(drive: Found) -> list[str]:
     own, status = drive.capabilities, drive.status
-    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.link.settings.items() if _is_told(key, v))
+    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_told(key, v))
     firmware = drive.description.get("firmware", "not told")
     lines = [
-        f"{own.name} on {drive.link.text}",
+        f"{own.name} on {drive.link.text}" + (f" node {drive.node}" if drive.node else ""),
         f"  motor      {own.motor_name or 'not told'}",
         f"  firmware   {firmware}",
         f"  sampling   {own.sampling_frequency_hz:g} Hz, PWM {', '.join(f'{f:g}' for f in own.pwm_frequencies_hz)} Hz",
@@ -97,12 +101,12 @@ def _told(drive: Found) -> list[str]:
         lines.append(f"  now        {status.state.name.lower()}, bus {status.v_dc:.4g} V{current}")
         if drive.faults:
             lines.append(f"  faults     {', '.join(drive.faults)}")
-    return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.link.settings['name']} {settings}"]
+    return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.settings['name']} {settings}"]
 
 
 def _is_told(key: str, value: object) -> bool:
     """Whether a setting has to be written out: the drive plugins' defaults need not."""
-    return key != "name" and value not in (921_600, 1_000_000, False)
+    return key != "name" and value not in (921_600, 1_000_000, False)  # node 0 is among them
 
 
 def _value(value: object) -> str:

@@ -11,10 +11,12 @@ from typing import Any
 
 from plugins.drives._link import Host, Link, Port, link_errors
 from plugins.drives._link._host import fault_names
-from plugins.drives.wire import PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
-from protocols import Capabilities, DriveRefused
+from plugins.drives.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
+from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 
 ANSWER_S = 0.4
+_NODE_ANSWER_S = 0.2
+"""The same for each drive that might be on a bus: most are not there."""
 _TELEMETRY_S = 0.3
 _LONGEST_PERIOD_S = 10.0
 _NOT_PROBED = ("serial", "virtual")
@@ -28,7 +30,10 @@ class LinkName:
     text: str
     settings: dict[str, Any]
     """Options of the drive plugin, its name among them."""
-    open: Callable[[], Port]
+    open: Callable[[int], Port]
+    """For the drive of this number."""
+    most: int = 1
+    """Drives that may be there."""
 
 
 @dataclass(frozen=True)
@@ -36,11 +41,17 @@ class Found:
     """A drive that answered."""
 
     link: LinkName
+    node: int
     capabilities: Capabilities
     description: dict[str, str]
     registers: dict[str, float]
     status: Status | None
     i_dq_a: tuple[float, float] | None
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Options of the drive plugin for this drive."""
+        return self.link.settings | ({"node": self.node} if self.link.most > 1 else {})
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -59,7 +70,7 @@ class Found:
         }
         return {
             "link": self.link.text,
-            "drive": self.link.settings,
+            "drive": self.settings,
             "description": self.description,
             "capabilities": self.capabilities.model_dump(mode="json"),
             "registers": self.registers,
@@ -70,7 +81,7 @@ class Found:
 def serial_line(port: str, baud_rate: int) -> LinkName:
     """A serial line by its device, path or socket://host:port."""
 
-    def opened() -> Port:
+    def opened(node: int) -> Port:
         from plugins.drives.serial._port import SerialPort
 
         return SerialPort(port, baud_rate)
@@ -81,13 +92,13 @@ def serial_line(port: str, baud_rate: int) -> LinkName:
 def can_bus(interface: str, channel: str, bitrate: int, fd: bool) -> LinkName:
     """A CAN bus as python-can names it."""
 
-    def opened() -> Port:
+    def opened(node: int) -> Port:
         from plugins.drives.can._port import CanPort
 
-        return CanPort(interface, channel, bitrate, fd=fd)
+        return CanPort(interface, channel, bitrate, node=node, fd=fd)
 
     settings = {"name": "can", "interface": interface, "channel": channel, "bitrate": bitrate, "fd": fd}
-    return LinkName(f"{interface}:{channel}", settings, opened)
+    return LinkName(f"{interface}:{channel}", settings, opened, NODES)
 
 
 def links_of_this_machine(baud_rate: int, bitrate: int, fd: bool) -> list[LinkName]:
@@ -119,30 +130,47 @@ def _hushed(logger: str) -> Iterator[None]:
         log.setLevel(level)
 
 
-def found_on(name: LinkName) -> Found:
-    """The drive on this link.
+def found_on(name: LinkName) -> list[Found | DriveError]:
+    """The drives on this link, and what kept others from being understood.
 
-    Raises `DriveFault` where the link cannot be opened or nobody answers, `DriveRefused` where a
-    drive speaks another version of the protocol.
+    Raises `DriveFault` where the link cannot be opened or nobody answers.
     """
+    found: list[Found | DriveError] = []
+    silence: DriveFault | None = None
+    for node in range(name.most):
+        try:
+            found.append(_found(name, node))
+        except DriveFault as fault:
+            if fault.cause is not FaultCause.NO_ANSWER:
+                raise
+            silence = silence or fault
+        except DriveRefused as refusal:
+            found.append(refusal)
+    if silence is not None and not found:
+        raise silence
+    return found
+
+
+def _found(name: LinkName, node: int) -> Found:
     with link_errors(name.text):
-        port = name.open()
+        port = name.open(node)
     link = Link(port, _LONGEST_PERIOD_S)
     try:
-        return _asked(name, link)
+        return _asked(name, node, link)
     finally:
         link.close()
 
 
-def _asked(name: LinkName, link: Link) -> Found:
-    host = Host(link, ANSWER_S)
+def _asked(name: LinkName, node: int, link: Link) -> Found:
+    host = Host(link, ANSWER_S if name.most == 1 else _NODE_ANSWER_S)
     major = host.read("protocol_major")
     if major != PROTOCOL_MAJOR:
-        raise DriveRefused(f"{name.text}: a drive that speaks version {major:g} of the protocol, not {PROTOCOL_MAJOR}")
+        where = link.port.where
+        raise DriveRefused(f"{where}: a drive that speaks version {major:g} of the protocol, not {PROTOCOL_MAJOR}")
     own = host.own_registers()
     scales = facts_of(own).scales
     description = host.description(own, link.layout(int(own["bulk_block_bytes"])))
     news = link.news
     link.wait(lambda: news.status is not None and news.measurement is not None, _TELEMETRY_S)
     current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)
-    return Found(name, capabilities_of(own, description, None), description, own, news.status, current)
+    return Found(name, node, capabilities_of(own, description, None), description, own, news.status, current)

@@ -32,13 +32,15 @@ from plugins.drives.wire import (
     encode,
     serial_blocks,
 )
+from plugins.emulator._can_ports import CanPort as EmulatedPort
+from plugins.emulator._line import NO_LOSSES, Lossy, Outbox
 
 SERIAL_BYTES, FD_BYTES = 8_000_000, 2_000_000
 BLOCK_BYTES = 1020
 ROUND_TRIPS = 500
 GROUP, UDP_PORT = "239.74.163.77", 43277
-PACE_FRAMES = 32
-"""Frames sent at once over multicast, which drops what nobody has fetched."""
+BUS_SETTINGS = {"port": UDP_PORT, "hop_limit": 0}
+"""Without a hop limit of 0 every frame goes out of the machine's network card as well."""
 
 
 def capture(size: int) -> bytes:
@@ -77,23 +79,17 @@ def serve_line(fd: int, size: int) -> None:
 
 
 def serve_bus(size: int) -> None:
-    """The device on CAN FD; pauses between batches, as a real bus does all the time."""
-    import can
-
-    with can.Bus(channel=GROUP, interface="udp_multicast", port=UDP_PORT, ignore_config=True) as bus:
-        layout = CAN_FD
-        source = CaptureSource.complete_with(1, capture(size))
-        while True:
-            message = bus.recv(1.0)
-            if message is None:
-                continue
-            frame = Frame(message.arbitration_id, bytes(message.data))
-            for batch in answers(source, layout, [frame]):
-                for k, (identifier, payload) in enumerate(batch):
-                    large = len(payload) > 8
-                    bus.send(can.Message(arbitration_id=identifier, data=payload, is_extended_id=False, is_fd=large))
-                    if k % PACE_FRAMES == PACE_FRAMES - 1:
-                        time.sleep(2e-4)
+    """The device on CAN FD: the emulator's own port and queue. It is handed back all that it sends, too."""
+    port = EmulatedPort(
+        "udp_multicast", GROUP, fd=True, bitrate=1_000_000, data_bitrate=5_000_000, settings=BUS_SETTINGS
+    )
+    outbox = Outbox(port, Lossy(NO_LOSSES, "", port.damage), None)
+    source = CaptureSource.complete_with(1, capture(size))
+    while True:
+        frames = port.receive(0.02 if outbox.empty else 0.0)
+        for batch in answers(source, CAN_FD, frames):
+            outbox.put_bulk(batch)
+        outbox.pump(time.monotonic())
 
 
 def measured(label: str, port: Port, size: int) -> None:
@@ -141,7 +137,7 @@ def main() -> None:
         print("CAN FD on loopback: python-can's udp_multicast needs msgpack")
         return
     with process(serve_bus, FD_BYTES):
-        port = CanPort("udp_multicast", GROUP, 1_000_000, fd=True, settings={"port": UDP_PORT})
+        port = CanPort("udp_multicast", GROUP, 1_000_000, fd=True, settings=BUS_SETTINGS)
         measured("CAN FD over multicast on loopback", port, FD_BYTES)
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import signal
+import socket
 import subprocess
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +32,13 @@ class Emulator:
     def send(self, number: signal.Signals) -> None:
         """A signal to it alone."""
         os.kill(self.process.pid, number)
+
+
+def free_port() -> int:
+    """A UDP port that nobody has, for a multicast bus of one's own."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        return int(probe.getsockname()[1])
 
 
 @contextmanager

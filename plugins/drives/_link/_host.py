@@ -34,6 +34,8 @@ from protocols import DriveFault, DriveRefused, FaultCause, InputError
 
 REPEAT_S = 0.05
 """A request without an answer is repeated after this time."""
+TICK_S = 0.2
+"""The clock follows its answer within this time, or has been lost."""
 _FAULT_REGISTERS = ("fault_cause", "fault_value", "fault_limit", "fault_bits")
 
 
@@ -156,12 +158,14 @@ class Host:
     # What there is to know now
 
     def tick(self) -> Tick:
-        """The drive's clock, now."""
-        ticks = self.link.news.ticks
-        self.do(Op.TIME_SYNC)
-        if not self.link.wait(lambda: self.link.news.ticks > ticks, self._answer_s) or self.link.news.tick is None:
-            raise DriveFault(FaultCause.NO_ANSWER, "the drive does not tell its time")
-        return self.link.news.tick
+        """The drive's clock, now; asked for anew where the answer came but the tick was lost."""
+        news = self.link.news
+        ticks = news.ticks
+        for _ in range(math.ceil(self._answer_s / TICK_S)):
+            self.do(Op.TIME_SYNC)
+            if self.link.wait(lambda: news.ticks > ticks, TICK_S) and news.tick is not None:
+                return news.tick
+        raise DriveFault(FaultCause.NO_ANSWER, "the drive does not tell its time")
 
     def fault(self) -> DriveFault:
         """The drive's latched fault as the project's error."""

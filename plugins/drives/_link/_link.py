@@ -42,6 +42,8 @@ BEAT_S = 0.01
 _FROM_DRIVE = frame_id("Status")
 """Lower identifiers are the host's own, which some buses hand back."""
 _MOST_BULK = 100_000
+_MANY_BULK = 256
+"""So many blocks wake who waits for them; fewer wait for the end of their answer, or for the time to be over."""
 _MOST_REPLIES = 64
 
 
@@ -75,6 +77,7 @@ class Link:
         self._ripple: list[RippleD | RippleQ] = []
         self._bulk: deque[Frame] = deque(maxlen=_MOST_BULK)
         self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}
+        self._bulk_end, self._has_ended = frame_id("BulkEnd"), False
         self._changed, self._sending = threading.Condition(), threading.Lock()
         self._lost: DriveFault | None = None
         self._silent_s = 0.0
@@ -162,20 +165,18 @@ class Link:
         return held
 
     def bulk(self, timeout_s: float) -> Sequence[Frame]:
-        """What came of uploads since the last call, waiting for the first of it."""
-        self.wait(lambda: bool(self._bulk), timeout_s)
-        return self._taken(self._bulk)
+        """What came of uploads since the last call, waiting for many blocks or the end of an answer."""
+        self.wait(lambda: self._has_ended or len(self._bulk) >= _MANY_BULK, timeout_s)
+        with self._changed:
+            taken = list(self._bulk)
+            self._bulk.clear()
+            self._has_ended = False
+        return taken
 
     def ripple(self) -> Sequence[RippleD | RippleQ]:
         """The live ripple rows that came since the last call."""
         with self._changed:
             taken, self._ripple = self._ripple, []
-        return taken
-
-    def _taken(self, queue: deque[Frame]) -> list[Frame]:
-        with self._changed:
-            taken = list(queue)
-            queue.clear()
         return taken
 
     # The thread
@@ -209,6 +210,7 @@ class Link:
         now_s = time.monotonic()
         with self._changed:
             self._bulk.extend(bulk)
+            self._has_ended = self._has_ended or any(frame.frame_id == self._bulk_end for frame in bulk)
             for message, frame in messages:
                 self._take(message, frame, now_s)
             self._changed.notify_all()
@@ -218,6 +220,7 @@ class Link:
         match message:
             case Ack(op=Op.READ_BLOCK):
                 self._bulk.append(frame)
+                self._has_ended = True
             case Ack() | ParameterValue():
                 self._replies.append(message)
             case Status() if self._status_gate.accept(message.seq, now_s):

@@ -11,10 +11,15 @@ from protocols import DriveFault, FaultCause
 if TYPE_CHECKING:
     from plugins.drives._link._host import Host
 
+LISTEN_S = 0.02
 PATIENCE_S = 0.06
-"""What was asked for is asked for again when nothing of it came for so long."""
+_MOST_PATIENCE_S = 0.24
+"""What was asked for is asked for again when nothing of it came for so long; twice as long each time until answers are
+in time again, for on a slow machine they may all be on their way."""
 TIMEOUT_S = 0.8
 """An upload of which nothing comes for so long is given up."""
+_LIVE_S = 0.02
+"""While the drive captures it is asked no more often: each question costs two frames, however few blocks it brings."""
 _ROUNDS = 200
 """Rounds of requests in a row that bring no new block before it is given up."""
 
@@ -45,6 +50,7 @@ class Reader:
         self._clock = AttentiveClock()
         self._asked_s = self._heard_s = 0.0
         self._rounds, self._before = 0, -1
+        self._patience_s = PATIENCE_S
 
     def turn(self, available: int, wait_s: float) -> memoryview | None:
         """Ask for what is missing of the `available` bytes, take what came; the capture, once it is verified.
@@ -53,37 +59,49 @@ class Reader:
         """
         assembly = self.assembly
         available = max(available, assembly.captured)
-        if not assembly.waiting:
-            self._ask(available)
-        wanted = assembly.waiting
+        self._ask(available)
+        wanted = assembly.waiting or assembly.exhausted
         mine = assembly.take(self._link.bulk(wait_s))
         now_s = self._clock()
         if mine or not wanted:
             self._heard_s = now_s
         if now_s - self._heard_s > TIMEOUT_S:
             raise DriveFault(FaultCause.NO_ANSWER, f"no data of capture {assembly.capture} for {TIMEOUT_S:g} s")
-        if now_s - max(self._heard_s, self._asked_s) > PATIENCE_S:
+        if wanted and not assembly.waiting and not assembly.exhausted:
+            self._patience_s = PATIENCE_S
+        elif now_s - max(self._heard_s, self._asked_s) > self._patience_s:
             assembly.give_up()
+            self._patience_s = min(2.0 * self._patience_s, _MOST_PATIENCE_S)
         return assembly.result()
 
     def _ask(self, available: int) -> None:
         assembly = self.assembly
         complete = available >= assembly.length
-        if not complete and not assembly.missing(available):
+        is_round = not assembly.waiting
+        if not complete and self._clock() - self._asked_s < _LIVE_S:
             return
+        if not complete and is_round and not assembly.missing(available):
+            return
+        requests = assembly.requests(None if complete else available)
+        if not requests:
+            return
+        if is_round:
+            self._count_round()
+        self._host.next_window = assembly.next_window
+        self._link.send(*requests)
+        self._asked_s = self._clock()
+
+    def _count_round(self) -> None:
+        assembly = self.assembly
         self._rounds = 0 if assembly.received != self._before else self._rounds + 1
         self._before = assembly.received
         if self._rounds > _ROUNDS:
             raise DriveFault(FaultCause.NO_ANSWER, f"capture {assembly.capture} does not get on")
-        requests = assembly.requests(None if complete else available)
-        self._host.next_window = assembly.next_window
-        self._link.send(*requests)
-        self._asked_s = self._clock()
 
 
 def read_whole(host: Host, capture: int, length: int, layout: BlockLayout) -> memoryview:
     """A capture that is complete on the drive."""
     reader = Reader(host, capture, length, layout)
-    while (data := reader.turn(length, PATIENCE_S)) is None:
+    while (data := reader.turn(length, LISTEN_S)) is None:
         pass
     return data

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import math
 import select
 import socket
 import struct
@@ -10,25 +12,32 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from plugins.drives.wire import CAN_FD, CLASSIC, BlockLayout, Frame
+from plugins.drives.wire import CAN_FD, CLASSIC, BlockLayout, Frame, from_bus, heard_by_host, on_bus
 from protocols import InputError
 
 if TYPE_CHECKING:
     import can
 
 _BATCH = 512
-"""Frames taken at a time: frame by frame the rest of the host is too slow for CAN FD."""
+_BATCH_S = 5e-3
+"""Frames taken at a time, and how much of the thread's own time that may take: frame by frame the rest of the host is
+too slow for CAN FD, and while a slow interface fills a batch nobody hears of it."""
 _ERRORS_IN_A_ROW = 3
 """Errors without a good frame in between; a frame that was damaged on the way is one."""
 _DAMAGED = (ValueError, TypeError, struct.error)
 """What python-can's own parsers let through when a frame was cut off."""
 _RECEIVE_BUFFER_BYTES = 4 << 20
+_FRAME_BYTES = 1280
+"""What a frame takes of a socket's buffer at most: the kernel counts its own bookkeeping."""
+_FEWEST_EACH = 16
 _CLASSIC_BLOCK_BITS, _FD_SLOW_BITS, _FD_FAST_BITS = 135.0, 36.0, 680.0
 """Bits on the bus for one block with the worst stuffing (docs/wire.md, Bandwidth)."""
 _FOR_BLOCKS = 0.8
 """Part of the bus that is left to blocks by telemetry, requests, and what has to be asked for twice."""
 _REST_OF_FRAME_S = 0.5
 """python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
+_FILTERS_IN_KERNEL = "socketcan"
+"""Other interfaces of python-can filter frame by frame, after all the work is done."""
 _OWN_RATE = ("virtual", "udp_multicast")
 """Interfaces that know no bit rate."""
 
@@ -41,6 +50,8 @@ class CanPort:
     interface, channel : str
         As python-can names them.
     bitrate : int
+    node : int
+        Which of the bus's drives is talked to; the others are not heard.
     fd : bool
         CAN FD: blocks of captures are 64 bytes long, everything else stays classic.
     data_bitrate : int
@@ -57,16 +68,17 @@ class CanPort:
         channel: str,
         bitrate: int,
         *,
+        node: int = 0,
         fd: bool = False,
         data_bitrate: int = 5_000_000,
         settings: Mapping[str, str | int | float | bool] | None = None,
     ) -> None:
         import can
 
-        self.where = f"{interface}:{channel}"
+        self.where = f"{interface}:{channel}" + (f" node {node}" if node else "")
         self._can: Any = can
+        self._node = node
         self._fd, self._rates = fd, None if interface in _OWN_RATE else (bitrate, data_bitrate)
-        self.requests_each, self.blocks_each = (8, 128) if fd else (4, 256)
         arguments: dict[str, Any] = {"bitrate": bitrate}
         if fd:
             arguments |= {"fd": True, "data_bitrate": data_bitrate}
@@ -79,7 +91,12 @@ class CanPort:
             raise
         except (NotImplementedError, TypeError, ValueError) as error:
             raise InputError("the drive's bus", self.where, str(error).splitlines()[0]) from error
-        _widen_buffer(self._bus)
+        if interface == _FILTERS_IN_KERNEL:
+            self._bus.set_filters(heard_by_host(node))
+        unread = _widen_buffer(self._bus)
+        self.requests_each, self.blocks_each = (8, 512) if fd else (4, 256)
+        if unread is not None:
+            self.blocks_each = min(self.blocks_each, max(unread // self.requests_each, _FEWEST_EACH))
         self._readable = _poll_of(self._bus) if interface == "serial" else None
         self._errors = 0
 
@@ -97,7 +114,8 @@ class CanPort:
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
         deadline = time.monotonic() + timeout_s
         for frame in frames:
-            message = self._can.Message(arbitration_id=frame.frame_id, data=frame.payload, is_extended_id=False)
+            identifier = on_bus(frame.frame_id, self._node)
+            message = self._can.Message(arbitration_id=identifier, data=frame.payload, is_extended_id=False)
             while not self._sent(message, deadline):
                 if time.monotonic() >= deadline:
                     return False
@@ -111,15 +129,16 @@ class CanPort:
         except self._can.CanTimeoutError:
             return False
         except self._can.CanOperationError as error:
-            if isinstance(error.__cause__, OSError) or time.monotonic() >= deadline:
+            down = isinstance(error.__cause__, OSError) and error.__cause__.errno != errno.ENOBUFS
+            if down or time.monotonic() >= deadline:
                 raise
             return False
         return True
 
     def receive(self, timeout_s: float) -> list[Frame]:
         frames: list[Frame] = []
-        wait_s = timeout_s
-        for _ in range(_BATCH):
+        wait_s, until_s = timeout_s, math.inf
+        while len(frames) < _BATCH and time.thread_time() < until_s:
             if self._readable is not None and not self._readable.poll(1e3 * wait_s):
                 break
             message = self._received(wait_s)
@@ -127,8 +146,11 @@ class CanPort:
                 if self._readable is None:
                     break
             elif not (message.is_extended_id or message.is_remote_frame or message.is_error_frame):
-                frames.append(Frame(message.arbitration_id, bytes(message.data)))
-            wait_s = 0.0
+                identifier = from_bus(message.arbitration_id, self._node)
+                if identifier is not None:
+                    frames.append(Frame(identifier, bytes(message.data)))
+            if wait_s:
+                wait_s, until_s = 0.0, time.thread_time() + _BATCH_S
         return frames
 
     def _received(self, wait_s: float) -> can.Message | None:
@@ -149,12 +171,17 @@ class CanPort:
         self._bus.shutdown()
 
 
-def _widen_buffer(bus: can.BusABC) -> None:
-    """A socket's own buffer holds a few hundred frames; what comes while nobody reads is lost without a word."""
-    with suppress(OSError, NotImplementedError, ValueError):  # not every interface has a socket
+def _widen_buffer(bus: can.BusABC) -> int | None:
+    """Frames that a socket now keeps while nobody reads; None where the bus is none. More are lost without a word."""
+    try:
         twin = socket.socket(fileno=bus.fileno())
+    except (OSError, NotImplementedError, ValueError):  # not every interface has a socket
+        return None
+    with suppress(OSError):
         twin.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
-        twin.detach()
+    held = twin.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
+    twin.detach()
+    return held // _FRAME_BYTES
 
 
 def _poll_of(bus: can.BusABC) -> select.poll:

@@ -8,6 +8,7 @@ from typing import Annotated, ClassVar
 from pydantic import BaseModel, Field
 
 from plugins.drives._link import LinkDrive, LinkOptions, Port
+from plugins.drives.wire import NODES
 from protocols import DriveSetup
 
 BitRate = Annotated[int, Field(ge=10_000)]
@@ -19,6 +20,8 @@ class CanOptions(LinkOptions):
     interface: Annotated[str, Field(min_length=1)] = "socketcan"
     """As python-can names it."""
     channel: Annotated[str, Field(min_length=1)]
+    node: Annotated[int, Field(ge=0, lt=NODES)] = 0
+    """Which of the drives on the bus."""
     bitrate: BitRate = 1_000_000
     fd: bool = False
     """CAN FD: captures come in frames of 64 bytes."""
@@ -46,6 +49,7 @@ class CanDrive(LinkDrive):
             bus.interface,
             bus.channel,
             bus.bitrate,
+            node=bus.node,
             fd=bus.fd,
             data_bitrate=bus.data_bitrate,
             settings=bus.settings,

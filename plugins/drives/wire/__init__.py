@@ -43,6 +43,7 @@ from plugins.drives.wire._messages import (
     StopReason,
     Tick,
 )
+from plugins.drives.wire._nodes import NODES, from_bus, heard_by_drive, heard_by_host, on_bus
 from plugins.drives.wire._program import (
     capture_registers,
     captured_rows,
@@ -74,6 +75,7 @@ __all__ = [
     "DESCRIPTION",
     "HEARTBEAT_S",
     "LAST_CAPTURE",
+    "NODES",
     "PROTOCOL_MAJOR",
     "PROTOCOL_MINOR",
     "RIPPLE",
@@ -138,10 +140,14 @@ __all__ = [
     "encode",
     "facts_of",
     "frame_id",
+    "from_bus",
+    "heard_by_drive",
+    "heard_by_host",
     "limit_registers",
     "limits_of",
     "motor_registers",
     "newer",
+    "on_bus",
     "parse_description",
     "program_of",
     "program_registers",

@@ -12,14 +12,16 @@ from collections.abc import Callable, Iterable, Sequence
 from zlib import crc32
 
 import numpy as np
+from numpy.typing import NDArray
 
 from plugins.drives.wire._blocks import LONGEST_CAPTURE, WINDOWS, BlockLayout
 from plugins.drives.wire._codec import Frame, decode, frame_id
 from plugins.drives.wire._messages import Ack, AckStatus, BulkEnd, Op, ReadBlock
 from protocols import DriveFault, FaultCause, InputError
 
-_TRUSTED_WINDOWS = 32
-"""Answers to older requests are no longer taken: their tags come round again."""
+_TRUSTED_WINDOWS = WINDOWS // 2
+"""Answers to older requests are no longer taken, and no more requests are sent without an end of any: tags come round
+again, and this capture and the one before it must not mean different blocks by one."""
 _SLIPS = 2
 """Ends with an impossible length that are put down to damage on the way."""
 _BRIDGE = 2
@@ -71,6 +73,7 @@ class CaptureAssembly:
         self._count = np.full(WINDOWS, -1, dtype=np.int64)  # -1: answers with this tag are not taken
         self._trusted: deque[int] = deque()
         self._waiting_for: list[int] = []  # in the order of asking
+        self._unended: list[int] = []  # the same, with those that were given up and may come all the same
         self._crcs: list[int] = []
         self._announced = 0
         self._too_long = 0
@@ -82,6 +85,11 @@ class CaptureAssembly:
     def waiting(self) -> bool:
         """Whether an answer is still under way, as far as is known."""
         return bool(self._waiting_for)
+
+    @property
+    def exhausted(self) -> bool:
+        """Whether so many answers have not come that nothing more may be asked for."""
+        return len(self._unended) >= _TRUSTED_WINDOWS
 
     @property
     def received(self) -> int:
@@ -114,32 +122,40 @@ class CaptureAssembly:
 
     def missing(self, available: int | None = None) -> list[tuple[int, int]]:
         """Runs (first block, count) that are missing below `available` bytes (default: all), near ones merged."""
+        return _runs(~self._have[: self._blocks_within(available)])
+
+    def _unasked(self, available: int | None) -> list[tuple[int, int]]:
+        """The same without what is under way."""
+        absent = ~self._have[: self._blocks_within(available)]
+        for window in self._waiting_for:
+            absent[self._base[window] : self._base[window] + self._count[window]] = False
+        return _runs(absent)
+
+    def _blocks_within(self, available: int | None) -> int:
         reach = self.length if available is None else min(available, self.length)
-        blocks = self.blocks if reach == self.length else reach // self.layout.block
-        gaps = np.flatnonzero(~self._have[:blocks])
-        if not len(gaps):
-            return []
-        cuts = np.flatnonzero(np.diff(gaps) > _BRIDGE + 1)
-        first, last = gaps[np.r_[0, cuts + 1]], gaps[np.r_[cuts, len(gaps) - 1]]
-        return [(int(a), int(b - a + 1)) for a, b in zip(first, last, strict=True)]
+        return self.blocks if reach == self.length else reach // self.layout.block
 
     # Asking
 
     def requests(self, available: int | None = None) -> list[ReadBlock]:
-        """What to send next; nothing while answers are under way (see `give_up`).
+        """What to send next; nothing while more than half of what may be under way is (see `give_up`).
 
         Where no block is missing but the CRC is, a request for no blocks brings it. While the drive
         still captures, `available` is how many bytes it has (rows in `Progress` times bytes a row).
         """
-        if self.waiting:
+        room = self._requests_each - len(self._waiting_for)
+        if 2 * room < self._requests_each or self.exhausted:
             return []
-        runs = self.missing(available)
+        room = min(room, _TRUSTED_WINDOWS - len(self._unended))
+        runs = self._unasked(available)
         if not runs:
-            return [self._request(0, 0)]
+            return [] if self.waiting else [self._request(0, 0)]
+        if self.waiting and sum(count for _, count in runs) < self._blocks_each:
+            return []  # small change is asked for together
         asked: list[ReadBlock] = []
         for first, count in runs:
             for start in range(first, first + count, self._blocks_each):
-                if len(asked) == self._requests_each:
+                if len(asked) == room:
                     return asked
                 asked.append(self._request(start, min(self._blocks_each, first + count - start)))
         return asked
@@ -156,6 +172,7 @@ class CaptureAssembly:
         self._trusted.append(window)
         self._base[window], self._count[window] = first, count
         self._waiting_for.append(window)
+        self._unended.append(window)
         return ReadBlock(first * self.layout.block, window, count, self.capture)
 
     # Taking
@@ -203,6 +220,8 @@ class CaptureAssembly:
 
     def end(self, end: BulkEnd) -> None:
         """The end of one answer; raises `DriveFault` where the capture proves longer than announced."""
+        if end.window in self._unended:
+            del self._unended[: self._unended.index(end.window) + 1]
         if self._count[end.window] < 0:
             return
         if end.length > self.length:
@@ -251,6 +270,15 @@ class CaptureAssembly:
         self._count[:] = -1
         self._trusted.clear()
         self._waiting_for.clear()
+
+
+def _runs(absent: NDArray[np.bool_]) -> list[tuple[int, int]]:
+    gaps = np.flatnonzero(absent)
+    if not len(gaps):
+        return []
+    cuts = np.flatnonzero(np.diff(gaps) > _BRIDGE + 1)
+    first, last = gaps[np.r_[0, cuts + 1]], gaps[np.r_[cuts, len(gaps) - 1]]
+    return [(int(a), int(b - a + 1)) for a, b in zip(first, last, strict=True)]
 
 
 def upload(

@@ -15,6 +15,7 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 def wire(
     c: Annotated[Path | None, typer.Option("--c", help="Write the C codec for firmware here.", metavar="DIR")] = None,
     dbc: Annotated[bool, typer.Option("--dbc", help="Print the DBC instead.")] = False,
+    node: Annotated[int, typer.Option(min=0, max=3, help="Of the drive whose identifiers the DBC has.")] = 0,
 ) -> int:
     """Print the page that documents the drive protocol, or write what firmware needs of it."""
     if c is not None:
@@ -25,7 +26,7 @@ def wire(
     elif dbc:
         from plugins.drives.wire._dbc import dbc_text
 
-        print(dbc_text(), end="")
+        print(dbc_text(node), end="")
     else:
         from plugins.drives.wire._page import page
 

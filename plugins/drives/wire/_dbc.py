@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 _MESSAGE = re.compile(r"^BO_ (\d+) (\w+): (\d+) (\w+)")
 _SIGNAL = re.compile(r"^ SG_ (\w+) : (\d+)\|(\d+)@1([+-]) \(([^,]+),0\)")
+_IDENTIFIER = re.compile(r'^((?:CM_ |BA_ "\w+" )?(?:BO_|SG_)|VAL_|SIG_VALTYPE_) (\d+) ', re.MULTILINE)
 _FLOAT = re.compile(r"^SIG_VALTYPE_ (\d+) (\w+) : 1;")
 
 
@@ -43,9 +44,10 @@ class MessageLayout:
     signals: tuple[SignalLayout, ...]
 
 
-def dbc_text() -> str:
-    """The message set as a DBC file."""
-    return (files("protocols") / "wire" / "fluxbench.dbc").read_text(encoding="utf-8")
+def dbc_text(node: int = 0) -> str:
+    """The message set as a DBC file, with the identifiers of this node."""
+    text = (files("protocols") / "wire" / "fluxbench.dbc").read_text(encoding="utf-8")
+    return _IDENTIFIER.sub(lambda found: f"{found[1]} {int(found[2]) | node} ", text) if node else text
 
 
 def message_database() -> Database:

@@ -143,7 +143,14 @@ def shortest_decimal(value: float) -> float:
     if not math.isfinite(value):
         return value
     held = single(value)
-    return next(short for digits in range(1, 10) if single(short := float(f"{held:.{digits}g}")) == held)
+    return next(short for digits in range(1, 10) if _is_held_as(short := float(f"{held:.{digits}g}"), held))
+
+
+def _is_held_as(value: float, held: float) -> bool:
+    try:
+        return single(value) == held
+    except OverflowError:  # rounded up past the largest single
+        return False
 
 
 def _mask(kinds: frozenset[ExcitationKind]) -> float:

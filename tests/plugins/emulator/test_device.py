@@ -356,6 +356,35 @@ def test_energy_and_duration_are_the_experiments(desk: Desk, limits: dict[str, f
     assert [e["cause"] for e in desk.logged("safe")] == ["limit"]
 
 
+def test_a_program_that_does_not_end_is_given_up_and_stays_latched(desk: Desk, monkeypatch: pytest.MonkeyPatch) -> None:
+    desk.arm()
+    rig = desk.device.rig
+    monkeypatch.setattr(rig, "excite", lambda excitation, samples: rig.hold(samples))
+    assert desk.run(HOLD) is AckStatus.OK
+    desk.pass_time(0.49)
+    assert desk.state is PowerState.RUNNING
+    desk.pass_time(0.1, until=lambda: desk.state is PowerState.FAULTED)
+    assert desk.read("fault_cause") == Fault.PROGRAM_TOO_LONG
+    assert desk.read("fault_value") > desk.read("fault_limit") == pytest.approx(0.5)
+    assert desk.device.power.phase is Phase.GIVEN_UP
+    desk.pass_time(0.03)
+    assert [e["cause"] for e in desk.logged("safe")] == ["program_too_long"]
+    assert desk.ask(Op.RUN_PROGRAM).status is AckStatus.FAULT_LATCHED
+    assert desk.ask(Op.ARM).status is AckStatus.FAULT_LATCHED
+    desk.ask(Op.CLEAR_FAULT)
+    assert desk.arm() is AckStatus.OK
+
+
+def test_no_program_is_longer_than_the_device_says() -> None:
+    desk = Desk(DeviceSettings(longest_program_s=0.4))
+    desk.arm()
+    assert desk.read("longest_program_s") == pytest.approx(0.4)
+    assert desk.run(HOLD) is AckStatus.TOO_LONG
+    assert desk.run(HOLD.model_copy(update={"duration_s": 0.2})) is AckStatus.OK
+    desk.pass_time(0.5)
+    assert (desk.state, desk.device.power.phase) == (PowerState.HOLDING, Phase.COMPLETE)
+
+
 def test_the_first_cause_is_kept_and_what_follows_is_told(desk: Desk) -> None:
     desk.arm()
     desk.run(HOLD)

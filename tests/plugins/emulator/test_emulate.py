@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import select
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -49,6 +48,7 @@ from plugins.drives.wire import (
 from plugins.emulator._ports import PtyPort
 from protocols import Excitation, Hold, Injection, InputError
 from tests.plugins.emulator.hosts import FS, LIMITS, EmulatorProcess, Host, emulator, host_at
+from tests.support.emulator import free_port
 
 pytestmark = pytest.mark.timeout(60)
 WATCHDOG_S = 0.2
@@ -352,12 +352,6 @@ class Bus:
 
     def close(self) -> None:
         self._bus.shutdown()
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-        probe.bind(("127.0.0.1", 0))
-        return int(probe.getsockname()[1])
 
 
 def test_a_capture_over_can_fd_is_exact(tmp_path: Path) -> None:

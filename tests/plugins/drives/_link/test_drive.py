@@ -212,6 +212,16 @@ def test_a_fault_comes_with_its_cause_and_figures(link: str) -> None:
         b.drive.arm(LIMITS)
 
 
+def test_a_program_that_did_not_end_is_named() -> None:
+    with armed(script=Script(speed=1.0)) as b:
+        blocks = b.drive.execute(LONG)
+        next(blocks)
+        b.device.trip(Fault.PROGRAM_TOO_LONG, 32.5, 32.0)
+        with pytest.raises(DriveFault, match=r"the program did not end: 32\.5 s against 32 s") as fault:
+            list(blocks)
+        assert fault.value.cause is FaultCause.PROGRAM_TOO_LONG
+
+
 def test_an_emergency_stop_is_named() -> None:
     with armed(script=Script(speed=1.0)) as b:
         blocks = b.drive.execute(LONG)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import time
 import tty
 from collections.abc import Iterator
 
@@ -53,12 +54,34 @@ def message(frame: Frame, **more: bool) -> can.Message:
     return can.Message(arbitration_id=frame.frame_id, data=frame.payload, **{"is_extended_id": False, **more})
 
 
-def test_what_is_there_comes_in_one_batch(pair: tuple[CanPort, _Peer]) -> None:
+def test_what_is_there_comes_in_batches(pair: tuple[CanPort, _Peer]) -> None:
     port, peer = pair
     for _ in range(50):
         peer.send(message(FRAME))
-    assert port.receive(1.0) == [FRAME] * 50
+    batches = [port.receive(1.0)]
+    while sum(map(len, batches)) < 50:
+        batches.append(port.receive(1.0))
+    assert [frame for batch in batches for frame in batch] == [FRAME] * 50
+    assert len(batches) < 10
     assert port.receive(0.01) == []
+
+
+def test_a_batch_ends_after_a_while_however_slow_the_interface_is() -> None:
+    with can.Bus(channel="slow", interface="virtual", ignore_config=True) as other:
+        port = CanPort("virtual", "slow", 1_000_000)
+        for _ in range(100):
+            other.send(message(FRAME))
+        receive = port._bus.recv
+
+        def slowly(timeout: float | None = None) -> can.Message | None:
+            begun = time.thread_time()
+            while time.thread_time() < begun + 2e-3:
+                pass
+            return receive(timeout)
+
+        port._bus.recv = slowly  # type: ignore[method-assign]
+        assert 1 <= len(port.receive(1.0)) <= 10
+        port.close()
 
 
 def test_control_frames_are_classic_on_every_bus(pair: tuple[CanPort, _Peer]) -> None:
@@ -85,6 +108,23 @@ def test_strangers_frames_are_passed_over() -> None:
         for _ in range(5):
             got += port.receive(0.05)
         assert got == [FRAME]
+        port.close()
+
+
+def test_a_port_speaks_and_hears_for_its_own_node_alone() -> None:
+    with can.Bus(channel="nodes", interface="virtual", ignore_config=True) as other:
+        port = CanPort("virtual", "nodes", 1_000_000, node=2)
+        assert port.where == "virtual:nodes node 2"
+        assert port.send([FRAME], 0.1)
+        heard = other.recv(1.0)
+        assert heard is not None
+        assert heard.arbitration_id == FRAME.frame_id + 2
+        for node in range(4):
+            other.send(message(Frame(FRAME.frame_id + node, bytes([node]))))
+        got: list[Frame] = []
+        for _ in range(5):
+            got += port.receive(0.05)
+        assert got == [Frame(FRAME.frame_id, b"\2")]
         port.close()
 
 

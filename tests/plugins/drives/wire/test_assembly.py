@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from plugins.drives.wire import (
     CAN_FD,
     CLASSIC,
+    Answer,
     BlockLayout,
     BulkEnd,
     CaptureAssembly,
@@ -165,6 +166,41 @@ def test_frames_of_the_capture_before_are_not_taken() -> None:
     result = second.result()
     assert result is not None
     assert bytes(result) == new
+
+
+def test_answers_that_are_late_beyond_all_patience_never_mean_other_blocks() -> None:
+    data = ROWS[:60_000]
+    source = CaptureSource.complete_with(1, data)
+    assembly = CaptureAssembly(1, len(data), CLASSIC, blocks_each=64, requests_each=5)
+    asked: list[ReadBlock] = []
+    for _ in range(40):
+        asked += assembly.requests()
+        assembly.give_up()
+    assert len(asked) == 32
+    assert assembly.exhausted
+    while assembly.result() is None:
+        assert asked
+        for request in asked:
+            answer = source.answer(request, CLASSIC)
+            assert isinstance(answer, Answer)
+            assembly.add(answer.payloads)
+            assembly.end(answer.end)
+        asked = assembly.requests()
+    assert bytes(assembly.result() or b"") == data
+
+
+def test_the_next_requests_are_sent_while_answers_are_on_their_way() -> None:
+    assembly = CaptureAssembly(1, 60 * 100, CAN_FD, blocks_each=10, requests_each=4)
+    source = CaptureSource.complete_with(1, ROWS[: 60 * 100])
+    asked = assembly.requests()
+    assert [request.blocks for request in asked] == [10] * 4
+    assert not assembly.requests()
+    for request in asked[:2]:
+        answer = source.answer(request, CAN_FD)
+        assert isinstance(answer, Answer)
+        assembly.add(answer.payloads)
+        assembly.end(answer.end)
+    assert [request.offset // 60 for request in assembly.requests()] == [40, 50]
 
 
 def test_missing_blocks_are_named_and_near_ones_merged() -> None:

@@ -1,0 +1,41 @@
+"""Several drives on one CAN bus: the two lowest bits of an identifier, free in every message, say whose it is."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from plugins.drives.wire._codec import frame_id
+
+if TYPE_CHECKING:
+    from can.typechecking import CanFilter
+
+NODES = 4
+"""Drives that one bus can have, numbered from 0."""
+_NODE_BITS = NODES - 1
+_ALL_BITS = 0x7FF
+
+
+def on_bus(identifier: int, node: int) -> int:
+    """A message's identifier as the bus carries it, to or from this node."""
+    return identifier | node
+
+
+def from_bus(identifier: int, node: int) -> int | None:
+    """The message's own identifier; None where it belongs to another node. An emergency stop is everybody's."""
+    own = identifier & ~_NODE_BITS
+    return own if identifier & _NODE_BITS == node or own == frame_id("EStop") else None
+
+
+def heard_by_host(node: int) -> list[CanFilter]:
+    """Acceptance filters, as python-can takes them: whatever belongs to this node."""
+    return [_filter(node, _NODE_BITS)]
+
+
+def heard_by_drive(node: int) -> list[CanFilter]:
+    """Acceptance filters for the other end: what hosts send to this node, and every emergency stop."""
+    from_drives = _ALL_BITS & ~(frame_id("Status") - 1)  # bits that no identifier of a host has
+    return [_filter(node, from_drives | _NODE_BITS), _filter(frame_id("EStop"), _ALL_BITS & ~_NODE_BITS)]
+
+
+def _filter(identifier: int, mask: int) -> CanFilter:
+    return {"can_id": identifier, "can_mask": mask, "extended": False}
