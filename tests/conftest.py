@@ -1,7 +1,14 @@
 """What all tests share."""
 
+import signal
+
 from hypothesis import settings
 
 # A busy machine is no reason to fail: pytest's own timeout bounds a test.
 settings.register_profile("fluxbench", deadline=None)
 settings.load_profile("fluxbench")
+
+
+def pytest_configure() -> None:
+    """Programs under test hear Ctrl-C, also where a shell started the tests in the background and had it ignored."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)

@@ -71,7 +71,8 @@ class Material:
     Attributes
     ----------
     motor : Motor
-    resistance : ResistanceEstimate
+    resistance_ohm : tuple of float
+        R_s at the beginning and at the end of the classical sweep.
     estimates : dict of FluxMapEstimate
         By method.
     difference_percent : float or None
@@ -87,7 +88,7 @@ class Material:
     """
 
     motor: Motor
-    resistance: ResistanceEstimate
+    resistance_ohm: tuple[float, float]
     estimates: dict[str, FluxMapEstimate]
     difference_percent: float | None
     trajectories: tuple[Array, ...]
@@ -142,7 +143,7 @@ def collect(directory: Path) -> Material:
     traces, losses = _traces(recording, segments)
     return Material(
         motor=motor,
-        resistance=resistances[0],
+        resistance_ohm=_over_the_sweep(resistances[0], segments),
         estimates=maps,
         difference_percent=difference_percent(injection, classical, rated_flux_wb(injection, motor.rated_current_a)),
         trajectories=_trajectories(recording, segments),
@@ -151,6 +152,14 @@ def collect(directory: Path) -> Material:
         truth=true_flux(SimulatedOptions.model_validate(procedure.drive.options), motor),
         samples=sum(segment.samples for segment in recording.manifest.segments),
     )
+
+
+def _over_the_sweep(resistance: ResistanceEstimate, segments: Sequence[Segment]) -> tuple[float, float]:
+    """The first and the last reading that was taken during these segments; of all where none was."""
+    start, end = segments[0].start_s, segments[-1].start_s
+    during = [r.value_ohm for r in resistance.readings if start <= r.start_s <= end]
+    readings = during or [resistance.first_ohm, resistance.last_ohm]
+    return readings[0], readings[-1]
 
 
 def _traces(recording: Recording, segments: Sequence[Segment]) -> tuple[list[SweepTrace], VoltageLosses]:

@@ -96,8 +96,8 @@ def _motor_table(material: Material) -> str:
 
 def _number_table(material: Material) -> str:
     injection, classical = (material.estimates[name].checks for name in ("injection", "classical"))
-    r = material.resistance
-    rows = [("R_s over the classical sweep", "4.5 to 5.25 ohm", f"{r.first_ohm:.2f} to {r.last_ohm:.2f} ohm")]
+    first, last = material.resistance_ohm
+    rows = [("R_s over the classical sweep", "4.5 to 5.25 ohm", f"{first:.2f} to {last:.2f} ohm")]
     for axis, printed in (("d", "1.3 %"), ("q", "2.9 %")):
         rows.append((f"psi_{axis} where paths cross, largest difference", printed, _percent(injection.crossings, axis)))
     for axis, word in (("d", "even"), ("q", "odd")):

@@ -274,3 +274,12 @@ def test_a_finished_run_has_nothing_left_to_resume(tmp_path: Path) -> None:
     done = fluxbench("resume", run)
     assert (done.returncode, done.stderr) == (0, "")
     assert "nothing left to do" in done.stdout
+
+
+def test_linear_algebra_gets_one_thread_unless_the_user_says_otherwise() -> None:
+    told = "import os, sys, orchestrator.cli as c; sys.argv = ['fluxbench', '--version']\ntry: c.main()\n"
+    told += "except SystemExit: pass\nprint(os.environ['OPENBLAS_NUM_THREADS'])"
+    for given, expected in (({}, "1"), ({"OPENBLAS_NUM_THREADS": "3"}, "3")):
+        kept = {key: value for key, value in os.environ.items() if key != "OPENBLAS_NUM_THREADS"}
+        done = subprocess.run([sys.executable, "-c", told], env={**kept, **given}, capture_output=True, text=True)
+        assert done.stdout.split()[-1] == expected, done.stderr
