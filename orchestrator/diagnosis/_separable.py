@@ -20,15 +20,17 @@ def _two_angles(prepared: Prepared) -> bool:
     return len({round(p.segment.rotor_angle_rad, 3) for p in prepared.pieces}) > 1
 
 
-def _injected(prepared: Prepared) -> bool:
-    return any(p.stage is SegmentStage.INJECTION for p in prepared.pieces)
+def _two_ripple_frequencies(prepared: Prepared) -> bool:
+    """A lag of the current's sensors falls with frequency where it is long; a delay of the voltage does not."""
+    ripples = [p for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
+    return len({round(p.windows.period / p.signals.sampling_frequency_hz, 6) for p in ripples}) > 1
 
 
 _ASKED: dict[frozenset[str], Callable[[Prepared], bool]] = {
     frozenset({"dead_time", "device_drop"}): _two_pwm_frequencies,
     frozenset({"current_offset", "voltage_bias"}): _gates_off,
     frozenset({"rotor_misalignment", "slot_harmonics"}): _two_angles,
-    frozenset({"voltage_delay", "current_filter"}): _injected,
+    frozenset({"voltage_delay", "current_filter"}): _two_ripple_frequencies,
 }
 
 
