@@ -77,12 +77,14 @@ def _proportions(judgements: Sequence[Judgement]) -> list[str]:
         outcomes = [j.right[figure] for j in judgements if figure in j.right]
         if outcomes:
             rows.append(_row(figure, sum(outcomes), len(outcomes), AIMS.get(figure, "")))
-    over = [j.over_floor for j in judgements if j.over_floor is not None]
-    if over:
-        rows.append(_row("held-out error within 1.2 floors", sum(o <= 1.2 for o in over), len(over), "90 %"))
-    closed = [j.closed for j in judgements if j.closed is not None]
-    if closed:
-        rows.append(_row("held-out error closed by 98 %", sum(c >= 0.98 for c in closed), len(closed), ""))
+    for kind, aim in (("single", "90 %"), ("double", ""), ("clutter", "")):
+        own = [j for j in judgements if j.answer.case.kind == kind]
+        over = [j.over_floor for j in own if j.over_floor is not None]
+        if over:
+            rows.append(_row(f"{kind}: held-out error within 1.2 floors", sum(o <= 1.2 for o in over), len(over), aim))
+        closed = [j.closed for j in own if j.closed is not None]
+        if closed:
+            rows.append(_row(f"{kind}: held-out error closed by 98 %", sum(c >= 0.98 for c in closed), len(closed), ""))
     held = [inside for j in judgements for _, inside in j.intervals]
     if held:
         rows.append(_row("95 % intervals that hold the truth", sum(held), len(held), "93..97 %"))
