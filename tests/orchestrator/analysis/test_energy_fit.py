@@ -149,6 +149,7 @@ def test_noise_is_not_taken_for_a_gain() -> None:
     assert abs(gain.mean()) < 0.2 * GAIN_STD
 
 
+@pytest.mark.slow
 def test_points_that_nothing_confirms_count_for_less() -> None:
     points = measured()
     matrix = points.matrix.copy()
@@ -166,6 +167,7 @@ def test_a_paths_common_error_is_not_averaged_away() -> None:
     assert many.flux(here)[1].max() > 0.6 * few.flux(here)[1].max()
 
 
+@pytest.mark.slow
 def test_the_spline_becomes_finer_where_the_iron_asks_for_it() -> None:
     coarse = fit_energy(measured(1e-3), ())
     along_q = np.linspace(-3.0, 3.0, 31)

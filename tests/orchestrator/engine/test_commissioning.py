@@ -213,7 +213,11 @@ def stopped_and_resumed(folder: Path, check: int) -> Path:
     return result.path
 
 
-@pytest.mark.parametrize("check", [4, 11, 16, 23, 29, 35])
+def slowly(check: int) -> Any:
+    return pytest.param(check, marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("check", [4, slowly(11), 16, slowly(23), 29, slowly(35)])
 def test_a_resumed_run_has_every_point_once(check: int, tmp_path: Path, whole: Path) -> None:
     path = stopped_and_resumed(tmp_path, check)
     done = points_done(path)
@@ -221,7 +225,7 @@ def test_a_resumed_run_has_every_point_once(check: int, tmp_path: Path, whole: P
     assert sorted(done) == sorted(points_done(whole))
 
 
-@pytest.mark.parametrize("check", [23, 29, 35])
+@pytest.mark.parametrize("check", [23, slowly(29), 35])
 def test_a_run_resumed_within_a_sweep_has_the_very_samples_of_one_that_was_never_stopped(
     check: int, tmp_path: Path, whole: Path
 ) -> None:

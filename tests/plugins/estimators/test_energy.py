@@ -37,7 +37,7 @@ def nodes_of(found: FluxMapEstimate) -> Array:
     return np.stack(np.meshgrid(found.map.i_d, found.map.i_q, indexing="ij"), axis=-1)
 
 
-@pytest.mark.parametrize("inverter", [False, True], ids=["clean", "dead time"])
+@pytest.mark.parametrize("inverter", [pytest.param(False, marks=pytest.mark.slow), True], ids=["clean", "dead time"])
 def test_the_energys_map_is_better_than_what_it_is_made_of(inverter: bool) -> None:
     rms, worst = flux_error_percent(energy_of(inverter).map)
     others = [flux_error_percent(f(inverter).map)[0] for f in (injection_of, classical_of)]

@@ -54,6 +54,7 @@ def test_every_figure_of_the_page_is_there(material: Material, tmp_path: Path) -
     assert "nan" not in page.read_text()
 
 
+@pytest.mark.slow
 def test_a_run_without_the_papers_sweeps_is_refused(tmp_path: Path) -> None:
     few = load_procedure("paper", overrides=SHORT)
     few = few.model_copy(update={"stages": tuple(stage for stage in few.stages if stage.kind != "injection")})
