@@ -86,6 +86,7 @@ def test_flux_and_inductance_are_of_one_even_energy() -> None:
     np.testing.assert_allclose(fit.flux(np.zeros((1, 2)))[0], 0.0, atol=1e-12)
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_they_say() -> None:
     inside = []
     gains = 1.0 + GAIN_STD * np.random.default_rng(2).normal(size=5)
