@@ -71,6 +71,7 @@ def test_paths_alone_give_flux_and_inductance() -> None:
     assert np.abs(fit.inductance(PLACES)[0] - inductance).max() < 0.03 * inductance.max()
 
 
+@pytest.mark.slow
 def test_both_together_are_no_worse_than_the_better() -> None:
     alone = [np.abs(flux_off(fit_energy(*kinds))).max() for kinds in ((measured(), ()), (None, paths()))]
     assert np.abs(flux_off(both())).max() < 1.3 * min(alone)
@@ -117,6 +118,7 @@ def test_a_straight_one_is_left_alone() -> None:
     assert fit_energy(measured(), ()).angle_rad == 0.0
 
 
+@pytest.mark.slow
 def test_what_hysteresis_adds_to_the_ripples_hessian_is_taken_out() -> None:
     fit = fit_energy(measured(stiffening=1.0), paths())
     assert fit.stiffening_per_h == pytest.approx(1.0, rel=0.15)
@@ -161,6 +163,7 @@ def test_points_that_nothing_confirms_count_for_less() -> None:
     assert np.abs(flux_off(fit)).max() < 5e-3 * RATED_WB
 
 
+@pytest.mark.slow
 def test_a_paths_common_error_is_not_averaged_away() -> None:
     few, many = (fit_energy(None, paths()[:n]) for n in (6, 10))
     # Ten paths are hardly better than six where all of them may err alike.

@@ -22,7 +22,14 @@ def fitted(injected: bool = True, swept: bool = True) -> PolynomialFit:
     return fit_polynomial(points, flux, fit_energy(points, flux), "test")
 
 
-@pytest.mark.parametrize(("injected", "swept"), [(True, True), (True, False), (False, True)])
+@pytest.mark.parametrize(
+    ("injected", "swept"),
+    [
+        (True, True),
+        pytest.param(True, False, marks=pytest.mark.slow),
+        pytest.param(False, True, marks=pytest.mark.slow),
+    ],
+)
 def test_the_motors_own_coefficients_are_found(injected: bool, swept: bool) -> None:
     fit = fitted(injected, swept)
     assert fit.degree == 4

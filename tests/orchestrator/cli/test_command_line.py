@@ -106,6 +106,7 @@ def test_a_fault_ends_with_3_and_one_line(tmp_path: Path) -> None:
     assert_one_line(done, 3, "overcurrent", f"fluxbench resume {tmp_path / 'run'}")
 
 
+@pytest.mark.slow
 def test_an_estimate_of_a_recording_that_may_not_be_written_goes_elsewhere(tmp_path: Path) -> None:
     source = Path(__file__).parents[2] / "data" / "pm400-reduced"
     copy = tmp_path / "read-only"
@@ -248,6 +249,7 @@ def test_a_run_into_a_file_is_refused(out: str, tmp_path: Path) -> None:
     assert_one_line(fluxbench("run", tiny_file(tmp_path), cwd=tmp_path), 2, "runs", "not a directory")
 
 
+@pytest.mark.slow
 def test_results_that_are_a_file_are_refused(tmp_path: Path) -> None:
     run = tmp_path / "run"
     assert fluxbench("run", tiny_file(tmp_path, stages=STAGES[:-1]), "--out", run).returncode == 0

@@ -44,7 +44,6 @@ def test_a_signal_at_any_stage_ends_the_run_disarmed(state: str, number: signal.
 @pytest.mark.parametrize(
     ("state", "number"),
     [
-        ("aligning", signal.SIGHUP),
         ("sweeping_classical", signal.SIGTERM),
         ("sweeping_injection", signal.SIGINT),
     ],
