@@ -101,7 +101,7 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
             break
         chosen += [kept + k for k in left.pop(name)]
         explained += gains[name]
-        group: ShapeGroup = name  # type: ignore[assignment]
+        group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
         shares.append((group, min(gains[name] / excess, 1.0)))
     rest = 1.0 - sum(share for _, share in shares)
     if rest > 0.02:

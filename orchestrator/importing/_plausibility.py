@@ -15,7 +15,7 @@ import numpy as np
 from orchestrator._plausible import HEXAGON, rms, slow_part
 from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._lag import voltage_lag
-from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._mapping import ImportMapping, Scaling
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK, clarke
@@ -178,7 +178,7 @@ class Plausibility:
             problem = f"are turned by {math.degrees(angle):.0f} degrees against"
             hint = "; wrong angle, or phases exchanged"
         else:
-            problem, hint = f"are {gain:.4g} times", _scaling_hint(self._mapping.current.scaling or "", gain)
+            problem, hint = f"are {gain:.4g} times", _scaling_hint(self._mapping.current.scaling, gain)
         self._findings.doubt(
             Finding.SCALING,
             w.file,
@@ -269,8 +269,11 @@ def _unit_hint(labelled: str, value: float, low: float, high: float) -> str:
     return "" if fits is None else f"; read in {labelled}, {fits} would fit"
 
 
-def _scaling_hint(labelled: str, gain: float) -> str:
+def _scaling_hint(labelled: Scaling | None, gain: float) -> str:
+    """Which scaling would fit; nothing where none was claimed, as of phase quantities."""
+    if labelled is None:
+        return ""
     for scaling, to_peak in TO_PEAK.items():
-        if scaling != labelled and abs(gain * TO_PEAK[labelled] / to_peak - 1.0) < 0.02:  # type: ignore[index]
+        if scaling != labelled and abs(gain * TO_PEAK[labelled] / to_peak - 1.0) < 0.02:
             return f"; labelled {labelled}, {scaling} would fit"
     return ""

@@ -43,6 +43,7 @@ def vectors(signal: CurrentSignal | VoltageSignal, columns: Columns, rotor_angle
     if signal.frame == "abc":
         return clarke(phases(signal, columns))
     axes = ("alpha", "beta") if signal.frame == "alpha_beta" else ("d", "q")
+    # The frame says which axes there are; mypy does not follow it into the keys.
     x = scale * np.column_stack([columns[signal.columns[axis]] for axis in axes])  # type: ignore[index]
     if signal.frame == "alpha_beta":
         return x

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orchestrator.importing._plausibility import _scaling_hint
 from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.benches import PHASES, RATE, Bench, Numbers, held_current, in_phases, phase_log
@@ -401,3 +402,9 @@ def test_the_same_note_is_said_once_and_counted(bench: Bench) -> None:
 def test_phase_quantities_of_a_vector_are_its_projections() -> None:
     a, b, c = in_phases(np.array([[1.0, 0.0]]))[0]
     assert (a, b, c) == (pytest.approx(1.0), pytest.approx(-0.5), pytest.approx(-0.5))
+
+
+def test_where_no_scaling_was_claimed_none_is_suggested() -> None:
+    assert _scaling_hint(None, 2.0) == ""
+    assert _scaling_hint("rms", 1.0) == ""
+    assert _scaling_hint("rms", 1.0 / np.sqrt(2.0)).endswith("amplitude_invariant would fit")
