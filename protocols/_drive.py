@@ -9,6 +9,8 @@ registered as an entry point of the group ``fluxbench.drives``.
 
 from __future__ import annotations
 
+import math
+from abc import abstractmethod
 from collections.abc import Iterator
 from enum import StrEnum
 from pathlib import Path
@@ -42,12 +44,40 @@ class _Excitation(Strict):
     """None: the drive's own."""
     control: CurrentControl = CurrentControl()
 
+    @property
+    @abstractmethod
+    def captured_s(self) -> float:
+        """How much of it is captured [s]."""
+
+    @property
+    def settling_s(self) -> float:
+        """What passes before anything is captured [s]."""
+        return 0.0
+
+    @property
+    def start_dq_a(self) -> tuple[float, float]:
+        """Where the current control goes first (i_d, i_q) [A]; a trapezoid ends there as well."""
+        return (0.0, 0.0)
+
+    @property
+    def longest_current_a(self) -> float:
+        """Longest current vector that is asked for [A peak], the injection's ripple left out."""
+        return math.hypot(*self.start_dq_a)
+
+    def rows(self, sampling_frequency_hz: float) -> int:
+        """Rows that it captures, as host and drive count them."""
+        return round(self.captured_s * sampling_frequency_hz)
+
 
 class GatesOff(_Excitation):
     """All gates off: the sensors alone. The drive brings the current to zero first."""
 
     kind: Literal["gates_off"] = "gates_off"
     duration_s: Positive
+
+    @property
+    def captured_s(self) -> float:
+        return self.duration_s
 
 
 class Hold(_Excitation):
@@ -61,6 +91,18 @@ class Hold(_Excitation):
     current_q_a: float
     settle_s: NonNegative
     duration_s: Positive
+
+    @property
+    def captured_s(self) -> float:
+        return self.duration_s
+
+    @property
+    def settling_s(self) -> float:
+        return self.settle_s
+
+    @property
+    def start_dq_a(self) -> tuple[float, float]:
+        return (self.current_d_a, self.current_q_a)
 
 
 class Trapezoid(_Excitation):
@@ -79,6 +121,22 @@ class Trapezoid(_Excitation):
     periods: Annotated[int, Field(ge=1)]
     settle_s: NonNegative
     """Time at the start of the trajectory (zero on the swept axis), not captured."""
+
+    @property
+    def captured_s(self) -> float:
+        return self.periods * self.period_s
+
+    @property
+    def settling_s(self) -> float:
+        return self.settle_s
+
+    @property
+    def start_dq_a(self) -> tuple[float, float]:
+        return {"d": (0.0, self.held_a), "q": (self.held_a, 0.0), "dq": (0.0, 0.0)}[self.swept_axis]
+
+    @property
+    def longest_current_a(self) -> float:
+        return math.hypot(*self.start_dq_a, self.amplitude_a)
 
 
 class Injection(_Excitation):
@@ -100,6 +158,18 @@ class Injection(_Excitation):
     frequency_hz: Positive
     rotation_hz: NonNegative
     waveform: Literal["square", "sine"] = "square"
+
+    @property
+    def captured_s(self) -> float:
+        return self.duration_s
+
+    @property
+    def settling_s(self) -> float:
+        return self.settle_s + self.discard_s
+
+    @property
+    def start_dq_a(self) -> tuple[float, float]:
+        return (self.target_d_a, self.target_q_a)
 
 
 Excitation = Annotated[GatesOff | Hold | Trapezoid | Injection, Field(discriminator="kind")]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from orchestrator.config._loads import Load, load_of, start_of
+from orchestrator.config._loads import Load, load_of
 from orchestrator.config._planning import Plan
 from orchestrator.config._requirements import Requirements
 from protocols import Capabilities, CapabilityError, Point, Strict
@@ -82,7 +82,7 @@ def _loads(plan: Plan) -> list[Load]:
     before: Point = (0.0, 0.0)
     for point in plan.points:
         loads.append(load_of(point, before, plan.procedure.motor))
-        before = start_of(point.excitation)
+        before = point.excitation.start_dq_a
     return loads
 
 

@@ -9,8 +9,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from orchestrator.config._planning import PlannedPoint, settling_s
-from protocols import Excitation, Hold, Injection, Motor, Point, Trapezoid
+from orchestrator.config._planning import PlannedPoint
+from protocols import Excitation, Injection, Motor, Point, Trapezoid
 
 _TRAPEZOID_MEAN_SQUARE = 2 / 3
 _TRIANGLE_MEAN_SQUARE = 1 / 3
@@ -42,35 +42,17 @@ class Load:
 def load_of(point: PlannedPoint, before: Point, motor: Motor) -> Load:
     """The load of a point that is approached from the current `before` (i_d, i_q)."""
     excitation = point.excitation
-    longest = _longest_current(excitation)
+    longest = excitation.longest_current_a
     ripple = nominal_ripple_a(excitation, motor)
     resistance = motor.stator_resistance_ohm
     steady = control = None
     if resistance is not None:
         steady = resistance * longest + _driving_voltage(excitation, motor)
-        control = resistance * longest + _proportional_gain(excitation, motor) * math.dist(start_of(excitation), before)
+        control = resistance * longest + _proportional_gain(excitation, motor) * math.dist(
+            excitation.start_dq_a, before
+        )
     squared = _current_square(excitation, point) + _TRIANGLE_MEAN_SQUARE * ripple**2 * point.captured_s
     return Load(longest, ripple, squared, steady, control)
-
-
-def start_of(excitation: Excitation) -> Point:
-    """Where the current control goes first (i_d, i_q) [A]; a trapezoid ends there as well."""
-    match excitation:
-        case Hold():
-            return (excitation.current_d_a, excitation.current_q_a)
-        case Injection():
-            return (excitation.target_d_a, excitation.target_q_a)
-        case Trapezoid(swept_axis="q"):
-            return (excitation.held_a, 0.0)
-        case Trapezoid(swept_axis="d"):
-            return (0.0, excitation.held_a)
-        case _:
-            return (0.0, 0.0)
-
-
-def _longest_current(excitation: Excitation) -> float:
-    start = math.hypot(*start_of(excitation))
-    return math.hypot(start, excitation.amplitude_a) if isinstance(excitation, Trapezoid) else start
 
 
 def nominal_ripple_a(excitation: Excitation, motor: Motor) -> float:
@@ -99,7 +81,7 @@ def _proportional_gain(excitation: Excitation, motor: Motor) -> float:
 
 
 def _current_square(excitation: Excitation, point: PlannedPoint) -> float:
-    squared = math.hypot(*start_of(excitation)) ** 2 * (settling_s(excitation) + point.captured_s)
+    squared = math.hypot(*excitation.start_dq_a) ** 2 * (excitation.settling_s + point.captured_s)
     if isinstance(excitation, Trapezoid):
         squared += _TRAPEZOID_MEAN_SQUARE * excitation.amplitude_a**2 * point.captured_s
     return squared

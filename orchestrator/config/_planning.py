@@ -51,20 +51,12 @@ class PlannedPoint:
     @property
     def seconds(self) -> float:
         """What it takes on the drive's clock [s]."""
-        return self.captured_s + settling_s(self.excitation)
+        return self.captured_s + self.excitation.settling_s
 
     @property
     def captured_s(self) -> float:
         """How much of it is captured [s]."""
-        e = self.excitation
-        return e.period_s * e.periods if isinstance(e, Trapezoid) else e.duration_s
-
-
-def settling_s(excitation: Excitation) -> float:
-    """What passes before an excitation is captured [s]."""
-    if isinstance(excitation, GatesOff):
-        return 0.0
-    return excitation.settle_s + (excitation.discard_s if isinstance(excitation, Injection) else 0.0)
+        return self.excitation.captured_s
 
 
 @dataclass(frozen=True)

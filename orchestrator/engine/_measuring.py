@@ -119,6 +119,6 @@ class Measurement:
             )
 
     def _check_length(self, point: PlannedPoint, samples: int) -> None:
-        expected = round(point.captured_s * self._capabilities.sampling_frequency_hz)
+        expected = point.excitation.rows(self._capabilities.sampling_frequency_hz)
         if abs(samples - expected) > 1:
             raise DriveFault(FaultCause.WRONG_DATA, f"{point.id}: {samples} samples came, {expected} were asked for")

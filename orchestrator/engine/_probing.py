@@ -98,7 +98,7 @@ class RippleProbe:
             }
         )
         peak = 0.0
-        with closing(self._power.execute(probe, quiet_s=probe.settle_s + probe.duration_s)) as blocks:
+        with closing(self._power.execute(probe, quiet_s=probe.settling_s + probe.captured_s)) as blocks:
             for capture in blocks:
                 self._interrupts.check()
                 if len(capture):

@@ -34,11 +34,8 @@ class DriveCaptureChecks(DriveBench):
             excitation = session.sizes.one_of(kind)
             measured = measure(session.drive, excitation)
             fs = session.capabilities.sampling_frequency_hz
-            seconds = (
-                excitation.periods * excitation.period_s if excitation.kind == "trapezoid" else excitation.duration_s
-            )
-            assert len(measured.i_ab) == round(seconds * fs), (
-                f"{kind} of {seconds} s at {fs} Hz gave {len(measured.i_ab)} rows"
+            assert len(measured.i_ab) == excitation.rows(fs), (
+                f"{kind} of {excitation.captured_s} s at {fs} Hz gave {len(measured.i_ab)} rows"
             )
             for block in measured.blocks:
                 assert block.sampling_frequency_hz == fs, "a block's sampling frequency is not the one claimed"

@@ -37,7 +37,6 @@ from plugins.drives.wire import (
     Setpoint,
     Verdict,
     capability_registers,
-    captured_rows,
     decode,
     encode,
     frame_id,
@@ -318,7 +317,7 @@ class Device:
         excitation = self._programs.excitation()
         if isinstance(excitation, AckStatus):
             return excitation, 0
-        rows = captured_rows(excitation, self.rig.capabilities.sampling_frequency_hz)
+        rows = excitation.rows(self.rig.capabilities.sampling_frequency_hz)
         capture = self._programs.capture(rows, excitation)
         if isinstance(capture, AckStatus):
             return capture, 0

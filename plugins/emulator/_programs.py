@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +17,6 @@ from plugins.drives.wire import (
     RippleGrid,
     RowFormat,
     Scales,
-    captured_rows,
     limits_of,
     program_of,
     single,
@@ -115,9 +113,9 @@ class Programs:
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
         if isinstance(excitation, Trapezoid) and excitation.periods > _MOST_PERIODS:
             return AckStatus.TOO_LONG
-        if _seconds(excitation) > self._settings.longest_program_s * _ROUNDING:
+        if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * _ROUNDING:
             return AckStatus.TOO_LONG
-        if captured_rows(excitation, fs) < 1 or excitation.control.bandwidth_hz > fs / 10:
+        if excitation.rows(fs) < 1 or excitation.control.bandwidth_hz > fs / 10:
             return AckStatus.OUT_OF_RANGE
         if excitation.pwm_frequency_hz not in (None, *own.pwm_frequencies_hz):
             return AckStatus.NOT_SUPPORTED
@@ -159,11 +157,3 @@ class Programs:
         if grid.rows(rows) > _RIPPLE_ROWS:
             return AckStatus.NO_MEMORY
         return RippleMemory(number, grid, rows, excitation.rotor_angle_rad, self._facts.scales)
-
-
-def _seconds(excitation: Excitation) -> float:
-    """Length of a program."""
-    if isinstance(excitation, Trapezoid):
-        return excitation.settle_s + excitation.periods * excitation.period_s
-    before = getattr(excitation, "settle_s", 0.0) + getattr(excitation, "discard_s", 0.0)
-    return math.fsum((before, excitation.duration_s))

@@ -21,7 +21,6 @@ from plugins.drives.wire import (
     RippleGrid,
     RippleRows,
     Unwrapped,
-    captured_rows,
     reconstruct,
 )
 from protocols import Capture, DriveFault, DriveRefused, FaultCause, Injection
@@ -70,7 +69,7 @@ class RippleRead:
     def __init__(self, host: Host, machine: Machine, number: int, injection: Injection, periods: int) -> None:
         self._host, self._scales = host, machine.facts.scales
         self._fs = fs = machine.capabilities.sampling_frequency_hz
-        self._samples = captured_rows(injection, fs)
+        self._samples = injection.rows(fs)
         self._grid = RippleGrid(
             fs,
             injection.frequency_hz,

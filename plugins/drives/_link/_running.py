@@ -19,7 +19,6 @@ from plugins.drives.wire import (
     PowerState,
     Progress,
     capture_registers,
-    captured_rows,
     program_registers,
 )
 from protocols import Capture, DriveFault, DriveRefused, Excitation, FaultCause, Injection
@@ -62,7 +61,7 @@ class Program:
         if periods and isinstance(excitation, Injection):
             self._source = RippleRead(host, machine, self.number, excitation, periods)
         else:
-            self._source = RawRead(host, machine, self.number, captured_rows(excitation, self._fs))
+            self._source = RawRead(host, machine, self.number, excitation.rows(self._fs))
         self._has_run = False
         self._seen: tuple[Phase, int] = (Phase.IDLE, 0)
         self._clock = AttentiveClock()
@@ -139,7 +138,7 @@ class Program:
         if seen != self._seen or self._is_complete(progress):
             self._seen, self._moved_s = seen, now_s
         asked = self._excitation
-        patience_s = STUCK_S + getattr(asked, "settle_s", 0.0) + getattr(asked, "discard_s", 0.0)
+        patience_s = STUCK_S + asked.settling_s
         if now_s - self._moved_s > patience_s:
             told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen[0].name.lower()})"
             raise DriveFault(FaultCause.NO_ANSWER, told)

@@ -198,7 +198,7 @@ class MoteusDrive:
         if needed_v > limits.voltage_v:
             told = f"{current_a:g} A need {needed_v:.3g} V by the nameplate's resistance"
             raise DriveRefused(f"{told}, above the limit of {limits.voltage_v:g} V")
-        if round(excitation.duration_s * own.sampling_frequency_hz) < 1:
+        if excitation.rows(own.sampling_frequency_hz) < 1:
             raise DriveRefused(f"{excitation.duration_s:g} s are less than a row at {own.sampling_frequency_hz:g} Hz")
 
     def _captures(self, hold: Hold, turn: int) -> Iterator[Capture]:
@@ -211,7 +211,7 @@ class MoteusDrive:
         if target.current_a == 0.0:
             target = replace(target, theta_rad=hold.rotor_angle_rad)
         self._held, self._rotor_angle_rad = target, hold.rotor_angle_rad
-        under_way = self._under_way = io.start(lambda: holding.run(target, hold.settle_s, round(hold.duration_s * fs)))
+        under_way = self._under_way = io.start(lambda: holding.run(target, hold.settle_s, hold.rows(fs)))
         try:
             while not io.wait(under_way, BLOCK_S):
                 yield _block(Rows(time.monotonic(), ()), fs, self._origin_s)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
-from protocols import Excitation, ExcitationKind, GatesOff, Hold, Injection, Manifest, Segment, SegmentStage, Trapezoid
+from protocols import Excitation, ExcitationKind, Manifest, Segment, SegmentStage
 
 KIND_OF: Mapping[SegmentStage, ExcitationKind] = {
     SegmentStage.GATES_OFF: "gates_off",
@@ -33,16 +33,6 @@ _WORDS: Mapping[ExcitationKind, str | None] = {
 }
 
 
-def rows_of(excitation: Excitation, sampling_frequency_hz: float) -> int:
-    """Rows that the excitation captures."""
-    match excitation:
-        case Trapezoid():
-            seconds = excitation.periods * excitation.period_s
-        case GatesOff() | Hold() | Injection():
-            seconds = excitation.duration_s
-    return round(seconds * sampling_frequency_hz)
-
-
 def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_a: float) -> bool:
     """Whether a segment holds what the excitation asks for, and enough of it.
 
@@ -55,7 +45,7 @@ def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_
     """
     if KIND_OF[segment.stage] != excitation.kind:
         return False
-    if segment.samples < rows_of(excitation, manifest.drive.sampling_frequency_hz):
+    if segment.samples < excitation.rows(manifest.drive.sampling_frequency_hz):
         return False
     if abs(math.remainder(segment.rotor_angle_rad - excitation.rotor_angle_rad, math.tau)) > ALIKE:
         return False

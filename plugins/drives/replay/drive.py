@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import Field
 
 from orchestrator.recording import Recording, open_recording
-from plugins.drives.replay._matching import KIND_OF, answers, in_words, rows_of
+from plugins.drives.replay._matching import KIND_OF, answers, in_words
 from protocols import (
     Capabilities,
     Capture,
@@ -130,13 +130,13 @@ class ReplayDrive:
             capture = recording.load(segment)
         except FluxbenchError as error:
             raise DriveFault(FaultCause.WRONG_DATA, str(error)) from error
-        rows = rows_of(excitation, capture.sampling_frequency_hz)
+        rows = excitation.rows(capture.sampling_frequency_hz)
         longest = float(np.linalg.norm(capture.i_ab[:rows], axis=1).max())
         if not longest <= limits.current_a:
             raise DriveRefused(f"{segment.id} reaches {longest:.3g} A, above the limit of {limits.current_a:g} A")
         self._played.add(segment.id)
         start_s = segment.start_s if segment.start_s >= self._clock_s else self._clock_s
-        return self._play(capture, rows, start_s + (0.0 if start_s > self._clock_s else _settle_s(excitation)), segment)
+        return self._play(capture, rows, start_s + (0.0 if start_s > self._clock_s else excitation.settling_s), segment)
 
     def _choose(self, recording: Recording, excitation: Excitation) -> Segment:
         fitting = [s for s in recording.segments() if answers(s, excitation, recording.manifest, self._scale_a)]
@@ -216,10 +216,6 @@ class ReplayDrive:
         self._clock_s = start_s
         if self._recording is not None:
             self._played = {s.id for s in self._recording.manifest.segments if s.start_s < start_s}
-
-
-def _settle_s(excitation: Excitation) -> float:
-    return float(getattr(excitation, "settle_s", 0.0)) + float(getattr(excitation, "discard_s", 0.0))
 
 
 def _peaks(recording: Recording) -> tuple[float, float]:

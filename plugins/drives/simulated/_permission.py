@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from plugins.drives.simulated._derive import Nameplate, TruePlant
 from plugins.drives.simulated._plant import SQRT3
 from plugins.drives.simulated.options import SimulatedOptions
-from protocols import Capabilities, DriveRefused, Excitation, GatesOff, Hold, Injection, InputError, Limits, Trapezoid
+from protocols import Capabilities, DriveRefused, Excitation, Injection, InputError, Limits, Trapezoid
 
 KINDS = frozenset({"gates_off", "hold", "trapezoid", "injection"})
 ROUNDING = 1.0 + 1e-9
@@ -69,12 +69,12 @@ class Permission:
             raise DriveRefused(f"PWM frequency {pwm:g} Hz; this drive has {choices} Hz")
         if excitation.control.bandwidth_hz > fs / 10:
             raise DriveRefused(f"bandwidth {excitation.control.bandwidth_hz:g} Hz is above a tenth of the sampling")
-        captured_s = _captured_s(excitation)
+        captured_s = excitation.captured_s
         if captured_s * fs < 0.5:
             raise DriveRefused(f"nothing to capture: {captured_s:g} s is less than a sample")
         if own.longest_capture_s is not None and captured_s > own.longest_capture_s * ROUNDING:
             raise DriveRefused(f"capture of {captured_s:g} s is longer than the drive's {own.longest_capture_s:g} s")
-        current_a = _longest_current(excitation)
+        current_a = excitation.longest_current_a
         if current_a > limits.current_a * ROUNDING:
             raise DriveRefused(f"current {current_a:.4g} A is above the limit of {limits.current_a:g} A")
         if _largest_d(excitation) > self.reach_positive_d_a * ROUNDING:
@@ -94,37 +94,8 @@ class Permission:
             )
 
 
-def _captured_s(excitation: Excitation) -> float:
-    if isinstance(excitation, Trapezoid):
-        return excitation.periods * excitation.period_s
-    return excitation.duration_s
-
-
-def _longest_current(excitation: Excitation) -> float:
-    match excitation:
-        case GatesOff():
-            return 0.0
-        case Hold():
-            return math.hypot(excitation.current_d_a, excitation.current_q_a)
-        case Injection():
-            return math.hypot(excitation.target_d_a, excitation.target_q_a)
-        case Trapezoid(swept_axis="dq"):
-            return excitation.amplitude_a
-        case Trapezoid():
-            return math.hypot(excitation.amplitude_a, excitation.held_a)
-
-
 def _largest_d(excitation: Excitation) -> float:
-    match excitation:
-        case GatesOff():
-            return 0.0
-        case Hold():
-            return excitation.current_d_a
-        case Injection():
-            return excitation.target_d_a
-        case Trapezoid(swept_axis="q"):
-            return excitation.held_a
-        case Trapezoid(swept_axis="d"):
-            return excitation.amplitude_a
-        case Trapezoid():
-            return excitation.amplitude_a * math.sqrt(0.5)
+    start = excitation.start_dq_a[0]
+    if not isinstance(excitation, Trapezoid):
+        return start
+    return start + excitation.amplitude_a * {"d": 1.0, "q": 0.0, "dq": math.sqrt(0.5)}[excitation.swept_axis]

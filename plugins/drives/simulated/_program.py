@@ -60,10 +60,10 @@ class Planner:
             case GatesOff():
                 down = self.to_zero(excitation.control, start).stretches
                 drain = Stretch(Piece(OFF, self.samples(DRAIN_S)))
-                rows = Stretch(Piece(OFF, self.samples(excitation.duration_s)), captured=True)
+                rows = Stretch(Piece(OFF, self.samples(excitation.captured_s)), captured=True)
                 return Program((*down, drain, rows))
             case Hold():
-                target = (excitation.current_d_a, excitation.current_q_a)
+                target = excitation.start_dq_a
                 settle = self._settle(excitation.control, start, target, self.samples(excitation.settle_s))
                 return Program((*settle, Stretch(self._still(target, excitation.duration_s), captured=True)))
             case Trapezoid():
@@ -102,8 +102,7 @@ class Planner:
 
     def _trapezoid(self, excitation: Trapezoid, start: tuple[float, float]) -> Iterator[Stretch]:
         axis, fs = excitation.swept_axis, self.sampling_frequency_hz
-        amplitude, held = excitation.amplitude_a, excitation.held_a
-        origin = {"d": (0.0, held), "q": (held, 0.0), "dq": (0.0, 0.0)}[axis]
+        amplitude, origin = excitation.amplitude_a, excitation.start_dq_a
         direction = {"d": (1.0, 0.0), "q": (0.0, 1.0), "dq": (math.sqrt(0.5), math.sqrt(0.5))}[axis]
         yield from self._settle(excitation.control, start, origin, self.samples(excitation.settle_s))
         corners = ((0.0, 0.0), (0.125, 1.0), (0.375, 1.0), (0.625, -1.0), (0.875, -1.0), (1.0, 0.0))
@@ -125,7 +124,7 @@ class Planner:
                 yield Stretch(piece, captured=True)
 
     def _injection(self, excitation: Injection, start: tuple[float, float]) -> Iterator[Stretch]:
-        fs, target = self.sampling_frequency_hz, (excitation.target_d_a, excitation.target_q_a)
+        fs, target = self.sampling_frequency_hz, excitation.start_dq_a
         settle = max(2, self.samples(excitation.settle_s))
         yield from self._settle(excitation.control, start, target, settle - settle // 2)
         yield Stretch(Piece(CONTROL, settle // 2, *target), averaged=True)
@@ -140,7 +139,7 @@ class Planner:
             square=excitation.waveform == "square",
         )
         yield Stretch(wave, on_base=True)
-        rows = wave._replace(samples=self.samples(excitation.duration_s), first=discarded)
+        rows = wave._replace(samples=self.samples(excitation.captured_s), first=discarded)
         yield Stretch(rows, captured=True, on_base=True)
 
 

@@ -46,7 +46,6 @@ from plugins.drives.wire._messages import (
 from plugins.drives.wire._nodes import NODES, from_bus, heard_by_drive, heard_by_host, on_bus
 from plugins.drives.wire._program import (
     capture_registers,
-    captured_rows,
     drive_fault,
     limit_registers,
     limits_of,
@@ -133,7 +132,6 @@ __all__ = [
     "capabilities_of",
     "capability_registers",
     "capture_registers",
-    "captured_rows",
     "decode",
     "demodulate",
     "drive_fault",

@@ -134,12 +134,6 @@ def program_of(values: Mapping[str, float]) -> Excitation:
     return Injection.model_validate(fields | target | {"waveform": WAVEFORMS[int(values["waveform"])]})
 
 
-def captured_rows(excitation: Excitation, sampling_frequency_hz: float) -> int:
-    """Rows that an excitation captures, as both ends count them."""
-    seconds = excitation.periods * excitation.period_s if isinstance(excitation, Trapezoid) else excitation.duration_s
-    return round(seconds * sampling_frequency_hz)
-
-
 # Limits and nameplate
 
 

@@ -92,7 +92,7 @@ class ExampleDrive:
         if excitation.pwm_frequency_hz not in (None, *self.capabilities.pwm_frequencies_hz):
             raise DriveRefused("no such PWM frequency")
         self.check(excitation)
-        self.clock_s += getattr(excitation, "settle_s", 0.0) + getattr(excitation, "discard_s", 0.0)
+        self.clock_s += excitation.settling_s
         if not isinstance(excitation, Trapezoid):
             yield self.block(excitation, np.zeros(0, dtype=complex), np.zeros(0, dtype=complex))
         i, v = self.waveforms(excitation)
@@ -137,7 +137,7 @@ class ExampleDrive:
         if isinstance(excitation, Injection):
             return self.injection(excitation)
         if isinstance(excitation, Trapezoid):
-            t = np.arange(round(excitation.periods * excitation.period_s * self.fs)) / self.fs
+            t = np.arange(excitation.rows(self.fs)) / self.fs
             wave = np.interp(t / excitation.period_s % 1, [0, 0.125, 0.375, 0.625, 0.875, 1], [0, 1, 1, -1, -1, 0])
             swept = excitation.amplitude_a * wave
             held = excitation.held_a
@@ -149,14 +149,14 @@ class ExampleDrive:
             i_dq = paths[excitation.swept_axis]
             rise = np.gradient(i_dq, 1 / self.fs)
             return i_dq, self.resistance_ohm * i_dq + INDUCTANCE_H * rise
-        rows = round(excitation.duration_s * self.fs)
+        rows = excitation.rows(self.fs)
         if excitation.kind == "gates_off":
             return np.zeros(rows, dtype=complex), np.zeros(rows, dtype=complex)
         i_dq = np.full(rows, complex(excitation.current_d_a, excitation.current_q_a))
         return i_dq, self.resistance_ohm * i_dq
 
     def injection(self, excitation: Injection) -> tuple[Complex, Complex]:
-        t = excitation.discard_s + np.arange(round(excitation.duration_s * self.fs)) / self.fs
+        t = excitation.discard_s + np.arange(excitation.rows(self.fs)) / self.fs
         phase = np.round(excitation.frequency_hz * t, 9) % 1.0
         wave = np.where(phase < 0.5, 1.0, -1.0) if excitation.waveform == "square" else np.sin(2 * np.pi * phase)
         turn = np.exp(2j * np.pi * excitation.rotation_hz * t)

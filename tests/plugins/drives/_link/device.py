@@ -59,7 +59,6 @@ from plugins.drives.wire import (
     Watchdog,
     all_to_serial,
     capability_registers,
-    captured_rows,
     decode,
     demodulate,
     encode,
@@ -307,7 +306,7 @@ class Device:
         self._number += 1
         self._program, self._begun_s, self._phase = program, time.monotonic(), Phase.RAMPING
         self.state, self._sent_ripple = PowerState.RUNNING, 0
-        rows = captured_rows(program, FS)
+        rows = program.rows(FS)
         i_dq, v_dq = waveforms(program, rows)
         mask = Channel(int(self.file["capture_mask"]))
         self._rows = b""
@@ -350,7 +349,7 @@ class Device:
                 return [self._progress(Phase.GIVEN_UP, 0)]
             return []
         elapsed_s = (now_s - self._begun_s) * self.script.speed
-        settle_s = getattr(program, "settle_s", 0.0) + getattr(program, "discard_s", 0.0)
+        settle_s = program.settling_s
         rows = int(self.file["capture_rows"])
         done = min(rows, max(0, int((elapsed_s - settle_s) * FS)))
         phase = Phase.SETTLING if done == 0 else Phase.CAPTURING if done < rows else Phase.COMPLETE

@@ -19,7 +19,6 @@ from plugins.drives.wire import (
     capabilities_of,
     capability_registers,
     capture_registers,
-    captured_rows,
     drive_fault,
     facts_of,
     limit_registers,
@@ -138,7 +137,7 @@ def test_an_excitation_comes_back_to_a_singles_precision(excitation: Excitation)
 @given(excitations)
 def test_both_ends_count_the_same_rows(excitation: Excitation) -> None:
     back = program_of(through_a_drive(program_registers(excitation, FS)).values())
-    assert captured_rows(back, FS) == captured_rows(excitation, FS)
+    assert back.rows(FS) == excitation.rows(FS)
 
 
 def test_registers_that_are_no_program_are_an_error() -> None:
