@@ -10,18 +10,13 @@ from orchestrator.analysis._dwells import Dwell, dwell
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
 from orchestrator.analysis._energy_search import fit_energy
-from orchestrator.analysis._estimation import estimate_recording
-from orchestrator.analysis._flux_map_file import load_flux_map, save_flux_map
-from orchestrator.analysis._frames import to_ab, to_dq
 from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
 from orchestrator.analysis._lock import judge_lock
 from orchestrator.analysis._loops import KNOTS, VoltageLosses, close_loops
 from orchestrator.analysis._passes import each_capture
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._report import EstimationReport, ResistanceReport
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
-from orchestrator.analysis._surface import SmoothSurface, TaylorSurface, current_axes, inside_hull, require_area
 from orchestrator.analysis._sweep import (
     FluxPath,
     Sweep,
@@ -39,29 +34,23 @@ __all__ = [
     "NO_LOSS",
     "Dwell",
     "EnergyFit",
-    "EstimationReport",
     "FluxPath",
     "Inductances",
     "IntegratedFlux",
     "Network",
     "PhaseLoss",
     "PolynomialFit",
-    "ResistanceReport",
     "Ripple",
-    "SmoothSurface",
     "Sweep",
     "SweepTrace",
-    "TaylorSurface",
     "VoltageLosses",
     "along",
     "check_map",
     "close_loops",
-    "current_axes",
     "demodulate",
     "difference_percent",
     "dwell",
     "each_capture",
-    "estimate_recording",
     "evaluate_sweep",
     "find_dwells",
     "fit_energy",
@@ -70,18 +59,12 @@ __all__ = [
     "flux_by_rests",
     "flux_ratio",
     "injection_frequency",
-    "inside_hull",
     "integrate",
     "invert",
     "join_paths",
     "judge_lock",
-    "load_flux_map",
     "rated_flux_wb",
-    "require_area",
-    "save_flux_map",
     "sweep_of",
     "temperature_rise",
-    "to_ab",
-    "to_dq",
     "trace_sweep",
 ]

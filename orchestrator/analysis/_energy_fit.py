@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._integration import Inductances
-from orchestrator.analysis._most_likely import Solution, most_likely
 from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_apart, waves
 from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
 from orchestrator.analysis._sweep import FluxPath
-from orchestrator.analysis._tensor_spline import EvenSpline
+from orchestrator.numerics.reml import Solution, most_likely
+from orchestrator.numerics.tensor_spline import EvenSpline
 
 Array = NDArray[np.float64]
 

@@ -27,9 +27,9 @@ from orchestrator.analysis._energy_fit import (
     smoothed,
 )
 from orchestrator.analysis._integration import Inductances
-from orchestrator.analysis._most_likely import Solution
 from orchestrator.analysis._ripple_errors import SIZE
 from orchestrator.analysis._sweep import FluxPath
+from orchestrator.numerics.reml import Solution
 
 Array = NDArray[np.float64]
 Settled = tuple[EnergyProblem, Solution]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._ripple import Ripple
-from orchestrator.analysis._surface import TaylorSurface, require_area, triangulate
+from orchestrator.numerics.surface import TaylorSurface, require_area, triangulate
 
 Array = NDArray[np.float64]
 

@@ -12,8 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from orchestrator.analysis._kept import take_out
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
+from orchestrator.analysis._phase_loss_kernel import take_out
 from orchestrator.analysis._samples import Samples, for_kernels
 
 Array = NDArray[np.float64]

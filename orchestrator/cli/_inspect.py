@@ -56,7 +56,7 @@ def procedures(name: str | None) -> int:
 
 def schema(name: str) -> int:
     """Print the JSON Schema of a file format."""
-    from orchestrator.analysis import EstimationReport
+    from orchestrator.estimation import EstimationReport
     from orchestrator.runs import RunRecord
 
     models: dict[str, type[BaseModel]] = {

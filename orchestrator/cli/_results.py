@@ -6,9 +6,9 @@ import os
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.analysis import EstimationReport, estimate_recording
 from orchestrator.cli._tables import print_table
 from orchestrator.engine import installed_estimators
+from orchestrator.estimation import EstimationReport, estimate_recording
 from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
 from orchestrator.registry import PluginKind, load_plugin
 from orchestrator.runs import RunDirectory, is_run

@@ -5,20 +5,20 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 """
 
 from orchestrator.diagnosis._compare import compare_recording
-from orchestrator.diagnosis._course import ModelChoice
 from orchestrator.diagnosis._diagnose import Diagnosis, add_effects, diagnose_recording, remove_effect
-from orchestrator.diagnosis._foreign import guarded
-from orchestrator.diagnosis._keeping import diagnose_and_keep
-from orchestrator.diagnosis._ladder import DETECTED
-from orchestrator.diagnosis._library import CROSS_SATURATION, SATURATION
-from orchestrator.diagnosis._magnetics import Magnetics, SplineGrid, linear_magnetics
-from orchestrator.diagnosis._model_file import MODEL_NAME, SavedModel, read_model
-from orchestrator.diagnosis._pictures import diagnosis_step
-from orchestrator.diagnosis._pictures_file import SavedDiagnosis, load_diagnosis, save_diagnosis
-from orchestrator.diagnosis._quantities import in_its_unit, in_volts, parameter_words
-from orchestrator.diagnosis._reports import AddReport, CompareReport, DiagnosisReport, Words
-from orchestrator.diagnosis._simulate import simulated_current
-from orchestrator.diagnosis._words import in_words
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
+from orchestrator.diagnosis.fitting.guarded import guarded
+from orchestrator.diagnosis.fitting.simulation import simulated_current
+from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
+from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
+from orchestrator.diagnosis.reporting.ladder import DETECTED
+from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, SavedModel, read_model
+from orchestrator.diagnosis.reporting.pictures import diagnosis_step
+from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
+from orchestrator.diagnosis.reporting.reports import AddReport, CompareReport, DiagnosisReport, Words
+from orchestrator.diagnosis.reporting.words import in_words
+from orchestrator.diagnosis.selection.workflow import ModelChoice
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid, linear_magnetics
 
 __all__ = [
     "CROSS_SATURATION",

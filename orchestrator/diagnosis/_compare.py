@@ -10,19 +10,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._baseline import Start
-from orchestrator.diagnosis._course import ModelChoice, first_steps, name_of
-from orchestrator.diagnosis._enough import solvable
-from orchestrator.diagnosis._fitted import Fit
-from orchestrator.diagnosis._ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis._library import MAGNETIC, scaled_library
-from orchestrator.diagnosis._model_file import MODEL_NAME, read_model
-from orchestrator.diagnosis._opening import open_for_diagnosis
-from orchestrator.diagnosis._pieces import Piece, believed_dq
-from orchestrator.diagnosis._reports import CompareReport, NoiseFloor, PercentPair, StageError, WorstSegment
-from orchestrator.diagnosis._search import with_effect
-from orchestrator.diagnosis._shape import map_breaks
-from orchestrator.diagnosis._simulate import current_rms
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.candidates import MAGNETIC, scaled_library
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.simulation import current_rms
+from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, read_model
+from orchestrator.diagnosis.reporting.reports import CompareReport, NoiseFloor, PercentPair, StageError, WorstSegment
+from orchestrator.diagnosis.selection.forward_search import with_effect
+from orchestrator.diagnosis.selection.leftover import map_breaks
+from orchestrator.diagnosis.selection.sufficiency import solvable
+from orchestrator.diagnosis.selection.workflow import ModelChoice, first_steps, name_of
+from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
 from orchestrator.recording import Recording
 from protocols import Effect, SegmentStage
 

@@ -10,22 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator._validation import suggestion
-from orchestrator.diagnosis._baseline import Start
-from orchestrator.diagnosis._course import (
-    ModelChoice,
-    converged,
-    first_steps,
-    map_steps,
-    name_of,
-    on_a_finer_map,
-    pruned,
-    search_effects,
-    without_doubtful,
-)
-from orchestrator.diagnosis._enough import solvable
-from orchestrator.diagnosis._fitted import Fit
-from orchestrator.diagnosis._joint import joint_fit, other_opinion
-from orchestrator.diagnosis._ladder import (
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.experiment_design.proposal import next_experiment
+from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.ladder import (
     DETECTED,
     found_effects,
     left_fraction,
@@ -33,11 +23,8 @@ from orchestrator.diagnosis._ladder import (
     rung,
     verdict_of,
 )
-from orchestrator.diagnosis._library import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
-from orchestrator.diagnosis._model_file import SavedModel, read_model, saved_map, write_model
-from orchestrator.diagnosis._next import next_experiment
-from orchestrator.diagnosis._opening import open_for_diagnosis
-from orchestrator.diagnosis._reports import (
+from orchestrator.diagnosis.reporting.model_file import SavedModel, read_model, saved_map, write_model
+from orchestrator.diagnosis.reporting.reports import (
     AddReport,
     DiagnosisReport,
     FoundEffect,
@@ -49,12 +36,25 @@ from orchestrator.diagnosis._reports import (
     Unexplained,
     Verdict,
 )
-from orchestrator.diagnosis._search import (
+from orchestrator.diagnosis.selection.forward_search import (
     Search,
     Step,
     with_effect,
 )
-from orchestrator.diagnosis._shape import leftover_shape
+from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
+from orchestrator.diagnosis.selection.leftover import leftover_shape
+from orchestrator.diagnosis.selection.sufficiency import solvable
+from orchestrator.diagnosis.selection.workflow import (
+    ModelChoice,
+    converged,
+    first_steps,
+    map_steps,
+    name_of,
+    on_a_finer_map,
+    pruned,
+    search_effects,
+    without_doubtful,
+)
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep, Effect, PluginError, StorageError
 
@@ -236,7 +236,7 @@ def _refitted(
 
 
 def _show(start: Start, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]) -> None:
-    from orchestrator.diagnosis._pictures import diagnosis_step
+    from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 
     for index, (step, numbers) in enumerate(zip(search.steps, ladder, strict=True)):
         on_step(diagnosis_step(index, step, start, known=numbers))

@@ -310,7 +310,7 @@ class Commissioning:
         return open_recording(self._run.path)
 
     def _estimate(self, stage: EstimateStage) -> None:
-        from orchestrator.analysis import estimate_recording
+        from orchestrator.estimation import estimate_recording
 
         self._compute()
         wanted = [e for e in self._estimators if stage.estimators is None or e.name in stage.estimators]

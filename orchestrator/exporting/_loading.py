@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import load_flux_map
+from orchestrator.estimation import load_flux_map
 from orchestrator.exporting._numeric_files import CSV_UNITS
 from orchestrator.exporting._surface import MapSurface, require_usable
 from protocols import FluxMap, InputError

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import save_flux_map
+from orchestrator.estimation import save_flux_map
 from orchestrator.exporting._products import Products, Written
 from orchestrator.exporting._torque import Trajectory
 

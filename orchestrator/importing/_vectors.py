@@ -47,7 +47,7 @@ def vectors(signal: CurrentSignal | VoltageSignal, columns: Columns, rotor_angle
     x = scale * np.column_stack([columns[signal.columns[axis]] for axis in axes])  # type: ignore[index]
     if signal.frame == "alpha_beta":
         return x
-    from orchestrator.analysis import to_ab
+    from orchestrator.numerics.frames import to_ab
 
     return to_ab(x, rotor_angle_rad if signal.angle is None else angle_rad(signal.angle, columns))
 

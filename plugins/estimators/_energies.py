@@ -8,7 +8,8 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy, inside_hull, require_area
+from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
+from orchestrator.numerics.surface import inside_hull, require_area
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.estimators._wandering import Walk, no_walk, random_walk
+from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 
 Array = NDArray[np.float64]
 

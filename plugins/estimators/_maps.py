@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss, current_axes
+from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss
+from orchestrator.numerics.surface import current_axes
 from protocols import FluxMap, FluxMapEstimate, Motor, RecordingReader
 
 Array = NDArray[np.float64]

@@ -18,20 +18,18 @@ from orchestrator.analysis import (
     KNOTS,
     NO_LOSS,
     Network,
-    SmoothSurface,
     Sweep,
     VoltageLosses,
     check_map,
     close_loops,
     each_capture,
     flux_by_rests,
-    inside_hull,
     join_paths,
     rated_flux_wb,
-    require_area,
     sweep_of,
     trace_sweep,
 )
+from orchestrator.numerics.surface import SmoothSurface, inside_hull, require_area
 from plugins.estimators._maps import SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (
     EstimationContext,

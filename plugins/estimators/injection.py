@@ -21,7 +21,6 @@ from orchestrator.analysis import (
     IntegratedFlux,
     PhaseLoss,
     Ripple,
-    TaylorSurface,
     along,
     check_map,
     demodulate,
@@ -31,6 +30,7 @@ from orchestrator.analysis import (
     join_paths,
     rated_flux_wb,
 )
+from orchestrator.numerics.surface import TaylorSurface
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (

@@ -15,14 +15,14 @@ from orchestrator.analysis import (
     VoltageLosses,
     close_loops,
     difference_percent,
-    estimate_recording,
     flux_at,
     rated_flux_wb,
     sweep_of,
-    to_dq,
     trace_sweep,
 )
 from orchestrator.engine import chosen_estimators
+from orchestrator.estimation import estimate_recording
+from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import RunDirectory
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, true_flux

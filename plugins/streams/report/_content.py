@@ -9,7 +9,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from orchestrator.analysis import EstimationReport, check_map, rated_flux_wb
+from orchestrator.analysis import check_map, rated_flux_wb
+from orchestrator.estimation import EstimationReport
 from plugins.streams.report._collect import Material
 from plugins.streams.report._text import NOT_MEASURED, borne, fixed, percent, plain, typographic
 from protocols import (

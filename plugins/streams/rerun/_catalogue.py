@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from orchestrator.analysis import EstimationReport
+from orchestrator.estimation import EstimationReport
 from orchestrator.runs import RunDirectory
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole

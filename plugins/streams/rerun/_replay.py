@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from orchestrator.analysis import EstimationReport, load_flux_map, to_dq
 from orchestrator.diagnosis import load_diagnosis
+from orchestrator.estimation import EstimationReport, load_flux_map
+from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, RunDirectory, is_run
 from protocols import (

@@ -5,13 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.analysis import (
-    check_map,
-    difference_percent,
-    load_flux_map,
-    rated_flux_wb,
-    save_flux_map,
-)
+from orchestrator.analysis import check_map, difference_percent, rated_flux_wb
+from orchestrator.estimation import load_flux_map, save_flux_map
 from protocols import FluxMap, RecordingError, StorageError
 from tests.orchestrator.analysis.plant import flux_for, saturated_current, saturated_hessian
 

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis._heat import heated, loss_history
-from orchestrator.diagnosis._lines import added_noise, find_lines, spectrum_of
+from orchestrator.diagnosis.weak_form.loss_history import heated, loss_history
+from orchestrator.diagnosis.weak_form.spectral_lines import added_noise, find_lines, spectrum_of
 
 Array = NDArray[np.float64]
 

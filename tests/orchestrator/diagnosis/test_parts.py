@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis import SplineGrid, linear_magnetics
-from orchestrator.diagnosis._magnetics import Magnetics
-from orchestrator.diagnosis._windows import periodic_windows, plain_windows, sum_intervals
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
+from orchestrator.diagnosis.weak_form.windows import periodic_windows, plain_windows, sum_intervals
 
 GRID = SplineGrid(-3.0, 4.0, 3.5, 6, 6)
 

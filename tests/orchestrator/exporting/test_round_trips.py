@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.io import loadmat
 
-from orchestrator.analysis import load_flux_map
+from orchestrator.estimation import load_flux_map
 from orchestrator.exporting import FORMATS, ExportReport, export_map, invert, load_map, mtpa, torque_nm
 from protocols import FluxMap, InputError, Motor, StorageError
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, linear_map, saturated_map, shipped

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.analysis import estimate_recording, load_flux_map
+from orchestrator.estimation import estimate_recording, load_flux_map
 from plugins.estimators._maps import InjectedFlux, SweptFlux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator

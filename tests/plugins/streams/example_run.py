@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.analysis import EstimationReport, ResistanceReport, save_flux_map
+from orchestrator.estimation import EstimationReport, ResistanceReport, save_flux_map
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import (

@@ -1,0 +1,77 @@
+"""The door of a diagnosis: the recording read, held to be a motor's and enough to tell something, its noise found."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.fit import Effort, Fitter
+from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
+from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
+from orchestrator.diagnosis.weak_form.segments import Prepared, coarse, prepare
+from orchestrator.recording._recording_checks import SoundRecording
+from protocols import RecordingReader
+
+MOST_EFFORT = 3e8
+"""Samples times columns that a search may take."""
+
+
+def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> Start:
+    """Read a recording and find its noise; what `poll` raises ends any fit of it.
+
+    Raises
+    ------
+    RecordingError
+        Where the manifest or a capture is not what it should be.
+    NotMeasuredError
+        Where currents and voltages cannot be a motor's, or are too little to tell anything from.
+    """
+    watched = SoundRecording(recording)
+    prepared = prepare(watched)
+    watched.conclude()
+    motor = prepared.manifest.motor
+    low, high, q = prepared.current_range
+    noise = sensor_noise(prepared.pieces)
+    require_enough(prepared, noise)
+    notes = [*prepared.notes, *what_is_missing(prepared), *_of_noise(noise)]
+    reach = max(-low, high, q)
+    # The map is smooth on the scale of this current; where little of the plane was seen, that is not the rated one.
+    current = min(motor.rated_current_a or reach, 2.0 * reach)
+    l_d = motor.d_inductance_h or _rough_inductance(prepared)
+    l_q = motor.q_inductance_h or l_d
+    samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
+    effort = Effort(max(MOST_EFFORT, 600.0 * samples))
+    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=effort, poll=poll)
+    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
+    return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
+
+
+def _of_noise(noise: SensorNoise) -> list[str]:
+    """What is unusual about the current readings' noise; all of it is allowed for."""
+    notes = []
+    if noise.correlation != 0.0:
+        notes.append(f"the current readings' noise is correlated, {noise.correlation:.2f} from one to the next")
+    ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
+    if ratio > 1.1:
+        notes.append(f"the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)")
+    for line in noise.lines:
+        told = "switching ripple in the samples" if line.switching else "periodic disturbance"
+        notes.append(f"{told}: {1e3 * math.sqrt(2.0 * line.power):.2g} mA at {line.frequency_hz:.4g} Hz in the holds")
+    return notes
+
+
+def _rough_inductance(prepared: Prepared) -> float:
+    """Flux swing over current swing of the best excited segment, by plain integration."""
+    best, ratio = 0.0, 0.01
+    for piece in prepared.pieces:
+        s = piece.signals
+        di = np.diff(s.i_ab, axis=0)
+        dv = (s.v_ab - s.v_ab.mean(axis=0))[:-1] / s.sampling_frequency_hz
+        power = float(np.sum(di * di))
+        together = float(np.sum(di * dv))
+        if together > best and power > 0.0:
+            best, ratio = together, float(np.sum(dv * dv)) / together
+    return ratio

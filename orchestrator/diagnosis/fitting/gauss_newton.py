@@ -1,0 +1,55 @@
+"""One Gauss-Newton step of the free coordinates within their bounds. Evaluates nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.model import Fit, Model
+
+Array = NDArray[np.float64]
+
+
+def newton_step(
+    fit: Fit, system: tuple[Array, Array], damping: float, which: NDArray[np.bool_] | None = None
+) -> tuple[Array, float]:
+    """Step of all free coordinates (or of some), map and R_s following, and how far it would bring the objective down.
+
+    Damping as by Levenberg and Marquardt (doi:10.1137/0111030): a share of each coordinate's own curvature on top.
+    A parameter at its bound that is drawn beyond it stays, and the others move as if it were fixed.
+    """
+    free = fit.model.free
+    x = np.array([a.coordinate(n) for a, n in free])
+    own, right = system
+    count = len(x)
+    slope = right[:count] + x
+    curvature = own[:count, :count] + np.eye(count)
+    curvature += damping * np.diag(np.diag(curvature))
+    moving = np.flatnonzero(which) if which is not None else np.arange(count)
+    move = np.zeros(count)
+    while moving.size:
+        move[:] = 0.0
+        move[moving] = np.linalg.solve(curvature[np.ix_(moving, moving)], -slope[moving])
+        stuck = np.array([is_stuck(*free[k], float(x[k] + move[k])) for k in moving])
+        if not stuck.any():
+            break
+        moving = moving[~stuck]
+        move[:] = 0.0
+    return move, -float(slope @ move)
+
+
+def is_stuck(active: Active, name: str, wanted: float) -> bool:
+    """Whether a parameter stays where it is though it is asked to move; rounding is no movement."""
+    moved = active.moved(name, wanted).coordinate(name) - active.coordinate(name)
+    return abs(moved) <= 1e-6 * abs(wanted - active.coordinate(name))
+
+
+def moved_by(model: Model, move: Array) -> Model:
+    active, k = [], 0
+    for item in model.active:
+        for name in item.free:
+            item = item.moved(name, item.coordinate(name) + float(move[k]))
+            k += 1
+        active.append(item)
+    return model.with_active(active)

@@ -1,0 +1,165 @@
+"""What a fit consists of: the space of maps, the model, what is kept between steps, and the result. Fits nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.weak_form.equations import LocalMap
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid
+from orchestrator.diagnosis.weak_form.noise import Whitener
+from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from protocols import Signals
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class MapSpace:
+    """The family of maps in which the fit may look: coefficients = origin + directions @ free.
+
+    Attributes
+    ----------
+    grid : SplineGrid
+    origin : array, shape (coefficients,)
+    directions : array, shape (coefficients, free)
+    prior : array, shape (rows, free)
+        Rows of a unit-variance prior on the free numbers.
+    """
+
+    grid: SplineGrid
+    origin: Array
+    directions: Array
+    prior: Array
+
+    @cached_property
+    def is_free(self) -> bool:
+        """Whether every coefficient is free by itself."""
+        rows, columns = self.directions.shape
+        return rows == columns and bool(np.array_equal(self.directions, np.eye(rows)))
+
+
+@dataclass(frozen=True)
+class Model:
+    """The model as it stands."""
+
+    space: MapSpace
+    magnetics: Magnetics
+    r_s: float
+    active: tuple[Active, ...] = ()
+
+    def with_active(self, active: Sequence[Active]) -> Model:
+        return replace(self, active=tuple(active))
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(a.name for a in self.active)
+
+    @property
+    def free(self) -> list[tuple[Active, str]]:
+        """Every free parameter of the active effects, in order."""
+        return [(a, n) for a in self.active for n in a.free]
+
+
+@dataclass(frozen=True)
+class PieceFrame:
+    """What is kept of one piece between steps."""
+
+    base: Signals
+    """As measured, with the model's resistance and flux."""
+    here: LocalMap
+    """Where the effects are in the frame's model."""
+    whitener: Whitener
+    basis: Array
+    white_basis: Array
+    """Whitened, on the map's free directions."""
+    mean_inductance: Array
+    """Of the map that the noise was carried through, shape (3,)."""
+    shaped_noise: bool
+    """Whether the inverter's effects shape the noise."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """What is kept of a recording between steps."""
+
+    space: MapSpace
+    pieces: tuple[PieceFrame, ...]
+    gram: Array
+    """white_basis^T white_basis over the training pieces."""
+
+
+@dataclass(frozen=True)
+class PieceRows:
+    """One piece's equations where the model stands: y = known + r_s * resistance + basis @ (c - c_model)."""
+
+    known: Array
+    resistance: Array
+    white: Array
+    """Whitened [known, resistance, columns...]."""
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A model fitted, and how well."""
+
+    model: Model
+    frame: Frame
+    prepared: Prepared
+    chi2: float
+    """Sum of squares of the whitened training residual."""
+    objective: float
+    """chi2 + log det of the noise covariance + prior terms."""
+    log_det: float
+    dof: float
+    residual: tuple[Array, ...]
+    """Whitened residual of every piece."""
+    volts: tuple[Array, ...]
+    """Residual of every piece in volts: y_m / (sum_k |w_mk| Ts)."""
+    normal: Array
+    """Normal matrix of (R_s, map) with its prior."""
+    columns: tuple[Array, ...]
+    """Whitened columns of every piece: the free parameters', then what was asked for beside them."""
+    resistance: tuple[Array, ...]
+    """Whitened R_s columns."""
+
+    @property
+    def chi2_per_dof(self) -> float:
+        return self.chi2 / self.dof
+
+    def chi2_of(self, use: Callable[[Piece], bool]) -> float | None:
+        """Mean square of the whitened residual of some pieces; None where there are none."""
+        parts = [e for p, e in zip(self.prepared.pieces, self.residual, strict=True) if use(p)]
+        return float(np.mean(np.concatenate(parts) ** 2)) if parts else None
+
+    def rms_v(self, use: Callable[[Piece], bool]) -> float | None:
+        """rms of some pieces' residual in volts; None where there are none."""
+        parts = [e for p, e in zip(self.prepared.pieces, self.volts, strict=True) if use(p)]
+        return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
+
+    def projected(self) -> tuple[Array, Array]:
+        """Normal matrix and gradient of all columns after R_s and the map have followed them."""
+        width = self.normal.shape[0]
+        count = self.columns[0].shape[1]
+        cross, own, right = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
+        for p, f, d, r, e in zip(
+            self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True
+        ):
+            if p.held_out:
+                continue
+            cross[0] += r @ d
+            cross[1:] += f.white_basis.T @ d
+            own += d.T @ d
+            right += d.T @ e
+        return own - cross.T @ np.linalg.solve(self.normal, cross), right
+
+    def covariance(self) -> Array:
+        """Posterior covariance of the free coordinates, in the order of `model.free`; noise as measured."""
+        count = len(self.model.free)
+        own, _ = self.projected()
+        return np.asarray(np.linalg.inv(own[:count, :count] + np.eye(count)))

@@ -1,0 +1,143 @@
+"""Multi-step prediction: the current that the model makes of the commanded voltage alone, beside the measured one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import apply_effects
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.weak_form.equations import true_frame
+from orchestrator.diagnosis.weak_form.magnetics import local_flux
+from orchestrator.diagnosis.weak_form.segments import Piece
+from protocols import SegmentStage
+
+Array = NDArray[np.float64]
+
+LONGEST_S = 1.0
+"""How much of each segment is simulated: many time constants, and both signs of a trapezoid."""
+
+
+def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple[Array, Array]:
+    """Predicted and measured magnetising current of one piece in the true frame, each (n, 2) [A].
+
+    dpsi/dt = v - R_s i from the first measured current on, with the effects' corrections of voltage, resistance
+    and angle taken from the record. Both currents are without what the iron adds.
+    """
+    piece = fit.prepared.pieces[index]
+    corrected = apply_effects(fit.frame.pieces[index].base, fit.model.active)
+    i_dq, _ = true_frame(piece, corrected)
+    n = min(len(i_dq), samples or len(i_dq))
+    angle = np.asarray(corrected.theta_rad, dtype=np.float64)[:n]
+    other = corrected.i_m_ab is not corrected.i_ab
+    extra = (corrected.i_ab - corrected.i_m_ab)[:n] if other else np.zeros((0, 2))
+    grid = fit.model.magnetics.grid
+    numbers, _ = grid.layout
+    predicted = _simulate(
+        np.ascontiguousarray(corrected.v_ab[:n]),
+        np.ascontiguousarray(extra),
+        np.ascontiguousarray(corrected.resistance_ohm[:n])
+        * (fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]),
+        np.ascontiguousarray(angle),
+        i_dq[:n],
+        fit.model.magnetics.patches,
+        numbers,
+        1.0 / piece.signals.sampling_frequency_hz,
+        0.2 * float(np.median(fit.frame.pieces[index].here.inductance[:, [0, 2]])),
+        np.array([grid.d_low, grid.d_high, grid.q_high]),
+    )
+    return predicted, i_dq[:n]
+
+
+def current_rms(fit: Fit, use: Callable[[Piece], bool] = lambda _: True) -> float | None:
+    """rms of predicted minus measured current over some pieces [A]; None where there are none."""
+    total, count = 0.0, 0
+    for index, piece in enumerate(fit.prepared.pieces):
+        if piece.stage is SegmentStage.GATES_OFF or not use(piece):
+            continue
+        longest = round(LONGEST_S * piece.signals.sampling_frequency_hz)
+        stage_share = 3 if piece.stage is SegmentStage.RESISTANCE else 1
+        predicted, measured = simulated_current(fit, index, longest // stage_share)
+        total += float(np.sum((predicted - measured) ** 2))
+        count += predicted.size
+    return math.sqrt(total / count) if count else None
+
+
+@njit(cache=True, nogil=True)
+def _simulate(
+    v_ab: Array,
+    extra_ab: Array,
+    resistance: Array,
+    angle: Array,
+    measured: Array,
+    patches: Array,
+    numbers: Array,
+    ts: float,
+    least: float,
+    box: Array,
+) -> Array:
+    """Steps psi by the voltage; after each, one Newton step for the current that belongs to it.
+
+    A model far off drives the current out of the map's box (lowest and highest i_d, highest i_q); there the map goes on
+    with the inductances of its edge, and well outside the current is held.
+    """
+    reach = 5.0 * max(-box[0], box[1], box[2])
+    n = v_ab.shape[0]
+    out = np.empty((n, 2))
+    i_d = measured[0, 0]
+    i_q = measured[0, 1]
+    psi_d = 0.0
+    psi_q = 0.0
+    for k in range(n):
+        i_d = min(max(i_d, -reach), reach)
+        i_q = min(max(i_q, -reach), reach)
+        edge_d = min(max(i_d, box[0]), box[1])
+        edge_q = min(max(i_q, -box[2]), box[2])
+        pd, pq, ldd, ldq, lqq = local_flux(edge_d, edge_q, patches, numbers)
+        det = ldd * lqq - ldq * ldq
+        if ldd < least or lqq < least or det < 0.25 * ldd * lqq:
+            # A map that is not convex here has no current to a flux; it is held up by a part of the usual inductance.
+            ldd = max(ldd, least)
+            lqq = max(lqq, least)
+            ldq = 0.0
+            det = ldd * lqq
+        pd += ldd * (i_d - edge_d) + ldq * (i_q - edge_q)
+        pq += ldq * (i_d - edge_d) + lqq * (i_q - edge_q)
+        if k == 0:
+            psi_d = pd
+            psi_q = pq
+        # What the explicit guess missed of the flux, corrected with the inductance there.
+        i_d += (lqq * (psi_d - pd) - ldq * (psi_q - pq)) / det
+        i_q += (ldd * (psi_q - pq) - ldq * (psi_d - pd)) / det
+        i_d = min(max(i_d, -reach), reach)
+        i_q = min(max(i_q, -reach), reach)
+        out[k, 0] = i_d
+        out[k, 1] = i_q
+        if k == n - 1:
+            break
+        co = math.cos(angle[k])
+        si = math.sin(angle[k])
+        xa = 0.0
+        xb = 0.0
+        if extra_ab.shape[0] > 0:
+            xa = extra_ab[k, 0]
+            xb = extra_ab[k, 1]
+        vd = co * (v_ab[k, 0] - resistance[k] * xa) + si * (v_ab[k, 1] - resistance[k] * xb)
+        vq = -si * (v_ab[k, 0] - resistance[k] * xa) + co * (v_ab[k, 1] - resistance[k] * xb)
+        ed = vd - resistance[k] * i_d
+        eq = vq - resistance[k] * i_q
+        gd = ts * (lqq * ed - ldq * eq) / det
+        gq = ts * (ldd * eq - ldq * ed) / det
+        # Heun: the resistive drop at the middle of the step.
+        dd = ts * (ed - 0.5 * resistance[k] * gd)
+        dq = ts * (eq - 0.5 * resistance[k] * gq)
+        if abs(i_d) < reach and abs(i_q) < reach:
+            psi_d += dd
+            psi_q += dq
+        i_d += (lqq * dd - ldq * dq) / det
+        i_q += (ldd * dq - ldq * dd) / det
+    return out

@@ -1,0 +1,221 @@
+"""Short stretches of waveforms for pictures: ripple and trapezoid against the simulated current, flux loops.
+
+Which segments are shown depends on the recording alone, so that the steps of a ladder can be laid over each other.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import apply_effects
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.simulation import simulated_current
+from orchestrator.diagnosis.weak_form.equations import true_frame
+from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
+from protocols import CurrentExcerpt, FluxLoop, SegmentStage, Signals
+
+Array = NDArray[np.float64]
+Axis = Literal["d", "q", "dq"]
+
+MOST_POINTS = 400
+"""Of one curve."""
+RIPPLE_PERIODS = 2
+LONGEST_TRAPEZOID_S = 2.5
+SETTLED_S = 0.1
+"""Of a simulation, before a ripple is shown: the first current is a noisy sample."""
+APART = 1.3
+"""Ratio of two amplitudes that are told apart."""
+
+
+def excerpts(fit: Fit) -> tuple[CurrentExcerpt, ...]:
+    """Ripple at one injection point, at two amplitudes where there are two, and one period of a trapezoid."""
+    pieces = fit.prepared.pieces
+    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces))
+    trapezoid = (_trapezoid_excerpt(fit, k) for k in _trapezoid(pieces))
+    return tuple(e for e in itertools.chain(ripples, trapezoid) if e is not None)
+
+
+def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
+    """The last period of one sweep on each axis, and of one on both: the one with the least current held."""
+    best: dict[Axis, tuple[float, int]] = {}
+    for k, piece in enumerate(fit.prepared.pieces):
+        if piece.stage is not SegmentStage.CLASSICAL:
+            continue
+        axis, held = _swept(piece)
+        if axis not in best or held < best[axis][0]:
+            best[axis] = (held, k)
+    return tuple(_loop(fit, best[axis][1], axis) for axis in ("d", "q", "dq") if axis in best)
+
+
+def ripple_pair(pieces: Sequence[Piece]) -> tuple[int, ...]:
+    """Two injection segments at one point with different amplitudes, the smaller first; else one; else none."""
+    points = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.INJECTION]
+    if not points:
+        return ()
+    current = np.array([_mean_current(pieces[k]) for k in points])
+    volts = np.array([_amplitude(pieces[k]) for k in points])
+    from_zero = np.linalg.norm(current, axis=1)
+    reach = float(from_zero.max()) or 1.0
+    apart = np.linalg.norm(current[:, None] - current, axis=2)
+    is_pair = (volts > APART * volts[:, None]) & (volts[:, None] > 0.0) & (apart < 0.15 * reach)
+    if not is_pair.any():
+        return (points[int(np.argmin(from_zero))],)
+    # Distances of a hundredth of the range are all alike: then the point nearest zero.
+    merit = np.round(100.0 * apart / reach) + 0.5 * from_zero[:, None] / reach
+    small, large = np.unravel_index(int(np.argmin(np.where(is_pair, merit, np.inf))), merit.shape)
+    return points[int(small)], points[int(large)]
+
+
+def _mean_current(piece: Piece) -> Array:
+    return np.asarray(believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0))
+
+
+def _amplitude(piece: Piece) -> float:
+    """Of the injected voltage [V]: as asked for, else rms of its vector about the mean."""
+    asked = piece.segment.settings.get("amplitude_v")
+    if isinstance(asked, int | float) and asked > 0:
+        return float(asked)
+    return float(np.linalg.norm(np.std(piece.signals.v_ab, axis=0)))
+
+
+def _ripple_excerpt(fit: Fit, index: int) -> CurrentExcerpt | None:
+    """Some periods from where the voltage is injected along +d, so that two amplitudes lie over each other."""
+    piece = fit.prepared.pieces[index]
+    fs, n = piece.signals.sampling_frequency_hz, len(piece.signals.v_dc)
+    frequency = piece.segment.settings.get("frequency_hz")
+    if not isinstance(frequency, int | float) or not 0 < frequency < fs / 4:
+        return None
+    period = fs / float(frequency)
+    shown = math.ceil(RIPPLE_PERIODS * period) + 1
+    settled = round(SETTLED_S * fs)
+    turn = round(fs / float(piece.segment.settings.get("rotation_hz") or 1.0))
+    stop = min(n, settled + turn + shown)
+    if stop < settled + 2 * shown:
+        return None
+    v_d = believed_dq(piece.signals.v_ab[:stop], piece.segment.rotor_angle_rad)[:, 0]
+    first = settled + _push(v_d[settled:], round(period / 2), shown)
+    predicted, measured = _currents(fit, index, first + shown)
+    return _excerpt(piece, measured[first:], predicted[first:], 1, _amplitude(piece))
+
+
+def _push(v: Array, half: int, shown: int) -> int:
+    """Where v is high for half a period and low for the next, most of all."""
+    total = np.concatenate([[0.0], np.cumsum(v)])
+    count = max(len(v) - max(shown, 2 * half), 1)
+    k = np.arange(count)
+    return int(np.argmax(2.0 * total[k + half] - total[k] - total[k + 2 * half]))
+
+
+def _trapezoid(pieces: Sequence[Piece]) -> Iterator[int]:
+    """A held-out sweep, where there is one, as the most honest; else the first."""
+    sweeps = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.CLASSICAL]
+    yield from sorted(sweeps, key=lambda k: (not pieces[k].held_out, k))[:1]
+
+
+def _trapezoid_excerpt(fit: Fit, index: int) -> CurrentExcerpt:
+    """The second period where there is one: the first may begin elsewhere."""
+    piece = fit.prepared.pieces[index]
+    shown = min(_period(piece), _samples(piece, LONGEST_TRAPEZOID_S))
+    first = shown - 1 if 2 * shown - 1 <= len(piece.signals.v_dc) else 0
+    predicted, measured = _currents(fit, index, first + shown)
+    return _excerpt(piece, measured[first:], predicted[first:], math.ceil(shown / MOST_POINTS), None)
+
+
+def _excerpt(piece: Piece, measured: Array, predicted: Array, stride: int, amplitude: float | None) -> CurrentExcerpt:
+    i_d, i_q = measured.mean(axis=0)
+    return CurrentExcerpt(
+        segment=piece.segment.id,
+        stage=piece.stage.value,
+        i_d_a=float(i_d),
+        i_q_a=float(i_q),
+        amplitude_v=amplitude,
+        time_s=np.arange(len(measured))[::stride] / piece.signals.sampling_frequency_hz,
+        measured_a=np.ascontiguousarray(measured[::stride]),
+        predicted_a=np.ascontiguousarray(predicted[::stride]),
+    )
+
+
+def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
+    """Predicted and measured current in the believed frame, (samples, 2) each.
+
+    The simulation is of the magnetising current in the true frame; what it is off by there is put on
+    what was measured, turned back.
+    """
+    piece = fit.prepared.pieces[index]
+    predicted, corrected = simulated_current(fit, index, samples)
+    signals = apply_effects(fit.frame.pieces[index].base, fit.model.active)
+    _, delta = true_frame(piece, signals)
+    measured = believed_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
+    return measured + _turned_back(predicted - corrected, delta), measured
+
+
+def _turned_back(x: Array, delta: Array) -> Array:
+    """From the true frame to the believed one; `delta` is empty where they are the same."""
+    if not delta.size:
+        return x
+    c, s = np.cos(delta[: len(x)]), np.sin(delta[: len(x)])
+    return np.stack([c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]], axis=1)
+
+
+def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
+    """Flux over one period in the believed frame: int (v - R i) dt with the effects' corrections, and psi(i)."""
+    piece = fit.prepared.pieces[index]
+    kept = fit.frame.pieces[index]
+    corrected = apply_effects(kept.base, fit.model.active)
+    ts = 1.0 / piece.signals.sampling_frequency_hz
+    i_true, delta = true_frame(piece, corrected)
+    last = slice(len(i_true) - _period(piece), len(i_true))
+    magnet = np.array([_magnet_wb(piece), 0.0])
+    psi, _ = fit.model.magnetics.flux_and_inductance(i_true[last])
+    model = _turned_back(psi + magnet, delta[last])
+    measured = _integral(corrected, fit.model.r_s / float(kept.base.resistance_ohm[0]), last, ts)
+    measured = believed_dq(measured, piece.segment.rotor_angle_rad)
+    i_dq = believed_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
+    stride = math.ceil(len(i_dq) / MOST_POINTS)
+    return FluxLoop(
+        segment=piece.segment.id,
+        swept_axis=axis,
+        i_dq=np.ascontiguousarray(i_dq[::stride]),
+        psi_measured=np.ascontiguousarray(measured[::stride]),
+        psi_model=np.ascontiguousarray((model - model[0])[::stride]),
+    )
+
+
+def _magnet_wb(piece: Piece) -> float:
+    """The magnet's flux by the nameplate, 0 where unknown [Wb]."""
+    motor = piece.signals.motor
+    return (motor.pm_flux_wb if motor is not None else None) or 0.0
+
+
+def _integral(signals: Signals, factor: float, part: slice, ts: float) -> Array:
+    """int (v - R i) dt from the part's first sample on, stator frame, shape (n, 2) [Wb]."""
+    drop = (factor * signals.resistance_ohm[part, None]) * signals.i_ab[part]
+    steps = ts * (signals.v_ab[part][:-1] - 0.5 * (drop[1:] + drop[:-1]))
+    return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+
+
+def _swept(piece: Piece) -> tuple[Axis, float]:
+    """The axis that a sweep moves, and the size of the current that it holds on the other."""
+    i_dq = believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)
+    spread = np.ptp(i_dq, axis=0)
+    if spread.min() > 0.5 * spread.max():
+        return "dq", 0.0
+    return ("d", float(abs(i_dq[:, 1].mean()))) if spread[0] > spread[1] else ("q", float(abs(i_dq[:, 0].mean())))
+
+
+def _period(piece: Piece) -> int:
+    """Samples in a period of a sweep; all of them where it does not say."""
+    period = piece.segment.settings.get("period_s")
+    asked = float(period) if isinstance(period, int | float) and period > 0 else math.inf
+    return _samples(piece, asked)
+
+
+def _samples(piece: Piece, seconds: float) -> int:
+    n = len(piece.signals.v_dc)
+    return n if math.isinf(seconds) else min(n, round(seconds * piece.signals.sampling_frequency_hz) + 1)

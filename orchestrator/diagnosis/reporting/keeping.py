@@ -1,0 +1,54 @@
+"""A diagnosis together with its words and pictures, kept in the results of a run or recording."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
+from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save_diagnosis
+from orchestrator.diagnosis.reporting.words import in_words
+from orchestrator.diagnosis.selection.workflow import ModelChoice
+from orchestrator.recording import Recording
+from protocols import DiagnosisStep, Effect, StorageError
+
+
+def diagnose_and_keep(
+    recording: Recording,
+    effects: Sequence[Effect],
+    *,
+    model: ModelChoice = "saturated",
+    without: Sequence[str] = (),
+    out: Path | None = None,
+    on_step: Callable[[DiagnosisStep], None] | None = None,
+    poll: Callable[[], None] = lambda: None,
+) -> tuple[Diagnosis, SavedDiagnosis]:
+    """`diagnose_recording`, and what it found written to ``results/diagnosis.json`` and ``.npz``.
+
+    Where that cannot be written (a read-only disk), a note says so.
+
+    Parameters
+    ----------
+    on_step : callable, optional
+        Called with each rung of the ladder; what it raises ends the diagnosis.
+    poll : callable
+        Called several times a second; what it raises ends the diagnosis.
+    out : Path, optional
+        Directory that gets `model.json` and the folder ``results``; the recording's own by default.
+    """
+    steps: list[DiagnosisStep] = []
+
+    def keep(step: DiagnosisStep) -> None:
+        steps.append(step)
+        if on_step is not None:
+            on_step(step)
+
+    diagnosis = diagnose_recording(recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll)
+    words = in_words(diagnosis)
+    try:
+        save_diagnosis(out or recording.path, diagnosis.report, words, steps)
+    except StorageError as error:
+        report = diagnosis.report
+        noted = report.model_copy(update={"notes": (*report.notes, str(error))})
+        diagnosis = Diagnosis(noted, diagnosis.start, diagnosis.search)
+    return diagnosis, SavedDiagnosis(diagnosis.report.model_dump(mode="json"), words.model_dump(), tuple(steps))

@@ -1,0 +1,126 @@
+"""From fits to what is reported: the ladder's rungs, effects with intervals, the fraction that is left."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import Active, value_at
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.simulation import current_rms
+from orchestrator.diagnosis.reporting.reports import FoundEffect, ParameterValue, Rung, Verdict
+from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.uncertainty.trust import coordinate_spread
+from orchestrator.diagnosis.weak_form.segments import Piece
+
+Array = NDArray[np.float64]
+
+DETECTED = 1.08
+"""chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""
+EXPLAINED, MOSTLY = 0.05, 0.30
+SHAPE_ERROR = 0.12
+"""What a slightly wrong shape of the right effects may leave of chi2 - 1, over the root of what there was at first."""
+LEAST_LEFT = 1.5
+"""A remainder of chi2 - 1 below this is small whatever there was at first."""
+
+
+def training(piece: Piece) -> bool:
+    return not piece.held_out
+
+
+def held_out(piece: Piece) -> bool:
+    return piece.held_out
+
+
+def mean_rms_v(fit: Fit, use: Callable[[Piece], bool]) -> float | None:
+    """rms of y_m / sum_k(w_mk Ts) over the windows that are means, carriers of the ripple aside [V]."""
+    parts = [_means(p, e) for p, e in zip(fit.prepared.pieces, fit.volts, strict=True) if use(p)]
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
+
+
+def noise_rms_v(fit: Fit, use: Callable[[Piece], bool] = lambda _: True) -> float | None:
+    """The same figure if only the sensors' noise were left [V]."""
+    parts = []
+    for piece, kept in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
+        if use(piece):
+            scale = piece.signals.sampling_frequency_hz / piece.windows.absolute_weight()
+            parts.append(_means(piece, kept.whitener.variance * scale**2))
+    return float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else None
+
+
+def _means(piece: Piece, rows: Array) -> Array:
+    carriers = len(piece.windows.carriers)
+    return rows.reshape(-1, carriers, 2)[:, 0].ravel()
+
+
+def rung(step: Step) -> Rung:
+    """One step of the ladder in numbers."""
+    return Rung(
+        added=step.added,
+        chi2=step.fit.chi2_per_dof,
+        rms_v=mean_rms_v(step.fit, training),
+        heldout_rms_v=mean_rms_v(step.fit, held_out),
+        current_rms_a=current_rms(step.fit),
+    )
+
+
+def left_fraction(before: Fit, after: Fit) -> float:
+    """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
+    if before.chi2_per_dof <= DETECTED:
+        return 0.0
+    return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before.chi2_per_dof - 1.0))
+
+
+def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
+    """The verdict on what is left: it has to be small beside what was found, and small in itself.
+
+    The fraction alone would forgive a large second error beside a huge first one. A wrong shape of the right effect
+    leaves some of it, the more the stronger it shows; what is beyond that is another effect's.
+    """
+    if after.chi2_per_dof <= DETECTED:
+        return "explained" if effects else "clean"
+    fraction = left_fraction(before, after)
+    if not effects or fraction > MOSTLY or not small_remainder(before, after):
+        return "unknown_remains"
+    return "explained" if fraction <= EXPLAINED else "mostly_explained"
+
+
+def small_remainder(before: Fit, after: Fit) -> bool:
+    """Whether what is left may be due to the found effects' shape."""
+    first = math.sqrt(max(before.chi2_per_dof - 1.0, 0.0))
+    return after.chi2_per_dof - 1.0 <= max(LEAST_LEFT, SHAPE_ERROR * first)
+
+
+def found_effects(
+    fitter: Fitter, fit: Fit, steps: Sequence[Step], rivals: Mapping[str, Sequence[str]]
+) -> tuple[FoundEffect, ...]:
+    """The active effects with 95 % intervals; see `coordinate_spread`."""
+    if not fit.model.active:
+        return ()
+    variance = coordinate_spread(fitter, fit) ** 2
+    evidence = {s.added: s.log_evidence for s in steps}
+    found, k = [], 0
+    for active in fit.model.active:
+        spread = dict(zip(active.free, np.sqrt(variance[k : k + len(active.free)]), strict=True))
+        k += len(active.free)
+        found.append(
+            FoundEffect(
+                name=active.name,
+                parameters={n: _interval(active, n, float(spread[n])) for n in active.free},
+                twins=tuple(rivals.get(active.name, ())),
+                relative_size=active.relative_size,
+                log_evidence=evidence.get(active.name, 0.0),
+            )
+        )
+    return tuple(found)
+
+
+def _interval(active: Active, name: str, spread: float) -> ParameterValue:
+    p = active.candidate.named(name)
+    x = active.coordinate(name)
+    ends = sorted((value_at(p, x - 1.96 * spread), value_at(p, x + 1.96 * spread)))
+    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit)

@@ -1,0 +1,184 @@
+"""What can be drawn of one rung of the ladder: the residual by windows, R_s over the heat, stretches of waveforms.
+
+Turns a fit into a `DiagnosisStep`, thinned to what a picture needs. Fits nothing and draws nothing.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.candidates import apply_effects
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
+from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
+from orchestrator.diagnosis.reporting.reports import Rung
+from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
+from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from protocols import DiagnosisStep, ResistanceCourse, SegmentStage
+
+Array = NDArray[np.float64]
+
+MOST_ROWS = 4000
+"""Rows that a step keeps."""
+MOST_DWELLS = 400
+LEAST_CURRENT = 0.2
+"""Part of the largest current below which a dwell says too little of R_s."""
+_GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
+_PHASES = np.array([[1.0, 0.0], [-0.5, math.sqrt(0.75)], [-0.5, -math.sqrt(0.75)]])
+
+
+def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None = None) -> DiagnosisStep:
+    """One rung of the ladder as streams, report and file take it.
+
+    Parameters
+    ----------
+    index : int
+        Place on the ladder; 0 is the model that it starts from.
+    step : Step
+    start : Start
+    known : Rung, optional
+        The step in numbers, where they are known already: the simulated current's error takes time.
+
+    Notes
+    -----
+    Rows are windows of the weak form, injection's carriers other than the mean left out, thinned to
+    `MOST_ROWS` with every stage kept; the same rows at every step of one recording.
+    """
+    fit = step.fit
+    numbers = known or rung(step)
+    rows = [_Rows(fit, k) for k in range(len(fit.prepared.pieces))]
+    stages = [row.piece.stage.value for row in rows for _ in range(len(row.time_s))]
+    kept = kept_rows(stages)
+    residual_ab = np.concatenate([row.residual_ab_v for row in rows])[kept]
+    i_ab = np.concatenate([row.i_ab for row in rows])[kept]
+    return DiagnosisStep(
+        index=index,
+        added=step.added,
+        effects=fit.model.names,
+        chi2=numbers.chi2 or 0.0,
+        rms_v=numbers.rms_v or 0.0,
+        heldout_rms_v=numbers.heldout_rms_v,
+        current_rms_a=numbers.current_rms_a,
+        noise_rms_v=noise_rms_v(fit) or 0.0,
+        stage=tuple(stages[k] for k in kept),
+        time_s=np.concatenate([row.time_s for row in rows])[kept],
+        i_dq=np.concatenate([row.i_dq for row in rows])[kept],
+        residual_dq_v=np.concatenate([row.residual_dq_v for row in rows])[kept],
+        noise_v=np.concatenate([row.noise_v for row in rows])[kept],
+        i_abc=i_ab @ _PHASES.T,
+        residual_abc_v=residual_ab @ _PHASES.T,
+        excerpts=excerpts(fit),
+        loops=flux_loops(fit),
+        resistance=_resistance_course(fit, rows),
+    )
+
+
+def kept_rows(stages: list[str], most: int = MOST_ROWS) -> NDArray[np.int64]:
+    """Which rows stay when there are more than `most`: small stages whole, large ones spread evenly.
+
+    A golden-ratio sequence picks them, which stays out of step with the turns and periods in the rows.
+    """
+    counts = Counter(stages)
+    share: dict[str, float] = {}
+    room = most
+    for left, (stage, count) in zip(range(len(counts), 0, -1), sorted(counts.items(), key=lambda c: c[1]), strict=True):
+        taken = min(count, room // left)
+        share[stage], room = taken / count, room - taken
+    labels = np.array(stages)
+    chosen = []
+    for stage, part in share.items():
+        here = np.flatnonzero(labels == stage)
+        chosen.append(here[np.mod(np.arange(len(here)) * _GOLDEN, 1.0) < part] if part < 1.0 else here)
+    return np.sort(np.concatenate(chosen)) if chosen else np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """The windows of one piece: what the mean carrier says."""
+
+    fit: Fit
+    index: int
+
+    @property
+    def piece(self) -> Piece:
+        return self.fit.prepared.pieces[self.index]
+
+    @property
+    def angle(self) -> float:
+        return float(self.piece.segment.rotor_angle_rad)
+
+    @cached_property
+    def time_s(self) -> Array:
+        """Middle of each hat."""
+        w, s = self.piece.windows, self.piece.signals
+        return np.asarray(s.start_s + (np.arange(w.hats) + 1.0) * w.step / s.sampling_frequency_hz, dtype=np.float64)
+
+    @cached_property
+    def i_ab(self) -> Array:
+        """Mean measured current in each hat, stator frame."""
+        w, i = self.piece.windows, self.piece.signals.i_ab
+        one_bin = np.zeros(len(i) - 1, dtype=np.int64)
+        sums = sum_intervals(0.5 * (i[1:] + i[:-1]), w.step, w.hats, one_bin, 1)
+        return np.asarray(sums[:, 0] / w.step, dtype=np.float64)
+
+    @property
+    def i_dq(self) -> Array:
+        return believed_dq(self.i_ab, self.angle)
+
+    @cached_property
+    def residual_dq_v(self) -> Array:
+        return self._means(self.fit.volts[self.index])
+
+    @property
+    def residual_ab_v(self) -> Array:
+        return believed_dq(self.residual_dq_v, -self.angle)
+
+    @property
+    def noise_v(self) -> Array:
+        """rms of both axes' standard deviations."""
+        scale = self.piece.signals.sampling_frequency_hz / self.piece.windows.absolute_weight()
+        variance = self._means(self.fit.frame.pieces[self.index].whitener.variance * scale**2)
+        return np.asarray(np.sqrt(variance.mean(axis=1)), dtype=np.float64)
+
+    def _means(self, rows: Array) -> Array:
+        w = self.piece.windows
+        return rows.reshape(w.hats, len(w.carriers), 2)[:, 0]
+
+
+def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
+    """R_s by every dwell (DC holds and injection points): the model's, and what the residual adds to it.
+
+    A dwell of current i and residual e = v - R i asks for R + e.i / i.i.
+    """
+    largest = max((float(np.linalg.norm(row.i_ab, axis=1).max(initial=0.0)) for row in rows), default=0.0)
+    found = []
+    for row in rows:
+        if row.piece.stage not in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
+            continue
+        current = row.i_dq.mean(axis=0)
+        square = float(current @ current)
+        if square < (LEAST_CURRENT * largest) ** 2 or square == 0.0:
+            continue
+        base = fit.frame.pieces[row.index].base
+        corrected = apply_effects(base, fit.model.active)
+        model = float(corrected.resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
+        asked = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
+        found.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
+    if not found:
+        return None
+    stride = math.ceil(len(found) / MOST_DWELLS)
+    time_s, heat_j, measured, modelled = np.array(found[::stride]).T
+    return ResistanceCourse(
+        time_s=np.ascontiguousarray(time_s),
+        heat_j=np.ascontiguousarray(heat_j),
+        measured_ohm=np.ascontiguousarray(measured),
+        model_ohm=np.ascontiguousarray(modelled),
+    )

@@ -1,0 +1,142 @@
+"""A diagnosis in words: where it fails, what it looks like, the likely cause, what adding it does, what to do next."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import partial
+from operator import is_
+
+import numpy as np
+
+from orchestrator.diagnosis._diagnose import Diagnosis
+from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
+from orchestrator.diagnosis.reporting.reports import FoundEffect, Words
+from orchestrator.diagnosis.weak_form.segments import believed_dq
+from protocols import SegmentStage
+
+_LOOKS = {
+    "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
+    "even_phase_current": "even in the phase currents",
+    "constant": "constant, or slowly drifting, whatever the current",
+    "anisotropic_resistance": "a resistance that depends on the current's direction",
+    "time_resistance": "a resistance that changes in the course of the experiment",
+    "power_voltage": "along the voltage, growing with the power",
+    "sweep_direction": "opposite on rising and falling flux",
+    "ripple_in_phase": "ripple in phase with the ripple current",
+    "ripple_edges": "at the edges of the injected wave",
+    "map_not_even": "a map that is not even in i_q",
+    "reciprocity_broken": "a map without reciprocity",
+    "map_detail": "detail of the map, finer than its splines",
+    "periodic": "periodic at the mains frequency",
+    "other": "none of the shapes that are looked for",
+}
+
+
+def in_words(diagnosis: Diagnosis) -> Words:
+    """The five slots, each a sentence or two with units."""
+    report = diagnosis.report
+    clean = report.verdict == "clean"
+    return Words(
+        where_it_fails="nowhere beyond the noise" if clean else _where(diagnosis),
+        what_it_looks_like="noise" if clean else _looks(diagnosis),
+        likely_cause=_cause(diagnosis),
+        if_added=_gain(diagnosis),
+        to_decide=_next(diagnosis),
+    )
+
+
+def _where(diagnosis: Diagnosis) -> str:
+    fit = diagnosis.search.steps[0].fit
+    rows = []
+    for piece in fit.prepared.pieces:
+        if piece.stage is not SegmentStage.GATES_OFF:
+            rms = mean_rms_v(fit, partial(is_, piece))
+            rows.append((rms or 0.0, piece))
+    rms, piece = max(rows, key=lambda row: row[0])
+    floor = noise_rms_v(fit, partial(is_, piece))
+    i_d, i_q = np.abs(believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
+    return (
+        f"worst in {piece.segment.id} (|i_d| to {i_d:.2g} A, |i_q| to {i_q:.2g} A): {in_volts(rms)} rms "
+        f"where noise alone makes {in_volts(floor)}"
+    )
+
+
+def _looks(diagnosis: Diagnosis) -> str:
+    report = diagnosis.report
+    if report.effects and report.verdict != "unknown_remains":
+        signatures = {a.name: a.candidate.effect.signature for a in diagnosis.search.fit.model.active}
+        told = [_signature(signatures[e.name], e) for e in report.effects if e.name in signatures]
+        if told:
+            return " ".join(told)
+    if not report.unexplained.shape:
+        return "what is left has no shape above the noise"
+    parts = [f"{100 * (s.share or 0.0):.0f} % {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
+    return "; ".join(parts)
+
+
+def _signature(signature: str, effect: FoundEffect) -> str:
+    if not effect.twins:
+        return signature
+    return f"{signature} What would tell it from {_listed(effect.twins)} was not measured."
+
+
+def _cause(diagnosis: Diagnosis) -> str:
+    report = diagnosis.report
+    if report.verdict == "clean":
+        return "none: the model fits within the noise"
+    amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
+    named = [_named(e, amplitudes.get(e.name, ())) for e in report.effects]
+    if report.verdict == "unknown_remains":
+        start = f"{_listed(named)}, and " if named else ""
+        return f"{start}something that no effect of the library explains"
+    left = report.unexplained.fraction or 0.0
+    rest = f"; {100 * left:.0f} % of the error remains" if report.verdict == "mostly_explained" else ""
+    return _listed(named) + rest
+
+
+def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
+    """The effect with the parameters that say how large it is."""
+    sizes = [name for name in effect.parameters if name in amplitudes] or list(effect.parameters)[:1]
+    told = []
+    for name in sizes:
+        found = effect.parameters[name]
+        size = f"{parameter_words(name)} {in_its_unit(found.value or 0.0, found.unit)}"
+        if found.low is not None and found.high is not None:
+            size += f", 95 % {found.low:.4g} to {found.high:.4g}"
+        told.append(size)
+    twins = f", cannot be told from {_listed(effect.twins)} here" if effect.twins else ""
+    return f"{effect.name} ({'; '.join(told)}){twins}"
+
+
+def _gain(diagnosis: Diagnosis) -> str:
+    ladder = diagnosis.report.ladder
+    if len(ladder) < 2:
+        return "nothing was added"
+    before, after = ladder[0], ladder[-1]
+    fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
+    if before.heldout_rms_v is None or after.heldout_rms_v is None:
+        told = f"error {in_volts(before.rms_v)} -> {in_volts(after.rms_v)}"
+        floor = noise_rms_v(fits[1])
+    else:
+        told = f"held-out error {in_volts(before.heldout_rms_v)} -> {in_volts(after.heldout_rms_v)}"
+        floor = noise_rms_v(fits[1], held_out)
+    first, last = (fit.model.r_s for fit in fits)
+    cold = ", at the start of the experiment" if "winding_heating" in fits[1].model.names else ""
+    return f"{told} (noise {in_volts(floor)}); the model's R_s {first:.4g} -> {last:.4g} Ω{cold}"
+
+
+def _next(diagnosis: Diagnosis) -> str:
+    proposal = diagnosis.report.next_experiment
+    if proposal is not None:
+        told = f"{proposal.stage['kind']} stage of {proposal.minutes:.2g} min"
+        return f"{told}, tells {proposal.separates[0]} from {proposal.separates[1]}"
+    if diagnosis.report.verdict == "unknown_remains":
+        return "no experiment of the catalogue; look at the leftover's shape"
+    if diagnosis.report.verdict == "mostly_explained":
+        return "a part of the error remains that nothing in the library fits better; look at its shape"
+    return "nothing left to decide"
+
+
+def _listed(names: Sequence[str]) -> str:
+    return " and ".join(names) if len(names) < 3 else ", ".join(names[:-1]) + " and " + names[-1]

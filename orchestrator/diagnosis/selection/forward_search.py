@@ -1,0 +1,351 @@
+"""Forward search: which effects the data ask for, one after the other, and how sure that is. Words nothing.
+
+An effect is scored linearly first; the best few are refitted with their shapes free and compared by Laplace
+evidence, with the noise inflated by the best chi2 per degree of freedom reached. An accepted effect's shape is
+refined before another is tried: the wrong shape of the right effect causes most spurious second ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.identifiability import separable
+from protocols import ParameterRole
+
+Array = NDArray[np.float64]
+
+LOG_EVIDENCE = 16.0
+"""Least gain in log evidence (natural) for an effect to be added: chance alone reaches this once in some 1e6 tries,
+and some twenty effects with shapes to choose from are tried on each recording."""
+TIE = 3.0
+"""Rivals this near in log evidence cannot be told apart."""
+LEAST_SIZE = 0.02
+"""Effects smaller than this part of their typical size are traces."""
+LEAST_SHARE = 0.2
+"""Least part of the excess chi2 - 1 that an effect has to remove to be added."""
+HOPEFUL = 0.3
+"""Rivals whose linear gain is at least this part of the best one's are refitted too."""
+STAND_IN = 0.8
+"""Look-alikes that explain this part of what the best one does are its twins."""
+CLOSE = 2.0
+"""Rivals whose excess chi2 is within this factor of the best one's are fitted to the end."""
+SHAPES = (-2.0, -1.0, 1.0)
+"""Shapes from which a refit may start beside the typical one, in widths of the prior."""
+NEEDED = 1000.0
+"""Loss of chi2 beyond which, to first order, an effect's simple form cannot do."""
+MOST_TRIALS = 5
+MOST_EFFECTS = 6
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an effect would bring, by a linear estimate."""
+
+    candidate: Candidate
+    gain: float
+    """Fall of chi2."""
+    coordinates: Array
+
+
+@dataclass(frozen=True)
+class LinearView:
+    """What every effect of the library would do to a fit, to first order.
+
+    Attributes
+    ----------
+    absent : tuple of Candidate
+        Effects that are not in the model.
+    columns : tuple of (Active, str)
+        The model's free parameters, then the amplitudes of the absent effects.
+    normal, right : array
+        Normal matrix and gradient of the columns, R_s and the map following.
+    """
+
+    fit: Fit
+    absent: tuple[Candidate, ...]
+    columns: tuple[tuple[Active, str], ...]
+    normal: Array
+    right: Array
+
+
+@dataclass(frozen=True)
+class Step:
+    """One rung of the ladder: what was added, the model refitted with it, and what it brought."""
+
+    added: str | None
+    fit: Fit
+    log_evidence: float = 0.0
+
+
+@dataclass
+class Search:
+    """Where the search ended, and how it came there."""
+
+    steps: list[Step]
+    traces: list[str] = field(default_factory=list)
+    rivals: dict[str, list[str]] = field(default_factory=dict)
+    """Effects that do as well as an accepted one in its place."""
+    view: LinearView | None = None
+    """Of the last fit."""
+
+    @property
+    def fit(self) -> Fit:
+        return self.steps[-1].fit
+
+
+def log_evidence(fit: Fit, inflation: float) -> float:
+    """Laplace's approximation to the log evidence of a fit, up to a constant of the recording."""
+    count = len(fit.model.free)
+    priors = sum(a.coordinate(n) ** 2 for a, n in fit.model.free)
+    value = -0.5 * (fit.chi2 / inflation + fit.log_det + priors)
+    if count:
+        own = fit.projected()[0][:count, :count]
+        value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + own / inflation)[1])
+    return value
+
+
+def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
+    """All effects that are not in the model beside those that are, to first order."""
+    absent = tuple(c for c in candidates if c.name not in fit.model.names)
+    columns = absent_columns(absent)
+    normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+    return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
+
+
+def score(view: LinearView) -> list[Score]:
+    """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
+    kept = len(view.fit.model.free)
+    scores = []
+    for candidate in view.absent:
+        own = [k for k, (a, _) in enumerate(view.columns) if k >= kept and a.name == candidate.name]
+        scores.append(Score(candidate, *_linear(view.normal, view.right, kept, own)))
+    return sorted(scores, key=lambda s: -s.gain)
+
+
+def _linear(normal: Array, right: Array, kept: int, own: Sequence[int]) -> tuple[float, Array]:
+    """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
+    block, pull = normal[np.ix_(own, own)], right[own]
+    if kept:
+        inner, across = normal[:kept, :kept] + np.eye(kept), normal[np.ix_(range(kept), own)]
+        follow = np.linalg.solve(inner, across)
+        block, pull = block - across.T @ follow, pull - follow.T @ right[:kept]
+    x = np.asarray(-np.linalg.solve(block + np.eye(len(own)), pull), dtype=np.float64)
+    return float(-pull @ x), x
+
+
+def forward(
+    fitter: Fitter,
+    steps: Sequence[Step],
+    candidates: Sequence[Candidate],
+    *,
+    rivals: Mapping[str, Sequence[str]] | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Search:
+    """Add effects to the last of the steps until the data ask for no more.
+
+    Parameters
+    ----------
+    rivals : mapping, optional
+        Of the effects that the steps have already.
+    """
+    search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
+    # What did as well in the place of an accepted effect cannot be told to be there beside it.
+    rejected = {n for tied in (rivals or {}).values() for n in tied}
+    while len(search.fit.model.active) < MOST_EFFECTS and not fitter.effort.exhausted:
+        fit = search.fit
+        rejected |= _alike(fit, candidates)
+        if search.view is None or search.view.fit.model is not fit.model:
+            search.view = linear_view(fitter, fit, candidates)
+        scores = [s for s in score(search.view) if s.candidate.name not in rejected]
+        hopeful = _worth_trying(scores, fit)
+        if not hopeful:
+            search.traces += _faint(scores, fit)
+            break
+        trials = _tried(fitter, fit, hopeful)
+        inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
+        before = log_evidence(fit, inflation)
+        ranked = sorted(((log_evidence(t, inflation) - before, n, t) for n, t in trials), key=lambda item: -item[0])
+        gain, name, trial = ranked[0]
+        tell(str([(n, round(g, 1), round(t.chi2_per_dof, 3)) for g, n, t in ranked]))
+        if gain < LOG_EVIDENCE:
+            break
+        if _size(trial, name) < LEAST_SIZE or _share(fit, trial) < LEAST_SHARE:
+            rejected.update(n for g, n, _ in ranked if g > LOG_EVIDENCE)
+            search.traces.append(name)
+            continue
+        search.rivals[name] = [n for g, n, t in ranked[1:] if gain - g < TIE or _stands_in(fit, trial, t, name, n)]
+        better = polished(fitter, trial, inflation)
+        search.steps.append(Step(name, repolished(fitter, better), gain))
+        rejected = {n for tied in search.rivals.values() for n in tied}
+    search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
+    return search
+
+
+def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:
+    """Candidates that this recording cannot tell from an effect that the model has."""
+    return {
+        c.name
+        for c in candidates
+        for a in fit.model.active
+        if c.name != a.name and not separable(fit.prepared, c.effect, a.candidate.effect)
+    }
+
+
+def _stands_in(before: Fit, best: Fit, other: Fit, name: str, rival: str) -> bool:
+    """Whether a rival that the recording cannot part from the best one explains nearly as much."""
+    effects = {a.name: a.candidate.effect for t in (best, other) for a in t.model.active}
+    if separable(before.prepared, effects[name], effects[rival]):
+        return False
+    return before.chi2 - other.chi2 > STAND_IN * (before.chi2 - best.chi2)
+
+
+def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
+    """The best few by linear gain, with the declared twins of the best; none where even the best explains little."""
+    if not scores:
+        return []
+    best = scores[0]
+    least = 2.0 * LOG_EVIDENCE * max(1.0, (fit.chi2 - best.gain) / fit.dof)
+    # A refit with the shape free does better than the linear estimate, but not without limit.
+    if best.gain < least or best.gain < 0.5 * LEAST_SHARE * (fit.chi2 - fit.dof):
+        return []
+    twins = best.candidate.effect.twins
+    return [s for s in scores if s.gain > least and (s.gain > HOPEFUL * best.gain or s.candidate.name in twins)][
+        :MOST_TRIALS
+    ]
+
+
+def _faint(scores: Sequence[Score], fit: Fit) -> list[str]:
+    """Effects whose linear gain is beyond chance, though they explain little of what is left."""
+    least = 2.0 * LOG_EVIDENCE * max(1.0, fit.chi2_per_dof)
+    return [s.candidate.name for s in scores[:3] if s.gain > least]
+
+
+def _size(fit: Fit, name: str) -> float:
+    return next(a.relative_size for a in fit.model.active if a.name == name)
+
+
+def _share(before: Fit, after: Fit) -> float:
+    """Part of the excess chi2 that is gone."""
+    # A noise estimated a little too large puts the floor below one.
+    floor = min(1.0, after.chi2_per_dof)
+    excess = before.chi2_per_dof - floor
+    return (before.chi2_per_dof - after.chi2_per_dof) / excess if excess > 0.0 else 0.0
+
+
+def with_effect(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
+    """The model refitted with one named effect, in its flexible form where that pays."""
+    scored = score(linear_view(fitter, fit, [candidate]))[0]
+    return polished(fitter, _refit(fitter, fit, scored), 1.0)
+
+
+def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str, Fit]]:
+    """Refits with each of some effects; those that stay far behind the best are not fitted to the end."""
+    rough = [(s.candidate.name, _refit(fitter, fit, s)) for s in hopeful]
+    best = min(t.chi2 for _, t in rough)
+    near = CLOSE * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
+    if sum(t.chi2 < near for _, t in rough) < 2:
+        return rough
+    return [(n, fitter.fit(t.model, t.frame, steps=5, renewals=0) if t.chi2 < near else t) for n, t in rough]
+
+
+def _refit(fitter: Fitter, fit: Fit, scored: Score) -> Fit:
+    """The model with one more effect, amplitudes and shape started at the best linear estimate, its shape free.
+
+    The shapes of the effects that are there already rest meanwhile: they have been fitted to their end without it.
+    """
+    active = _best_start(fitter, fit, scored)
+    active = active.freeing(*scored.candidate.of_role(ParameterRole.SHAPE))
+    resting = [replace(a, free=a.candidate.amplitudes) for a in fit.model.active]
+    rough = fitter.fit(fit.model.with_active([*resting, active]), fit.frame, steps=4, renewals=0, tolerance=0.03)
+    awake = [replace(a, free=b.free) for a, b in zip(rough.model.active, [*fit.model.active, active], strict=True)]
+    return fitter.evaluate(rough.model.with_active(awake), fit.frame) if resting else rough
+
+
+def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
+    """The absent effect at its linear estimate, for the best of a few shapes: a descent finds the nearest only."""
+    candidate = scored.candidate
+    best, gain, coordinates = candidate.absent(), scored.gain, scored.coordinates
+    for shape in candidate.of_role(ParameterRole.SHAPE)[:1]:
+        variants = [candidate.absent().moved(shape, x) for x in SHAPES]
+        columns = [(v, n) for v in variants for n in candidate.amplitudes]
+        normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+        kept, each = len(fit.model.free), len(candidate.amplitudes)
+        for k, variant in enumerate(variants):
+            own = list(range(kept + k * each, kept + (k + 1) * each))
+            found = _linear(normal, right, kept, own)
+            if found[0] > gain:
+                best, gain, coordinates = variant, *found
+    for name, x in zip(candidate.amplitudes, coordinates, strict=True):
+        best = best.moved(name, float(x))
+    return best
+
+
+def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
+    """The newest effect's flexible form where the evidence asks for it, fitted to the end."""
+    plain = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+    flexible = _flexible(fitter, plain, len(plain.model.active) - 1, inflation)
+    return plain if flexible is None else flexible
+
+
+def repolished(fitter: Fitter, fit: Fit) -> Fit:
+    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
+    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
+        trial = _flexible(fitter, fit, index, 1.0)
+        fit = fit if trial is None else trial
+    return fit
+
+
+def settled(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
+    best = fitter.fit(fit.model, fit.frame, steps=4, renewals=0, tolerance=1e-3)
+    for index, active in enumerate(best.model.active):
+        names = active.candidate.of_role(ParameterRole.REFINEMENT)
+        if fitter.effort.exhausted or not set(names) & set(active.free):
+            continue
+        if loss_without(best, active, names) > NEEDED:
+            continue
+        simple = replace(active, free=tuple(n for n in active.free if n not in names))
+        for name in names:
+            simple = simple.moved(name, 0.0)
+        models = list(best.model.active)
+        models[index] = simple
+        trial = fitter.fit(best.model.with_active(models), best.frame, steps=8, renewals=0, tolerance=3e-4)
+        inflation = max(1.0, min(best.chi2_per_dof, trial.chi2_per_dof))
+        if log_evidence(trial, inflation) > log_evidence(best, inflation) - TIE:
+            best = trial
+    return best
+
+
+def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:
+    """How much chi2 would rise, to first order, if some parameters were put back to neutral and all others followed.
+
+    Wald's test, in units of the noise that is left.
+    """
+    free = fit.model.free
+    which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
+    away = np.array([active.coordinate(free[k][1]) for k in which])
+    block = fit.covariance()[np.ix_(which, which)] * max(fit.chi2_per_dof, 1.0)
+    return float(away @ np.linalg.solve(block, away))
+
+
+def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
+    """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
+    active = list(fit.model.active)
+    names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
+    if fitter.effort.exhausted or set(names) <= set(active[index].free):
+        return None
+    active[index] = active[index].freeing(*names)
+    # Whether it pays shows early; the last fit of all is taken to its end.
+    trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
+    if fitter.promise(trial) < TIE * inflation:
+        return None
+    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
+    inflation = max(1.0, min(inflation, trial.chi2_per_dof))
+    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + TIE else None

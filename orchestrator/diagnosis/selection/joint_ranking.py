@@ -1,0 +1,92 @@
+"""All effects fitted at once, linearly around the model that the search found, and ranked by size. Names nothing.
+
+A search takes first what errs most, and what is small may err more than what is large. A joint fit under the priors
+does not mind the order: beside it, a user sees where the two disagree.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.reports import FoundEffect, JointEntry
+from orchestrator.diagnosis.selection.forward_search import LinearView, Search, linear_view, score
+
+SAME = 0.995
+"""Correlation above which two effects are one in the joint fit; the priors hold those that are merely alike."""
+OUTWEIGHS = 1.5
+"""How much larger than all that was named the joint fit's first has to be to be spoken of, in typical sizes."""
+CERTAIN = 4.0
+"""Standard deviations beyond which chance has not made an effect."""
+UNMOVED = 0.01
+"""Change of chi2 beyond which effects have to be scored anew, relative."""
+
+
+def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
+    """All effects at once, linearly around the model, under the priors; ranked by relative size."""
+    view = search.view if search.view is not None and _still_holds(search.view, search.fit) else None
+    view = view or linear_view(fitter, search.fit, library)
+    which = _distinct(view)
+    if not which:
+        return ()
+    fit, columns = view.fit, [view.columns[k] for k in which]
+    normal, right = view.normal[np.ix_(which, which)], view.right[which]
+    inflation = max(fit.chi2_per_dof, 1.0)
+    x0 = np.array([a.coordinate(n) for a, n in columns])
+    precision = normal / inflation + np.eye(len(columns))
+    x = x0 - np.linalg.solve(precision, right / inflation + x0)
+    spread = np.sqrt(np.diag(np.linalg.inv(precision)))
+    entries: dict[str, JointEntry] = {}
+    for (active, name), value, sigma in zip(columns, x, spread, strict=True):
+        p = active.candidate.named(name)
+        if name not in active.candidate.amplitudes:
+            continue
+        size = abs(float(value)) * p.prior_width / abs(p.typical)
+        entry = JointEntry(name=active.name, relative_size=size, z=float(value / sigma))
+        known = entries.get(active.name)
+        if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
+            entries[active.name] = entry
+    # An effect that chance could have made is ranked below all that it could not, whatever its size.
+    return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < CERTAIN, -(e.relative_size or 0.0))))
+
+
+def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[str]:
+    """What the joint fit says where it disagrees: the search takes what errs most first, be it ever so small."""
+    if not joint or not found or joint[0].name in {name for e in found for name in (e.name, *e.twins)}:
+        return []
+    first, size, z = joint[0].name, joint[0].relative_size or 0.0, abs(joint[0].z or 0.0)
+    largest = max(found, key=lambda e: e.relative_size or 0.0)
+    named = largest.relative_size or 0.0
+    if z < CERTAIN or size < OUTWEIGHS * named:
+        return []
+    return [
+        f"with all effects fitted together {first} is the largest, {size:.2g} of its typical size; "
+        f"of those that were named, {largest.name} is, {named:.2g} of its own"
+    ]
+
+
+def _still_holds(view: LinearView, fit: Fit) -> bool:
+    """Whether a view was taken of this fit, or of one that it has hardly moved from since."""
+    seen = view.fit
+    same = seen.model.names == fit.model.names and seen.model.space is fit.model.space
+    parameters = [n for _, n in seen.model.free] == [n for _, n in fit.model.free]
+    return same and parameters and abs(seen.chi2 - fit.chi2) < UNMOVED * fit.chi2
+
+
+def _distinct(view: LinearView) -> list[int]:
+    """The columns of a view without those effects whose column is that of a better one all over again.
+
+    Two such columns would be fitted against each other, to large sizes of opposite sign that mean nothing.
+    """
+    scale = np.sqrt(np.maximum(np.diag(view.normal), 1e-300))
+    like = np.abs(view.normal / np.outer(scale, scale))
+    taken = list(range(len(view.fit.model.free)))
+    for scored in score(view):
+        own = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
+        if not taken or like[np.ix_(own, taken)].max() < SAME:
+            taken += own
+    return taken

@@ -1,0 +1,293 @@
+"""What the leftover looks like, without physics: each shape is a set of free signals offered to the fit as an effect.
+
+Shapes are attributed greedily, the one that explains most of what is still left first; names no cause.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.reports import ShapeGroup
+from protocols import EffectLayer, EffectParameter, Signals
+
+Array = NDArray[np.float64]
+Field = Callable[[Signals, float], Array]
+"""Signals and the typical current [A] -> a signal of unit size."""
+
+_PHASES = np.array([[1.0, 0.0], [-0.5, 0.5 * math.sqrt(3.0)], [-0.5, -0.5 * math.sqrt(3.0)]])
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """A set of signals that may be added to one quantity, in free amounts."""
+
+    name: str
+    quantity: str
+    fields: tuple[Field, ...]
+    current_a: float
+    size: float
+    signature: str = ""
+    twins: tuple[str, ...] = ()
+    layer: EffectLayer = EffectLayer.INVERTER
+
+    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+        """Add the signals in their amounts."""
+        if not signals.bridge_on:
+            return signals
+        total = getattr(signals, self.quantity)
+        for k, field in enumerate(self.fields):
+            amount = values[f"x{k}"]
+            if amount != 0.0:
+                total = total + amount * field(signals, self.current_a)
+        return signals.model_copy(update={self.quantity: total})
+
+    def candidate(self) -> Candidate:
+        parameters = tuple(
+            EffectParameter(
+                name=f"x{k}",
+                unit="1",
+                typical=self.size,
+                prior_width=100.0 * self.size,
+                low=-1e9,
+                high=1e9,
+                neutral=0.0,
+            )
+            for k in range(len(self.fields))
+        )
+        return Candidate(self, parameters)  # type: ignore[arg-type]  # an effect in all but its metadata
+
+
+def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[ShapeGroup, float]]:
+    """Shares of the leftover chi2 (above the noise), largest first; they add up to one.
+
+    Parameters
+    ----------
+    current_a : float
+        A typical current, to give the shapes their width [A].
+    """
+    excess = fit.chi2 - fit.dof
+    if excess <= 0.0:
+        return []
+    shapes = _shapes(current_a, max(fit.model.r_s, 1e-3))
+    wanted: list[tuple[Active, str]] = []
+    index: dict[str, list[int]] = {}
+    for shape in shapes:
+        candidate = shape.candidate()
+        absent = candidate.absent()
+        index[shape.name] = list(range(len(wanted), len(wanted) + len(candidate.parameters)))
+        wanted += [(absent, p.name) for p in candidate.parameters]
+    normal, right = fitter.evaluate(fit.model, fit.frame, wanted).projected()
+    kept = len(fit.model.free)
+    chosen = list(range(kept))
+    shares: list[tuple[ShapeGroup, float]] = []
+    left = dict(index)
+    explained = _explained(normal, right, chosen)
+    while left:
+        gains = {
+            name: _explained(normal, right, chosen + [kept + k for k in where]) - explained
+            for name, where in left.items()
+        }
+        name = max(gains, key=lambda n: gains[n])
+        if gains[name] < max(0.02 * excess, 20.0):
+            break
+        chosen += [kept + k for k in left.pop(name)]
+        explained += gains[name]
+        group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
+        shares.append((group, min(gains[name] / excess, 1.0)))
+    rest = 1.0 - sum(share for _, share in shares)
+    if rest > 0.02:
+        shares.append(("other", rest))
+    total = sum(share for _, share in shares)
+    return [(group, share / total) for group, share in sorted(shares, key=lambda item: -item[1])]
+
+
+def _explained(normal: Array, right: Array, which: Sequence[int]) -> float:
+    if not which:
+        return 0.0
+    block = normal[np.ix_(which, which)]
+    scale = np.sqrt(np.maximum(np.diag(block), 1e-300))
+    scaled = block / np.outer(scale, scale) + 1e-9 * np.eye(len(which))
+    b = right[list(which)] / scale
+    return float(b @ np.linalg.solve(scaled, b))
+
+
+def _shapes(current_a: float, r_s: float) -> list[_Shape]:
+    volts = 0.01 * r_s * current_a
+    amps = 0.01 * current_a
+    layer = EffectLayer.IRON
+
+    def of_phases(function: Callable[[Array, float], Array]) -> Field:
+        def field(s: Signals, a: float) -> Array:
+            each = function(np.asarray(s.i_ab) @ _PHASES.T, a)
+            return np.asarray(each @ _PHASES * (2.0 / 3.0))
+
+        return field
+
+    shapes = [
+        _Shape(
+            "odd_phase_current",
+            "v_ab",
+            (*(of_phases(_step(w)) for w in (0.01, 0.05, 0.3)), of_phases(lambda i, a: (i / a) ** 3)),
+            current_a,
+            volts,
+        ),
+        _Shape(
+            "even_phase_current",
+            "v_ab",
+            (of_phases(lambda i, a: np.abs(i) / a), of_phases(lambda i, a: (i / a) ** 2)),
+            current_a,
+            volts,
+        ),
+        _Shape("constant", "v_ab", tuple(_constant(k, t) for t in (0, 1) for k in (0, 1)), current_a, volts),
+        _Shape("anisotropic_resistance", "v_ab", (_stretched, _sheared), current_a, volts),
+        _Shape("time_resistance", "v_ab", tuple(_in_time(p) for p in (1, 2, 3)), current_a, volts),
+        _Shape("power_voltage", "v_ab", (_power_voltage,), current_a, volts),
+        _Shape("sweep_direction", "i_m_ab", tuple(_direction(w) for w in (0.02, 0.2)), current_a, amps, layer=layer),
+        _Shape("ripple_in_phase", "v_ab", (_ripple,), current_a, volts),
+        _Shape("ripple_edges", "v_ab", (_edges,), current_a, 1e-3),
+        _Shape("map_not_even", "i_m_ab", (_mixed(1.0), _mixed_cubic), current_a, amps, layer=layer),
+        _Shape("reciprocity_broken", "i_m_ab", (_mixed(-1.0),), current_a, amps, layer=layer),
+        _Shape("map_detail", "i_m_ab", tuple(_wave(k) for k in (3, 5, 8)), current_a, amps, layer=layer),
+        _Shape("periodic", "v_ab", tuple(_hum(f, k) for f in (50.0, 60.0) for k in (0, 1)), current_a, volts),
+    ]
+    known = set(get_args(ShapeGroup))
+    return [shape for shape in shapes if shape.name in known]
+
+
+def _step(width: float) -> Callable[[Array, float], Array]:
+    return lambda i, a: np.asarray(np.tanh(i / (width * a)))
+
+
+def _time(s: Signals) -> Array:
+    return np.asarray(s.start_s + np.arange(len(s.v_dc)) / s.sampling_frequency_hz)
+
+
+def _part_of_run(s: Signals) -> Array:
+    end = float(s.losses.time_s[-1]) if s.losses is not None else 1.0
+    return _time(s) / max(end, 1e-9)
+
+
+def _constant(axis: int, power: int) -> Field:
+    def field(s: Signals, a: float) -> Array:
+        out = np.zeros((len(s.v_dc), 2))
+        out[:, axis] = _part_of_run(s) ** power
+        return out
+
+    return field
+
+
+def _stretched(s: Signals, a: float) -> Array:
+    return np.asarray(s.i_ab * np.array([1.0, -1.0]) / a)
+
+
+def _sheared(s: Signals, a: float) -> Array:
+    return np.asarray(s.i_ab[:, ::-1] / a)
+
+
+def _in_time(power: int) -> Field:
+    return lambda s, a: np.asarray(s.i_ab * (_part_of_run(s) ** power / a)[:, None])
+
+
+def _power_voltage(s: Signals, a: float) -> Array:
+    power = np.einsum("ij,ij->i", s.v_ab, s.i_ab)
+    return np.asarray(s.v_ab * (power / (a * a * float(s.resistance_ohm[0]) * a * float(s.resistance_ohm[0])))[:, None])
+
+
+def _direction(width: float) -> Field:
+    def field(s: Signals, a: float) -> Array:
+        psi = s.psi_smooth_ab if s.psi_smooth_ab is not None else s.i_ab
+        step = max(1, round(0.001 * s.sampling_frequency_hz))
+        ahead = np.concatenate([psi[step:], np.repeat(psi[-1:], step, axis=0)]) - psi
+        scale = width * float(np.abs(ahead).max()) + 1e-12
+        return np.asarray(ahead / np.sqrt(np.einsum("ij,ij->i", ahead, ahead) + scale**2)[:, None])
+
+    return field
+
+
+def _ripple(s: Signals, a: float) -> Array:
+    width = max(2, round(0.004 * s.sampling_frequency_hz))
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(s.i_ab, axis=0)])
+    index = np.arange(len(s.v_dc))
+    first, last = np.maximum(index - width, 0), np.minimum(index + width, len(index) - 1) + 1
+    mean = (total[last] - total[first]) / (last - first)[:, None]
+    return np.asarray((s.i_ab - mean) / a)
+
+
+def _edges(s: Signals, a: float) -> Array:
+    return np.asarray(np.concatenate([np.zeros((1, 2)), np.diff(s.v_ab, axis=0)]))
+
+
+def _rotor(s: Signals) -> tuple[Array, Array, Array, Array]:
+    c, sn = np.cos(s.theta_rad), np.sin(s.theta_rad)
+    i = s.i_m_ab
+    return c * i[:, 0] + sn * i[:, 1], -sn * i[:, 0] + c * i[:, 1], c, sn
+
+
+def _stator(d: Array, q: Array, c: Array, sn: Array) -> Array:
+    return np.stack([c * d - sn * q, sn * d + c * q], axis=1)
+
+
+def _mixed(sign: float) -> Field:
+    def field(s: Signals, a: float) -> Array:
+        d, q, c, sn = _rotor(s)
+        return _stator(q / a, sign * d / a, c, sn)
+
+    return field
+
+
+def _mixed_cubic(s: Signals, a: float) -> Array:
+    d, q, c, sn = _rotor(s)
+    return _stator((q / a) ** 3, 3.0 * (q / a) ** 2 * d / a, c, sn)
+
+
+def _wave(count: int) -> Field:
+    def field(s: Signals, a: float) -> Array:
+        d, q, c, sn = _rotor(s)
+        return _stator(np.sin(count * d / a), np.sin(count * q / a), c, sn)
+
+    return field
+
+
+def _hum(frequency: float, axis: int) -> Field:
+    def field(s: Signals, a: float) -> Array:
+        out = np.zeros((len(s.v_dc), 2))
+        out[:, axis] = np.sin(2 * np.pi * frequency * _time(s))
+        out[:, 1 - axis] = np.cos(2 * np.pi * frequency * _time(s))
+        return out
+
+    return field
+
+
+def map_breaks(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float, float], float]:
+    """How far the data want the map to break its symmetries.
+
+    Returns
+    -------
+    parity : (float, float)
+        Flux at the typical current [Wb] by which psi_d would be odd, and psi_q even, in i_q.
+    reciprocity : float
+        dpsi_d/di_q - dpsi_q/di_d over the mean inductance.
+    """
+    layer = EffectLayer.IRON
+    shape = _Shape("breaks", "i_m_ab", (_mixed(1.0), _mixed(-1.0)), current_a, 0.01 * current_a, layer=layer)
+    candidate = shape.candidate()
+    absent = candidate.absent()
+    wanted = [(absent, p.name) for p in candidate.parameters]
+    normal, right = fitter.evaluate(fit.model, fit.frame, wanted).projected()
+    own = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
+    kept = len(fit.model.free)
+    own[:kept, :kept] += np.eye(kept)
+    x = -np.linalg.solve(own, right)[kept:] * 100.0 * shape.size
+    inductance = fit.model.magnetics.flux_and_inductance(np.zeros((1, 2)))[1][0]
+    mean = 0.5 * (inductance[0] + inductance[2])
+    even, odd = abs(float(x[0])), abs(float(x[1])) / current_a
+    return (inductance[0] * even, inductance[2] * even), 2.0 * odd * mean / mean

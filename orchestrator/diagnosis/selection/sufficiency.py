@@ -1,0 +1,148 @@
+"""Whether there is enough in a recording to name a cause, and what cannot be told from what is there. Fits nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from functools import wraps
+from typing import Concatenate, ParamSpec, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.weak_form.noise import SensorNoise
+from orchestrator.diagnosis.weak_form.segments import HAT_S, Piece, Prepared
+from protocols import NotMeasuredError, RecordingReader, SegmentStage
+
+Array = NDArray[np.float64]
+
+_Reader = TypeVar("_Reader", bound=RecordingReader)
+_More = ParamSpec("_More")
+_Result = TypeVar("_Result")
+
+_LEAST_CURRENT = 0.02
+"""Of the rated one."""
+_LEAST_RATE_HZ = 8.0 / HAT_S
+_LEAST_HOLD_S = 0.01
+_LEAST_ROWS = 10
+"""Equations of a sweep or an injection."""
+_LEAST_VIEWS = 6
+_FEW_VIEWS = 16
+_VIEWS = {SegmentStage.RESISTANCE: 1, SegmentStage.INJECTION: 1, SegmentStage.CLASSICAL: 2}
+"""A hold and an injection see one place of the current plane, a sweep two sides of it."""
+_SAME = 0.02
+"""Currents nearer to each other than this part of the largest are one."""
+
+
+def require_enough(prepared: Prepared, noise: SensorNoise) -> None:
+    """Refuse what has fewer equations, or fewer currents, than any model has unknowns.
+
+    Raises
+    ------
+    NotMeasuredError
+        In one line that says what there is and what there would have to be.
+    """
+    fs = prepared.manifest.drive.sampling_frequency_hz
+    if fs < _LEAST_RATE_HZ:
+        problem = f"{fs:g} Hz is too slow for a diagnosis; expected {_LEAST_RATE_HZ:g} Hz at least"
+        raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)
+    low, high, q = prepared.current_range
+    reach = max(-low, high, q)
+    spread = math.sqrt(float(np.trace(noise.covariance)))
+    if reach < max(_LEAST_CURRENT * (prepared.manifest.motor.rated_current_a or 0.0), 5.0 * spread):
+        problem = f"no excitation: currents stay below {reach:.3g} A"
+        raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
+    if (views := _views(prepared)) < _LEAST_VIEWS:
+        used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
+        expected = f"{_LEAST_VIEWS} holds or injections at different currents, or {_LEAST_VIEWS // 2} sweeps"
+        problem = (
+            f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {views} places of the current plane: "
+            f"too little to tell a cause from; expected {expected}"
+        )
+        raise NotMeasuredError(prepared.manifest.name, "segments", problem)
+
+
+def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[Concatenate[_Reader, _More], _Result]:
+    """Work on a recording that says so where its equations have no solution; the error's cause keeps where that was.
+
+    Raises
+    ------
+    NotMeasuredError
+        In place of what linear algebra raises.
+    """
+
+    @wraps(work)
+    def guarded(recording: _Reader, /, *more: _More.args, **named: _More.kwargs) -> _Result:
+        try:
+            return work(recording, *more, **named)
+        except (np.linalg.LinAlgError, ZeroDivisionError) as error:
+            asked = "are nameplate, units and sampling frequency right, and an effect of your own?"
+            problem = f"its equations have no solution ({error}): {asked}"
+            raise NotMeasuredError(recording.manifest.name, "", problem) from error
+
+    return guarded
+
+
+def _views(prepared: Prepared) -> int:
+    """How many places of the current plane were looked at for long enough."""
+    low, high, q = prepared.current_range
+    apart = _SAME * max(-low, high, q)
+    telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart)]
+    return sum(_VIEWS[p.stage] for p in _different(telling, apart))
+
+
+def _seconds(piece: Piece) -> float:
+    return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
+
+
+def _tells(piece: Piece, apart_a: float) -> bool:
+    """Whether a segment is long enough, and a hold has settled too."""
+    if piece.stage is not SegmentStage.RESISTANCE:
+        return piece.windows.rows >= _LEAST_ROWS
+    i = piece.signals.i_ab
+    half, last = len(i) // 2, len(i) // 4
+    moved = i[half:-last].mean(axis=0) - i[-last:].mean(axis=0)
+    return _seconds(piece) >= _LEAST_HOLD_S and float(np.abs(moved).max()) < apart_a
+
+
+def _different(pieces: Sequence[Piece], apart_a: float) -> list[Piece]:
+    """Those whose currents are not those of one before: another mean, or another swing."""
+    found: list[Piece] = []
+    marks: list[Array] = []
+    for piece in pieces:
+        i = piece.signals.i_ab
+        mark = np.concatenate([i.mean(axis=0), i.std(axis=0)])
+        if all(float(np.abs(mark - other).max()) > apart_a for other in marks):
+            found.append(piece)
+            marks.append(mark)
+    return found
+
+
+def what_is_missing(prepared: Prepared) -> list[str]:
+    """What cannot be told from this recording, whatever is found in it."""
+    notes = []
+    stages = {p.stage for p in prepared.pieces}
+    if (views := _views(prepared)) < _FEW_VIEWS:
+        notes.append(f"{views} places of the current plane only: what no effect explains may pass for several that do")
+    if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
+        notes.append("no sweep and no injection: flux and inductance cannot be seen, only the resistance")
+    elif SegmentStage.CLASSICAL not in stages:
+        notes.append("no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
+    if SegmentStage.RESISTANCE not in stages:
+        notes.append("no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure")
+    if SegmentStage.GATES_OFF not in stages:
+        notes.append("no gates-off reading: a current offset and a voltage bias cannot be told apart")
+    if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
+        notes.append("one PWM frequency only: dead time and device drop cannot be told apart")
+    amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
+    if not amplitudes:
+        notes.append("no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
+    elif max(amplitudes) < 1.3 * min(amplitudes):
+        notes.append("one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+    if prepared.manifest.motor.pm_flux_wb is None:
+        notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
+    return notes
+
+
+def _swing(piece: Piece) -> float:
+    return float(np.linalg.norm(np.std(piece.signals.v_ab, axis=0)))

@@ -1,0 +1,211 @@
+"""The course of a diagnosis: first map, search in a part, fit to the whole, finer map, doubtful names out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from orchestrator.diagnosis.fitting.baseline import (
+    MAP_STEPS,
+    ROUGH,
+    Start,
+    fitted_baseline,
+    given_model,
+    linear_model,
+    with_detail,
+)
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Active, Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.ladder import DETECTED, verdict_of
+from orchestrator.diagnosis.selection.forward_search import (
+    LEAST_SIZE,
+    LOG_EVIDENCE,
+    Search,
+    Step,
+    forward,
+    log_evidence,
+    loss_without,
+    settled,
+)
+from orchestrator.diagnosis.uncertainty.trust import certainty, foretold, inconstancy
+from protocols import FluxMap, PluginError
+
+ModelChoice = str | FluxMap
+"""``saturated`` (the free energy map), ``linear`` (the nameplate), or a map of one's own."""
+MINOR = 0.15
+"""Effects smaller than this part of their typical size are asked whether they can be spared."""
+SPARE = 0.03
+"""What minor effects may leave of chi2 - 1 when they go, over the root of what there was before the first effect."""
+OBVIOUS = 10.0
+"""How many times that an effect has to be worth, to first order, not to be asked at all."""
+UNDETECTED_SIZE = 0.03
+"""Least size of an effect that is named though the model fits without it."""
+LEAST_CERTAINTY = 5.0
+"""Least amplitude, in its standard deviations with the scatter between blocks, for a minor effect to be named."""
+STEADY = 0.2
+"""Largest inconstancy of an effect that is named while something unknown remains."""
+
+
+def first_steps(start: Start, model: ModelChoice, magnetic: Sequence[str]) -> list[Step]:
+    if isinstance(model, FluxMap):
+        return [Step(None, start.fitter.fit(given_model(start, model)))]
+    if model == "saturated":
+        return [Step(None, fitted_baseline(start))]
+    if model != "linear":
+        raise PluginError("--model", str(model), "expected linear, saturated, or the path of a flux map")
+    steps = [Step(None, start.fitter.fit(linear_model(start)))]
+    for name in magnetic:
+        steps.append(Step(name, start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))))
+    return steps
+
+
+def map_steps(start: Start, model: ModelChoice, without: Sequence[str]) -> list[Step]:
+    """The ladder's first rungs: the baseline, and from a linear one the map's own, as far as the data ask for them."""
+    steps = first_steps(start, model, [])
+    if model != "linear":
+        return steps
+    for name in (SATURATION, CROSS_SATURATION):
+        if name in without:
+            break
+        fit = start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))
+        gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
+        gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
+        if gain > LOG_EVIDENCE:
+            steps.append(Step(name, fit, gain))
+    return steps
+
+
+def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
+    """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
+    part = start.coarse.fit(steps[-1].fit.model, renewals=0)
+    quick = forward(start.coarse, [Step(None, part)], library)
+    if quick.fit.model.active and quick.fit.chi2_per_dof > ROUGH and quick.fit.model.space.is_free:
+        quick = _finer(quick, with_detail(start, start.coarse, quick.fit), start.coarse, library)
+    fits = list(steps)
+    for step in quick.steps[1:]:
+        last = step is quick.steps[-1]
+        frame = start.fitter.frame(step.fit.model, fits[-1].fit.frame)
+        fit = start.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
+        fits.append(Step(step.added, fit, step.log_evidence))
+    found = forward(start.fitter, fits, library, rivals=quick.rivals)
+    found.traces = [n for n in dict.fromkeys([*quick.traces, *found.traces]) if n not in found.fit.model.names]
+    return found
+
+
+def on_a_finer_map(start: Start, search: Search, library: Sequence[Candidate]) -> Search:
+    """Whether what is left is the map's own detail, which big effects hid at first."""
+    fit = search.fit
+    if not fit.model.active or fit.chi2_per_dof < DETECTED or not fit.model.space.is_free:
+        return search
+    return _finer(search, with_detail(start, start.fitter, fit), start.fitter, library)
+
+
+def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate]) -> Search:
+    """The search gone on from its last step on a finer map; as it was where the map is the same."""
+    if fit is search.fit:
+        return search
+    steps = [*search.steps[:-1], Step(search.steps[-1].added, fit, search.steps[-1].log_evidence)]
+    again = forward(fitter, steps, library, rivals=search.rivals)
+    again.traces = [*search.traces, *again.traces]
+    return again
+
+
+def without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
+    """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named.
+
+    Nor is one that takes away less than remains.
+    """
+    doubtful: list[str] = []
+    first = search.steps[0].fit
+    while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
+        drift = inconstancy(search.fit)
+        if verdict_of(first, search.fit, 1) == "unknown_remains":
+            drift = {name: max(size, STEADY * _left_over_own(search, name)) for name, size in drift.items()}
+        worst = max(drift, key=lambda name: drift[name])
+        if drift[worst] <= STEADY:
+            break
+        doubtful.append(worst)
+        search = without(start, search, worst)
+    return search, doubtful
+
+
+def _left_over_own(search: Search, name: str) -> float:
+    """What is left of chi2 over what one effect took away of it when it was added, as amplitudes."""
+    at = next(k for k, step in enumerate(search.steps) if step.added == name)
+    own = search.steps[at - 1].fit.chi2_per_dof - search.steps[at].fit.chi2_per_dof
+    left = search.fit.chi2_per_dof - 1.0
+    return math.sqrt(max(left, 0.0) / own) if own > 0.0 else math.inf
+
+
+def without(start: Start, search: Search, name: str, *, last: Fit | None = None) -> Search:
+    """The search with one effect taken out and the rest fitted again; `last` where that fit is there already."""
+    kept = [a for a in search.fit.model.active if a.name != name]
+    steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
+    for active in kept:
+        gain = next(s.log_evidence for s in search.steps if s.added == active.name)
+        if last is not None and active is kept[-1]:
+            fit = last
+        else:
+            model = steps[-1].fit.model
+            fit = start.fitter.fit(model.with_active([*model.active, active]), steps=4, renewals=0, tolerance=1e-3)
+        steps.append(Step(active.name, fit, gain))
+    return Search(steps, search.traces, search.rivals)
+
+
+def converged(start: Start, search: Search) -> Search:
+    """The search with its last fit taken to its end."""
+    if not search.fit.model.active or search.fit.model.names[-1] != search.steps[-1].added:
+        return search
+    last = search.steps[-1]
+    steps = [*search.steps[:-1], Step(last.added, settled(start.fitter, last.fit), last.log_evidence)]
+    return Search(steps, search.traces, search.rivals, search.view)
+
+
+def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
+    """The search without those effects that can be spared: what they took away may be the others' shape, or chance."""
+    spared: list[str] = []
+    first = search.steps[0].fit
+    while search.fit.model.active:
+        full = search.fit
+        doubted = sorted((a for a in full.model.active if _is_minor(first, full, a)), key=lambda a: a.relative_size)
+        for active in doubted:
+            others = full.model.with_active([a for a in full.model.active if a.name != active.name])
+            less = start.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
+            if _can_be_spared(first, less, full, active.name):
+                spared.append(active.name)
+                search = without(start, search, active.name, last=less)
+                break
+        else:
+            break
+    return search, spared
+
+
+def _is_minor(first: Fit, full: Fit, active: Active) -> bool:
+    """Whether an effect is small, and not one that obviously nothing else could stand in for."""
+    lost = loss_without(full, active, active.candidate.amplitudes) / full.dof
+    return active.relative_size < MINOR and lost < OBVIOUS * _spare(first)
+
+
+def _spare(first: Fit) -> float:
+    """What minor effects may leave of chi2 - 1 when they go."""
+    return max(DETECTED - 1.0, SPARE * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
+
+
+def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
+    size = next(a.relative_size for a in full.model.active if a.name == name)
+    if size < LEAST_SIZE or certainty(full)[name] < LEAST_CERTAINTY:
+        return True
+    inflation = max(1.0, full.chi2_per_dof)
+    if log_evidence(full, inflation) - log_evidence(without, inflation) < LOG_EVIDENCE:
+        return True
+    if without.chi2_per_dof < DETECTED and (size < UNDETECTED_SIZE or not foretold(without, full)):
+        return True
+    if len(full.model.active) < 2:
+        return False
+    return without.chi2_per_dof - 1.0 < _spare(first)
+
+
+def name_of(model: ModelChoice) -> str:
+    """The baseline, as it is called in reports."""
+    return model if isinstance(model, str) else f"map:{model.method}"

@@ -1,0 +1,1 @@
+"""How far a fitted effect may be off, and whether it is the same all through the recording."""

@@ -1,0 +1,306 @@
+"""Noise of the current sensors: measured, carried through the weak form and the effects, and whitened away.
+
+Only sensor noise is random here; it enters interval k through both of its samples,
+
+    xi_k = a_k n_k + b_k n_k+1,   a_k = (L_k - R Ts/2) T_k + Ts S_k,   b_k = -(L_k+1 + R Ts/2) T_k+1,
+
+with T = d i_true / d i_measured and S = d v_impressed / d i_measured by the effects (an inverter's slope near
+zero current multiplies noise by tens of ohms). Windows of one segment share samples: the covariance of its
+rows is banded, and its Cholesky factor whitens them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.weak_form.equations import LocalMap
+from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
+from orchestrator.diagnosis.weak_form.spectral_lines import Line, added_noise, find_lines
+from orchestrator.diagnosis.weak_form.windows import HARMONICS, hat_weights
+from protocols import SegmentStage
+
+Array = NDArray[np.float64]
+
+_LEAST_CORRELATION = 0.08
+"""Correlations below this are within what a recording's length makes of white noise."""
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Noise of the current readings, as the recording itself shows it.
+
+    Attributes
+    ----------
+    covariance : array, shape (2, 2)
+        Of one reading of (i_alpha, i_beta) [A^2], from the holds where there are any.
+    ripple : array, shape (2, 2)
+        The same while a ripple is injected, from repeated periods; jitter and PWM ripple show here.
+    correlation : float
+        From each reading to the next, as of a first-order process.
+    lines : tuple of Line
+        Disturbances of a fixed frequency.
+    """
+
+    covariance: Array
+    ripple: Array
+    correlation: float
+    lines: tuple[Line, ...] = ()
+
+    def of(self, piece: Piece) -> Array:
+        """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
+        own = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
+        return np.asarray(own / piece.averaged)
+
+    def colour(self, piece: Piece) -> Array:
+        """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
+        w, rho = piece.windows, self.correlation
+        if len(w.carriers) == 1 and self.lines:
+            return np.array([self._steady(piece)])
+        if rho == 0.0:
+            return np.ones(len(w.carriers))
+        order = np.array([0, *(h for h in HARMONICS for _ in range(2) if 0 < h < w.n_bins / 2)])
+        turn = 2.0 * np.pi * order[: len(w.carriers)] / max(w.period, 1.0)
+        return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
+
+    def _steady(self, piece: Piece) -> float:
+        """Of a hat: correlation, and switching ripple."""
+        rho, s = self.correlation, piece.signals
+        motor, variance = s.motor, 0.5 * float(np.trace(self.of(piece)))
+        ohm = (motor.stator_resistance_ohm if motor else None) or 1.0
+        henry = (motor.d_inductance_h if motor else None) or 0.01 * ohm
+        fs, step = s.sampling_frequency_hz, piece.windows.step
+        more = (added_noise(x, fs, piece.averaged, step, ohm, henry, variance) for x in self.lines if x.switching)
+        return (1.0 + rho) / (1.0 - rho) + sum(more)
+
+
+def sensor_noise(pieces: Sequence[Piece]) -> SensorNoise:
+    """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
+
+    From holds and gates-off readings; where there are none, from trapezoids, then from the injection itself.
+    """
+    of = {stage: [p.scatter for p in pieces if p.stage is stage] for stage in SegmentStage}
+    steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
+    repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
+    lags = [s.lag for s in steady if math.isfinite(s.lag)]
+    rho = _correlation(float(np.median(lags))) if lags else 0.0
+    # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
+    seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
+    covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
+    holds = [p for p in pieces if p.stage is SegmentStage.RESISTANCE]
+    rate = holds[0].signals.sampling_frequency_hz * holds[0].averaged if holds else 0.0
+    lines = find_lines([p.scatter.spectrum for p in holds], [x.spectrum for x in of[SegmentStage.GATES_OFF]], rate)
+    return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho, lines)
+
+
+def _typical(scatters: Sequence[Scatter]) -> Array:
+    covariance = np.median([s.covariance for s in scatters], axis=0)
+    return np.asarray(covariance + (1e-12 + 1e-6 * float(np.trace(covariance))) * np.eye(2))
+
+
+def _correlation(lag: float) -> float:
+    """rho of a first-order process whose second differences have this first autocorrelation; 0 where that is chance."""
+    low, high = -0.98, 0.98
+    if _lag(-_LEAST_CORRELATION) < lag < _lag(_LEAST_CORRELATION):
+        return 0.0
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if _lag(middle) < lag else (low, middle)
+    return 0.5 * (low + high)
+
+
+def _lag(rho: float) -> float:
+    return (-4.0 + 7.0 * rho - 4.0 * rho**2 + rho**3) / (6.0 - 8.0 * rho + 2.0 * rho**2)
+
+
+@dataclass(frozen=True)
+class Slopes:
+    """How noise passes through the effects of a piece; None where the effects leave it alone.
+
+    Attributes
+    ----------
+    current : array, shape (n, 2, 2)
+        d i_true / d i_measured in the believed frame.
+    voltage : array, shape (n, 2, 2)
+        d v_impressed / d i_measured [ohm].
+    """
+
+    current: Array
+    voltage: Array
+
+
+def banded_covariance(
+    piece: Piece, here: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
+) -> Array:
+    """Covariance of a piece's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
+
+    Parameters
+    ----------
+    resistance : array, shape (n,)
+        Of the corrected signals, in units of R_s.
+    """
+    w = piece.windows
+    angle = float(piece.segment.rotor_angle_rad)
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, s], [-s, c]])
+    sums = _pair_sums(
+        here.inductance,
+        np.ascontiguousarray(resistance),
+        slopes.current if slopes is not None else np.zeros((0, 2, 2)),
+        slopes.voltage if slopes is not None else np.zeros((0, 2, 2)),
+        np.linalg.cholesky(turn @ noise.of(piece) @ turn.T),
+        r_s,
+        1.0 / piece.signals.sampling_frequency_hz,
+        w.step,
+        w.hats,
+        w.bins,
+        w.n_bins,
+    )
+    shifted = np.stack([np.roll(w.carriers, -d, axis=1) for d in (-1, 0, 1)])
+    blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.carriers, shifted, sums, optimize=True)
+    size = 2 * len(w.carriers)
+    root = np.repeat(np.sqrt(noise.colour(piece)), 2)
+    return _banded(blocks.reshape(w.hats, 2, size, size) * np.outer(root, root))
+
+
+def _banded(blocks: Array) -> Array:
+    """Block-tridiagonal (hats, 2, size, size), own and next, to lower banded form."""
+    hats, _, size, _ = blocks.shape
+    out = np.zeros((2 * size, hats, size))
+    for column in range(size):
+        out[: size - column, :, column] = blocks[:, 0, column, column:].T
+        # blocks[j, 1] couples rows of hat j with columns of hat j + 1: its transpose is below the diagonal.
+        out[size - column : 2 * size - column, :-1, column] = blocks[:-1, 1, column, :].T
+    return out.reshape(2 * size, hats * size)
+
+
+class Whitener:
+    """Turns rows of one piece into rows with independent unit noise."""
+
+    def __init__(self, covariance: Array) -> None:
+        from scipy.linalg import cholesky_banded
+
+        self.variance = covariance[0].copy()
+        """Of every row, before whitening."""
+        banded = covariance.copy()
+        banded[0] *= 1.0 + 1e-9
+        self._factor = np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+        self.log_det = 2.0 * float(np.log(self._factor[0]).sum())
+
+    def __call__(self, rows: Array) -> Array:
+        """Whiten (rows,) or (rows, columns)."""
+        from scipy.linalg.lapack import dtbtrs
+
+        if rows.size == 0:
+            # LAPACK's wrapper does not bear a matrix without columns.
+            return rows.copy()
+        solved, info = dtbtrs(self._factor, rows if rows.ndim == 2 else rows[:, None], uplo="L")
+        if info != 0:
+            raise ArithmeticError("the noise covariance is singular")
+        return np.asarray(solved if rows.ndim == 2 else solved[:, 0])
+
+
+@njit(cache=True, nogil=True)
+def _pair_sums(
+    inductance: Array,
+    resistance: Array,
+    current_slope: Array,
+    voltage_slope: Array,
+    sensor_factor: Array,
+    r_s: float,
+    ts: float,
+    step: float,
+    hats: int,
+    bins: NDArray[np.int64],
+    n_bins: int,
+) -> Array:
+    """sum_k g_mk Sigma g_m'k^T before the carriers -> (hats, own/next hat, bins, bin -1/0/+1, 2, 2)."""
+    n = inductance.shape[0]
+    out = np.zeros((hats, 2, n_bins, 3, 2, 2))
+    hat = np.empty(4, dtype=np.int64)
+    slot = np.empty(4, dtype=np.int64)
+    g = np.empty((4, 2, 2))
+    a = np.empty((2, 2))
+    b = np.empty((2, 2))
+    m = np.empty((2, 2))
+    last_j = 0
+    last_w0 = 0.0
+    last_w1 = 0.0
+    for k in range(n):
+        ohm = 0.5 * ts * r_s * resistance[k]
+        a[0, 0] = inductance[k, 0] - ohm
+        a[0, 1] = inductance[k, 1]
+        a[1, 0] = inductance[k, 1]
+        a[1, 1] = inductance[k, 2] - ohm
+        b[0, 0] = -inductance[k, 0] - ohm
+        b[0, 1] = -inductance[k, 1]
+        b[1, 0] = -inductance[k, 1]
+        b[1, 1] = -inductance[k, 2] - ohm
+        if current_slope.shape[0] > 0:
+            for x in range(2):
+                p0, p1 = a[x, 0], a[x, 1]
+                a[x, 0] = p0 * current_slope[k, 0, 0] + p1 * current_slope[k, 1, 0]
+                a[x, 1] = p0 * current_slope[k, 0, 1] + p1 * current_slope[k, 1, 1]
+                p0, p1 = b[x, 0], b[x, 1]
+                b[x, 0] = p0 * current_slope[k, 0, 0] + p1 * current_slope[k, 1, 0]
+                b[x, 1] = p0 * current_slope[k, 0, 1] + p1 * current_slope[k, 1, 1]
+        if voltage_slope.shape[0] > 0:
+            for x in range(2):
+                for y in range(2):
+                    a[x, y] += ts * voltage_slope[k, x, y]
+        j = 0
+        w0 = 0.0
+        w1 = 0.0
+        if k < n - 1:
+            j, w0, w1 = hat_weights(k, step, hats)
+        used = 0
+        if k > 0 and k < n - 1 and j == last_j and bins[k] == bins[k - 1]:
+            for side in range(2):
+                now = w0 if side == 0 else w1
+                was = last_w0 if side == 0 else last_w1
+                if now == 0.0 and was == 0.0:
+                    continue
+                hat[used], slot[used] = j + side, bins[k]
+                for x in range(2):
+                    for y in range(2):
+                        g[used, x, y] = now * a[x, y] + was * b[x, y]
+                used += 1
+        else:
+            for side in range(4):
+                weight = w0 if side == 0 else (w1 if side == 1 else (last_w0 if side == 2 else last_w1))
+                if weight == 0.0 or (side >= 2 and k == 0):
+                    continue
+                hat[used] = j + side if side < 2 else last_j + side - 2
+                slot[used] = bins[k] if side < 2 else bins[k - 1]
+                for x in range(2):
+                    for y in range(2):
+                        g[used, x, y] = weight * (a[x, y] if side < 2 else b[x, y])
+                used += 1
+        last_j, last_w0, last_w1 = j, w0, w1
+        for e in range(used):
+            for x in range(2):
+                for y in range(2):
+                    m[x, y] = g[e, x, 0] * sensor_factor[0, y] + g[e, x, 1] * sensor_factor[1, y]
+            g[e, :, :] = m
+        for e in range(used):
+            for f in range(used):
+                t = hat[f] - hat[e]
+                if t < 0 or t > 1:
+                    continue
+                d = slot[f] - slot[e]
+                if d > 1:
+                    d -= n_bins
+                elif d < -1:
+                    d += n_bins
+                if d < -1 or d > 1:
+                    continue
+                for x in range(2):
+                    for y in range(2):
+                        out[hat[e], t, slot[e], d + 1, x, y] += g[e, x, 0] * g[f, y, 0] + g[e, x, 1] * g[f, y, 1]
+    return out

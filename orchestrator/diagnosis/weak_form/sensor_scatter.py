@@ -1,0 +1,56 @@
+"""What one segment's raw readings say of the current noise: differences that cancel the current itself. No model."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.weak_form.spectral_lines import spectrum_of
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """Second moments of differences of the readings.
+
+    Attributes
+    ----------
+    covariance : array, shape (2, 2)
+        Of the noise of (i_alpha, i_beta) if each reading's were independent [A^2].
+    lag : float
+        First autocorrelation of the second differences: -2/3 where readings are independent, nearer to -1/2
+        where they are alike. NaN where the current's own ripple forbids to look.
+    spectrum : array
+        `spectrum_of` the readings; empty where something is injected.
+    """
+
+    covariance: Array
+    lag: float
+    spectrum: Array
+
+
+def scatter_of(i_ab: Array, period: float | None) -> Scatter:
+    """Scatter of a segment's readings.
+
+    Parameters
+    ----------
+    i_ab : array, shape (n, 2)
+    period : float, optional
+        Samples in a period of injected ripple; its repetitions are compared where it is a whole number.
+    """
+    if period is None:
+        # Coefficients (1, -2, 1) cancel what is linear in time, and multiply the variance of white noise by six.
+        d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
+        own = float(np.einsum("ij,ij->", d, d))
+        lag = float(np.einsum("ij,ij->", d[1:], d[:-1])) / own if own > 0.0 else float("nan")
+        return Scatter(d.T @ d / (6.0 * len(d)), lag, spectrum_of(i_ab))
+    p = round(period)
+    settled = i_ab[len(i_ab) // 4 :]
+    if abs(p - period) > 1e-6 or len(settled) < 6 * p:
+        return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
+    # (1, -3, 3, -1) over periods: the ripple's slow turning cancels too.
+    d = settled[3 * p :] - 3.0 * settled[2 * p : -p] + 3.0 * settled[p : -2 * p] - settled[: -3 * p]
+    return Scatter(d.T @ d / (20.0 * len(d)), float("nan"), np.zeros(0))

@@ -1,0 +1,129 @@
+"""What the diagnosis lets in: too little is refused in one line, and what cannot be told is said."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis import compare_recording, diagnose_recording
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.selection.sufficiency import solvable
+from orchestrator.recording import Recording, SegmentWriter, open_recording, write_manifest
+from protocols import Capture, NotMeasuredError, Segment, SegmentStage
+
+HOLDS, SWEEPS, INJECTION = SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION
+Change = Callable[[Capture], Capture]
+
+
+def _with(recording: Recording, directory: Path, wanted: Callable[[Segment], bool], samples: int = 0) -> Recording:
+    """The same recording without some of its segments, each cut to so many samples."""
+    (directory / "captures").mkdir(parents=True)
+    kept = []
+    for segment in filter(wanted, recording.manifest.segments):
+        whole = recording.load(segment)
+        cut = slice(0, samples or len(whole))
+        capture = whole.model_copy(update={n: getattr(whole, n)[cut] for n in ("i_ab", "v_ab", "v_dc")})
+        with SegmentWriter(directory, segment.id) as writer:
+            writer.append(capture)
+            written = writer.finish()
+        kept.append(segment.model_copy(update={"samples": written.samples, "sha256": written.sha256}))
+    write_manifest(directory, recording.manifest.model_copy(update={"segments": tuple(kept)}))
+    return open_recording(directory)
+
+
+def _named(*names: str) -> Callable[[Segment], bool]:
+    return lambda s: s.id in names
+
+
+def _of(*stages: SegmentStage) -> Callable[[Segment], bool]:
+    return lambda s: s.stage in stages
+
+
+def _all(segment: Segment) -> bool:
+    return True
+
+
+@pytest.mark.parametrize(
+    ("wanted", "samples"),
+    [
+        (_named("resistance-011"), 0),
+        (_of(SegmentStage.GATES_OFF), 0),
+        (_of(SegmentStage.GATES_OFF, HOLDS), 20),
+        (_named("classical-012"), 2000),
+        (_named("classical-012", "classical-013"), 0),
+        (_named("injection-019", "injection-020", "injection-021"), 0),
+        (_of(INJECTION), 20),
+        (_all, 20),
+        (_all, 1),
+    ],
+    ids=["one hold", "gates off", "holds of 2 ms", "half a sweep", "two sweeps", "three points", "a period of each",
+         "2 ms of all", "one sample of all"],
+)  # fmt: skip
+def test_too_little_is_refused_in_one_line(
+    wanted: Callable[[Segment], bool], samples: int, clean: Recording, tmp_path: Path
+) -> None:
+    little = _with(clean, tmp_path / "little", wanted, samples)
+    for held in (compare_recording, diagnose_recording):
+        with pytest.raises(NotMeasuredError, match=r"too little|long enough") as caught:
+            held(little, [])
+        assert "\n" not in str(caught.value)
+    assert not (little.path / "model.json").exists()
+
+
+def test_one_point_measured_again_and_again_is_one_place(clean: Recording, tmp_path: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    hold = next(s for s in clean.manifest.segments if s.id == "resistance-011")
+    copies = tuple(hold.model_copy(update={"id": f"resistance-{k:03d}", "start_s": float(k)}) for k in range(20))
+    for copy in copies:
+        (tmp_path / "captures" / f"{copy.id}.parquet").symlink_to(clean.path / "captures" / f"{hold.id}.parquet")
+    write_manifest(tmp_path, clean.manifest.model_copy(update={"segments": copies}))
+    with pytest.raises(NotMeasuredError, match="show 1 places"):
+        open_for_diagnosis(open_recording(tmp_path))
+
+
+def test_what_few_places_cannot_tell_is_said(clean: Recording, tmp_path: Path) -> None:
+    notes = open_for_diagnosis(_with(clean, tmp_path / "holds", _of(HOLDS))).notes
+    for told in ("places of the current plane only", "flux and inductance cannot be seen", "gates-off", "no injection"):
+        assert any(told in note for note in notes), told
+    assert not any("places" in note for note in open_for_diagnosis(clean).notes)
+
+
+def test_a_recording_that_cannot_be_a_motor_s_is_refused(clean: Recording, tmp_path: Path) -> None:
+    motor = clean.manifest.motor.model_copy(update={"rated_current_rms_a": 0.01})
+    (tmp_path / "captures").symlink_to(clean.path / "captures")
+    write_manifest(tmp_path, clean.manifest.model_copy(update={"motor": motor}))
+    with pytest.raises(NotMeasuredError, match=r"resistance-\d+: i_alpha, i_beta: .* times the rated current"):
+        open_for_diagnosis(open_recording(tmp_path))
+
+
+def test_a_recording_sampled_too_slowly_is_refused(clean: Recording, tmp_path: Path) -> None:
+    drive = clean.manifest.drive.model_copy(update={"sampling_frequency_hz": 300.0})
+    (tmp_path / "captures").symlink_to(clean.path / "captures")
+    write_manifest(tmp_path, clean.manifest.model_copy(update={"drive": drive}))
+    with pytest.raises(NotMeasuredError, match="300 Hz is too slow"):
+        open_for_diagnosis(open_recording(tmp_path))
+
+
+def test_currents_read_ten_times_too_small_can_be_diagnosed(clean: Recording, tmp_path: Path) -> None:
+    (tmp_path / "captures").mkdir()
+    for segment in clean.manifest.segments:
+        whole = clean.load(segment)
+        with SegmentWriter(tmp_path, segment.id) as writer:
+            writer.append(whole.model_copy(update={"i_ab": 0.1 * whole.i_ab}))
+            writer.finish()
+    segments = tuple(s.model_copy(update={"sha256": None}) for s in clean.manifest.segments)
+    write_manifest(tmp_path, clean.manifest.model_copy(update={"segments": segments}))
+    report = diagnose_recording(open_recording(tmp_path), [])
+    assert report.search.fit.model.r_s == pytest.approx(43.1, rel=0.01)
+
+
+def test_equations_without_a_solution_are_one_line(clean: Recording) -> None:
+    @solvable
+    def singular(recording: Recording) -> None:
+        np.linalg.inv(np.zeros((2, 2)))
+
+    with pytest.raises(NotMeasuredError, match="on-paper: its equations have no solution"):
+        singular(clean)

@@ -1,0 +1,85 @@
+"""How far off a fitted size may be: as far as noise, disagreement, and the effect's own form allow."""
+
+from __future__ import annotations
+
+import shutil
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.fitting.baseline import fitted_baseline
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.forward_search import with_effect
+from orchestrator.diagnosis.uncertainty.trust import (
+    FORM_DOUBT,
+    RIPPLE_DOUBT,
+    coordinate_spread,
+    following,
+    ripple_share,
+)
+from orchestrator.recording import Recording, open_recording, write_manifest
+from plugins.effects.inverter import DeadTime
+from plugins.effects.iron import EddyCurrents
+from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
+from plugins.effects.timing import VoltageDelay
+from protocols import Effect
+
+LATE_SAMPLES = 0.1
+
+
+def fitted(recording: Recording, effect: Effect) -> tuple[Fitter, Fit]:
+    start = open_for_diagnosis(recording)
+    (candidate,) = scaled_library([effect], start.prepared.manifest)
+    return start.fitter, with_effect(start.fitter, fitted_baseline(start), candidate)
+
+
+@pytest.fixture(scope="module")
+def delayed(clean: Recording, tmp_path_factory: pytest.TempPathFactory) -> tuple[Fitter, Fit]:
+    """A recording that says of its voltage that it acts later than it does, with the delay that takes that back."""
+    directory = tmp_path_factory.mktemp("late") / "recording"
+    shutil.copytree(clean.path, directory)
+    drive = clean.manifest.drive.model_copy(update={"voltage_delay_samples": LATE_SAMPLES})
+    write_manifest(directory, clean.manifest.model_copy(update={"drive": drive}))
+    return fitted(open_recording(directory), VoltageDelay())
+
+
+def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(clean: Recording) -> None:
+    start = open_for_diagnosis(clean)
+    fit = fitted_baseline(start)
+    library = scaled_library([VoltageDelay(), EddyCurrents(), CurrentOffset(), CurrentGainMismatch()], clean.manifest)
+    columns = absent_columns(library)
+    loose = start.fitter.evaluate(fit.model, fit.frame, columns)
+    share = ripple_share([(piece, rows) for piece, _, rows in following(loose)])
+    by_name = {active.name: float(s) for (active, _), s in zip(columns, share, strict=True)}
+    assert by_name["voltage_delay"] > 0.98
+    assert by_name["eddy_currents"] > 0.9
+    assert by_name["current_offset"] < 0.05
+    assert by_name["current_gain_mismatch"] < 0.05
+
+
+def test_what_the_columns_keep_is_what_the_map_cannot_follow(delayed: tuple[Fitter, Fit]) -> None:
+    _, fit = delayed
+    kept = sum(float(rows[:, 0] @ rows[:, 0]) for _, _, rows in following(fit))
+    known = float(fit.projected()[0][0, 0])
+    # The map's prior holds it back a little from following, which counts as knowledge too.
+    assert 0.97 * known < kept <= known * (1.0 + 1e-9)
+
+
+def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[Fitter, Fit]) -> None:
+    fitter, fit = delayed
+    x = fit.model.active[0].coordinate("delay_s")
+    (spread,) = coordinate_spread(fitter, fit)
+    assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * RIPPLE_DOUBT * abs(x)
+    assert 0.98 * RIPPLE_DOUBT * abs(x) < spread < 2.0 * RIPPLE_DOUBT * abs(x)
+
+
+def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Recording) -> None:
+    fitter, fit = fitted(with_dead_time, DeadTime())
+    active, name = fit.model.free[0]
+    assert name == "voltage_v"
+    spread = float(coordinate_spread(fitter, fit)[0])
+    assert FORM_DOUBT * active.coordinate(name) < spread < 0.2 * RIPPLE_DOUBT * active.coordinate(name)
+    assert float(np.sqrt(fit.covariance()[0, 0])) < spread
