@@ -13,6 +13,8 @@ from importlib.util import find_spec
 
 import numpy as np
 
+from plugins.commands.emulator._can_ports import CanPort as EmulatedPort
+from plugins.commands.emulator._line import NO_LOSSES, Lossy, Outbox
 from plugins.drives._link import Host, Link, Port
 from plugins.drives._link._reading import read_whole
 from plugins.drives.can._port import CanPort
@@ -32,8 +34,6 @@ from plugins.drives.wire import (
     encode,
     serial_blocks,
 )
-from plugins.emulator._can_ports import CanPort as EmulatedPort
-from plugins.emulator._line import NO_LOSSES, Lossy, Outbox
 
 SERIAL_BYTES, FD_BYTES = 8_000_000, 2_000_000
 BLOCK_BYTES = 1020

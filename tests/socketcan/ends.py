@@ -12,9 +12,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
+from plugins.commands.emulator._can_ports import CanPort as DevicePort
 from plugins.drives.can._port import CanPort
 from plugins.drives.wire import CaptureSource, Frame, ReadBlock, decode
-from plugins.emulator._can_ports import CanPort as DevicePort
 from tests.plugins.drives._link.device import Device, Script
 from tests.plugins.drives.wire.lossy import Device as CaptureDevice
 from tests.plugins.drives.wire.lossy import Lossy

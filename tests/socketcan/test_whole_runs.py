@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from orchestrator.recording import open_recording
+from plugins.commands.emulator._command import command
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
-from plugins.emulator._command import command
 from protocols import Motor
 from tests.socketcan.buses import CLASSIC_BUS, FD_BUS, is_fd
 from tests.support.processes import wait_until

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from orchestrator.testing import DriveConformance
+from plugins.commands.emulator._can_ports import SerialCanPort
 from plugins.drives.can import CanDrive, CanOptions
-from plugins.emulator._can_ports import SerialCanPort
 from protocols import Drive, DriveSetup, DriveState, Hold, Limits, Motor
-from tests.plugins.emulator.buses import emulated_on
+from tests.plugins.commands.emulator.buses import emulated_on
 from tests.support.emulator import emulator, free_port
 from tests.support.tiny import MOTOR
 

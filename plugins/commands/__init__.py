@@ -1,0 +1,1 @@
+"""Built-in commands beside the main ones, one folder each."""

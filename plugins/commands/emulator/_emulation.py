@@ -1,0 +1,110 @@
+"""The emulator's loop: watchdog, link, plant, line, in this order, until a signal ends it."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from types import FrameType
+
+from plugins.commands.emulator._device import Device
+from plugins.commands.emulator._line import NO_LOSSES, Losses, Lossy, Outbox
+from plugins.commands.emulator._log import Log
+from plugins.commands.emulator._ports import Port
+from plugins.drives.wire import Frame
+
+_BACKLOG_WAIT_S = 1e-3
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """What the line does to the traffic, and how the process is run."""
+
+    rate: float | None = None
+    """Bytes a second; None: as fast as the port takes them."""
+    losses: Losses = NO_LOSSES
+    seed: int = 0
+    priority: bool = True
+    """Whether to ask the system for real-time priority."""
+
+
+class Emulation:
+    """A device on a link."""
+
+    def __init__(self, device: Device, port: Port, settings: LinkSettings, log: Log) -> None:
+        self._device, self._port, self._log = device, port, log
+        self._outbox = Outbox(port, Lossy(settings.losses, f"{settings.seed} out", port.damage), settings.rate)
+        self._lossy: Lossy[Frame] = Lossy(settings.losses, f"{settings.seed} in", port.damage_received)
+        self._connected: bool | None = None
+
+    def turn(self) -> None:
+        """Once round; waits for the link while nothing else is due."""
+        device, power = self._device, self._device.power
+        wait_s = device.wait_s()
+        if not self._outbox.empty:
+            wait_s = min(_BACKLOG_WAIT_S, wait_s) if self._outbox.blocked else 0.0
+        power.guard(time.monotonic())
+        frames = self._lossy(self._port.receive(wait_s))
+        self._notice()
+        power.guard(time.monotonic())
+        device.hear(frames)
+        device.turn()
+        self._outbox.put(device.urgent)
+        self._outbox.put_bulk(device.bulk)
+        device.urgent.clear()
+        device.bulk.clear()
+        self._outbox.pump(time.monotonic())
+
+    def _notice(self) -> None:
+        connected = self._port.heard_of
+        if connected is not None and connected != self._connected:
+            if self._connected is not None or connected:
+                self._log("link", open=connected)
+            self._connected = connected
+            if not connected:
+                self._outbox.clear()
+
+
+def run_emulation(device: Device, port: Port, settings: LinkSettings, log: Log) -> None:
+    """Run until SIGINT or SIGTERM; then go to the safe state and let go of the link."""
+    emulation = Emulation(device, port, settings, log)
+    with _ending() as ending:
+        try:
+            port.publish()
+            log("started", pid=os.getpid(), priority=settings.priority and _undisturbed())
+            while not ending():
+                emulation.turn()
+        finally:
+            try:
+                if device.power.energised:
+                    device.power.shut_down()
+            finally:
+                port.close()
+        log("ended")
+
+
+def _undisturbed() -> bool:
+    """Ask for real-time priority: a microcontroller shares its time with nobody. Whether the system allows it."""
+    try:
+        os.sched_setscheduler(0, os.SCHED_RR, os.sched_param(1))
+    except (OSError, AttributeError):  # not allowed; not Linux
+        return False
+    return True
+
+
+@contextmanager
+def _ending() -> Iterator[Callable[[], bool]]:
+    caught: list[int] = []
+
+    def note(number: int, frame: FrameType | None) -> None:
+        caught.append(number)
+
+    before = {number: signal.signal(number, note) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield lambda: bool(caught)
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -1,0 +1,155 @@
+"""What the device has to send: in order of urgency, at the pace of a real line, and with its losses."""
+
+from __future__ import annotations
+
+import random
+from collections import deque
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Generic, TypeVar
+
+from plugins.commands.emulator._ports import Port, Unit
+from plugins.drives.wire import Frame
+
+T = TypeVar("T")
+
+_BATCH = 64
+"""Frames that are sent before watchdog and link are looked at again: a bus may take 0.1 ms for each."""
+_BURST_S = 0.01
+"""A paced line makes up for so much time that it was not attended to."""
+_GIVEN_UP_S = 0.25
+"""What nobody took for so long is thrown away, as a line without a reader does."""
+_MOST_WAITING = 4096
+_LET_GO = 0.2
+"""Chance that a frame that was held back goes out after the next one."""
+
+
+@dataclass(frozen=True)
+class Losses:
+    """Parts of one, a frame: what the link does to it, each way."""
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    reorder: float = 0.0
+    corrupt: float = 0.0
+
+    def __bool__(self) -> bool:
+        return any((self.drop, self.duplicate, self.reorder, self.corrupt))
+
+
+NO_LOSSES = Losses()
+
+
+class Lossy(Generic[T]):
+    """One direction of a link that loses, repeats, reorders and damages, the same for the same seed."""
+
+    def __init__(self, losses: Losses, seed: str, damage: Callable[[T, random.Random], T | None]) -> None:
+        self._losses, self._random, self._damage = losses, random.Random(seed), damage
+        self._held: deque[T] = deque()
+
+    def __call__(self, units: Iterable[T]) -> list[T]:
+        """What arrives; a frame that is held back arrives with a later call, if it is the last of this one."""
+        if not self._losses:
+            return list(units)
+        out: list[T] = []
+        for unit in units:
+            out += self._one(unit)
+        return out
+
+    def _one(self, unit: T) -> Iterable[T]:
+        losses, chance = self._losses, self._random.random
+        if chance() < losses.drop:
+            return
+        if chance() < losses.corrupt:
+            damaged = self._damage(unit, self._random)
+            if damaged is None:
+                return
+            unit = damaged
+        if chance() < losses.reorder:
+            self._held.append(unit)
+            return
+        yield unit
+        if chance() < losses.duplicate:
+            yield unit
+        if self._held and chance() < _LET_GO:
+            yield self._held.popleft()
+
+
+class Outbox:
+    """Frames on their way out; telemetry and answers overtake bulk data.
+
+    Parameters
+    ----------
+    port : Port
+    lossy : Lossy
+    rate : float, optional
+        Bytes a second of the line (bits over 8 on a CAN bus); None: as fast as the port takes them.
+    """
+
+    def __init__(self, port: Port, lossy: Lossy[Unit], rate: float | None) -> None:
+        self._port, self._lossy, self._rate = port, lossy, rate
+        self._urgent: deque[Frame] = deque()
+        self._bulk: deque[Frame] = deque()
+        self._coded: deque[Unit] = deque()
+        self._credit, self._paid_s, self._taken_s = 0.0, 0.0, 0.0
+        self.blocked = False
+        """Whether the line, or its pace, took no more the last time."""
+
+    def put(self, frames: Iterable[Frame]) -> None:
+        """Telemetry and answers."""
+        self._urgent.extend(frames)
+
+    def put_bulk(self, frames: Iterable[Frame]) -> None:
+        """Blocks of a capture, with their end; left out where too many are waiting: the host asks again."""
+        if len(self._bulk) < _MOST_WAITING:
+            self._bulk.extend(frames)
+
+    @property
+    def empty(self) -> bool:
+        return not (self._urgent or self._bulk or self._coded)
+
+    def clear(self) -> None:
+        """Forget everything: nobody is there."""
+        self._urgent.clear()
+        self._bulk.clear()
+        self._coded.clear()
+
+    def pump(self, now_s: float) -> None:
+        """Send what line and port take now; never waits."""
+        if self.empty:
+            self._taken_s = now_s
+        self._earn(now_s)
+        self.blocked = False
+        for _ in range(_BATCH):
+            unit = self._first()
+            if unit is None or not self._may_send():
+                return
+            if not self._port.send(unit):
+                self.blocked = True
+                break
+            self._coded.popleft()
+            self._taken_s = now_s
+            self._credit -= self._port.cost(unit)
+        if now_s - self._taken_s > _GIVEN_UP_S:
+            self.clear()
+
+    def _may_send(self) -> bool:
+        self.blocked = self._rate is not None and self._credit <= 0.0
+        return not self.blocked
+
+    def _first(self) -> Unit | None:
+        while not self._coded and (self._urgent or self._bulk):
+            self._coded.extend(self._lossy(map(self._port.coded, self._next())))
+        return self._coded[0] if self._coded else None
+
+    def _next(self) -> Iterable[Frame]:
+        queue = self._urgent or self._bulk
+        for _ in range(min(16, len(queue))):
+            yield queue.popleft()
+
+    def _earn(self, now_s: float) -> None:
+        if self._rate is None:
+            return
+        earned = (now_s - self._paid_s) * self._rate
+        self._credit = min(self._credit + earned, max(self._rate * _BURST_S, 64.0))
+        self._paid_s = now_s

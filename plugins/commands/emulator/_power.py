@@ -1,0 +1,303 @@
+"""The power stage: its state, what it runs, and the protections that need nobody's permission to act.
+
+The clock of the plant is followed here, and the heartbeat's. What a command means is `_device`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import numpy as np
+
+from plugins.commands.emulator._log import Log
+from plugins.commands.emulator._memory import Capture
+from plugins.drives.simulated.rig import Rig, Step, Tripped, is_ramp
+from plugins.drives.wire import Fault, Heartbeat, Message, Phase, PowerState, Watchdog
+from protocols import Excitation, GatesOff, Limits
+
+_STEP_S, _IDLE_STEP_S, _FREE_STEP_S = 2.5e-3, 2e-2, 5e-2
+_ATTENDED_S = 4e-3
+"""The plant is computed for so long at most before link and watchdog are looked at again."""
+_FORGIVEN_S = 0.25
+"""What a process that was stopped or starved missed is caught up with as far as this; the rest never was."""
+_SAFE_WITHIN_S = 0.015
+"""PWM goes off so long after a fault at the latest, wherever the ramp is."""
+_BUS_BAND = (0.5, 1.3)
+_ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
+
+
+class PowerStage:
+    """Plant, watchdog and protections.
+
+    Parameters
+    ----------
+    rig : Rig
+    clock : callable
+        Wall time [s], monotonic.
+    speed : float, optional
+        Simulated seconds a second. None: as fast as can be while a program runs; between programs
+        time stands still.
+    log : Log
+    directory : Path, optional
+        Where the plant's state is kept whenever the gates go off.
+    """
+
+    def __init__(
+        self, rig: Rig, clock: Callable[[], float], speed: float | None, log: Log, directory: Path | None
+    ) -> None:
+        self.rig, self.speed, self.log = rig, speed, log
+        self._clock, self._directory = clock, directory
+        self._fs = rig.options.sampling_frequency_hz
+        limit_s = rig.options.watchdog_s
+        self._watchdog = None if limit_s is None else Watchdog(limit_s)
+        self.state, self.phase = PowerState.DISARMED, Phase.IDLE
+        self.cause, self.faults, self.value, self.limit = Fault.NONE, 0, 0.0, 0.0
+        self.capture: Capture | None = None
+        self.capture_start = 0
+        self.energy_j = 0.0
+        self._pwm = False
+        self._limits: Limits | None = None
+        self._armed_at = 0
+        self._fed_s = self._tripped_s = self._since_s = clock()
+        self._off_after = self._recording = False
+        self._begun_at = self._due_at = 0
+        self._samples = max(1, round(self._fs * (_FREE_STEP_S if speed is None else _STEP_S * min(speed, 20.0))))
+        self._idle = self._samples if speed is None else max(1, round(self._fs * _IDLE_STEP_S * min(speed, 20.0)))
+        self._steps: Iterator[Step] = rig.off(self._idle)
+        self._next = self._idle
+        self._anchor = (clock(), rig.ticks)
+
+    # What it is told
+
+    @property
+    def energised(self) -> bool:
+        return self.state in _ENERGISED
+
+    @property
+    def last_beat(self) -> int:
+        return 0 if self._watchdog is None else self._watchdog.last_seq
+
+    def feed(self, beat: Heartbeat, session: int, now_s: float) -> None:
+        """A heartbeat; nothing else keeps the watchdog quiet."""
+        if self.energised and self._watchdog is not None and self._watchdog.feed(beat, session, now_s):
+            self._fed_s = now_s
+
+    def arm(self, limits: Limits) -> None:
+        """PWM on, zero current."""
+        self._fed_s = self._clock()
+        if self._watchdog is not None:
+            self._watchdog.start(self._fed_s)
+        self._limits, self._armed_at, self.energy_j = limits, self.rig.ticks, 0.0
+        self.rig.limit(limits)
+        self._pwm, self.state, self.phase = True, PowerState.HOLDING, Phase.IDLE
+        self._off_after = False
+        self._do(self.rig.hold(self._samples))
+
+    def run(self, excitation: Excitation, capture: Capture) -> None:
+        """Start a program from where the operating point is."""
+        self.capture, self.capture_start = capture, 0
+        self.state, self.phase = PowerState.RUNNING, Phase.RAMPING
+        self._off_after, self._recording = isinstance(excitation, GatesOff), False
+        self._begun_at, self._due_at = self.rig.ticks, self.rig.ticks + self.rig.length(excitation)
+        self._do(self.rig.excite(excitation, self._samples))
+
+    def record(self, capture: Capture) -> None:
+        """Capture what is being held."""
+        self.capture, self.capture_start = capture, 0
+        self._recording = True
+        self._do(self.rig.record(capture.rows, self._off_after, self._samples))
+
+    def stop(self) -> None:
+        """Give up the program and bring the current to zero; nothing where PWM is off."""
+        if not self.energised or self.state is PowerState.STOPPING:
+            return
+        self._give_up()
+        if self._off_after and self.state is PowerState.HOLDING:
+            return
+        self._off_after = False
+        self.state = PowerState.STOPPING
+        self._do(self.rig.to_zero(self._samples))
+
+    def disarm(self) -> None:
+        """PWM off; a fault stays latched."""
+        self._give_up()
+        if self._pwm:
+            self._gates_off()
+        if self.state is not PowerState.FAULTED:
+            self.state = PowerState.DISARMED
+
+    def clear(self) -> None:
+        """Forget latched faults; disarmed afterwards."""
+        if self.state is PowerState.FAULTED:
+            self.disarm()
+            self.state = PowerState.DISARMED
+        self.cause, self.faults, self.value, self.limit = Fault.NONE, 0, 0.0, 0.0
+
+    def shut_down(self) -> None:
+        """The safe state for good: the process is about to end."""
+        begun_s = self._clock()
+        self._give_up()
+        try:
+            for _ in self.rig.to_safety(self._samples):
+                pass
+        except Tripped as trip:
+            self.log("fault", cause=_word(Fault.OVERLOAD if trip.overload else Fault.OVERCURRENT), first="ended")
+        self.state = PowerState.DISARMED
+        self._gates_off()
+        self.log("safe", cause="ended", latency_s=round(self._clock() - begun_s, 6))
+
+    # Protections
+
+    def guard(self, now_s: float) -> None:
+        """The dead man: to be called before the link is read, so that nothing late can wake him."""
+        if self.energised and self._watchdog is not None and self._watchdog.expired(now_s):
+            self.trip(Fault.WATCHDOG, now_s - self._fed_s, self._watchdog.limit_s, since_s=self._fed_s)
+        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > _SAFE_WITHIN_S:
+            self._gates_off()
+
+    def trip(
+        self,
+        fault: Fault,
+        value: float = 0.0,
+        limit: float = 0.0,
+        *,
+        at_once: bool = False,
+        since_s: float | None = None,
+    ) -> None:
+        """Latch a fault and go to the safe state: current to zero and PWM off, or PWM off at once."""
+        if self.faults >> fault & 1:
+            return
+        now_s = self._clock()
+        if self.cause is Fault.NONE:
+            self.cause, self.value, self.limit = fault, value, limit
+            self._since_s = now_s if since_s is None else since_s
+        self.faults |= 1 << fault
+        self.log(
+            "fault",
+            cause=_word(fault),
+            first=_word(self.cause),
+            value=value,
+            limit=limit,
+            since_beat_s=self._age(now_s),
+        )
+        was_energised = self.energised
+        self._give_up()
+        self.state = PowerState.FAULTED
+        if at_once and self._pwm:
+            self._gates_off()
+        elif was_energised:
+            self._tripped_s = now_s
+            self._do(self.rig.to_safety(self._samples))
+
+    def _gates_off(self) -> None:
+        now_s = self._clock()
+        self._pwm = False
+        self.rig.drain()
+        self._do(self.rig.off(self._idle), self._idle)
+        if self.state is PowerState.FAULTED:
+            latency_s = round(now_s - self._since_s, 6)
+            self.log("safe", cause=_word(self.cause), latency_s=latency_s, since_beat_s=self._age(now_s))
+        if self._directory is not None:
+            self.rig.save(self._directory)
+
+    def _age(self, now_s: float) -> float:
+        return round(now_s - self._fed_s, 6)
+
+    def _give_up(self) -> None:
+        if self.state is PowerState.RUNNING or self._recording:
+            self.phase, self._recording = Phase.GIVEN_UP, False
+
+    # Time
+
+    def advance(self) -> list[Message]:
+        """Let the plant's time pass as far as it is due; returns live ripple rows."""
+        begun_s, messages = self._clock(), list[Message]()
+        while self._is_due() and self._clock() - begun_s < _ATTENDED_S:
+            messages += self._step()
+        return messages
+
+    def wait_s(self) -> float:
+        """Until the next step is due."""
+        if self.speed is None:
+            return 0.0 if self._is_due() else 0.02
+        anchor_s, ticks = self._anchor
+        due_s = anchor_s + (self.rig.ticks + self._next - ticks) / (self.speed * self._fs)
+        return min(0.02, max(0.0, due_s - self._clock()))
+
+    def _is_due(self) -> bool:
+        if self.speed is None:
+            ramping = self.state is PowerState.FAULTED and self._pwm
+            return ramping or self._recording or self.state in (PowerState.RUNNING, PowerState.STOPPING)
+        anchor_s, ticks = self._anchor
+        behind = (self._clock() - anchor_s) * self.speed * self._fs - (self.rig.ticks - ticks)
+        if behind > _FORGIVEN_S * self.speed * self._fs + self._next:
+            self._anchor = (self._clock(), self.rig.ticks)
+            return True
+        return behind >= self._next
+
+    def _do(self, steps: Iterator[Step], samples: int = 0) -> None:
+        if self.speed is not None and self._next != (samples or self._samples):
+            # From a coarse grid to a fine one: what is not due yet would delay the start.
+            self._anchor = (self._clock(), self.rig.ticks)
+        self._steps, self._next = steps, samples or self._samples
+
+    def _step(self) -> list[Message]:
+        try:
+            step = next(self._steps, None)
+        except Tripped as trip:
+            if trip.overload:
+                self.trip(Fault.OVERLOAD, at_once=True)
+            else:
+                self.trip(Fault.OVERCURRENT, self.rig.reading_a, self.rig.trip_a, at_once=True)
+            return []
+        if step is None:
+            self._finished()
+            return []
+        self._watch(step)
+        return self._captured(step)
+
+    def _finished(self) -> None:
+        if self.state is PowerState.FAULTED:
+            self._gates_off()
+            return
+        if self.state is PowerState.RUNNING or self._recording:
+            self.phase, self._recording = Phase.COMPLETE, False
+            self.log("complete", capture=self.capture.number if self.capture else 0)
+        self.state = PowerState.HOLDING
+        self._do(self.rig.off(self._samples) if self._off_after else self.rig.hold(self._samples))
+
+    def _captured(self, step: Step) -> list[Message]:
+        if self.state is not PowerState.RUNNING and not self._recording:
+            return []
+        if not step.stretch.captured or self.capture is None:
+            self.phase = Phase.RAMPING if is_ramp(step.stretch) else Phase.SETTLING
+            return []
+        if self.phase is not Phase.CAPTURING:
+            self.phase = Phase.CAPTURING
+            self.capture_start = self.rig.ticks - len(step.i_ab)
+            if self.capture.ripple is not None:
+                self.capture.ripple.base_v = self.rig.base_voltage_v
+        return self.capture.take(step)
+
+    def _watch(self, step: Step) -> None:
+        """What the step loop does not look at itself: energy, durations, bus voltage."""
+        if not self.energised or self._limits is None:
+            return
+        squares = float(np.einsum("nk,nk->", step.i_ab, step.i_ab, dtype=np.float64))
+        self.energy_j += 1.5 * self.rig.nameplate.resistance_ohm * squares / self._fs
+        duration_s = (self.rig.ticks - self._armed_at) / self._fs
+        for used, most in ((self.energy_j, self._limits.energy_j), (duration_s, self._limits.duration_s)):
+            if most is not None and used > most:
+                self.trip(Fault.LIMIT, used, most)
+        if self.state is PowerState.RUNNING and self.rig.ticks > self._due_at:
+            taken, allowed = self.rig.ticks - self._begun_at, self._due_at - self._begun_at
+            self.trip(Fault.PROGRAM_TOO_LONG, taken / self._fs, allowed / self._fs)
+        nominal, v_dc = self.rig.capabilities.dc_bus_voltage_v, float(step.v_dc[-1])
+        if not _BUS_BAND[0] * nominal <= v_dc <= _BUS_BAND[1] * nominal:
+            edge = _BUS_BAND[v_dc > nominal] * nominal
+            self.trip(Fault.BUS_VOLTAGE, v_dc, edge)
+
+
+def _word(fault: Fault) -> str:
+    return fault.name.lower()

@@ -1,0 +1,159 @@
+"""What the device lets a program be, and what it keeps of it: judged by limits, modes and memory. Runs nothing."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
+from plugins.drives.simulated.rig import Rig
+from plugins.drives.wire import (
+    LAST_CAPTURE,
+    AckStatus,
+    Capability,
+    CaptureFormat,
+    Channel,
+    DriveFacts,
+    RegisterFile,
+    RippleGrid,
+    RowFormat,
+    Scales,
+    limits_of,
+    program_of,
+    single,
+)
+from protocols import DriveRefused, Excitation, Injection, Limits, Trapezoid
+
+ROW_BYTES = 8
+"""Four int16 channels: what `memory_rows` counts in."""
+RIPPLE_RATE_HZ = 500.0
+_RIPPLE_ROWS = 8192
+_MOST_PERIODS = 2_000
+_ROUNDING = 1.0 + 1e-6
+_LONGEST_CAPTURE = (1 << 26) - 1
+
+
+@dataclass(frozen=True)
+class DeviceSettings:
+    """The device's own size and pace."""
+
+    memory_rows: int = 8192
+    """Rows of four int16 channels that its memory for captures holds."""
+    ring: bool = True
+    """Whether a longer capture overwrites its oldest rows; else it is refused."""
+    block_bytes: int = 1020
+    longest_program_s: float = 3600.0
+    speed: float | None = 1.0
+    """Simulated seconds a second. None: as fast as can be, with captures kept whole (time that runs
+    ahead of the link would overwrite them)."""
+    directory: Path | None = None
+    """Where the plant's state is kept."""
+
+
+def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
+    """What the device says of itself beyond its capabilities."""
+    own = rig.capabilities
+    bits = Capability.RIPPLE_ON_DRIVE | Capability.RAW_CAPTURE | Capability.F32_CAPTURE
+    if settings.ring:
+        bits |= Capability.CAPTURE_RING
+    if own.has_brake:
+        bits |= Capability.BRAKE
+    return DriveFacts(
+        bits=bits,
+        channels=CHANNELS,
+        scales=Scales.spanning(
+            1.5 * own.max_current_a, 1.1 * own.max_voltage_v, 1.4 * own.dc_bus_voltage_v, 0.5 * own.max_current_a
+        ),
+        memory_bytes=settings.memory_rows * ROW_BYTES,
+        block_bytes=settings.block_bytes,
+        ripple_rate_max_hz=RIPPLE_RATE_HZ,
+        ripple_memory_rows=_RIPPLE_ROWS,
+        longest_program_s=settings.longest_program_s,
+        description=text,
+    )
+
+
+class Programs:
+    """From registers to excitations and captures; statuses say why not."""
+
+    def __init__(self, rig: Rig, file: RegisterFile, facts: DriveFacts, settings: DeviceSettings) -> None:
+        self._rig, self._file, self._facts, self._settings = rig, file, facts, settings
+        self._number = 0
+
+    def excitation(self) -> Excitation | AckStatus:
+        """The excitation in the registers."""
+        try:
+            excitation = self._on_own_grid(program_of(self._file.values()))
+        except ValueError:
+            return AckStatus.OUT_OF_RANGE
+        status = self._judge(excitation)
+        return excitation if status is AckStatus.OK else status
+
+    def capture(self, rows: int, excitation: Excitation | None) -> Capture | AckStatus:
+        """Memory for so many rows, announced in the registers."""
+        capture = self._capture(rows, excitation)
+        if isinstance(capture, Capture):
+            self._announce(capture)
+        return capture
+
+    def _announce(self, capture: Capture) -> None:
+        self._number = capture.number
+        self._file["capture_number"], self._file["capture_rows"] = float(capture.number), float(capture.rows)
+        self._file["capture_row_bytes"] = float(capture.row_bytes)
+        self._file["ripple_rows"] = float(capture.ripple.rows if capture.ripple else 0)
+
+    def _on_own_grid(self, excitation: Excitation) -> Excitation:
+        """With the PWM frequency as the device has it, not as a single carried it."""
+        asked = excitation.pwm_frequency_hz
+        own = next((f for f in self._rig.capabilities.pwm_frequencies_hz if single(f) == asked), asked)
+        return excitation.model_copy(update={"pwm_frequency_hz": own})
+
+    def _judge(self, excitation: Excitation) -> AckStatus:
+        """Whether the limits, and the device's own, allow it."""
+        own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
+        if isinstance(excitation, Trapezoid) and excitation.periods > _MOST_PERIODS:
+            return AckStatus.TOO_LONG
+        if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * _ROUNDING:
+            return AckStatus.TOO_LONG
+        if excitation.rows(fs) < 1 or excitation.control.bandwidth_hz > fs / 10:
+            return AckStatus.OUT_OF_RANGE
+        if excitation.pwm_frequency_hz not in (None, *own.pwm_frequencies_hz):
+            return AckStatus.NOT_SUPPORTED
+        held = limits_of(self._file.values())
+        limits = Limits(current_a=held.current_a * _ROUNDING, voltage_v=held.voltage_v * _ROUNDING)
+        try:
+            self._rig.check(excitation, limits)
+        except DriveRefused:
+            return AckStatus.PAST_LIMIT
+        return AckStatus.OK
+
+    def _capture(self, rows: int, excitation: Excitation | None) -> Capture | AckStatus:
+        """Memory for so many rows, and for the ripple of an injection."""
+        number = self._number % LAST_CAPTURE + 1
+        channels, f32 = Channel(int(self._file["capture_mask"])), bool(self._file["capture_format"])
+        if channels & ~CHANNELS:
+            return AckStatus.NOT_SUPPORTED
+        form = RowFormat(channels, CaptureFormat(int(f32)), self._facts.scales) if channels else None
+        needed = rows * form.row_bytes if form is not None else 0
+        if needed > _LONGEST_CAPTURE or (not self._settings.ring and needed > self._facts.memory_bytes):
+            return AckStatus.NO_MEMORY
+        ripple = self._ripple(number, rows, excitation)
+        if isinstance(ripple, AckStatus):
+            return ripple
+        is_ring = self._settings.ring and self._settings.speed is not None
+        return Capture(number, rows, form, self._facts.memory_bytes if is_ring else None, ripple)
+
+    def _ripple(self, number: int, rows: int, excitation: Excitation | None) -> RippleMemory | AckStatus | None:
+        periods, own = int(self._file["ripple_periods"]), self._rig.capabilities
+        if periods == 0 or not isinstance(excitation, Injection):
+            return None
+        if excitation.frequency_hz / periods > RIPPLE_RATE_HZ * _ROUNDING:
+            return AckStatus.OUT_OF_RANGE
+        fs = own.sampling_frequency_hz
+        discarded = round(excitation.discard_s * fs)
+        grid = RippleGrid(
+            fs, excitation.frequency_hz, excitation.waveform, periods, discarded, own.voltage_delay_samples
+        )
+        if grid.rows(rows) > _RIPPLE_ROWS:
+            return AckStatus.NO_MEMORY
+        return RippleMemory(number, grid, rows, excitation.rotor_angle_rad, self._facts.scales)

@@ -1,0 +1,193 @@
+"""`fluxbench mystery N`: a motor with hidden effects: measure, guess, reveal."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from protocols import InputError
+
+if TYPE_CHECKING:
+    from plugins.commands.mystery._guessing import Effects, Verdict
+    from protocols import Procedure
+
+WHOLE = "expected a whole number from 0 on"
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def mystery(
+    number: Annotated[int, typer.Argument(help="Which mystery: the same number gives the same motor.")],
+    guess: Annotated[
+        str | None, typer.Option(help="Names of effects, each with its size where you know it, or: nothing.")
+    ] = None,
+    reveal: Annotated[bool, typer.Option("--reveal", help="Say what was hidden.")] = False,
+    out: Annotated[Path | None, typer.Option(help="The run directory; by default runs/mystery-N.")] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", "-q", help="Print only what went wrong.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> int:
+    """A motor with hidden effects nobody chose by hand: measure it, find them, guess, reveal."""
+    from orchestrator.runs import is_run
+    from plugins.commands.mystery._guessing import sealed_effects
+
+    if number < 0:
+        raise InputError("fluxbench mystery", str(number), WHOLE)
+    if out is not None and not out.name:
+        raise InputError("--out", "", "expected a folder of its own")
+    path = out if out is not None else Path("runs") / f"mystery-{number}"
+    if is_run(path):
+        _refuse_another(number, path)
+    if guess is None and not reveal:
+        return _measure(number, path, quiet, as_json)
+    if not is_run(path):
+        raise InputError(str(path), "", f"no such mystery; `fluxbench mystery {number}` makes it")
+    _refuse_unfinished(path)
+    verdict = None if guess is None else _judged(path, guess)
+    hidden = sealed_effects(path) if reveal else None
+    if as_json:
+        _print_json(path, verdict, hidden)
+        return 0
+    if verdict is not None:
+        _print_verdict(verdict)
+    if hidden is not None:
+        _print_hidden(hidden)
+    return 0
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    negative = next((word for word in arguments if re.fullmatch(r"-\d+", word)), None)
+    if negative is not None:  # else it would be taken for an option
+        raise InputError("fluxbench mystery", negative, WHOLE)
+    return int(app(list(arguments), prog_name="fluxbench mystery", standalone_mode=False) or 0)
+
+
+def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
+    from orchestrator.runs import is_run
+
+    if is_run(path):
+        _refuse_unfinished(path)
+    else:
+        error = _run(number, path, quiet or as_json)
+        if error is not None:
+            raise error
+    if as_json:
+        _print_json(path)
+    elif not quiet:
+        print(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
+        print(f"  fluxbench compare {path}")
+        print(f"  fluxbench diagnose {path}")
+        print("and say what it is, by the names that `fluxbench plugins` lists as effects:")
+        usual = path == Path("runs") / f"mystery-{number}"
+        print(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
+    return 0
+
+
+def _refuse_another(number: int, path: Path) -> None:
+    """Raise `InputError` where the run is not this mystery: its name, motor or seed is another."""
+    from orchestrator.runs import RunDirectory
+
+    measured, wanted = RunDirectory.open(path).record.procedure, procedure_of(number)
+    if (measured.name, measured.seed, measured.motor) != (wanted.name, wanted.seed, wanted.motor):
+        raise InputError(str(path), "", f"this run is not mystery {number}: it has another motor or seed")
+
+
+def _refuse_unfinished(path: Path) -> None:
+    """Raise `InputError` where there is something left to measure."""
+    from orchestrator.runs import RunDirectory
+
+    ended = RunDirectory.open(path).ended()
+    if ended is None or ended.outcome != "finished":
+        raise InputError(str(path), "", f"not measured to its end: `fluxbench resume {path}` comes first")
+
+
+def procedure_of(number: int) -> Procedure:
+    """The campaign on the motor behind a number; nothing in it but the sealed plant depends on what is hidden."""
+    from orchestrator.config import load_procedure
+    from plugins.commands.mystery._drawing import draw
+    from protocols import DriveChoice, Limits, ProcedureMotor
+
+    drawn = draw(number)
+    return load_procedure(str(Path(__file__).with_name("campaign.yaml"))).model_copy(
+        update={
+            "motor": ProcedureMotor.model_validate(drawn.motor),
+            "limits": Limits.model_validate(drawn.limits),
+            "drive": DriveChoice.model_validate({"name": "simulated", "plant": drawn.plant}),
+            "seed": drawn.seed,
+        }
+    )
+
+
+def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
+    """Run the drawn motor into a new directory; the error that ended it, where one did."""
+    from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
+
+    with handling_signals() as interrupts:
+        streams = {"console": {"mode": "quiet" if quiet else "auto"}, "report": {}, "rerun": {"view": "none"}}
+        return start_run(procedure_of(number), path, Crew(AbsentOperator(), interrupts, streams)).outcome.error
+
+
+def _judged(path: Path, words: str) -> Verdict:
+    from plugins.commands.mystery._guessing import judge, read_guess, sealed_effects
+
+    return judge(read_guess(words), sealed_effects(path), _fitted(path))
+
+
+def _print_verdict(verdict: Verdict) -> None:
+    sizes = {size.name: size for size in verdict.sizes}
+    for name in verdict.right:
+        size = sizes.get(name)
+        print(f"{name}: right" + (f"; {size.parameter} {size.guessed:.4g} is {_off(size.ratio)}" if size else ""))
+    for name in verdict.wrong:
+        print(f"{name}: not in this motor")
+    if verdict.complete:
+        print("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
+    elif verdict.still_hidden:
+        print(f"{verdict.still_hidden} {'more is' if verdict.still_hidden == 1 else 'more are'} hidden.")
+
+
+def _off(ratio: float | None) -> str:
+    if ratio is None or ratio <= 0.0:
+        return "of the wrong sign"
+    if abs(ratio - 1.0) < 0.0005:
+        return "right to three digits"
+    if 0.5 <= ratio <= 2.0:
+        return f"{abs(ratio - 1.0):.1%} too {'large' if ratio > 1.0 else 'small'}"
+    return f"{max(ratio, 1.0 / ratio):.3g} times too {'large' if ratio > 1.0 else 'small'}"
+
+
+def _fitted(path: Path) -> dict[str, dict[str, float]]:
+    """Sizes of the recording's own model, where it has one."""
+    from orchestrator.diagnosis import MODEL_NAME, read_model
+
+    if not (path / MODEL_NAME).is_file():
+        return {}
+    model = read_model(path)
+    effects = model.effects if model is not None else ()
+    return {
+        effect.name: {name: found.value for name, found in effect.parameters.items() if found.value is not None}
+        for effect in effects
+    }
+
+
+def _print_hidden(hidden: Effects) -> None:
+    if not hidden:
+        print("Nothing was hidden.")
+    for name, parameters in hidden.items():
+        print(f"{name}: " + ", ".join(f"{key} = {value:.4g}" for key, value in parameters.items()))
+
+
+def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:
+    import json
+
+    content: dict[str, Any] = {"run": str(path)}
+    if verdict is not None:
+        content["guess"] = {**verdict.model_dump(mode="json"), "complete": verdict.complete}
+    if hidden is not None:
+        content["hidden"] = hidden
+    print(json.dumps(content, indent=2))

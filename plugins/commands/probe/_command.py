@@ -1,0 +1,117 @@
+"""`fluxbench probe`: drives on this machine's ports and buses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from plugins.commands.probe._finding import Found, LinkName
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def probe(
+    serial: Annotated[
+        list[str] | None, typer.Option("--serial", help="Look on this port (device, path, socket://host:port) only.")
+    ] = None,
+    can: Annotated[
+        list[str] | None,
+        typer.Option("--can", help="Look on this bus only, as python-can names it.", metavar="INTERFACE:CHANNEL"),
+    ] = None,
+    baud_rate: Annotated[int, typer.Option(help="Of serial lines.")] = 921_600,
+    bitrate: Annotated[int, typer.Option(help="Of CAN buses.")] = 1_000_000,
+    fd: Annotated[bool, typer.Option("--fd", help="The buses are CAN FD.")] = False,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> int:
+    """Find drives on this machine's serial ports and CAN buses, and say what they can do. Moves nothing."""
+    from plugins.commands.probe._finding import Found, can_bus, found_on, links_of_this_machine, serial_line
+    from protocols import DriveError
+
+    named = [serial_line(port, baud_rate) for port in serial or ()]
+    named += [can_bus(*_split(bus), bitrate, fd) for bus in can or ()]
+    found: list[Found] = []
+    silent: list[tuple[LinkName, str]] = []
+    for link in named or links_of_this_machine(baud_rate, bitrate, fd):
+        try:
+            for drive in found_on(link):
+                if isinstance(drive, Found):
+                    found.append(drive)
+                else:
+                    silent.append((link, str(drive)))
+        except DriveError as error:
+            silent.append((link, str(error)))
+    if named and not found:
+        raise DriveError("; ".join(why for _, why in silent))
+    _print(found, silent, as_json)
+    return 0
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    return int(app(list(arguments), prog_name="fluxbench probe", standalone_mode=False) or 0)
+
+
+def _split(bus: str) -> tuple[str, str]:
+    from protocols import InputError
+
+    interface, colon, channel = bus.partition(":")
+    if not colon or not interface or not channel:
+        raise InputError("probe", "--can", f"expected INTERFACE:CHANNEL, got {bus!r}")
+    return interface, channel
+
+
+def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
+    if as_json:
+        import json
+
+        looked = [{"link": link.text, "why": why} for link, why in silent]
+        print(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked}))
+        return
+    for drive in found:
+        print("\n".join(_told(drive)))
+    if not found:
+        print("No drive answered.")
+    for link, why in silent:
+        print(f"no drive on {link.text}: {why}")
+
+
+def _told(drive: Found) -> list[str]:
+    own, status = drive.capabilities, drive.status
+    settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_told(key, v))
+    firmware = drive.description.get("firmware", "not told")
+    lines = [
+        f"{own.name} on {drive.link.text}" + (f" node {drive.node}" if drive.node else ""),
+        f"  motor      {own.motor_name or 'not told'}",
+        f"  firmware   {firmware}",
+        f"  sampling   {own.sampling_frequency_hz:g} Hz, PWM {', '.join(f'{f:g}' for f in own.pwm_frequencies_hz)} Hz",
+        f"  reach      {own.max_current_a:g} A, {own.max_voltage_v:g} V of a bus of {own.dc_bus_voltage_v:g} V",
+        f"  programs   {', '.join(sorted(own.excitations))}",
+        f"  watchdog   {f'{own.watchdog_s:g} s' if own.watchdog_s else 'NONE: no dead man'}",
+        f"  memory     {drive.registers['capture_memory_bytes']:g} bytes of capture",
+        f"  ripple     {_ripple(drive.registers['ripple_rate_max_hz'])}",
+    ]
+    if status is None:
+        lines.append("  telemetry  none came")
+    else:
+        current = "" if drive.i_dq_a is None else f", i_dq {drive.i_dq_a[0]:.3g} {drive.i_dq_a[1]:.3g} A"
+        lines.append(f"  now        {status.state.name.lower()}, bus {status.v_dc:.4g} V{current}")
+        if drive.faults:
+            lines.append(f"  faults     {', '.join(drive.faults)}")
+    return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.settings['name']} {settings}"]
+
+
+def _is_told(key: str, value: object) -> bool:
+    """Whether a setting has to be written out: the drive plugins' defaults need not."""
+    return key != "name" and value not in (921_600, 1_000_000, False)  # node 0 is among them
+
+
+def _value(value: object) -> str:
+    return str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _ripple(rate_hz: float) -> str:
+    return f"demodulated on the drive, up to {rate_hz:g} rows a second" if rate_hz else "not demodulated on the drive"

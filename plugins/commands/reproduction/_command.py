@@ -1,0 +1,38 @@
+"""`fluxbench reproduce`: the paper's experiment, figures and tables."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+
+
+@app.command()
+def reproduce(
+    run: Annotated[Path, typer.Option(help="The run directory: made, or read where it is there already.")] = Path(
+        "runs/paper"
+    ),
+    out: Annotated[Path, typer.Option(help="The folder that gets the page and its figures.")] = Path("runs/paper-page"),
+) -> int:
+    """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""
+    from orchestrator.config import load_procedure
+    from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
+    from plugins.commands.reproduction._material import collect
+    from plugins.commands.reproduction._page import write_page
+
+    if not (run / "run.json").is_file():
+        with handling_signals() as interrupts:
+            result = start_run(load_procedure("paper"), run, Crew(AbsentOperator(), interrupts, {"console": {}}))
+        if result.outcome.error is not None:
+            raise result.outcome.error
+    print(write_page(collect(run), out))
+    return 0
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    return int(app(list(arguments), prog_name="fluxbench reproduce", standalone_mode=False) or 0)

@@ -1,8 +1,0 @@
-"""The simulated plant behind the drive protocol, as a process of its own with a microcontroller's limits."""
-
-from plugins.emulator._device import Device
-from plugins.emulator._emulation import Emulation, LinkSettings, run_emulation
-from plugins.emulator._line import Losses
-from plugins.emulator._programs import DeviceSettings
-
-__all__ = ["Device", "DeviceSettings", "Emulation", "LinkSettings", "Losses", "run_emulation"]

@@ -1,0 +1,81 @@
+"""Guesses: what counts as right, and that a verdict says no more than asked."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from orchestrator.registry import PluginKind, installed
+from plugins.commands.mystery import Guess, judge, read_guess
+from protocols import InputError
+
+HIDDEN = {
+    "dead_time": {"voltage_v": 2.0, "threshold_a": 0.1},
+    "current_offset": {"offset_a_a": 0.01, "offset_b_a": -0.03},
+}
+
+
+def test_names_and_sizes_are_read() -> None:
+    assert read_guess(" dead_time, hysteresis=0.03 ") == (Guess(name="dead_time"), Guess(name="hysteresis", size=0.03))
+    assert read_guess("nothing") == ()
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("dead_tim", "did you mean dead_time"),
+        ("dead_time=much", "no number"),
+        ("dead_time,dead_time", "twice"),
+        (",", "nothing"),
+    ],
+)
+def test_a_guess_that_cannot_be_read_is_told_in_one_line(words: str, told: str) -> None:
+    with pytest.raises(InputError, match=told) as caught:
+        read_guess(words)
+    assert "\n" not in str(caught.value)
+
+
+@settings(max_examples=40)
+@given(st.text(max_size=40))
+def test_no_words_are_read_as_a_name_that_there_is_not(words: str) -> None:
+    known = {info.name for info in installed(PluginKind.EFFECTS)}
+    guesses: tuple[Guess, ...] = ()
+    with suppress(InputError):
+        guesses = read_guess(words)
+    assert {guess.name for guess in guesses} <= known
+
+
+def test_a_complete_guess_is_complete() -> None:
+    verdict = judge(read_guess("current_offset,dead_time"), HIDDEN, {})
+    assert verdict.complete
+    assert verdict.sizes == ()
+
+
+def test_a_wrong_name_is_wrong_and_what_is_missing_is_counted_not_named() -> None:
+    verdict = judge(read_guess("dead_time,hysteresis"), HIDDEN, {})
+    assert (verdict.right, verdict.wrong, verdict.still_hidden) == (("dead_time",), ("hysteresis",), 1)
+    assert not verdict.complete
+    assert "current_offset" not in verdict.model_dump_json()
+
+
+def test_nothing_is_right_where_nothing_is_hidden() -> None:
+    assert judge((), {}, {}).complete
+    assert not judge((), HIDDEN, {}).complete
+
+
+def test_a_size_is_judged_by_the_first_parameter_or_by_the_larger_phase() -> None:
+    verdict = judge(read_guess("dead_time=1,current_offset=-0.03"), HIDDEN, {})
+    assert [(size.parameter, size.ratio) for size in verdict.sizes] == [("voltage_v", 0.5), ("offset_b_a", 1.0)]
+
+
+def test_sizes_that_are_not_said_are_the_models() -> None:
+    verdict = judge(read_guess("dead_time"), HIDDEN, {"dead_time": {"voltage_v": 2.2}})
+    assert verdict.sizes[0].ratio == pytest.approx(1.1)
+
+
+def test_nothing_stands_alone() -> None:
+    with pytest.raises(InputError, match="stands alone"):
+        read_guess("nothing,skin_effect")

@@ -1,0 +1,113 @@
+"""A mystery from outside: measured once, guessed at, revealed; and the run directory never tells."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+
+from orchestrator.recording import open_recording
+from plugins.commands.mystery import draw, sealed_effects
+from plugins.commands.mystery._command import command
+from protocols import InputError, RecordingError, SegmentStage
+
+NUMBER = 7
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("mystery") / "run"
+    assert command([str(NUMBER), "--out", str(path), "--quiet"]) == 0
+    return path
+
+
+def say(capsys: pytest.CaptureFixture[str], path: Path, *words: str) -> str:
+    capsys.readouterr()
+    assert command([str(NUMBER), "--out", str(path), *words]) == 0
+    return capsys.readouterr().out
+
+
+def test_its_run_is_a_recording_with_every_stage_that_tells_effects_apart(run: Path) -> None:
+    segments = open_recording(run).segments()
+    assert {SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION} <= {
+        segment.stage for segment in segments
+    }
+    assert len({s.settings.get("pwm_frequency_hz") for s in segments if s.stage == SegmentStage.RESISTANCE}) == 2
+    assert len({s.settings["amplitude_v"] for s in segments if s.stage == SegmentStage.INJECTION}) == 2
+    assert sum(segment.is_anchor for segment in segments) == 4
+
+
+def test_the_truth_never_enters_the_run_directory(run: Path) -> None:
+    hidden = draw(NUMBER).plant["effects"]
+    assert hidden
+    told = b"".join(file.read_bytes() for file in run.iterdir() if file.is_file())
+    for name in hidden:
+        assert name.encode() not in told
+    assert dict(sealed_effects(run)).keys() == hidden.keys()
+
+
+def test_a_guess_is_judged_and_the_rest_not_given_away(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    first, *others = draw(NUMBER).plant["effects"]
+    printed = say(capsys, run, "--guess", first)
+    assert f"{first}: right" in printed
+    assert f"{len(others)} more" in printed
+    assert not any(name in printed for name in others)
+
+
+def test_the_whole_truth_is_all_there_is(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert "all there is" in say(capsys, run, "--guess", ",".join(draw(NUMBER).plant["effects"]))
+
+
+def test_reveal_tells_names_and_sizes(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    found = json.loads(say(capsys, run, "--guess", "nothing", "--reveal", "--json"))
+    assert not found["guess"]["complete"]
+    for name, parameters in draw(NUMBER).plant["effects"].items():
+        assert found["hidden"][name].items() >= parameters.items()
+
+
+def test_asked_again_it_is_not_measured_again(run: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    before = (run / "journal.jsonl").read_bytes()
+    assert "fluxbench diagnose" in say(capsys, run)
+    assert (run / "journal.jsonl").read_bytes() == before
+
+
+def test_a_mystery_that_was_not_made_cannot_be_guessed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="fluxbench mystery 3"):
+        command(["3", "--guess", "nothing", "--out", str(tmp_path / "none")])
+
+
+def test_a_lost_answer_is_said_in_one_line(run: Path, tmp_path: Path) -> None:
+    copy = tmp_path / "copy"
+    shutil.copytree(run, copy)
+    with pytest.raises(RecordingError, match="sealed"):
+        command([str(NUMBER), "--reveal", "--out", str(copy)])
+
+
+def test_its_run_has_a_report_and_a_view_like_every_other(run: Path) -> None:
+    assert {"report.html", "view.rrd"} <= {file.name for file in run.iterdir()}
+
+
+@pytest.mark.parametrize("words", [(), ("--guess", "nothing"), ("--reveal",)])
+def test_one_that_was_killed_is_to_be_resumed_first(run: Path, tmp_path: Path, words: tuple[str, ...]) -> None:
+    copy = Path(shutil.copytree(run, tmp_path / "copy"))
+    lines = (copy / "journal.jsonl").read_text().splitlines(keepends=True)
+    (copy / "journal.jsonl").write_text("".join(lines[: len(lines) // 2]))
+    with pytest.raises(InputError, match=f"fluxbench resume {copy}"):
+        command([str(NUMBER), "--out", str(copy), *words])
+
+
+@pytest.mark.parametrize("words", [(), ("--guess", "nothing"), ("--reveal",)])
+def test_another_mystery_is_not_judged_by_this_ones_answer(run: Path, words: tuple[str, ...]) -> None:
+    with pytest.raises(InputError, match=f"not mystery {NUMBER + 1}"):
+        command([str(NUMBER + 1), "--out", str(run), *words])
+
+
+@pytest.mark.parametrize(
+    ("words", "problem"), [(["-1"], "whole number"), (["--", "-2"], "whole number"), (["3", "--out", ""], "--out")]
+)
+def test_what_cannot_be_a_mystery_is_one_line(words: list[str], problem: str) -> None:
+    with pytest.raises(InputError, match=problem) as caught:
+        command(words)
+    assert "\n" not in str(caught.value)

@@ -1,0 +1,77 @@
+"""`fluxbench probe`: finds a drive, says what it is, and does nothing but read."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+import tty
+
+import pytest
+
+from plugins.commands.probe import links_of_this_machine
+from plugins.commands.probe._command import command
+from plugins.drives.wire import Fault, ParameterRead, PowerState, ReadBlock
+from protocols import DriveError, InputError
+from tests.plugins.drives._link.bench import armed
+from tests.plugins.drives._link.device import on_a_bus, on_a_pty
+
+
+def test_a_drive_on_a_serial_line_is_found_and_described(capsys: pytest.CaptureFixture[str]) -> None:
+    with on_a_pty() as (_, path):
+        assert command(["--serial", path]) == 0
+    told = capsys.readouterr().out
+    assert "test device" in told
+    assert "disarmed, bus 300 V" in told
+    assert f"--drive serial --set drive.port={path}" in told
+
+
+def test_a_drive_on_a_can_bus_is_found(capsys: pytest.CaptureFixture[str]) -> None:
+    with on_a_bus("probed", fd=False):
+        command(["--can", "virtual:probed", "--json"])
+    (drive,) = json.loads(capsys.readouterr().out)["drives"]
+    assert drive["drive"]["interface"] == "virtual"
+    assert drive["capabilities"]["watchdog_s"] == 0.6
+    assert drive["telemetry"]["state"] == "disarmed"
+
+
+def test_it_only_reads_and_a_fault_stays_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+    with on_a_pty() as (device, path):
+        device.trip(Fault.OVERCURRENT, 7.0, 5.6)
+        command(["--serial", path])
+        assert {type(message) for message in device.heard} == {ParameterRead, ReadBlock}
+        assert device.state is PowerState.FAULTED
+    assert "overcurrent" in capsys.readouterr().out
+
+
+def test_an_armed_drive_is_not_disturbed() -> None:
+    with armed("can") as b:
+        channel = b.drive._setup.options.channel
+        command(["--can", f"virtual:{channel}"])
+        assert b.drive.telemetry().state.value == "armed"
+        assert b.device.ledger.session == b.drive._host.conversation.session  # type: ignore[union-attr]
+
+
+def test_where_nobody_answers_it_says_so() -> None:
+    master, slave = os.openpty()
+    tty.setraw(slave)
+    with pytest.raises(DriveError, match="no answer"):
+        command(["--serial", os.ttyname(slave)])
+    os.close(slave)
+    os.close(master)
+    with pytest.raises(InputError, match="expected INTERFACE:CHANNEL"):
+        command(["--can", "can0"])
+
+
+def test_links_of_this_machine_leave_out_what_is_no_bus() -> None:
+    names = [link.text for link in links_of_this_machine(115200, 500_000, False)]
+    assert len(names) == len(set(names))
+    assert not [name for name in names if name.startswith(("serial:", "virtual:"))]
+
+
+def test_importing_it_imports_no_link_library() -> None:
+    modules = "plugins.commands.probe._command, plugins.drives.can, plugins.drives.serial"
+    code = f"import sys, {modules}; print([m for m in ('can', 'serial', 'yaml', 'asammdf') if m in sys.modules])"
+    told = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert told.stdout.strip() == "[]"
