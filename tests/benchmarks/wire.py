@@ -19,7 +19,7 @@ from plugins.drives._link import Host, Link, Port
 from plugins.drives._link._reading import read_whole
 from plugins.drives.can._port import CanPort
 from plugins.drives.serial._port import SerialPort
-from plugins.drives.wire import (
+from plugins.wire import (
     CAN_FD,
     Answer,
     BlockLayout,

@@ -18,7 +18,7 @@ def main(words: list[str]) -> None:
         atheris: Any = import_module("atheris")
     except ImportError:
         sys.exit("fuzzing needs atheris: pip install atheris, in an environment of its own")
-    with atheris.instrument_imports(include=["plugins.drives.wire"]):
+    with atheris.instrument_imports(include=["plugins.wire"]):
         from tests.fuzz.targets import one_input
     atheris.Setup(words, one_input)
     atheris.Fuzz()

@@ -11,7 +11,7 @@ import struct
 from collections.abc import Callable
 from typing import Any
 
-from plugins.drives.wire import (
+from plugins.wire import (
     CAN_FD,
     CLASSIC,
     AckStatus,
@@ -41,7 +41,7 @@ from plugins.drives.wire import (
     serial_blocks,
     to_serial,
 )
-from plugins.drives.wire._dbc import layouts
+from plugins.wire._dbc import layouts
 from protocols import Capabilities, FluxbenchError
 from tests.fuzz.choices import Choices
 from tests.fuzz.upload import Upload, Wrong, pattern

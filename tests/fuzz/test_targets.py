@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import pytest
 
-from plugins.drives.wire import CAN_FD, CLASSIC, CaptureAssembly, Frame, ReadBlock, SerialDecoder, serial_blocks
+from plugins.wire import CAN_FD, CLASSIC, CaptureAssembly, Frame, ReadBlock, SerialDecoder, serial_blocks
 from protocols import DriveFault
 from tests.fuzz.choices import Choices
 from tests.fuzz.targets import TARGETS, one_input

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from zlib import crc32
 
-from plugins.drives.wire import (
+from plugins.wire import (
     Ack,
     AckStatus,
     Answer,

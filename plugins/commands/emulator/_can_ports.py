@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from plugins.commands.emulator._ports import PtyPort, Unit
-from plugins.drives.wire import CAN_FD, CLASSIC, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
+from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
 from protocols import InputError
 
 _FRAMES_EACH = 256

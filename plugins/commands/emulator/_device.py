@@ -16,7 +16,7 @@ from plugins.commands.emulator._programs import RIPPLE_RATE_HZ, DeviceSettings, 
 from plugins.commands.emulator._telemetry import Telemetry
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
-from plugins.drives.wire import (
+from plugins.wire import (
     DESCRIPTION,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,

@@ -14,7 +14,7 @@ from plugins.commands.emulator._device import Device
 from plugins.commands.emulator._line import NO_LOSSES, Losses, Lossy, Outbox
 from plugins.commands.emulator._log import Log
 from plugins.commands.emulator._ports import Port
-from plugins.drives.wire import Frame
+from plugins.wire import Frame
 
 _BACKLOG_WAIT_S = 1e-3
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Generic, TypeVar
 
 from plugins.commands.emulator._ports import Port, Unit
-from plugins.drives.wire import Frame
+from plugins.wire import Frame
 
 T = TypeVar("T")
 

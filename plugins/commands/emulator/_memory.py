@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from plugins.drives.simulated.rig import Step
-from plugins.drives.wire import (
+from plugins.wire import (
     RIPPLE,
     CaptureSource,
     Channel,

@@ -12,7 +12,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
-from plugins.drives.wire import BlockLayout, Frame, SerialDecoder, serial_blocks, to_serial
+from plugins.wire import BlockLayout, Frame, SerialDecoder, serial_blocks, to_serial
 from protocols import InputError
 
 Unit = Frame | bytes

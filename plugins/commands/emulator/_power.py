@@ -13,7 +13,7 @@ import numpy as np
 from plugins.commands.emulator._log import Log
 from plugins.commands.emulator._memory import Capture
 from plugins.drives.simulated.rig import Rig, Step, Tripped, is_ramp
-from plugins.drives.wire import Fault, Heartbeat, Message, Phase, PowerState, Watchdog
+from plugins.wire import Fault, Heartbeat, Message, Phase, PowerState, Watchdog
 from protocols import Excitation, GatesOff, Limits
 
 _STEP_S, _IDLE_STEP_S, _FREE_STEP_S = 2.5e-3, 2e-2, 5e-2

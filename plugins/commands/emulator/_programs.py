@@ -7,7 +7,7 @@ from pathlib import Path
 
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Rig
-from plugins.drives.wire import (
+from plugins.wire import (
     LAST_CAPTURE,
     AckStatus,
     Capability,

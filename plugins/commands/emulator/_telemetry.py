@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from plugins.drives.wire import Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
+from plugins.wire import Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
 
 PROGRESS_S = 0.1
 TICK_S = 1.0

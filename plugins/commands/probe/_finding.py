@@ -11,7 +11,7 @@ from typing import Any
 
 from plugins.drives._link import Host, Link, Port, link_errors
 from plugins.drives._link._host import fault_names
-from plugins.drives.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
+from plugins.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
 from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 
 ANSWER_S = 0.4

@@ -14,7 +14,7 @@ from plugins.drives._link._host import Host
 from plugins.drives._link._machine import Machine
 from plugins.drives._link._raw import bus_voltage
 from plugins.drives._link._reading import Reader
-from plugins.drives.wire import (
+from plugins.wire import (
     RIPPLE,
     DriveFacts,
     RippleD,

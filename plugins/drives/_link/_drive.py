@@ -17,7 +17,7 @@ from plugins.drives._link._machine import Machine
 from plugins.drives._link._options import LinkOptions
 from plugins.drives._link._port import Port
 from plugins.drives._link._running import Program
-from plugins.drives.wire import (
+from plugins.wire import (
     Ack,
     AckStatus,
     Capability,

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 
 from plugins.drives._link._link import Link
 from plugins.drives._link._reading import read_whole
-from plugins.drives.wire import (
+from plugins.wire import (
     DESCRIPTION,
     PROTOCOL_MAJOR,
     Ack,

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from plugins.drives._link._clock import AttentiveClock
 from plugins.drives._link._errors import link_errors
 from plugins.drives._link._port import Port
-from plugins.drives.wire import (
+from plugins.wire import (
     STALE_PERIODS,
     Ack,
     BlockLayout,

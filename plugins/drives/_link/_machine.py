@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from plugins.drives.wire import VECTORS, BlockLayout, Channel, DriveFacts
+from plugins.wire import VECTORS, BlockLayout, Channel, DriveFacts
 from protocols import Capabilities, Capture
 
 

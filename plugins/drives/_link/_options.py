@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from plugins.drives.wire import TELEMETRY_S
+from plugins.wire import TELEMETRY_S
 from protocols import Strict
 
 Seconds = Annotated[float, Field(gt=0.0)]

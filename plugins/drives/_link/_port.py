@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Protocol
 
-from plugins.drives.wire import BlockLayout, Frame
+from plugins.wire import BlockLayout, Frame
 
 
 class Port(Protocol):

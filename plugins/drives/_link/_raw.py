@@ -9,7 +9,7 @@ import numpy as np
 from plugins.drives._link._host import Host
 from plugins.drives._link._machine import Machine
 from plugins.drives._link._reading import Reader
-from plugins.drives.wire import CaptureFormat, Channel, RowFormat
+from plugins.wire import CaptureFormat, Channel, RowFormat
 from protocols import Capture, DriveFault, FaultCause
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from plugins.drives._link._clock import AttentiveClock
-from plugins.drives.wire import BlockLayout, CaptureAssembly
+from plugins.wire import BlockLayout, CaptureAssembly
 from protocols import DriveFault, FaultCause
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from plugins.drives._link._demodulated import RippleRead, ripple_periods
 from plugins.drives._link._host import Host
 from plugins.drives._link._machine import Machine, Rows, SecondsOfTick
 from plugins.drives._link._raw import RawRead
-from plugins.drives.wire import (
+from plugins.wire import (
     Channel,
     Op,
     Phase,

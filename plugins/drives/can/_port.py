@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
-from plugins.drives.wire import CAN_FD, CLASSIC, BlockLayout, Frame, from_bus, heard_by_host, on_bus
+from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, from_bus, heard_by_host, on_bus
 from protocols import InputError
 
 if TYPE_CHECKING:

@@ -1,4 +1,4 @@
-"""The drive `can`: the drive protocol on a CAN bus, by python-can. The protocol itself is next door."""
+"""The drive `can`: the drive protocol on a CAN bus, by python-can. The protocol itself is in `plugins/wire`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Annotated, ClassVar
 from pydantic import BaseModel, Field
 
 from plugins.drives._link import LinkDrive, LinkOptions, Port
-from plugins.drives.wire import NODES
+from plugins.wire import NODES
 from protocols import DriveSetup
 
 BitRate = Annotated[int, Field(ge=10_000)]

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
-from plugins.drives.wire import BlockLayout, Frame, SerialDecoder, all_to_serial, serial_blocks
+from plugins.wire import BlockLayout, Frame, SerialDecoder, all_to_serial, serial_blocks
 from protocols import InputError
 
 _READ_BYTES = 65536

@@ -1,4 +1,4 @@
-"""The drive `serial`: the drive protocol on a serial line. The protocol itself is next door."""
+"""The drive `serial`: the drive protocol on a serial line. The protocol itself is in `plugins/wire`."""
 
 from __future__ import annotations
 

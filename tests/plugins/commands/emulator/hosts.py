@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from plugins.drives.wire import (
+from plugins.wire import (
     HEARTBEAT_S,
     PROTOCOL_MAJOR,
     Ack,
@@ -46,7 +46,7 @@ from plugins.drives.wire import (
     to_serial,
     upload,
 )
-from plugins.drives.wire import VECTORS as DEFAULT_CHANNELS
+from plugins.wire import VECTORS as DEFAULT_CHANNELS
 from protocols import Excitation, Limits
 
 FS = 10_000.0

@@ -8,7 +8,7 @@ import time
 import can
 import pytest
 
-from plugins.drives.wire import TELEMETRY_S, frame_id
+from plugins.wire import TELEMETRY_S, frame_id
 from protocols import Injection, Limits
 from tests.plugins.commands.emulator.buses import connected, emulated
 from tests.plugins.drives._link.bench import beating

@@ -11,7 +11,7 @@ import pytest
 
 from plugins.commands.emulator import Device, DeviceSettings
 from plugins.drives.simulated import SimulatedOptions
-from plugins.drives.wire import (
+from plugins.wire import (
     CLASSIC,
     HEARTBEAT_S,
     PROTOCOL_MAJOR,

@@ -18,7 +18,7 @@ from orchestrator.config import load_procedure
 from plugins.commands.emulator._ports import PtyPort
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
-from plugins.drives.wire import (
+from plugins.wire import (
     CAN_FD,
     CLASSIC,
     DESCRIPTION,

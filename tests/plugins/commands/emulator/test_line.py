@@ -9,7 +9,7 @@ import pytest
 
 from plugins.commands.emulator._line import Losses, Lossy, Outbox
 from plugins.commands.emulator._ports import Unit
-from plugins.drives.wire import CLASSIC, BlockLayout, Frame, SerialDecoder, to_serial
+from plugins.wire import CLASSIC, BlockLayout, Frame, SerialDecoder, to_serial
 
 
 class Sink:

@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Step, Stretch
-from plugins.drives.wire import RIPPLE, CaptureFormat, Channel, ReadBlock, RippleGrid, RowFormat, Scales, demodulate
-from plugins.drives.wire import serial_blocks as blocks
+from plugins.wire import RIPPLE, CaptureFormat, Channel, ReadBlock, RippleGrid, RowFormat, Scales, demodulate
+from plugins.wire import serial_blocks as blocks
 
 SCALES = Scales.spanning(10.0, 200.0, 400.0, 5.0)
 

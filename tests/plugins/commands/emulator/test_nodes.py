@@ -15,7 +15,7 @@ import pytest
 from plugins.commands.emulator import Device
 from plugins.commands.probe._command import command
 from plugins.drives.can import CanDrive
-from plugins.drives.wire import Fault, PowerState, frame_id, on_bus
+from plugins.wire import Fault, PowerState, frame_id, on_bus
 from protocols import DriveFault, DriveState, FaultCause, Hold, Limits
 from tests.plugins.commands.emulator.buses import WATCHDOG_S, connected, emulated
 from tests.plugins.drives._link.bench import beating

@@ -12,7 +12,7 @@ import pytest
 
 from plugins.commands.probe import links_of_this_machine
 from plugins.commands.probe._command import command
-from plugins.drives.wire import Fault, ParameterRead, PowerState, ReadBlock
+from plugins.wire import Fault, ParameterRead, PowerState, ReadBlock
 from protocols import DriveError, InputError
 from tests.plugins.drives._link.bench import armed
 from tests.plugins.drives._link.device import on_a_bus, on_a_pty

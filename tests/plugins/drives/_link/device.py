@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from plugins.drives.wire import (
+from plugins.wire import (
     CAN_FD,
     CLASSIC,
     DESCRIPTION,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from plugins.drives._link._demodulated import ripple_periods
-from plugins.drives.wire import Capability, Channel, DriveFacts, RippleD, Scales
+from plugins.wire import Capability, Channel, DriveFacts, RippleD, Scales
 from protocols import DriveFault, DriveRefused, FaultCause, Hold
 from tests.plugins.drives._link.bench import LINKS, armed, taken
 from tests.plugins.drives._link.device import FS, Script, waveforms

@@ -8,7 +8,7 @@ import time
 import numpy as np
 import pytest
 
-from plugins.drives.wire import (
+from plugins.wire import (
     PROTOCOL_MAJOR,
     Ack,
     AckStatus,

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import pytest
 
 from plugins.drives._link._link import Link
-from plugins.drives.wire import (
+from plugins.wire import (
     CLASSIC,
     Ack,
     AckStatus,

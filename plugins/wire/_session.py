@@ -10,8 +10,8 @@ import secrets
 from collections import deque
 from enum import Enum
 
-from plugins.drives.wire._codec import single
-from plugins.drives.wire._messages import (
+from plugins.wire._codec import single
+from plugins.wire._messages import (
     STALE_PERIODS,
     Ack,
     Command,

@@ -14,9 +14,9 @@ from zlib import crc32
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.drives.wire._blocks import LONGEST_CAPTURE, WINDOWS, BlockLayout
-from plugins.drives.wire._codec import Frame, decode, frame_id
-from plugins.drives.wire._messages import Ack, AckStatus, BulkEnd, Op, ReadBlock
+from plugins.wire._blocks import LONGEST_CAPTURE, WINDOWS, BlockLayout
+from plugins.wire._codec import Frame, decode, frame_id
+from plugins.wire._messages import Ack, AckStatus, BulkEnd, Op, ReadBlock
 from protocols import DriveFault, FaultCause, InputError
 
 _TRUSTED_WINDOWS = WINDOWS // 2

@@ -6,7 +6,7 @@ import random
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
-from plugins.drives.wire import (
+from plugins.wire import (
     Ack,
     AckStatus,
     Answer,

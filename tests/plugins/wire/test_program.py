@@ -6,7 +6,7 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from plugins.drives.wire import (
+from plugins.wire import (
     VECTORS,
     AckStatus,
     Capability,
@@ -30,7 +30,7 @@ from plugins.drives.wire import (
     register_index,
     registers,
 )
-from plugins.drives.wire._facts import shortest_decimal
+from plugins.wire._facts import shortest_decimal
 from protocols import (
     Capabilities,
     CurrentControl,

@@ -7,11 +7,11 @@ from enum import IntEnum, IntFlag
 from pathlib import Path
 
 from orchestrator.recording import replace_file
-from plugins.drives.wire._dbc import message_database
-from plugins.drives.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
-from plugins.drives.wire._program import AXES, KINDS, WAVEFORMS
-from plugins.drives.wire._registers import registers
-from plugins.drives.wire._rows import CaptureFormat, Channel
+from plugins.wire._dbc import message_database
+from plugins.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
+from plugins.wire._program import AXES, KINDS, WAVEFORMS
+from plugins.wire._registers import registers
+from plugins.wire._rows import CaptureFormat, Channel
 from protocols import InputError
 
 FILES = ("fluxbench.h", "fluxbench.c", "fluxbench_registers.h")

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 from pydantic import ValidationError
 
-from plugins.drives.wire._codec import single
-from plugins.drives.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
-from plugins.drives.wire._program import KINDS, Registers
-from plugins.drives.wire._registers import registers
-from plugins.drives.wire._rows import Channel, Scales
+from plugins.wire._codec import single
+from plugins.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
+from plugins.wire._program import KINDS, Registers
+from plugins.wire._registers import registers
+from plugins.wire._rows import Channel, Scales
 from protocols import Capabilities, DriveFault, DriveRefused, ExcitationKind, FaultCause
 
 PWM_CHOICES = 8

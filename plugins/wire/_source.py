@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 from zlib import crc32
 
-from plugins.drives.wire._blocks import BlockLayout
-from plugins.drives.wire._messages import AckStatus, BulkEnd, ReadBlock
+from plugins.wire._blocks import BlockLayout
+from plugins.wire._messages import AckStatus, BulkEnd, ReadBlock
 
 
 class Answer(NamedTuple):

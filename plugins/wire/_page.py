@@ -9,14 +9,14 @@ from enum import Enum
 from importlib.resources import files
 from typing import TYPE_CHECKING
 
-from plugins.drives.wire import _meanings as words
-from plugins.drives.wire._blocks import CAN_FD, CLASSIC, serial_blocks
-from plugins.drives.wire._dbc import message_database
-from plugins.drives.wire._facts import DriveFacts
-from plugins.drives.wire._messages import AckStatus, Capability, Fault, Op, Phase, PowerState
-from plugins.drives.wire._program import AXES, KINDS, WAVEFORMS
-from plugins.drives.wire._registers import Register, registers
-from plugins.drives.wire._rows import CaptureFormat, Channel
+from plugins.wire import _meanings as words
+from plugins.wire._blocks import CAN_FD, CLASSIC, serial_blocks
+from plugins.wire._dbc import message_database
+from plugins.wire._facts import DriveFacts
+from plugins.wire._messages import AckStatus, Capability, Fault, Op, Phase, PowerState
+from plugins.wire._program import AXES, KINDS, WAVEFORMS
+from plugins.wire._registers import Register, registers
+from plugins.wire._rows import CaptureFormat, Channel
 
 if TYPE_CHECKING:
     from cantools.database.can import Database, Message, Signal

@@ -19,16 +19,16 @@ def wire(
 ) -> int:
     """Print the page that documents the drive protocol, or write what firmware needs of it."""
     if c is not None:
-        from plugins.drives.wire._firmware import write_firmware
+        from plugins.wire._firmware import write_firmware
 
         for path in write_firmware(c):
             print(path)
     elif dbc:
-        from plugins.drives.wire._dbc import dbc_text
+        from plugins.wire._dbc import dbc_text
 
         print(dbc_text(node), end="")
     else:
-        from plugins.drives.wire._page import page
+        from plugins.wire._page import page
 
         print(page(), end="")
     return 0

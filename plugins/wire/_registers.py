@@ -9,8 +9,8 @@ from functools import cache
 from importlib.resources import files
 from typing import Literal
 
-from plugins.drives.wire._codec import single
-from plugins.drives.wire._messages import AckStatus, PowerState
+from plugins.wire._codec import single
+from plugins.wire._messages import AckStatus, PowerState
 
 
 @dataclass(frozen=True)

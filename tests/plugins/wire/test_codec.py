@@ -14,7 +14,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.wire import (
+from plugins.wire import (
     DESCRIPTION,
     LAST_CAPTURE,
     RIPPLE,
@@ -28,8 +28,8 @@ from plugins.drives.wire import (
     frame_id,
     registers,
 )
-from plugins.drives.wire._dbc import message_database
-from plugins.drives.wire._messages import MESSAGES, Message
+from plugins.wire._dbc import message_database
+from plugins.wire._messages import MESSAGES, Message
 from protocols import InputError
 
 
@@ -146,6 +146,6 @@ def test_scaled_signals_come_back_in_their_unit() -> None:
 
 def test_importing_the_protocol_imports_no_parser_of_files() -> None:
     heavy = "{'cantools', 'can', 'yaml', 'serial', 'typer'}"
-    code = f"import sys, plugins.drives.wire as wire; wire.encode(wire.EStop()); print({heavy} & set(sys.modules))"
+    code = f"import sys, plugins.wire as wire; wire.encode(wire.EStop()); print({heavy} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "set()"

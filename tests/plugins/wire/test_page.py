@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
-from plugins.drives.wire import AckStatus, Fault, Op, registers
-from plugins.drives.wire._command import command
-from plugins.drives.wire._dbc import dbc_text, layouts
-from plugins.drives.wire._page import page
+from plugins.wire import AckStatus, Fault, Op, registers
+from plugins.wire._command import command
+from plugins.wire._dbc import dbc_text, layouts
+from plugins.wire._page import page
 
-PAGE = Path(__file__).parents[4] / "docs" / "wire.md"
+PAGE = Path(__file__).parents[3] / "docs" / "wire.md"
 
 
 def test_the_page_in_docs_is_the_generated_one() -> None:

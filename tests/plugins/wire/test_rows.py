@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.wire import (
+from plugins.wire import (
     VECTORS,
     CaptureFormat,
     Channel,
@@ -20,7 +20,7 @@ from plugins.drives.wire import (
     demodulate,
     reconstruct,
 )
-from plugins.drives.wire._ripple import RIPPLE_ROW_BYTES, Waveform, unit_ripple, unit_wave
+from plugins.wire._ripple import RIPPLE_ROW_BYTES, Waveform, unit_ripple, unit_wave
 from protocols import DriveFault, InputError
 
 SCALES = Scales.spanning(12.0, 600.0, 800.0, 1.0)

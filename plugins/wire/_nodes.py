@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from plugins.drives.wire._codec import frame_id
+from plugins.wire._codec import frame_id
 
 if TYPE_CHECKING:
     from can.typechecking import CanFilter

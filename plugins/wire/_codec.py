@@ -8,8 +8,8 @@ from enum import IntEnum
 from functools import cache
 from typing import NamedTuple, get_type_hints
 
-from plugins.drives.wire._dbc import MessageLayout, SignalLayout, layouts
-from plugins.drives.wire._messages import MESSAGES, EStop, Message
+from plugins.wire._dbc import MessageLayout, SignalLayout, layouts
+from plugins.wire._messages import MESSAGES, EStop, Message
 from protocols import InputError
 
 

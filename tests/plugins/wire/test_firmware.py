@@ -11,12 +11,12 @@ from pathlib import Path
 
 import pytest
 
-from plugins.drives.wire import registers
-from plugins.drives.wire._command import command
-from plugins.drives.wire._dbc import layouts
-from plugins.drives.wire._firmware import FILES, write_firmware
+from plugins.wire import registers
+from plugins.wire._command import command
+from plugins.wire._dbc import layouts
+from plugins.wire._firmware import FILES, write_firmware
 from protocols import InputError, StorageError
-from tests.plugins.drives.wire.test_codec import database, random_payload
+from tests.plugins.wire.test_codec import database, random_payload
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-Werror")
 ROUND_TRIPS = 2000

@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.drives.wire._codec import frame_id
+from plugins.wire._codec import frame_id
 from protocols import InputError
 
 Bytes = NDArray[np.uint8]

@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.wire import Frame, SerialDecoder, all_to_serial, to_serial
-from plugins.drives.wire._framing import LONGEST_PAYLOAD
+from plugins.wire import Frame, SerialDecoder, all_to_serial, to_serial
+from plugins.wire._framing import LONGEST_PAYLOAD
 
 frames = st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=600))
 

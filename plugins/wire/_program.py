@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import get_args
 
-from plugins.drives.wire._messages import Fault
-from plugins.drives.wire._rows import CaptureFormat, Channel
+from plugins.wire._messages import Fault
+from plugins.wire._rows import CaptureFormat, Channel
 from protocols import (
     CurrentControl,
     DriveFault,

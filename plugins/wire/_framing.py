@@ -13,7 +13,7 @@ from zlib import crc32
 
 from cobs import cobs
 
-from plugins.drives.wire._codec import Frame
+from plugins.wire._codec import Frame
 
 LONGEST_PAYLOAD = 4096
 _LONGEST_CODED = (2 + LONGEST_PAYLOAD + 4) * 255 // 254 + 2

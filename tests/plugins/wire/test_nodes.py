@@ -7,8 +7,8 @@ import itertools
 import can
 import pytest
 
-from plugins.drives.wire import NODES, frame_id, from_bus, heard_by_drive, heard_by_host, on_bus
-from plugins.drives.wire._dbc import dbc_text, layouts, message_database
+from plugins.wire import NODES, frame_id, from_bus, heard_by_drive, heard_by_host, on_bus
+from plugins.wire._dbc import dbc_text, layouts, message_database
 
 LOWEST_OF_DRIVES = frame_id("Status")
 ESTOP = frame_id("EStop")

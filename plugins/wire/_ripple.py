@@ -16,7 +16,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.drives.wire._rows import Scales
+from plugins.wire._rows import Scales
 
 Real = NDArray[np.floating[Any]]
 Waveform = Literal["square", "sine"]

@@ -1,17 +1,17 @@
 """The drive protocol: messages, framing, registers, captures. Shared by both ends; opens no link itself."""
 
-from plugins.drives.wire._assembly import CaptureAssembly, upload
-from plugins.drives.wire._blocks import CAN_FD, CLASSIC, DESCRIPTION, LAST_CAPTURE, RIPPLE, BlockLayout, serial_blocks
-from plugins.drives.wire._codec import Frame, decode, encode, frame_id, single
-from plugins.drives.wire._facts import (
+from plugins.wire._assembly import CaptureAssembly, upload
+from plugins.wire._blocks import CAN_FD, CLASSIC, DESCRIPTION, LAST_CAPTURE, RIPPLE, BlockLayout, serial_blocks
+from plugins.wire._codec import Frame, decode, encode, frame_id, single
+from plugins.wire._facts import (
     DriveFacts,
     capabilities_of,
     capability_registers,
     facts_of,
     parse_description,
 )
-from plugins.drives.wire._framing import SerialDecoder, all_to_serial, to_serial
-from plugins.drives.wire._messages import (
+from plugins.wire._framing import SerialDecoder, all_to_serial, to_serial
+from plugins.wire._messages import (
     HEARTBEAT_S,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
@@ -43,8 +43,8 @@ from plugins.drives.wire._messages import (
     StopReason,
     Tick,
 )
-from plugins.drives.wire._nodes import NODES, from_bus, heard_by_drive, heard_by_host, on_bus
-from plugins.drives.wire._program import (
+from plugins.wire._nodes import NODES, from_bus, heard_by_drive, heard_by_host, on_bus
+from plugins.wire._program import (
     capture_registers,
     drive_fault,
     limit_registers,
@@ -53,10 +53,10 @@ from plugins.drives.wire._program import (
     program_of,
     program_registers,
 )
-from plugins.drives.wire._registers import Register, RegisterFile, register_index, register_name, registers
-from plugins.drives.wire._ripple import RippleGrid, RippleRows, demodulate, reconstruct
-from plugins.drives.wire._rows import VECTORS, CaptureFormat, Channel, RowFormat, Scales
-from plugins.drives.wire._session import (
+from plugins.wire._registers import Register, RegisterFile, register_index, register_name, registers
+from plugins.wire._ripple import RippleGrid, RippleRows, demodulate, reconstruct
+from plugins.wire._rows import VECTORS, CaptureFormat, Channel, RowFormat, Scales
+from plugins.wire._session import (
     Conversation,
     Ledger,
     TelemetryGate,
@@ -66,7 +66,7 @@ from plugins.drives.wire._session import (
     answers,
     newer,
 )
-from plugins.drives.wire._source import Answer, CaptureSource
+from plugins.wire._source import Answer, CaptureSource
 
 __all__ = [
     "CAN_FD",

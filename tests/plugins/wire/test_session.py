@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.wire import (
+from plugins.wire import (
     Ack,
     AckStatus,
     Command,
@@ -31,7 +31,7 @@ from plugins.drives.wire import (
     newer,
 )
 from protocols import InputError
-from tests.plugins.drives.wire.lossy import Lossy
+from tests.plugins.wire.lossy import Lossy
 
 
 def ack(command: Command, value: int = 0) -> Ack:

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from plugins.drives.wire import (
+from plugins.wire import (
     CAN_FD,
     CLASSIC,
     Answer,
@@ -31,7 +31,7 @@ from plugins.drives.wire import (
     upload,
 )
 from protocols import DriveFault, FaultCause, InputError
-from tests.plugins.drives.wire.lossy import Device, Lossy
+from tests.plugins.wire.lossy import Device, Lossy
 
 SERIAL = serial_blocks(1020)
 LAYOUTS = [CLASSIC, CAN_FD, SERIAL]

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.drives.wire import (
+from plugins.wire import (
     AckStatus,
     Capability,
     CaptureFormat,
@@ -21,7 +21,7 @@ from plugins.drives.wire import (
     registers,
     single,
 )
-from plugins.drives.wire._program import AXES, KINDS, WAVEFORMS
+from plugins.wire._program import AXES, KINDS, WAVEFORMS
 
 LIMIT = register_index("limit_current_a")
 TARGET = register_index("current_d_a")
