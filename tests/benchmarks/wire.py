@@ -15,10 +15,10 @@ import numpy as np
 
 from plugins.commands.emulator._can_ports import CanPort as EmulatedPort
 from plugins.commands.emulator._line import NO_LOSSES, Lossy, Outbox
-from plugins.drives._link import Host, Link, Port
-from plugins.drives._link._reading import read_whole
 from plugins.drives.can._port import CanPort
 from plugins.drives.serial._port import SerialPort
+from plugins.link import Host, Link, Port
+from plugins.link._reading import read_whole
 from plugins.wire import (
     CAN_FD,
     Answer,

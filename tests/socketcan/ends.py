@@ -15,7 +15,7 @@ from typing import Any
 from plugins.commands.emulator._can_ports import CanPort as DevicePort
 from plugins.drives.can._port import CanPort
 from plugins.wire import CaptureSource, Frame, ReadBlock, decode
-from tests.plugins.drives._link.device import Device, Script
+from tests.plugins.link.device import Device, Script
 from tests.plugins.wire.lossy import Device as CaptureDevice
 from tests.plugins.wire.lossy import Lossy
 from tests.socketcan.buses import is_fd

@@ -12,8 +12,8 @@ import pytest
 
 from plugins.drives.can import CanDrive, CanOptions
 from protocols import DriveFault, DriveSetup, FaultCause, Hold, Motor
-from tests.plugins.drives._link.bench import LIMITS, beating, taken
-from tests.plugins.drives._link.device import waveforms
+from tests.plugins.link.bench import LIMITS, beating, taken
+from tests.plugins.link.device import waveforms
 from tests.socketcan.buses import BUS_OFF, BUSES, ERRORS, down, is_fd, report_error
 from tests.socketcan.ends import WATCHDOG_S, peer, running_programs
 from tests.support.tiny import MOTOR

@@ -9,8 +9,8 @@ import can
 import numpy as np
 import pytest
 
-from plugins.drives._link import Host, Link
-from plugins.drives._link._reading import read_whole
+from plugins.link import Host, Link
+from plugins.link._reading import read_whole
 from protocols import DriveFault, FaultCause
 from tests.socketcan.buses import BUS_OFF, BUSES, ERRORS, FD_BUS, is_fd, report_error
 from tests.socketcan.ends import NUMBER, HostPort, Mix, handing_out, peer

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
-from plugins.drives._link import Host, Link, Port, link_errors
-from plugins.drives._link._host import fault_names
+from plugins.link import Host, Link, Port, link_errors
+from plugins.link._host import fault_names
 from plugins.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
 from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import BaseModel, Field
 
-from plugins.drives._link import LinkDrive, LinkOptions, Port
+from plugins.link import LinkDrive, LinkOptions, Port
 from plugins.wire import NODES
 from protocols import DriveSetup
 

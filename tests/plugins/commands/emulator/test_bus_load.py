@@ -11,7 +11,7 @@ import pytest
 from plugins.wire import TELEMETRY_S, frame_id
 from protocols import Injection, Limits
 from tests.plugins.commands.emulator.buses import connected, emulated
-from tests.plugins.drives._link.bench import beating
+from tests.plugins.link.bench import beating
 
 BIT_RATE = 1e6
 INJECTION = Injection(

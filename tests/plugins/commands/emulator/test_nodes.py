@@ -18,7 +18,7 @@ from plugins.drives.can import CanDrive
 from plugins.wire import Fault, PowerState, frame_id, on_bus
 from protocols import DriveFault, DriveState, FaultCause, Hold, Limits
 from tests.plugins.commands.emulator.buses import WATCHDOG_S, connected, emulated
-from tests.plugins.drives._link.bench import beating
+from tests.plugins.link.bench import beating
 
 LIMITS = Limits(current_a=4.0, voltage_v=150.0)
 HOLD = Hold(current_d_a=1.0, current_q_a=0.5, settle_s=0.2, duration_s=0.2)

@@ -14,8 +14,8 @@ from plugins.commands.probe import links_of_this_machine
 from plugins.commands.probe._command import command
 from plugins.wire import Fault, ParameterRead, PowerState, ReadBlock
 from protocols import DriveError, InputError
-from tests.plugins.drives._link.bench import armed
-from tests.plugins.drives._link.device import on_a_bus, on_a_pty
+from tests.plugins.link.bench import armed
+from tests.plugins.link.device import on_a_bus, on_a_pty
 
 
 def test_a_drive_on_a_serial_line_is_found_and_described(capsys: pytest.CaptureFixture[str]) -> None:

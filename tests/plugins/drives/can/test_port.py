@@ -10,9 +10,9 @@ from collections.abc import Iterator
 import can
 import pytest
 
-from plugins.drives._link import link_errors
 from plugins.drives.can import CanDrive, CanOptions
 from plugins.drives.can._port import CanPort
+from plugins.link import link_errors
 from plugins.wire import CAN_FD, CLASSIC, Frame
 from protocols import DriveFault, DriveSetup, FaultCause, InputError, Motor
 from tests.support.tiny import MOTOR

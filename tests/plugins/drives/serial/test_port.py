@@ -12,9 +12,9 @@ from collections.abc import Iterator
 import pytest
 import serial
 
-from plugins.drives._link import link_errors
 from plugins.drives.serial import SerialDrive, SerialOptions
 from plugins.drives.serial._port import SerialPort
+from plugins.link import link_errors
 from plugins.wire import Frame, SerialDecoder, to_serial
 from protocols import DriveFault, DriveSetup, FaultCause, InputError, Motor
 from tests.support.tiny import MOTOR

@@ -6,9 +6,9 @@ from zlib import crc32
 
 import numpy as np
 
-from plugins.drives._link._host import Host
-from plugins.drives._link._machine import Machine
-from plugins.drives._link._reading import Reader
+from plugins.link._host import Host
+from plugins.link._machine import Machine
+from plugins.link._reading import Reader
 from plugins.wire import CaptureFormat, Channel, RowFormat
 from protocols import Capture, DriveFault, FaultCause
 

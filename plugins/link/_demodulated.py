@@ -10,10 +10,10 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from plugins.drives._link._host import Host
-from plugins.drives._link._machine import Machine
-from plugins.drives._link._raw import bus_voltage
-from plugins.drives._link._reading import Reader
+from plugins.link._host import Host
+from plugins.link._machine import Machine
+from plugins.link._raw import bus_voltage
+from plugins.link._reading import Reader
 from plugins.wire import (
     RIPPLE,
     DriveFacts,

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plugins.drives._link._demodulated import ripple_periods
+from plugins.link._demodulated import ripple_periods
 from plugins.wire import Capability, Channel, DriveFacts, RippleD, Scales
 from protocols import DriveFault, DriveRefused, FaultCause, Hold
-from tests.plugins.drives._link.bench import LINKS, armed, taken
-from tests.plugins.drives._link.device import FS, Script, waveforms
-from tests.plugins.drives._link.test_drive import INJECTION, turned
+from tests.plugins.link.bench import LINKS, armed, taken
+from tests.plugins.link.device import FS, Script, waveforms
+from tests.plugins.link.test_drive import INJECTION, turned
 
 FACTS = DriveFacts(
     bits=Capability.RIPPLE_ON_DRIVE,

@@ -39,8 +39,8 @@ from protocols import (
     ResumableDrive,
     Trapezoid,
 )
-from tests.plugins.drives._link.bench import LIMITS, LINKS, armed, beating, bench, taken
-from tests.plugins.drives._link.device import FS, Script, waveforms
+from tests.plugins.link.bench import LIMITS, LINKS, armed, beating, bench, taken
+from tests.plugins.link.device import FS, Script, waveforms
 
 HOLD = Hold(current_d_a=1.0, current_q_a=0.5, settle_s=0.3, duration_s=1.0, rotor_angle_rad=0.4)
 INJECTION = Injection(

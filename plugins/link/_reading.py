@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from plugins.drives._link._clock import AttentiveClock
+from plugins.link._clock import AttentiveClock
 from plugins.wire import BlockLayout, CaptureAssembly
 from protocols import DriveFault, FaultCause
 
 if TYPE_CHECKING:
-    from plugins.drives._link._host import Host
+    from plugins.link._host import Host
 
 LISTEN_S = 0.02
 PATIENCE_S = 0.06

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from plugins.drives._link import LinkDrive
 from plugins.drives.can import CanDrive, CanOptions
 from plugins.drives.serial import SerialDrive, SerialOptions
+from plugins.link import LinkDrive
 from protocols import Capture, DriveSetup, Excitation, Limits, Motor
-from tests.plugins.drives._link.device import Device, Script, on_a_bus, on_a_pty
+from tests.plugins.link.device import Device, Script, on_a_bus, on_a_pty
 from tests.support.tiny import MOTOR
 
 LIMITS = Limits(current_a=4.5, voltage_v=150.0, energy_j=100.0)

@@ -10,13 +10,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 
-from plugins.drives._link._errors import link_errors
-from plugins.drives._link._host import Host, fault_names, known_fault, require_held, words
-from plugins.drives._link._link import Link
-from plugins.drives._link._machine import Machine
-from plugins.drives._link._options import LinkOptions
-from plugins.drives._link._port import Port
-from plugins.drives._link._running import Program
+from plugins.link._errors import link_errors
+from plugins.link._host import Host, fault_names, known_fault, require_held, words
+from plugins.link._link import Link
+from plugins.link._machine import Machine
+from plugins.link._options import LinkOptions
+from plugins.link._port import Port
+from plugins.link._running import Program
 from plugins.wire import (
     Ack,
     AckStatus,

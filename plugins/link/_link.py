@@ -10,9 +10,9 @@ import time
 from collections import deque
 from collections.abc import Callable, Sequence
 
-from plugins.drives._link._clock import AttentiveClock
-from plugins.drives._link._errors import link_errors
-from plugins.drives._link._port import Port
+from plugins.link._clock import AttentiveClock
+from plugins.link._errors import link_errors
+from plugins.link._port import Port
 from plugins.wire import (
     STALE_PERIODS,
     Ack,

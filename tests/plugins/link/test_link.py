@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import pytest
 
-from plugins.drives._link._link import Link
+from plugins.link._link import Link
 from plugins.wire import (
     CLASSIC,
     Ack,

@@ -7,11 +7,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from plugins.drives._link._clock import AttentiveClock
-from plugins.drives._link._demodulated import RippleRead, ripple_periods
-from plugins.drives._link._host import Host
-from plugins.drives._link._machine import Machine, Rows, SecondsOfTick
-from plugins.drives._link._raw import RawRead
+from plugins.link._clock import AttentiveClock
+from plugins.link._demodulated import RippleRead, ripple_periods
+from plugins.link._host import Host
+from plugins.link._machine import Machine, Rows, SecondsOfTick
+from plugins.link._raw import RawRead
 from plugins.wire import (
     Channel,
     Op,

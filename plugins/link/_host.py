@@ -6,8 +6,8 @@ import math
 import time
 from collections.abc import Mapping
 
-from plugins.drives._link._link import Link
-from plugins.drives._link._reading import read_whole
+from plugins.link._link import Link
+from plugins.link._reading import read_whole
 from plugins.wire import (
     DESCRIPTION,
     PROTOCOL_MAJOR,
