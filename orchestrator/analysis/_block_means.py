@@ -9,11 +9,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from orchestrator.analysis._samples import Samples, for_kernels
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 def block_means(

@@ -8,11 +8,9 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import AxisPercent, FluxMap, MapChecks
-
-Array = NDArray[np.float64]
 
 
 def rated_flux_wb(flux_map: FluxMap, rated_current_a: float | None) -> float | None:

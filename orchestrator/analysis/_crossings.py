@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._sweep import FluxPath
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 @dataclass(frozen=True)

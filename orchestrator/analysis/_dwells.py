@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import Capture
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_apart, waves
@@ -21,8 +20,7 @@ from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution, most_likely
 from orchestrator.numerics.tensor_spline import EvenSpline
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 COARSE = (12, 12)
 """Intervals of a spline, along d and over the whole of q."""

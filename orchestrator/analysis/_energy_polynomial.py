@@ -14,16 +14,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._path_errors import directions, sizes, told_apart, waves
 from orchestrator.analysis._ripple_errors import GAIN_STD
 from orchestrator.analysis._sweep import FluxPath
+from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError
 
-Array = NDArray[np.float64]
 Term = tuple[int, int]
 _State = tuple[Array, Array, Array, Array]
 

@@ -13,7 +13,6 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._energy_fit import (
     COARSE,
@@ -30,8 +29,8 @@ from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._ripple_errors import SIZE
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution
+from orchestrator.numerics.types import Array
 
-Array = NDArray[np.float64]
 Settled = tuple[EnergyProblem, Solution]
 
 _MANY = 120  # points are enough to search with

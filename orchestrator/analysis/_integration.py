@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 
 from orchestrator.analysis._ripple import Ripple
 from orchestrator.numerics.surface import TaylorSurface, require_area, triangulate
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._ripple import Ripple, demodulate
+from orchestrator.numerics.types import Array
 from protocols import Capture, LockChecked, NotMeasuredError, Segment
-
-Array = NDArray[np.float64]
 
 _TELLING = 5.0  # standard deviations by which a direction must stand out before it is believed
 _COUPLING = 0.005  # ... and how much of the mean it must be: weaker is within what sensors differ by

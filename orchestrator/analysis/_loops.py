@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 
 from orchestrator.analysis._phase_loss import PhaseLoss
 from orchestrator.analysis._sweep import SweepTrace, branch_table
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 KNOTS: Array = np.array([0.004, 0.01, 0.02, 0.03, 0.045, 0.07, 0.12, 0.25])
 """Knots of the inverter's shape in units of the largest current: dead times act below some per cent of it."""

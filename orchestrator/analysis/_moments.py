@@ -10,13 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._phase_loss_kernel import take_out
 from orchestrator.analysis._samples import Samples, for_kernels
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 FEATURES = 11
 """P (2), Q (2), second-order products of the flux ripple P - R Q (3), third-order ones (4)."""

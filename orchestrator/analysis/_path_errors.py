@@ -9,11 +9,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._sweep import FluxPath
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 WAVES = 6
 _WHITE = 0.2  # share of what does not fall with the wave's number

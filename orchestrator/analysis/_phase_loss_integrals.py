@@ -8,11 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from orchestrator.analysis._samples import Samples, for_kernels
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 def step_integrals(i_ab: Samples, knots_a: Array, sampling_s: float, block: int, blocks: int) -> Array:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from orchestrator.analysis._samples import Samples
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 @njit(cache=True, nogil=True, fastmath=True)

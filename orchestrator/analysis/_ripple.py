@@ -25,9 +25,8 @@ from numpy.typing import NDArray
 
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._symmetric import symmetric_regression
+from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
-
-Array = NDArray[np.float64]
 
 _PERIODS = 4  # a window's least; a ramp is then nearly orthogonal to the ripple
 

@@ -12,11 +12,9 @@ How much of f there is the data say; nothing here knows what a waveform is.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis._integration import Inductances
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 GAIN_STD = 4e-4
 """Of all inductances together."""

@@ -19,9 +19,8 @@ from numpy.typing import NDArray
 
 from orchestrator.analysis._dwells import Dwell, dwell, rests
 from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
-
-Array = NDArray[np.float64]
 
 _BLOCKS = 4000  # a capture is averaged down to about so many points
 _LEVELS = 61  # points of a path

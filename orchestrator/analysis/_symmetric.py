@@ -8,11 +8,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError
-
-Array = NDArray[np.float64]
 
 # The unknowns: H_11 H_12 H_22 | H_111 H_112 H_122 H_222 | four of the free matrix on Q | H_1111 .. H_2222.
 _HESSIAN, _THIRD, _FREE, _FOURTH = slice(0, 3), slice(3, 7), slice(7, 11), slice(11, 16)

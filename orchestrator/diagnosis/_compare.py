@@ -8,7 +8,6 @@ from operator import is_
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import Start
@@ -25,8 +24,6 @@ from orchestrator.diagnosis.selection.workflow import ModelChoice, first_steps, 
 from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
 from orchestrator.recording import Recording
 from protocols import Effect, SegmentStage
-
-Array = NDArray[np.float64]
 
 WORST = 8
 

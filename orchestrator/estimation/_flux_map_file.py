@@ -6,15 +6,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from orchestrator.recording import replace_file
 from protocols import FluxMap, RecordingError
 
 if TYPE_CHECKING:
     import xarray as xr
 
-Array = NDArray[np.float64]
 
 _UNITS = {"psi_d": "Wb", "psi_q": "Wb", "l_dd": "H", "l_dq": "H", "l_qq": "H"}
 _NAMES = {

@@ -7,12 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.exporting._c_tables import Axis, HeaderTables, Table, header_tables
 from orchestrator.exporting._products import Products, Written
-
-Array = NDArray[np.float64]
 
 _SCALES = {"a": "CURRENT", "wb": "FLUX", "h": "INDUCTANCE", "nm": "TORQUE", "rad": "ANGLE"}
 

@@ -6,17 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.exporting._filling import fill_smoothly
 from orchestrator.exporting._lookup import lookup_error
 from orchestrator.exporting._products import Products
 from orchestrator.exporting._saliency import saliency
 from orchestrator.exporting._torque import Trajectory, mtpa, mtpv
+from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 NODES = 33
 """At most, of each axis over current: 2 kB a table in Q15, 4 kB in float. The inverse has its own 51: 5 and 10 kB."""

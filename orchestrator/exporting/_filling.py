@@ -5,11 +5,9 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import InputError
-
-Array = NDArray[np.float64]
 
 
 def fill_smoothly(x: Array, y: Array, table: Array, where: str = "flux map") -> Array:

@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.exporting._filling import fill_smoothly
 from orchestrator.exporting._surface import MapSurface
+from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 NODES = 51
 """Of each axis of the inverse map, as the Flux-Based PMSM examples of MathWorks have it."""

@@ -16,9 +16,8 @@ from numpy.typing import NDArray
 from orchestrator.estimation import load_flux_map
 from orchestrator.exporting._numeric_files import CSV_UNITS
 from orchestrator.exporting._surface import MapSurface, require_usable
+from orchestrator.numerics.types import Array
 from protocols import FluxMap, InputError
-
-Array = NDArray[np.float64]
 
 RUN_MAP = Path("results") / "flux_map.nc"
 _DAMAGE = (

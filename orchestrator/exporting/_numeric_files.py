@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.estimation import save_flux_map
 from orchestrator.exporting._products import Products, Written
 from orchestrator.exporting._torque import Trajectory
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 CSV_UNITS = {
     "psi_d": "wb",

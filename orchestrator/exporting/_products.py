@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.exporting._inverse import InverseMap, invert
 from orchestrator.exporting._saliency import Saliency, saliency
 from orchestrator.exporting._surface import MapSurface
 from orchestrator.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+from orchestrator.numerics.types import Array
 from protocols import FluxMap, Motor
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

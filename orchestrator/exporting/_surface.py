@@ -8,10 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.exporting._filling import fill_smoothly
+from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap, InputError
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 WHERE = "flux map"
 

@@ -10,9 +10,8 @@ from numpy.typing import NDArray
 
 from orchestrator.exporting._inverse import currents_at
 from orchestrator.exporting._surface import WHERE, MapSurface
+from orchestrator.numerics.types import Array
 from protocols import FluxMap, InputError
-
-Array = NDArray[np.float64]
 
 POINTS = 41
 """Of a trajectory, unless told."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 _NODES = 24  # of a walk, straight between them
 _DECADES = (-3.0, 10.0)  # of t times what the best seen step of the walk does

@@ -13,9 +13,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 _FAINT = 1e-12  # of a free mode's largest information, for those that no datum sees
 _RANGE = (-6.0, 16.0)  # decades of t times the best seen mode's information

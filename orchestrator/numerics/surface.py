@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError
 
 if TYPE_CHECKING:
     from scipy.spatial import Delaunay
-
-Array = NDArray[np.float64]
 
 
 def triangulate(points: Array, where: str) -> Delaunay:

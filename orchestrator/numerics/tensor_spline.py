@@ -10,12 +10,12 @@ from math import comb
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
+
+from orchestrator.numerics.types import Array
 
 if TYPE_CHECKING:
     from scipy.interpolate import BSpline
 
-Array = NDArray[np.float64]
 
 _DEGREE = 5
 _ROUGHNESS_ORDER = 5

@@ -6,11 +6,9 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import RealArray
-
-Array = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True)

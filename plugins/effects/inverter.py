@@ -9,14 +9,11 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag
 from plugins.effects._phases import constant
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
-
-Array = NDArray[np.float64]
-
 
 _TABLE_STEP, _TABLE_END = 0.01, 40.0
 

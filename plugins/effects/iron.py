@@ -8,12 +8,10 @@ from typing import ClassVar
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag, lagged_steps
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
-
-Array = NDArray[np.float64]
 
 
 class EddyCurrents:

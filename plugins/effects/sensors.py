@@ -5,13 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
-import numpy as np
-from numpy.typing import NDArray
-
+from orchestrator.numerics.types import Array
 from plugins.effects._phases import constant, from_two, to_phases
 from protocols import EffectLayer, EffectParameter, Signals
-
-Array = NDArray[np.float64]
 
 
 def _shifted(signals: Signals, change: Array) -> Signals:

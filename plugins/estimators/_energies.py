@@ -6,16 +6,14 @@ from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
 from orchestrator.numerics.surface import inside_hull, require_area
+from orchestrator.numerics.types import Array
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator
 from protocols import EstimationContext, FluxMap, FluxMapEstimate, NotMeasuredError, RecordingReader
-
-Array = NDArray[np.float64]
 
 
 class Energy(Protocol):

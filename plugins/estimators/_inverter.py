@@ -13,11 +13,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 _TO_PHASES = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
 _TO_AB = 2.0 / 3.0 * _TO_PHASES.T

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 # Direction, and the longest step along it in units of the usual distance between neighbours. The diagonals of a
 # square grid are not lines of it.

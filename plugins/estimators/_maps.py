@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss
 from orchestrator.numerics.surface import current_axes
+from orchestrator.numerics.types import Array
 from protocols import FluxMap, FluxMapEstimate, Motor, RecordingReader
-
-Array = NDArray[np.float64]
 
 QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import (
     KNOTS,
@@ -30,6 +29,7 @@ from orchestrator.analysis import (
     trace_sweep,
 )
 from orchestrator.numerics.surface import SmoothSurface, inside_hull, require_area
+from orchestrator.numerics.types import Array
 from plugins.estimators._maps import SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (
     EstimationContext,
@@ -41,8 +41,6 @@ from protocols import (
     Segment,
     SegmentStage,
 )
-
-Array = NDArray[np.float64]
 
 _SMOOTHING = 1e-4  # of the surface through the paths, which disagree a little where they cross
 _THINNED = 3  # every third point of a path makes the surface

@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import EnergyFit, check_map, rated_flux_wb
+from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
 from protocols import EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader
-
-Array = NDArray[np.float64]
 
 _CORRELATED = 0.5
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import (
     NO_LOSS,
@@ -31,6 +30,7 @@ from orchestrator.analysis import (
     rated_flux_wb,
 )
 from orchestrator.numerics.surface import TaylorSurface
+from orchestrator.numerics.types import Array
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (
@@ -43,9 +43,6 @@ from protocols import (
     Segment,
     SegmentStage,
 )
-
-Array = NDArray[np.float64]
-
 
 _PROBES = 3  # points that are asked how long a transient lasts
 _SAME_FREQUENCY, _SAME_RIPPLE = 0.03, 0.2  # relative differences within one group

@@ -10,13 +10,11 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, rated_flux_wb
+from orchestrator.numerics.types import Array
 from plugins.estimators._energies import energy_measurements, gridded, pm_flux
 from protocols import EstimationContext, FluxMapEstimate, FluxPoints, RecordingReader
-
-Array = NDArray[np.float64]
 
 _ENOUGH_PERCENT = 0.5  # of the rated flux, rms, off the flexible energy
 

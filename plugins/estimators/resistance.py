@@ -8,9 +8,9 @@ from __future__ import annotations
 from typing import ClassVar, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import COPPER_PER_K, Dwell, dwell, each_capture, find_dwells, temperature_rise
+from orchestrator.numerics.types import Array
 from plugins.estimators._inverter import STRONG, VoltageFit, fit_voltage
 from protocols import (
     Capture,
@@ -22,8 +22,6 @@ from protocols import (
     Segment,
     SegmentStage,
 )
-
-Array = NDArray[np.float64]
 
 _INJECTED = 60  # of the injection's points make readings, at most
 _LONGEST_S = 1.0  # of each of them

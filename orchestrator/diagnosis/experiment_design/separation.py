@@ -17,16 +17,14 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared, _windows
+from orchestrator.numerics.types import Array
 from protocols import ParameterRole, Segment, SegmentStage, Signals
-
-Array = NDArray[np.float64]
 
 _MOST_PIECES = 36
 """Of the recording, evenly spread: what is known already need not be known to the last digit."""

@@ -8,16 +8,14 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid, linear_magnetics, on_grid
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared, believed_dq
+from orchestrator.numerics.types import Array
 from protocols import FluxMap, NotMeasuredError, SegmentStage
-
-Array = NDArray[np.float64]
 
 Baseline = Literal["linear", "saturated"]
 ROUGHNESS = 3.0

@@ -15,7 +15,6 @@ from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate, apply_effects, typical_coordinate
 from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
@@ -32,9 +31,8 @@ from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.numerics.types import Array
 from protocols import EffectLayer, ParameterRole, Signals
-
-Array = NDArray[np.float64]
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")

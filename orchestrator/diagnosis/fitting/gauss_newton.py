@@ -7,8 +7,7 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.model import Fit, Model
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 def newton_step(

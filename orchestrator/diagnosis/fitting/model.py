@@ -7,16 +7,14 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid
 from orchestrator.diagnosis.weak_form.noise import Whitener
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.numerics.types import Array
 from protocols import Signals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

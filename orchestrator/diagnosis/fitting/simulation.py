@@ -7,16 +7,14 @@ from collections.abc import Callable
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.magnetics import local_flux
 from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.numerics.types import Array
 from protocols import SegmentStage
-
-Array = NDArray[np.float64]
 
 LONGEST_S = 1.0
 """How much of each segment is simulated: many time constants, and both signs of a trapezoid."""

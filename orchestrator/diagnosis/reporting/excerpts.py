@@ -11,16 +11,15 @@ from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
+from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, Signals
 
-Array = NDArray[np.float64]
 Axis = Literal["d", "q", "dq"]
 
 MOST_POINTS = 400

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -16,8 +15,7 @@ from orchestrator.diagnosis.reporting.reports import FoundEffect, ParameterValue
 from orchestrator.diagnosis.selection.forward_search import Step
 from orchestrator.diagnosis.uncertainty.trust import coordinate_spread
 from orchestrator.diagnosis.weak_form.segments import Piece
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 DETECTED = 1.08
 """chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""

@@ -22,9 +22,8 @@ from orchestrator.diagnosis.reporting.reports import Rung
 from orchestrator.diagnosis.selection.forward_search import Step
 from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from orchestrator.numerics.types import Array
 from protocols import DiagnosisStep, ResistanceCourse, SegmentStage
-
-Array = NDArray[np.float64]
 
 MOST_ROWS = 4000
 """Rows that a step keeps."""

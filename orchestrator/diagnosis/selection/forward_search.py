@@ -11,15 +11,13 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import separable
+from orchestrator.numerics.types import Array
 from protocols import ParameterRole
-
-Array = NDArray[np.float64]
 
 LOG_EVIDENCE = 16.0
 """Least gain in log evidence (natural) for an effect to be added: chance alone reaches this once in some 1e6 tries,

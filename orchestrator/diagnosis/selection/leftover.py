@@ -11,15 +11,14 @@ from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.reports import ShapeGroup
+from orchestrator.numerics.types import Array
 from protocols import EffectLayer, EffectParameter, Signals
 
-Array = NDArray[np.float64]
 Field = Callable[[Signals, float], Array]
 """Signals and the typical current [A] -> a signal of unit size."""
 

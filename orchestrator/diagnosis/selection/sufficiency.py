@@ -8,13 +8,11 @@ from functools import wraps
 from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import HAT_S, Piece, Prepared
+from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, SegmentStage
-
-Array = NDArray[np.float64]
 
 _Reader = TypeVar("_Reader", bound=RecordingReader)
 _More = ParamSpec("_More")

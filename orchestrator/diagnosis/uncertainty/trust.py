@@ -9,15 +9,13 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SegmentStage
-
-Array = NDArray[np.float64]
 
 BLOCKS = 8
 FORM_DOUBT = 5e-4

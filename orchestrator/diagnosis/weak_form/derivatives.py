@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 _OVERLAP = 0.08
 """How far beyond its cell a polynomial is still used, in cells: splines of degree five part with its fifth power."""

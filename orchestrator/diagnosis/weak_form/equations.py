@@ -13,15 +13,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.derivatives import sum_basis
 from orchestrator.diagnosis.weak_form.magnetics import PIECES, Magnetics
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from orchestrator.numerics.types import Array
 from protocols import RealArray, Signals
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

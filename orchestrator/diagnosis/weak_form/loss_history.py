@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from protocols import LossHistory, RecordingReader, Segment, SegmentStage
-
-Array = NDArray[np.float64]
 
 _SETTLE_S = 1.0
 """How long before a capture its first current is taken to have flowed, where nothing was captured."""

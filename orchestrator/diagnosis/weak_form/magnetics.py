@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 DEGREE = 5
 _SUPPORT = DEGREE + 1

@@ -24,9 +24,8 @@ from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
 from orchestrator.diagnosis.weak_form.spectral_lines import Line, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.windows import HARMONICS, hat_weights
+from orchestrator.numerics.types import Array
 from protocols import SegmentStage
-
-Array = NDArray[np.float64]
 
 _LEAST_CORRELATION = 0.08
 """Correlations below this are within what a recording's length makes of white noise."""

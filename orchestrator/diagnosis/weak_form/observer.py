@@ -10,9 +10,8 @@ import math
 
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 _TIME_CONSTANT_S = 0.005
 

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis.weak_form.loss_history import Heated, heated, loss_history, step_of, unread_heat
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_of
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
+from orchestrator.numerics.types import Array
 from protocols import (
     LossHistory,
     Manifest,
@@ -22,8 +23,6 @@ from protocols import (
     SegmentStage,
     Signals,
 )
-
-Array = NDArray[np.float64]
 
 HAT_S = 0.010
 """Distance of the hats in trapezoids; a hat is twice as long."""

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.spectral_lines import spectrum_of
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 
 @dataclass(frozen=True)

@@ -12,9 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 LEAST_HZ = 40.0
 """Below this, current control answers to what is slow."""

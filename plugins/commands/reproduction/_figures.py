@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from plugins.commands.reproduction._material import Loop, Material
 from protocols import FluxMap, FluxMapEstimate
 
@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-Array = NDArray[np.float64]
 
 # Okabe and Ito's colours: blue and green as in the paper, vermilion for its red.
 D_COLOUR, Q_COLOUR, ZERO_COLOUR = "#0072B2", "#009E73", "#D55E00"

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.analysis import (
     KNOTS,
@@ -23,6 +22,7 @@ from orchestrator.analysis import (
 from orchestrator.engine import chosen_estimators
 from orchestrator.estimation import estimate_recording
 from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import RunDirectory
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, true_flux
@@ -36,8 +36,6 @@ from protocols import (
     Segment,
     SegmentStage,
 )
-
-Array = NDArray[np.float64]
 
 NEEDED = ("classical", "injection", "energy")
 

@@ -4,12 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.loss_history import heated, loss_history
 from orchestrator.diagnosis.weak_form.spectral_lines import added_noise, find_lines, spectrum_of
-
-Array = NDArray[np.float64]
+from orchestrator.numerics.types import Array
 
 FS = 10_000.0
 NOISE_A = 0.004

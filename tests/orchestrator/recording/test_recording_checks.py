@@ -8,12 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import Capture, DriveRecord, InputError, Manifest, Motor, Segment, SegmentStage
 
-Array = NDArray[np.float64]
 FS = 10_000.0
 
 

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
@@ -16,7 +16,6 @@ from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, Cu
 from plugins.effects.timing import CurrentFilter, VoltageDelay
 from protocols import DriveRecord, LossHistory, Motor, RealArray, Signals
 
-Array = NDArray[np.float64]
 FS = 10_000.0
 
 
