@@ -18,7 +18,7 @@ from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, p
 from orchestrator.diagnosis.reporting.reports import AddReport, CompareReport, DiagnosisReport, Words
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid, linear_magnetics
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
 
 __all__ = [
     "CROSS_SATURATION",
@@ -33,7 +33,6 @@ __all__ = [
     "ModelChoice",
     "SavedDiagnosis",
     "SavedModel",
-    "SplineGrid",
     "Words",
     "add_effects",
     "compare_recording",

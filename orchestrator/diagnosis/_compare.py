@@ -21,7 +21,8 @@ from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.leftover import map_breaks
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, first_steps, name_of
-from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
+from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording
 from protocols import Effect, SegmentStage
 
@@ -94,7 +95,7 @@ def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
 def _worst(fit: Fit, pieces: Sequence[Piece]) -> tuple[WorstSegment, ...]:
     rows = []
     for piece in pieces:
-        i_d, i_q = believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
+        i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
         rms = mean_rms_v(fit, partial(is_, piece))
         rows.append(WorstSegment(segment=piece.segment.id, i_d_a=float(i_d), i_q_a=float(i_q), rms_v=rms))
     return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:WORST])

@@ -253,8 +253,8 @@ def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
     """Saturation and cross-saturation as effects: by how much the inductances vary."""
     found = []
     grid = search.fit.model.space.grid
-    d = np.linspace(grid.d_low, grid.d_high, 25)
-    q = np.linspace(-grid.q_high, grid.q_high, 25)
+    d = np.linspace(grid.low, grid.high, 25)
+    q = np.linspace(-grid.reach, grid.reach, 25)
     here = np.stack([g.ravel() for g in np.meshgrid(d, q)], axis=1)
     inductance = search.fit.model.magnetics.flux_and_inductance(here)[1]
     mean = inductance[:, [0, 2]].mean()

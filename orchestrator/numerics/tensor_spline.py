@@ -1,70 +1,152 @@
-"""A function of two variables as a tensor product of B-splines, even in the second; knows no physics.
+"""A function of two variables as a tensor product of quintic B-splines, even in the second; knows no physics.
 
-Quintic: the size of its fifth derivatives, which are still functions, is its roughness.
+Knots are uniform, so every spline is the same piecewise polynomial (the cardinal spline, C. de Boor, "A Practical
+Guide to Splines", Springer 1978, chapter IX), and the function is one polynomial in each cell. Beyond its rectangle
+the basis is that of the cell at the edge. The size of the fifth derivatives, which are still functions, is its
+roughness.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from functools import cached_property
-from math import comb
-from typing import TYPE_CHECKING
 
 import numpy as np
+from numba import njit
+from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 
-if TYPE_CHECKING:
-    from scipy.interpolate import BSpline
+DEGREE = 5
+_SUPPORT = DEGREE + 1
 
 
-_DEGREE = 5
-_ROUGHNESS_ORDER = 5
+def _cardinal() -> Array:
+    pieces = np.zeros((_SUPPORT, _SUPPORT))
+    for r in range(_SUPPORT):
+        # Spline r of a cell is N(t + DEGREE - r), N the cardinal spline on [0, DEGREE + 1].
+        shift = DEGREE - r
+        for j in range(shift + 1):
+            factor = (-1) ** j * math.comb(_SUPPORT, j) / math.factorial(DEGREE)
+            for p in range(_SUPPORT):
+                pieces[r, p] += factor * math.comb(DEGREE, p) * float(shift - j) ** (DEGREE - p)
+    return pieces
 
 
+CARDINAL = _cardinal()
+"""The six splines that are not zero in a cell: coefficient of t^p of the r-th, t from 0 to 1 within the cell."""
+
+
+@dataclass(frozen=True)
 class EvenSpline:
     """Basis on a rectangle [low, high] x [-reach, reach], linear in `size` coefficients.
 
-    Parameters
+    Attributes
     ----------
     low, high, reach : float
     cells : (int, int)
         Intervals along the first variable, and over the whole of the second.
     """
 
-    def __init__(self, low: float, high: float, reach: float, cells: tuple[int, int]) -> None:
-        self._first = _basis(low, high, cells[0])
-        self._second = _basis(-reach, reach, cells[1])
-        n = cells[1] + _DEGREE
-        # f(y) = f(-y): the coefficients at both ends are one and the same.
-        self._fold = (np.eye(n) + np.eye(n)[::-1])[:, : (n + 1) // 2]
-        if n % 2:
-            self._fold[:, -1] *= 0.5
-        self._scale = (0.5 * (high - low), reach)
-        self._low, self._high, self._reach = low, high, reach
-        self.size = (cells[0] + _DEGREE) * self._fold.shape[1]
+    low: float
+    high: float
+    reach: float
+    cells: tuple[int, int]
+
+    @property
+    def steps(self) -> tuple[float, float]:
+        """Sides of a cell."""
+        return (self.high - self.low) / self.cells[0], 2.0 * self.reach / self.cells[1]
+
+    @property
+    def functions(self) -> tuple[int, int]:
+        """Splines along the first variable, and even functions of the second."""
+        return self.cells[0] + DEGREE, (self.cells[1] + DEGREE + 1) // 2
+
+    @property
+    def size(self) -> int:
+        """Number of coefficients; those of one spline along the first variable follow each other."""
+        return self.functions[0] * self.functions[1]
+
+    @property
+    def fold(self) -> NDArray[np.int64]:
+        """Which even function of the second variable each spline along it belongs to."""
+        full = np.arange(self.cells[1] + DEGREE)
+        return np.minimum(full, full[::-1])
+
+    @property
+    def layout(self) -> tuple[Array, NDArray[np.int64]]:
+        """What kernels take: lower end and cell's side along both variables; the cells along both, and `fold`."""
+        numbers = np.array([self.low, self.steps[0], -self.reach, self.steps[1]])
+        return numbers, np.array([*self.cells, *self.fold], dtype=np.int64)
 
     def rows(self, at: Array, along_first: int, along_second: int) -> Array:
         """The basis' mixed derivative at places of shape (m, 2), shape (m, size)."""
-        a = self._first.derivative(along_first)(at[:, 0]) if along_first else self._first(at[:, 0])
-        b = self._second.derivative(along_second)(at[:, 1]) if along_second else self._second(at[:, 1])
-        out: Array = np.einsum("mi,mj->mij", a, b @ self._fold).reshape(len(at), self.size)
+        first = self._along_first(at[:, 0], along_first)
+        second = self._along_second(at[:, 1], along_second) @ self._unfold
+        out: Array = np.einsum("mi,mj->mij", first, second).reshape(len(at), self.size)
         return out
+
+    def patches(self, coefficients: Array) -> Array:
+        """The function as polynomials: coefficients of t^m s^n, shape (*cells, 6, 6), for `derivatives_at`."""
+        full = coefficients.reshape(self.functions)[:, self.fold]
+        cells = np.lib.stride_tricks.sliding_window_view(full, (_SUPPORT, _SUPPORT))
+        return np.ascontiguousarray(np.einsum("rm,abrs,sn->abmn", CARDINAL, cells, CARDINAL, optimize=True))
+
+    def squares(self) -> tuple[Array, Array]:
+        """Coefficients of x^2 and of y^2, exactly: Greville's abscissa squared less a constant (by blossoming)."""
+
+        def square(low: float, step: float, functions: int) -> Array:
+            greville = low + step * (np.arange(functions) - (DEGREE - 1) / 2.0)
+            return np.asarray(greville**2 - step**2 * (DEGREE + 1) / 12.0, dtype=np.float64)
+
+        (nx, ny), (x_step, y_step) = self.functions, self.steps
+        x, y = square(self.low, x_step, nx), square(-self.reach, y_step, ny)
+        return np.repeat(x, ny), np.tile(y, nx)
+
+    def on(self, other: EvenSpline, coefficients: Array) -> Array:
+        """Coefficients in another basis over the same rectangle, by least squares along each variable."""
+        many = 8 * np.maximum(self.cells, other.cells)
+        x = np.linspace(self.low, self.high, many[0])
+        y = np.linspace(-self.reach, self.reach, many[1])
+        first = np.linalg.lstsq(other._along_first(x), self._along_first(x), rcond=None)[0]
+        second = np.linalg.lstsq(other._along_second(y), self._along_second(y), rcond=None)[0]
+        full = coefficients.reshape(self.functions)[:, self.fold]
+        return np.ascontiguousarray((first @ full @ second.T)[:, : other.functions[1]]).reshape(-1)
+
+    def differences(self, order: int) -> list[Array]:
+        """All mixed derivatives of one order as differences of the coefficients, (rows, size) each.
+
+        Each is multiplied by the root of how often it occurs, so that the sum of their squares does not depend on the
+        directions of the axes; the pure one along the first variable comes first.
+        """
+        (nx, _), (x_step, y_step), full = self.functions, self.steps, len(self.fold)
+        blocks = []
+        for along_y in range(order + 1):
+            along_x = order - along_y
+            if nx <= along_x or full <= along_y:
+                continue
+            first = np.diff(np.eye(nx), n=along_x, axis=0) / x_step**along_x
+            second = np.diff(np.eye(full), n=along_y, axis=0) @ self._unfold / y_step**along_y
+            blocks.append(np.asarray(math.sqrt(math.comb(order, along_y)) * np.kron(first, second), dtype=np.float64))
+        return blocks
 
     @cached_property
     def roughness(self) -> Array:
         """Matrix of the integral of all squared fifth derivatives, in units of the half ranges; (size, size)."""
-        firsts = _squares(self._first, self._low, self._high, self._scale[0])
-        seconds = _squares(self._second, -self._reach, self._reach, self._scale[1])
+        half = 0.5 * (self.high - self.low)
+        firsts = _squared_derivatives(self.cells[0], self.steps[0] / half)
+        seconds = _squared_derivatives(self.cells[1], self.steps[1] / self.reach)
         out = np.zeros((self.size, self.size))
-        for k in range(_ROUGHNESS_ORDER + 1):
-            other = self._fold.T @ seconds[_ROUGHNESS_ORDER - k] @ self._fold
-            out += comb(_ROUGHNESS_ORDER, k) * np.kron(firsts[k], other)
+        for k in range(DEGREE + 1):
+            out += math.comb(DEGREE, k) * np.kron(firsts[k], self._unfold.T @ seconds[DEGREE - k] @ self._unfold)
         return out
 
     @property
     def smooth(self) -> int:
         """Dimension of what has no roughness: even polynomials of the fourth degree."""
-        return sum(_ROUGHNESS_ORDER - k for k in range(0, _ROUGHNESS_ORDER, 2))
+        return sum(DEGREE - k for k in range(0, DEGREE, 2))
 
     @cached_property
     def modes(self) -> Array:
@@ -80,32 +162,95 @@ class EvenSpline:
         return np.concatenate([smooth, np.linalg.solve(root, rest.T).T], axis=1)
 
     def _polynomials(self) -> Array:
-        d = np.linspace(self._low, self._high, 3 * _DEGREE + len(self._first.c))
-        q = np.linspace(0.0, self._reach, 3 * _DEGREE + len(self._second.c))
+        d = np.linspace(self.low, self.high, 3 * DEGREE + self.functions[0])
+        q = np.linspace(0.0, self.reach, 3 * DEGREE + len(self.fold))
         at = np.stack(np.meshgrid(d, q, indexing="ij"), axis=-1).reshape(-1, 2)
-        x, y = (2.0 * at[:, 0] - self._low - self._high) / (self._high - self._low), at[:, 1] / self._reach
-        degrees = [(n - k, k) for n in range(_ROUGHNESS_ORDER) for k in range(0, n + 1, 2)]
+        x, y = (2.0 * at[:, 0] - self.low - self.high) / (self.high - self.low), at[:, 1] / self.reach
+        degrees = [(n - k, k) for n in range(DEGREE) for k in range(0, n + 1, 2)]
         values = np.stack([x**m * y**n for m, n in degrees], axis=1)
         return np.asarray(np.linalg.lstsq(self.rows(at, 0, 0), values, rcond=None)[0])
 
+    @cached_property
+    def _unfold(self) -> Array:
+        """The splines along the second variable from its even functions: both of a pair have one coefficient."""
+        out = np.zeros((len(self.fold), self.functions[1]))
+        out[np.arange(len(self.fold)), self.fold] = 1.0
+        return out
 
-def _basis(low: float, high: float, cells: int) -> BSpline:
-    from scipy.interpolate import BSpline
+    def _along_first(self, x: Array, order: int = 0) -> Array:
+        return _values((x - self.low) / self.steps[0], self.cells[0], order) / self.steps[0] ** order
 
-    step = (high - low) / cells
-    knots = low + step * np.arange(-_DEGREE, cells + _DEGREE + 1)
-    return BSpline(knots, np.eye(cells + _DEGREE), _DEGREE)
+    def _along_second(self, y: Array, order: int = 0) -> Array:
+        return _values((y + self.reach) / self.steps[1], self.cells[1], order) / self.steps[1] ** order
 
 
-def _squares(basis: BSpline, low: float, high: float, scale: float) -> list[Array]:
-    """Integrals of products of the m-th derivatives, m = 0 to 5, exact by Gauss' rule in each interval."""
-    nodes, weights = np.polynomial.legendre.leggauss(_DEGREE + 1)
-    edges = basis.t[(basis.t >= low - 1e-9 * scale) & (basis.t <= high + 1e-9 * scale)]
-    half = 0.5 * np.diff(edges)
-    at = (0.5 * (edges[1:] + edges[:-1]))[:, None] + half[:, None] * nodes
-    weight = (half[:, None] * weights).ravel() / scale
-    out = []
-    for m in range(_ROUGHNESS_ORDER + 1):
-        values = (basis.derivative(m) if m else basis)(at.ravel()) * scale**m
-        out.append(np.asarray((values * weight[:, None]).T @ values))
+def _values(u: Array, cells: int, order: int) -> Array:
+    """A derivative of all splines along one variable, in units of cells, shape (points, cells + DEGREE)."""
+    cell = np.clip(np.floor(u).astype(np.int64), 0, cells - 1)
+    powers = (u - cell)[:, None] ** np.arange(_SUPPORT - order)
+    falling = [math.perm(p, order) for p in range(order, _SUPPORT)]
+    out = np.zeros((len(u), cells + DEGREE))
+    np.put_along_axis(out, cell[:, None] + np.arange(_SUPPORT), powers @ (CARDINAL[:, order:] * falling).T, axis=1)
     return out
+
+
+def _squared_derivatives(cells: int, step: float) -> list[Array]:
+    """Integrals of products of the m-th derivatives, m = 0 to 5, exact by Gauss' rule in each cell."""
+    nodes, weights = np.polynomial.legendre.leggauss(_SUPPORT)
+    at = (np.arange(cells)[:, None] + 0.5 * (1.0 + nodes)).ravel()
+    weight = np.tile(0.5 * step * weights, cells)
+    each = [_values(at, cells, m) / step**m for m in range(_SUPPORT)]
+    return [np.asarray((values * weight[:, None]).T @ values) for values in each]
+
+
+@njit(cache=True, nogil=True, inline="always")
+def derivatives_at(x: float, y: float, patches: Array, numbers: Array) -> tuple[float, float, float, float, float]:
+    """f_x, f_y, f_xx, f_xy, f_yy at one place; beyond the rectangle the slopes go on linearly from its edge."""
+    u = (x - numbers[0]) / numbers[1]
+    v = (y - numbers[2]) / numbers[3]
+    m = min(max(int(u), 0), patches.shape[0] - 1)
+    n = min(max(int(v), 0), patches.shape[1] - 1)
+    s = min(max(u - m, 0.0), 1.0)
+    t = min(max(v - n, 0.0), 1.0)
+    # Horner's scheme along the first variable for f, f_y and f_yy / 2, each row of which is Horner's along the second.
+    f = 0.0
+    f_x = 0.0
+    f_xx = 0.0
+    f_y = 0.0
+    f_xy = 0.0
+    f_yy = 0.0
+    for r in range(5, -1, -1):
+        row = patches[m, n, r, 5]
+        row_y = 0.0
+        row_yy = 0.0
+        for k in range(4, -1, -1):
+            row_yy = row_yy * t + row_y
+            row_y = row_y * t + row
+            row = row * t + patches[m, n, r, k]
+        f_xx = f_xx * s + f_x
+        f_x = f_x * s + f
+        f = f * s + row
+        f_xy = f_xy * s + f_y
+        f_y = f_y * s + row_y
+        f_yy = f_yy * s + 2.0 * row_yy
+    slope_xx = 2.0 * f_xx / (numbers[1] * numbers[1])
+    slope_xy = f_xy / (numbers[1] * numbers[3])
+    slope_yy = f_yy / (numbers[3] * numbers[3])
+    beyond_x = (u - m - s) * numbers[1]
+    beyond_y = (v - n - t) * numbers[3]
+    slope_x = f_x / numbers[1] + slope_xx * beyond_x + slope_xy * beyond_y
+    slope_y = f_y / numbers[3] + slope_xy * beyond_x + slope_yy * beyond_y
+    return slope_x, slope_y, slope_xx, slope_xy, slope_yy
+
+
+@njit(cache=True, nogil=True)
+def derivatives(at: Array, patches: Array, numbers: Array) -> tuple[Array, Array]:
+    """`derivatives_at` many places (n, 2): the first (n, 2), and the second (n, 3)."""
+    n = at.shape[0]
+    slopes = np.empty((n, 2))
+    curvatures = np.empty((n, 3))
+    for k in range(n):
+        slopes[k, 0], slopes[k, 1], curvatures[k, 0], curvatures[k, 1], curvatures[k, 2] = derivatives_at(
+            at[k, 0], at[k, 1], patches, numbers
+        )
+    return slopes, curvatures

@@ -23,6 +23,7 @@ from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared, _windows
+from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, Segment, SegmentStage, Signals
 
@@ -183,12 +184,10 @@ def _piece(
     """A segment after the last one of the recording, in the frame of that one."""
     last = start.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
-    c, sine = math.cos(angle), math.sin(angle)
-    turn = np.array([[c, sine], [-sine, c]])
     n, fs = len(current), start.prepared.manifest.drive.sampling_frequency_hz
     own_pwm = start.prepared.manifest.drive.pwm_frequency_hz or fs
-    i_ab = np.ascontiguousarray(current @ turn)
-    v_ab = np.ascontiguousarray(voltage @ turn)
+    i_ab = to_ab(current, angle)
+    v_ab = to_ab(voltage, angle)
     begin = s.start_s + len(s.v_dc) / s.sampling_frequency_hz + 1.0
     segment = Segment(
         id=f"planned-{kind.value}", stage=kind, start_s=begin, samples=n, rotor_angle_rad=angle, settings=settings

@@ -12,8 +12,10 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid, linear_magnetics, on_grid
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared, believed_dq
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, smoothness_prior
+from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, NotMeasuredError, SegmentStage
 
@@ -45,8 +47,8 @@ class Start:
 def saturated_model(start: Start, intervals: int) -> Model:
     """A free map with this many spline intervals on each axis."""
     grid = _grid(start, intervals)
-    prior = grid.roughness(math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
-    space = MapSpace(grid, np.zeros(grid.coefficients), np.eye(grid.coefficients), prior)
+    prior = smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
+    space = MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
     return Model(space, linear_magnetics(grid, start.l_d_h, start.l_q_h), _resistance(start))
 
 
@@ -57,22 +59,22 @@ def linear_model(start: Start) -> Model:
     known = motor.d_inductance_h is not None and motor.q_inductance_h is not None
     linear = linear_magnetics(grid, start.l_d_h, start.l_q_h)
     if known:
-        directions = np.zeros((grid.coefficients, 0))
+        directions = np.zeros((grid.size, 0))
         space = MapSpace(grid, linear.coefficients, directions, np.zeros((0, 0)))
     else:
         d, q = linear_magnetics(grid, 1.0, 0.0).coefficients, linear_magnetics(grid, 0.0, 1.0).coefficients
-        space = MapSpace(grid, np.zeros(grid.coefficients), np.stack([d, q], axis=1), np.zeros((1, 2)))
+        space = MapSpace(grid, np.zeros(grid.size), np.stack([d, q], axis=1), np.zeros((1, 2)))
     return Model(space, linear, _resistance(start))
 
 
 def with_saturation(start: Start, model: Model) -> Model:
     """The map W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
     free = saturated_model(start, INTERVALS[0]).space
-    nd, nq = free.grid.d_functions, free.grid.q_functions
+    nd, nq = free.grid.functions
     directions = np.concatenate([np.kron(np.eye(nd), np.ones((nq, 1))), np.kron(np.ones((nd, 1)), np.eye(nq))], axis=1)
     # The constant is in both; the prior decides.
     prior = np.concatenate([free.prior @ directions, 1e-6 * np.eye(nd + nq)])
-    space = MapSpace(free.grid, np.zeros(free.grid.coefficients), directions, prior)
+    space = MapSpace(free.grid, np.zeros(free.grid.size), directions, prior)
     magnetics = linear_magnetics(free.grid, start.l_d_h, start.l_q_h)
     return Model(space, magnetics, model.r_s, model.active)
 
@@ -93,24 +95,24 @@ def given_model(start: Start, flux_map: FluxMap) -> Model:
     here = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
     psi = np.stack([np.asarray(flux_map.psi_d, float).ravel(), np.asarray(flux_map.psi_q, float).ravel()], axis=1)
     psi = psi - np.array([start.fitter.pm_flux_wb, 0.0])
-    good = np.isfinite(psi).all(axis=1) & (np.abs(here[:, 1]) <= grid.q_high)
-    good &= (here[:, 0] >= grid.d_low) & (here[:, 0] <= grid.d_high)
+    good = np.isfinite(psi).all(axis=1) & (np.abs(here[:, 1]) <= grid.reach)
+    good &= (here[:, 0] >= grid.low) & (here[:, 0] <= grid.high)
     if good.sum() < 4:
         raise NotMeasuredError(flux_map.method, "psi_d, psi_q", "the map does not cover the recording's currents")
     rows = _flux_rows(grid, here[good])
-    prior = 1e-3 * grid.roughness(math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
+    prior = 1e-3 * smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
     scale = 1.0 / (1e-4 * math.sqrt(start.l_d_h * start.l_q_h) * start.current_a)
     design = np.concatenate([rows * scale, prior])
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
-    space = MapSpace(grid, coefficients, np.zeros((grid.coefficients, 0)), np.zeros((0, 0)))
+    space = MapSpace(grid, coefficients, np.zeros((grid.size, 0)), np.zeros((0, 0)))
     return Model(space, Magnetics(grid, coefficients), _resistance(start))
 
 
-def _flux_rows(grid: SplineGrid, i_dq: Array) -> Array:
+def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
     columns = []
-    for k in range(grid.coefficients):
-        unit = np.zeros(grid.coefficients)
+    for k in range(grid.size):
+        unit = np.zeros(grid.size)
         unit[k] = 1.0
         columns.append(Magnetics(grid, unit).flux_and_inductance(i_dq)[0].T.ravel())
     return np.stack(columns, axis=1)
@@ -129,7 +131,7 @@ def with_detail(start: Start, fitter: Fitter, fit: Fit) -> Fit:
     for intervals in INTERVALS[1:]:
         finer = finer_map(start, fitter, fit, intervals)
         if finer is None:
-            if intervals > fit.model.space.grid.d_intervals:
+            if intervals > fit.model.space.grid.cells[0]:
                 break
             continue
         fit = finer
@@ -138,20 +140,20 @@ def with_detail(start: Start, fitter: Fitter, fit: Fit) -> Fit:
 
 def finer_map(start: Start, fitter: Fitter, fit: Fit, intervals: int) -> Fit | None:
     """The same model on a finer map, where that is worth its freedom; None where it is not."""
-    if intervals <= fit.model.space.grid.d_intervals:
+    if intervals <= fit.model.space.grid.cells[0]:
         return None
     space = saturated_model(start, intervals).space
-    model = replace(fit.model, space=space, magnetics=on_grid(fit.model.magnetics, space.grid))
+    model = replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
     trial = fitter.fit(model, steps=2, renewals=0)
     freed = fit.dof - trial.dof
     gain = fit.objective - trial.objective
     return trial if gain > (6.0 * max(freed, 1.0) + 30.0) * max(trial.chi2_per_dof, 1.0) else None
 
 
-def _grid(start: Start, intervals: int) -> SplineGrid:
+def _grid(start: Start, intervals: int) -> EvenSpline:
     low, high, q = start.prepared.current_range
     least = 0.05 * max(-low, high, q)
-    return SplineGrid(min(low, -least), max(high, least), max(q, least), intervals, intervals)
+    return EvenSpline(min(low, -least), max(high, least), max(q, least), (intervals, intervals))
 
 
 def _resistance(start: Start) -> float:
@@ -163,7 +165,7 @@ def _mean_resistance(pieces: Sequence[Piece]) -> float:
     drop, square = 0.0, 1e-12
     for piece in pieces:
         if piece.stage is SegmentStage.RESISTANCE:
-            v = believed_dq(piece.signals.v_ab, 0.0).mean(axis=0)
+            v = to_dq(piece.signals.v_ab, 0.0).mean(axis=0)
             i = piece.signals.i_ab.mean(axis=0)
             drop, square = drop + float(v @ i), square + float(i @ i)
     return max(drop / square, 1e-4) if drop > 0.0 else 1.0

@@ -27,10 +27,11 @@ from orchestrator.diagnosis.weak_form.equations import (
     local_map,
     voltage_and_resistance,
 )
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import EffectLayer, ParameterRole, Signals
 
@@ -83,7 +84,7 @@ class Fitter:
     threads: int = 2
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
-    _raw_basis: dict[str, tuple[SplineGrid, Array]] = field(default_factory=dict)
+    _raw_basis: dict[str, tuple[EvenSpline, Array]] = field(default_factory=dict)
 
     def fit(
         self, model: Model, frame: Frame | None = None, *, steps: int = 8, renewals: int = 2, tolerance: float = 1e-4

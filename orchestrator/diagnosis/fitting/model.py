@@ -10,9 +10,10 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.weak_form.equations import LocalMap
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics, SplineGrid
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import Whitener
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Signals
 
@@ -23,14 +24,14 @@ class MapSpace:
 
     Attributes
     ----------
-    grid : SplineGrid
+    grid : EvenSpline
     origin : array, shape (coefficients,)
     directions : array, shape (coefficients, free)
     prior : array, shape (rows, free)
         Rows of a unit-variance prior on the free numbers.
     """
 
-    grid: SplineGrid
+    grid: EvenSpline
     origin: Array
     directions: Array
     prior: Array

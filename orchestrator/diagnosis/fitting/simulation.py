@@ -11,8 +11,8 @@ from numba import njit
 from orchestrator.diagnosis.fitting.candidates import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.equations import true_frame
-from orchestrator.diagnosis.weak_form.magnetics import local_flux
 from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
@@ -46,7 +46,7 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
         numbers,
         1.0 / piece.signals.sampling_frequency_hz,
         0.2 * float(np.median(fit.frame.pieces[index].here.inductance[:, [0, 2]])),
-        np.array([grid.d_low, grid.d_high, grid.q_high]),
+        np.array([grid.low, grid.high, grid.reach]),
     )
     return predicted, i_dq[:n]
 
@@ -95,7 +95,7 @@ def _simulate(
         i_q = min(max(i_q, -reach), reach)
         edge_d = min(max(i_d, box[0]), box[1])
         edge_q = min(max(i_q, -box[2]), box[2])
-        pd, pq, ldd, ldq, lqq = local_flux(edge_d, edge_q, patches, numbers)
+        pd, pq, ldd, ldq, lqq = derivatives_at(edge_d, edge_q, patches, numbers)
         det = ldd * lqq - ldq * ldq
         if ldd < least or lqq < least or det < 0.25 * ldd * lqq:
             # A map that is not convex here has no current to a flux; it is held up by a part of the usual inductance.

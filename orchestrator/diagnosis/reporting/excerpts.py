@@ -16,7 +16,8 @@ from orchestrator.diagnosis.fitting.candidates import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.weak_form.equations import true_frame
-from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
+from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, Signals
 
@@ -72,7 +73,7 @@ def ripple_pair(pieces: Sequence[Piece]) -> tuple[int, ...]:
 
 
 def _mean_current(piece: Piece) -> Array:
-    return np.asarray(believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0))
+    return np.asarray(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0))
 
 
 def _amplitude(piece: Piece) -> float:
@@ -97,7 +98,7 @@ def _ripple_excerpt(fit: Fit, index: int) -> CurrentExcerpt | None:
     stop = min(n, settled + turn + shown)
     if stop < settled + 2 * shown:
         return None
-    v_d = believed_dq(piece.signals.v_ab[:stop], piece.segment.rotor_angle_rad)[:, 0]
+    v_d = to_dq(piece.signals.v_ab[:stop], piece.segment.rotor_angle_rad)[:, 0]
     first = settled + _push(v_d[settled:], round(period / 2), shown)
     predicted, measured = _currents(fit, index, first + shown)
     return _excerpt(piece, measured[first:], predicted[first:], 1, _amplitude(piece))
@@ -150,16 +151,13 @@ def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
     predicted, corrected = simulated_current(fit, index, samples)
     signals = apply_effects(fit.frame.pieces[index].base, fit.model.active)
     _, delta = true_frame(piece, signals)
-    measured = believed_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
-    return measured + _turned_back(predicted - corrected, delta), measured
+    measured = to_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
+    return measured + _believed(predicted - corrected, delta), measured
 
 
-def _turned_back(x: Array, delta: Array) -> Array:
+def _believed(x_dq: Array, delta: Array) -> Array:
     """From the true frame to the believed one; `delta` is empty where they are the same."""
-    if not delta.size:
-        return x
-    c, s = np.cos(delta[: len(x)]), np.sin(delta[: len(x)])
-    return np.stack([c * x[:, 0] - s * x[:, 1], s * x[:, 0] + c * x[:, 1]], axis=1)
+    return to_ab(x_dq, delta[: len(x_dq)]) if delta.size else x_dq
 
 
 def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
@@ -172,10 +170,10 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     last = slice(len(i_true) - _period(piece), len(i_true))
     magnet = np.array([_magnet_wb(piece), 0.0])
     psi, _ = fit.model.magnetics.flux_and_inductance(i_true[last])
-    model = _turned_back(psi + magnet, delta[last])
+    model = _believed(psi + magnet, delta[last])
     measured = _integral(corrected, fit.model.r_s / float(kept.base.resistance_ohm[0]), last, ts)
-    measured = believed_dq(measured, piece.segment.rotor_angle_rad)
-    i_dq = believed_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
+    measured = to_dq(measured, piece.segment.rotor_angle_rad)
+    i_dq = to_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
     stride = math.ceil(len(i_dq) / MOST_POINTS)
     return FluxLoop(
         segment=piece.segment.id,
@@ -201,7 +199,7 @@ def _integral(signals: Signals, factor: float, part: slice, ts: float) -> Array:
 
 def _swept(piece: Piece) -> tuple[Axis, float]:
     """The axis that a sweep moves, and the size of the current that it holds on the other."""
-    i_dq = believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)
+    i_dq = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)
     spread = np.ptp(i_dq, axis=0)
     if spread.min() > 0.5 * spread.max():
         return "dq", 0.0

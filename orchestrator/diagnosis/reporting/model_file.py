@@ -46,11 +46,11 @@ def saved_map(model: Model) -> SavedMap:
     """A model's magnetics as they are kept."""
     g = model.space.grid
     return SavedMap(
-        d_low_a=g.d_low,
-        d_high_a=g.d_high,
-        q_high_a=g.q_high,
-        d_intervals=g.d_intervals,
-        q_intervals=g.q_intervals,
+        d_low_a=g.low,
+        d_high_a=g.high,
+        q_high_a=g.reach,
+        d_intervals=g.cells[0],
+        q_intervals=g.cells[1],
         coefficients_j=tuple(float(c) for c in model.magnetics.coefficients),
     )
 

@@ -20,8 +20,9 @@ from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
 from orchestrator.diagnosis.reporting.reports import Rung
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.weak_form.segments import Piece, believed_dq
+from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import DiagnosisStep, ResistanceCourse, SegmentStage
 
@@ -130,7 +131,7 @@ class _Rows:
 
     @property
     def i_dq(self) -> Array:
-        return believed_dq(self.i_ab, self.angle)
+        return to_dq(self.i_ab, self.angle)
 
     @cached_property
     def residual_dq_v(self) -> Array:
@@ -138,7 +139,7 @@ class _Rows:
 
     @property
     def residual_ab_v(self) -> Array:
-        return believed_dq(self.residual_dq_v, -self.angle)
+        return to_ab(self.residual_dq_v, self.angle)
 
     @property
     def noise_v(self) -> Array:

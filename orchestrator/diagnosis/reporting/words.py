@@ -12,7 +12,7 @@ from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
 from orchestrator.diagnosis.reporting.reports import FoundEffect, Words
-from orchestrator.diagnosis.weak_form.segments import believed_dq
+from orchestrator.numerics.frames import to_dq
 from protocols import SegmentStage
 
 _LOOKS = {
@@ -55,7 +55,7 @@ def _where(diagnosis: Diagnosis) -> str:
             rows.append((rms or 0.0, piece))
     rms, piece = max(rows, key=lambda row: row[0])
     floor = noise_rms_v(fit, partial(is_, piece))
-    i_d, i_q = np.abs(believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
+    i_d, i_q = np.abs(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
     return (
         f"worst in {piece.segment.id} (|i_d| to {i_d:.2g} A, |i_q| to {i_q:.2g} A): {in_volts(rms)} rms "
         f"where noise alone makes {in_volts(floor)}"

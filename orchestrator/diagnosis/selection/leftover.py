@@ -16,6 +16,7 @@ from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.reports import ShapeGroup
+from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import EffectLayer, EffectParameter, Signals
 
@@ -225,35 +226,21 @@ def _edges(s: Signals, a: float) -> Array:
     return np.asarray(np.concatenate([np.zeros((1, 2)), np.diff(s.v_ab, axis=0)]))
 
 
-def _rotor(s: Signals) -> tuple[Array, Array, Array, Array]:
-    c, sn = np.cos(s.theta_rad), np.sin(s.theta_rad)
-    i = s.i_m_ab
-    return c * i[:, 0] + sn * i[:, 1], -sn * i[:, 0] + c * i[:, 1], c, sn
-
-
-def _stator(d: Array, q: Array, c: Array, sn: Array) -> Array:
-    return np.stack([c * d - sn * q, sn * d + c * q], axis=1)
-
-
 def _mixed(sign: float) -> Field:
     def field(s: Signals, a: float) -> Array:
-        d, q, c, sn = _rotor(s)
-        return _stator(q / a, sign * d / a, c, sn)
+        i_dq = to_dq(s.i_m_ab, s.theta_rad)
+        return to_ab(i_dq[:, ::-1] * (np.array([1.0, sign]) / a), s.theta_rad)
 
     return field
 
 
 def _mixed_cubic(s: Signals, a: float) -> Array:
-    d, q, c, sn = _rotor(s)
-    return _stator((q / a) ** 3, 3.0 * (q / a) ** 2 * d / a, c, sn)
+    d, q = to_dq(s.i_m_ab, s.theta_rad).T / a
+    return to_ab(np.stack([q**3, 3.0 * q**2 * d], axis=1), s.theta_rad)
 
 
 def _wave(count: int) -> Field:
-    def field(s: Signals, a: float) -> Array:
-        d, q, c, sn = _rotor(s)
-        return _stator(np.sin(count * d / a), np.sin(count * q / a), c, sn)
-
-    return field
+    return lambda s, a: to_ab(np.sin(count / a * to_dq(s.i_m_ab, s.theta_rad)), s.theta_rad)
 
 
 def _hum(frequency: float, axis: int) -> Field:

@@ -15,9 +15,11 @@ import numpy as np
 from numba import njit
 
 from orchestrator.diagnosis.weak_form.derivatives import sum_basis
-from orchestrator.diagnosis.weak_form.magnetics import PIECES, Magnetics
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from orchestrator.numerics.frames import to_ab, to_dq
+from orchestrator.numerics.tensor_spline import CARDINAL
 from orchestrator.numerics.types import Array
 from protocols import RealArray, Signals
 
@@ -59,8 +61,8 @@ def true_frame(piece: Piece, signals: Signals) -> tuple[Array, Array]:
     believed = float(piece.segment.rotor_angle_rad)
     delta = np.asarray(signals.theta_rad, dtype=np.float64) - believed
     if not delta.any():
-        delta = np.zeros(0)
-    return _turned(np.ascontiguousarray(signals.i_m_ab, dtype=np.float64), believed, delta), delta
+        return to_dq(signals.i_m_ab, believed), np.zeros(0)
+    return to_dq(signals.i_m_ab, signals.theta_rad), delta
 
 
 def voltage_and_resistance(piece: Piece, signals: Signals, here: LocalMap, pm_flux_wb: float) -> tuple[Array, Array]:
@@ -86,15 +88,12 @@ def basis(piece: Piece, here: LocalMap, magnetics: Magnetics) -> Array:
     """The weak form's columns for the coefficients of the co-energy, shape (rows, coefficients)."""
     w = piece.windows
     numbers, counts = magnetics.grid.layout
-    return w.combine(sum_basis(here.i_dq, here.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, PIECES))
+    return w.combine(sum_basis(here.i_dq, here.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, CARDINAL))
 
 
 def flux_terms(piece: Piece, here: LocalMap) -> Array:
     """The weak form's -(psi_k+1 - psi_k) by the present map, without the magnet's flux; shape (rows,)."""
-    psi = here.psi
-    if here.turn.size:
-        c, s = here.turn.T
-        psi = np.stack([c * psi[:, 0] - s * psi[:, 1], s * psi[:, 0] + c * psi[:, 1]], axis=1)
+    psi = to_ab(here.psi, here.delta) if here.delta.size else here.psi
     return _summed(piece, -np.diff(psi, axis=0))
 
 
@@ -136,20 +135,6 @@ def _change(now: RealArray, before: RealArray, none: Array) -> Array:
 def _summed(piece: Piece, x: Array) -> Array:
     w = piece.windows
     return w.combine(sum_intervals(x, w.step, w.hats, w.bins, w.n_bins))
-
-
-@njit(cache=True, nogil=True)
-def _turned(x_ab: Array, believed: float, delta: Array) -> Array:
-    out = np.empty_like(x_ab)
-    c = math.cos(believed)
-    s = math.sin(believed)
-    for k in range(x_ab.shape[0]):
-        if delta.shape[0] > 0:
-            c = math.cos(believed + delta[k])
-            s = math.sin(believed + delta[k])
-        out[k, 0] = c * x_ab[k, 0] + s * x_ab[k, 1]
-        out[k, 1] = -s * x_ab[k, 0] + c * x_ab[k, 1]
-    return out
 
 
 @njit(cache=True, nogil=True)

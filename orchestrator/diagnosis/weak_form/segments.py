@@ -7,11 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.loss_history import Heated, heated, loss_history, step_of, unread_heat
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_of
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
+from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import (
     LossHistory,
@@ -91,16 +91,10 @@ class Prepared:
         for piece in self.pieces:
             if piece.stage is SegmentStage.GATES_OFF:
                 continue
-            i_d, i_q = believed_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).T
+            i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).T
             low, high = min(low, float(i_d.min())), max(high, float(i_d.max()))
             q = max(q, float(np.abs(i_q).max()))
         return low, high, q
-
-
-def believed_dq(x_ab: NDArray[np.floating], angle_rad: float) -> Array:
-    """Stator-frame vectors (n, 2) in the frame that the operator believes in."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    return np.asarray(np.asarray(x_ab, dtype=np.float64) @ np.array([[c, -s], [s, c]]))
 
 
 def prepare(recording: RecordingReader) -> Prepared:
@@ -254,7 +248,7 @@ def _sweeps_both(segment: Segment, i_ab: Array) -> bool:
     axis = segment.settings.get("swept_axis")
     if axis is not None:
         return str(axis) == "dq"
-    spread = np.ptp(believed_dq(i_ab, segment.rotor_angle_rad), axis=0)
+    spread = np.ptp(to_dq(i_ab, segment.rotor_angle_rad), axis=0)
     return bool(spread.min() > 0.5 * spread.max())
 
 

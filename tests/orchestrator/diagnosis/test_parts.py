@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis import SplineGrid, linear_magnetics
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
 from orchestrator.diagnosis.weak_form.windows import periodic_windows, plain_windows, sum_intervals
+from orchestrator.numerics.tensor_spline import EvenSpline
 
-GRID = SplineGrid(-3.0, 4.0, 3.5, 6, 6)
+GRID = EvenSpline(-3.0, 4.0, 3.5, (6, 6))
 
 
 def _random_map() -> Magnetics:
     rng = np.random.default_rng(1)
     linear = linear_magnetics(GRID, 0.043, 0.069)
-    return Magnetics(GRID, linear.coefficients + rng.normal(0.0, 1e-4, GRID.coefficients))
+    return Magnetics(GRID, linear.coefficients + rng.normal(0.0, 1e-4, GRID.size))
 
 
 def test_linear_map_has_constant_inductances_inside_and_outside() -> None:

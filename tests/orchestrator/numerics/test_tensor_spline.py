@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.numerics.tensor_spline import EvenSpline
+from orchestrator.numerics.tensor_spline import EvenSpline, derivatives
 from tests.orchestrator.analysis.plant import Array
 
 RANDOM = np.random.default_rng(3)
@@ -37,11 +37,51 @@ def test_polynomials_that_are_even_and_of_low_degree_have_no_roughness() -> None
     assert (eigenvalues[: spline.smooth] < 1e-9 * eigenvalues[-1]).all()
     assert eigenvalues[spline.smooth] > 1e-9 * eigenvalues[-1]
     quartic = fitted(spline, 1.0 + x - x**3 * 2 + x**2 * y**2 + y**4)
-    assert abs(quartic @ spline.roughness @ quartic) < 1e-6
-    rough = fitted(spline, x**5)
-    assert rough @ spline.roughness @ rough > 1.0
+    assert abs(quartic @ spline.roughness @ quartic) < 1e-13 * eigenvalues[-1] * (quartic @ quartic)
+
+
+def test_roughness_is_the_integral_of_the_squared_fifth_derivatives() -> None:
+    spline = EvenSpline(-3.0, 2.0, 4.0, (3, 4))
+    x, y = EVERYWHERE.T
+    # In units of the half ranges 2.5 and 4 the rectangle is 2 by 2; x y^4 has one kind of fifth derivative, five times.
+    for values, fifth, times in ((x**5, 120.0 * 2.5**5, 1), (x * y**4, 24.0 * 2.5 * 4.0**4, 5)):
+        c = fitted(spline, values)
+        assert c @ spline.roughness @ c == pytest.approx(4.0 * times * fifth**2, rel=1e-6)
 
 
 def test_roughness_does_not_depend_on_the_unit() -> None:
     one, other = EvenSpline(-3.0, 2.0, 4.0, (3, 4)), EvenSpline(-3000.0, 2000.0, 4000.0, (3, 4))
     np.testing.assert_allclose(one.roughness, other.roughness, rtol=1e-6, atol=1e-6 * one.roughness.max())
+
+
+def test_patches_are_the_function_and_its_slopes_go_on_linearly_beyond_the_rectangle() -> None:
+    spline = EvenSpline(-3.0, 2.0, 4.0, (4, 5))
+    c = RANDOM.normal(size=spline.size)
+    slopes, curvatures = derivatives(AT, spline.patches(c), spline.layout[0])
+    orders = ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
+    expected = np.stack([spline.rows(AT, *order) @ c for order in orders], axis=1)
+    np.testing.assert_allclose(np.hstack([slopes, curvatures]), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+    edge, out = np.array([[2.0, 1.0]]), np.array([[3.5, 1.0]])
+    (at_edge, bend), (beyond, _) = (derivatives(x, spline.patches(c), spline.layout[0]) for x in (edge, out))
+    np.testing.assert_allclose(beyond, at_edge + 1.5 * bend[:, :2], rtol=1e-12)
+
+
+def test_squares_are_exact() -> None:
+    spline = EvenSpline(-3.0, 2.0, 4.0, (4, 5))
+    for c, values in zip(spline.squares(), EVERYWHERE.T**2, strict=True):
+        np.testing.assert_allclose(spline.rows(EVERYWHERE, 0, 0) @ c, values, rtol=1e-12, atol=1e-12 * values.max())
+
+
+def test_what_a_coarse_spline_is_a_finer_one_over_the_same_cells_is_too() -> None:
+    coarse, fine = EvenSpline(-3.0, 2.0, 4.0, (3, 4)), EvenSpline(-3.0, 2.0, 4.0, (6, 8))
+    c = RANDOM.normal(size=coarse.size)
+    expected = coarse.rows(EVERYWHERE, 0, 0) @ c
+    np.testing.assert_allclose(fine.rows(EVERYWHERE, 0, 0) @ coarse.on(fine, c), expected, atol=1e-11 * np.abs(c).max())
+
+
+def test_differences_of_the_coefficients_are_mixed_derivatives() -> None:
+    spline = EvenSpline(-3.0, 2.0, 4.0, (4, 6))
+    x_squared, y_squared = spline.squares()
+    pure, *_, other = spline.differences(2)
+    for rows, coefficients, second in ((pure, x_squared, 2.0), (other, y_squared, 2.0), (other, x_squared, 0.0)):
+        np.testing.assert_allclose(rows @ coefficients, second, atol=1e-11)

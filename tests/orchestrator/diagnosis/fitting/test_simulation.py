@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis import SplineGrid, linear_magnetics
+from orchestrator.diagnosis import linear_magnetics
 from orchestrator.diagnosis.fitting.simulation import _simulate
+from orchestrator.numerics.tensor_spline import EvenSpline
 
 L_D, L_Q, R_S, FS = 0.043, 0.069, 4.25, 10e3
-GRID = SplineGrid(d_low=-3.0, d_high=3.0, q_high=3.0, d_intervals=4, q_intervals=4)
+GRID = EvenSpline(low=-3.0, high=3.0, reach=3.0, cells=(4, 4))
 
 
 def predicted(v_d: float, v_q: float, samples: int) -> np.ndarray:
@@ -25,7 +26,7 @@ def predicted(v_d: float, v_q: float, samples: int) -> np.ndarray:
         numbers,
         1.0 / FS,
         0.2 * L_D,
-        np.array([GRID.d_low, GRID.d_high, GRID.q_high]),
+        np.array([GRID.low, GRID.high, GRID.reach]),
     )
 
 
