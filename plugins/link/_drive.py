@@ -6,10 +6,11 @@ The drive runs programs, protects itself, and has a watchdog; here is what a hos
 from __future__ import annotations
 
 import time
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Iterator
 from dataclasses import replace
 
+from orchestrator.driving import DriveShell
 from plugins.link._errors import link_errors
 from plugins.link._host import Host, fault_names, known_fault, require_held, words
 from plugins.link._link import Link
@@ -55,26 +56,25 @@ _ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
 _NO_TEMPERATURE_C = -128
 
 
-class LinkDrive(ABC):
-    """Everything but the link itself, which `_open` makes."""
+class LinkDrive(DriveShell):
+    """Everything but the port itself, which `open_port` makes."""
 
     def __init__(self, setup: DriveSetup) -> None:
-        self._setup = setup
+        super().__init__(setup)
         self._options: LinkOptions = setup.options
         self._link: Link | None = None
         self._host: Host | None = None
         self._machine: Machine | None = None
         self._unwrapped = Unwrapped()
         self._origin_s = 0.0
-        self._turn = 0
 
     @abstractmethod
-    def _open(self) -> Port:
+    def open_port(self) -> Port:
         """Open the link; errors of its library may pass."""
 
     # Link
 
-    def connect(self) -> Capabilities:
+    def open(self) -> Capabilities:
         """Open the link, identify the drive, and read what it can do. Nothing is energised.
 
         A watchdog's fault is cleared: its host is gone, and somebody has started this one. Other
@@ -88,7 +88,7 @@ class LinkDrive(ABC):
             Another host has the drive armed, it speaks another version, or lacks what was asked for.
         """
         with link_errors("the drive's link"):
-            port = self._open()
+            port = self.open_port()
         self._link = Link(port, self._options.telemetry_period_s)
         self._host = host = Host(self._link, self._options.answer_timeout_s)
         host.identify(self._options.connect_timeout_s)
@@ -116,13 +116,12 @@ class LinkDrive(ABC):
     def _clear_what_is_over(self, host: Host) -> None:
         cause = known_fault(host.read("fault_cause"))
         if cause is Fault.WATCHDOG or (cause is not Fault.NONE and self._options.clear_fault):
-            self.clear_fault()
+            self.forget_fault()
         else:
             host.fault_told = cause is not Fault.NONE
 
-    def close(self) -> None:
+    def release(self) -> None:
         """Let go of the link."""
-        self._turn += 1
         link, self._link, self._host, self._machine = self._link, None, None, None
         if link is not None:
             link.close()
@@ -135,19 +134,23 @@ class LinkDrive(ABC):
 
     # Power stage
 
-    def arm(self, limits: Limits) -> None:
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What the drive has latched, by its last status."""
+        status = None if self._host is None else self._host.link.news.status
+        return fault_names(status) if status is not None and status.state is PowerState.FAULTED else ()
+
+    def attend(self) -> None:
+        """A fault that nobody has heard of yet is told as what it is."""
+        host, _ = self._connected()
+        if self.faults and not host.fault_told:
+            raise host.fault()
+
+    def energise(self, limits: Limits) -> None:
         """Hand over nameplate and limits, read the limits back, and enable the power stage."""
-        host, machine = self._connected()
-        own = machine.capabilities
-        for name, wanted, most in (
-            ("current", limits.current_a, own.max_current_a),
-            ("voltage", limits.voltage_v, own.max_voltage_v),
-        ):
-            if wanted > most * (1.0 + 1e-6):
-                raise DriveRefused(f"{name} limit {wanted:g} is above the drive's own {most:g}")
-        self._refuse_latched(host)
+        host, _ = self._connected()
         values = limit_registers(limits)
-        host.write(motor_registers(self._setup.motor) | values, anew=True)
+        host.write(motor_registers(self.setup.motor) | values, anew=True)
         for name, value in values.items():
             require_held(name, value, host.read(name))
         ack = host.do(Op.ARM)
@@ -155,26 +158,15 @@ class LinkDrive(ABC):
         self.heartbeat()
         self._await(host, (*_ENERGISED, PowerState.FAULTED), SETTLE_S)
 
-    def execute(self, excitation: Excitation) -> Iterator[Capture]:
+    def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Write the program and start it; its rows come as the iterator is drawn from."""
         host, machine = self._connected()
-        status = host.link.news.status
-        if status is not None and status.state is PowerState.FAULTED:
-            raise host.fault()
-        _refuse_unclaimed(excitation, machine.capabilities)
-        self._turn += 1
         try:
             program = Program(host, machine, excitation)
         except DriveRefused:
             self._raise_fault_behind(host)
             raise
-        return self._captures(program, self._turn)
-
-    def _captures(self, program: Program, turn: int) -> Iterator[Capture]:
-        for capture in program.captures(self._seconds):
-            if self._turn != turn:
-                raise DriveRefused("the excitation was given up")
-            yield capture
+        return program.captures(self._seconds)
 
     def telemetry(self) -> Telemetry:
         """State by an acknowledgement of now, current by the first reading after it."""
@@ -197,29 +189,23 @@ class LinkDrive(ABC):
             faults=fault_names(status),
         )
 
-    def ramp_down(self) -> None:
-        """Stop what runs, and wait until the current is zero; where PWM is off there is nothing to do."""
-        self._turn += 1
+    def ramp(self) -> None:
+        """Stop what runs, and wait until the current is zero."""
         host = self._reachable(Op.STOP)
-        if host is None:
-            return
         ack = host.command(Op.STOP)
         if ack.status is AckStatus.OK and ack.state in _ENERGISED:
             self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), RAMP_S)
 
-    def disarm(self) -> None:
+    def switch_off(self) -> None:
         """PWM off."""
-        self._turn += 1
         host = self._reachable(Op.STOP, Op.DISARM)
-        if host is None:
-            return
         ack = host.command(Op.DISARM)
         if ack.state in _ENERGISED:
             raise DriveFault(FaultCause.INTERNAL, f"the drive does not disarm: {words(ack.status)}")
         self._await(host, (PowerState.DISARMED, PowerState.FAULTED), SETTLE_S)
 
-    def clear_fault(self) -> None:
-        """Forget latched faults; a drive that is still ramping down is asked again."""
+    def forget_fault(self) -> None:
+        """Clear the drive's latched faults; one that is still ramping down is asked again."""
         host, _ = self._connected()
         deadline = time.monotonic() + self._options.connect_timeout_s
         while (ack := host.command(Op.CLEAR_FAULT)).status is not AckStatus.OK:
@@ -233,12 +219,12 @@ class LinkDrive(ABC):
         """Move the brake, where there is one."""
         host, machine = self._connected()
         if not machine.capabilities.has_brake:
-            raise DriveRefused("this drive has no brake to move")
+            super().set_brake(engaged)
         host.write({"brake": float(engaged)}, anew=True)
 
     # Clock
 
-    def checkpoint(self, point_id: str) -> None:  # noqa: B027 - nothing to do is the answer, not a gap
+    def checkpoint(self, point_id: str) -> None:
         """Nothing to keep: the machine remembers by itself."""
 
     def restore(self, point_id: str, start_s: float) -> None:
@@ -259,18 +245,11 @@ class LinkDrive(ABC):
         self._host.link.check()
         return self._host, self._machine
 
-    def _reachable(self, *last_words: Op) -> Host | None:
-        """The host for a way out: None where there never was a link.
-
-        On a dead one the drive is told all the same, for it may still hear, and the reason is raised.
-        """
-        host = self._host
-        if host is None:
-            return None
-        if host.link.lost is not None:
-            host.shout(*last_words)
-            host.link.check()
-        return host
+    def _reachable(self, *last_words: Op) -> Host:
+        """The host for a way out. A lost drive is told all the same, for it may still hear; the reason is raised."""
+        if self._host is not None and self._host.link.lost is not None:
+            self._host.shout(*last_words)
+        return self._connected()[0]
 
     def _await(self, host: Host, states: tuple[PowerState, ...], timeout_s: float) -> None:
         news = host.link.news
@@ -282,14 +261,6 @@ class LinkDrive(ABC):
             now = "unknown" if news.status is None else news.status.state.name.lower()
             wanted = " or ".join(state.name.lower() for state in states)
             raise DriveFault(FaultCause.NO_ANSWER, f"the drive is {now} after {timeout_s:g} s instead of {wanted}")
-
-    def _refuse_latched(self, host: Host) -> None:
-        """A fault that nobody has heard of yet is told as what it is; after that, arming is refused."""
-        status = host.link.news.status
-        if status is not None and status.state is PowerState.FAULTED:
-            if not host.fault_told:
-                raise host.fault()
-            raise DriveRefused(f"a fault is latched ({', '.join(fault_names(status))}); clear it first")
 
     def _raise_fault_behind(self, host: Host) -> None:
         """Where a refusal has a fault behind it that came in that moment, the fault is the better news."""
@@ -310,15 +281,6 @@ def longest_capture(machine: Machine, bulk_rate: float | None) -> float | None:
             return None
         row_rate -= bulk_rate
     return machine.facts.memory_bytes / row_rate
-
-
-def _refuse_unclaimed(excitation: Excitation, own: Capabilities) -> None:
-    if excitation.kind not in own.excitations:
-        raise DriveRefused(f"this drive has no {excitation.kind}")
-    asked = excitation.pwm_frequency_hz
-    if asked is not None and not any(abs(asked - f) <= 1e-6 * f for f in own.pwm_frequencies_hz):
-        choices = ", ".join(f"{f:g}" for f in own.pwm_frequencies_hz)
-        raise DriveRefused(f"PWM frequency {asked:g} Hz; this drive has {choices} Hz")
 
 
 def _state_of(status: Status) -> DriveState:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
+from orchestrator.driving import SINGLE
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
@@ -22,14 +23,13 @@ from plugins.wire import (
     program_of,
     single,
 )
-from protocols import DriveRefused, Excitation, Injection, Limits, Trapezoid
+from protocols import DriveRefused, Excitation, Injection, Trapezoid
 
 ROW_BYTES = 8
 """Four int16 channels: what `memory_rows` counts in."""
 RIPPLE_RATE_HZ = 500.0
 _RIPPLE_ROWS = 8192
 _MOST_PERIODS = 2_000
-_ROUNDING = 1.0 + 1e-6
 _LONGEST_CAPTURE = (1 << 26) - 1
 
 
@@ -113,16 +113,14 @@ class Programs:
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
         if isinstance(excitation, Trapezoid) and excitation.periods > _MOST_PERIODS:
             return AckStatus.TOO_LONG
-        if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * _ROUNDING:
+        if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * SINGLE:
             return AckStatus.TOO_LONG
         if excitation.rows(fs) < 1 or excitation.control.bandwidth_hz > fs / 10:
             return AckStatus.OUT_OF_RANGE
         if excitation.pwm_frequency_hz not in (None, *own.pwm_frequencies_hz):
             return AckStatus.NOT_SUPPORTED
-        held = limits_of(self._file.values())
-        limits = Limits(current_a=held.current_a * _ROUNDING, voltage_v=held.voltage_v * _ROUNDING)
         try:
-            self._rig.check(excitation, limits)
+            self._rig.check(excitation, limits_of(self._file.values()))
         except DriveRefused:
             return AckStatus.PAST_LIMIT
         return AckStatus.OK
@@ -147,7 +145,7 @@ class Programs:
         periods, own = int(self._file["ripple_periods"]), self._rig.capabilities
         if periods == 0 or not isinstance(excitation, Injection):
             return None
-        if excitation.frequency_hz / periods > RIPPLE_RATE_HZ * _ROUNDING:
+        if excitation.frequency_hz / periods > RIPPLE_RATE_HZ * SINGLE:
             return AckStatus.OUT_OF_RANGE
         fs = own.sampling_frequency_hz
         discarded = round(excitation.discard_s * fs)

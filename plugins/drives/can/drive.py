@@ -35,13 +35,12 @@ class CanDrive(LinkDrive):
 
     name: ClassVar[str] = "can"
     Options: ClassVar[type[BaseModel]] = CanOptions
-    sealed_options: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._bus: CanOptions = setup.options
 
-    def _open(self) -> Port:
+    def open_port(self) -> Port:
         from plugins.drives.can._port import CanPort
 
         bus = self._bus

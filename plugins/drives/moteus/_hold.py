@@ -6,10 +6,12 @@ import asyncio
 import math
 from dataclasses import dataclass
 
+import numpy as np
+
 from plugins.drives.moteus._board import Board, Reading, Setpoint
 from plugins.drives.moteus._faults import fault_of, limiting
 from plugins.drives.moteus._frame import Frame
-from protocols import DriveFault, FaultCause, Hold, Limits
+from protocols import Capture, DriveFault, FaultCause, Hold, Limits
 
 ANGLE_RAD = 0.02
 """A board that works at an angle further off than this does not understand positions as it should."""
@@ -50,6 +52,17 @@ class Rows:
 
     start_s: float
     rows: tuple[Row, ...]
+
+    def capture(self, sampling_frequency_hz: float, origin_s: float) -> Capture:
+        """The same as a drive hands it out; its clock began at `origin_s`."""
+        i, v = (np.array(values, dtype=complex) for values in zip(*((r.i, r.v) for r in self.rows), strict=True))
+        return Capture(
+            start_s=self.start_s - origin_s,
+            sampling_frequency_hz=sampling_frequency_hz,
+            i_ab=np.column_stack((i.real, i.imag)),
+            v_ab=np.column_stack((v.real, v.imag)),
+            v_dc=np.array([row.v_dc for row in self.rows]),
+        )
 
 
 @dataclass(frozen=True)

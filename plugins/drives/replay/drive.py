@@ -13,8 +13,9 @@ from pathlib import Path
 from typing import ClassVar
 
 import numpy as np
-from pydantic import Field
+from pydantic import BaseModel, Field
 
+from orchestrator.driving import DriveShell, in_blocks
 from orchestrator.recording import Recording, open_recording
 from plugins.drives.replay._matching import KIND_OF, answers, in_words
 from protocols import (
@@ -23,7 +24,6 @@ from protocols import (
     DriveFault,
     DriveRefused,
     DriveSetup,
-    DriveState,
     Excitation,
     FaultCause,
     FluxbenchError,
@@ -32,11 +32,6 @@ from protocols import (
     Strict,
     Telemetry,
 )
-
-WATCHDOG_S = 0.2
-BLOCK_S = 0.1
-HEADROOM = 4.0
-"""Limits up to so many rated currents are taken: what is played never comes near."""
 
 
 class ReplayOptions(Strict):
@@ -47,7 +42,7 @@ class ReplayOptions(Strict):
     """Take as long as the measurement took; else as fast as it can be read."""
 
 
-class ReplayDrive:
+class ReplayDrive(DriveShell):
     """A recording played back as a drive.
 
     Parameters
@@ -57,21 +52,23 @@ class ReplayDrive:
     """
 
     name: ClassVar[str] = "replay"
-    Options: ClassVar[type[ReplayOptions]] = ReplayOptions
-    sealed_options: ClassVar[frozenset[str]] = frozenset()
+    Options: ClassVar[type[BaseModel]] = ReplayOptions
+    watchdog_s: ClassVar[float] = 0.2
+    """It has nothing to make safe, but stops as a drive would, so that a run against it shows a heart that fails."""
+    headroom: ClassVar[float] = 4.0
+    """Limits up to so many rated currents are taken: what is played never comes near."""
 
     def __init__(self, setup: DriveSetup) -> None:
+        super().__init__(setup)
         self._options: ReplayOptions = setup.options
         self._scale_a = setup.motor.rated_current_a or 0.0
         self._recording: Recording | None = None
         self._played: set[str] = set()
-        self._limits: Limits | None = None
-        self._fault: str | None = None
         self._clock_s = 0.0
         self._current = 0j
-        self._last_beat_s = time.monotonic()
+        self._last_beat_s = 0.0
 
-    def connect(self) -> Capabilities:
+    def open(self) -> Capabilities:
         """Open the recording and say what is in it.
 
         Raises
@@ -95,26 +92,23 @@ class ReplayDrive:
             pwm_frequencies_hz=tuple(pwm_all),
             dc_bus_voltage_v=drive.dc_bus_voltage_v,
             voltage_delay_samples=drive.voltage_delay_samples or 0.0,
-            max_current_a=max(1.001 * peak_a, HEADROOM * self._scale_a),
+            max_current_a=max(1.001 * peak_a, self.headroom * self._scale_a),
             max_voltage_v=max(1.001 * peak_v, drive.dc_bus_voltage_v / math.sqrt(3.0)),
             excitations=kinds,
-            watchdog_s=WATCHDOG_S,
+            watchdog_s=self.watchdog_s,
             watchdog_covers=kinds,
             motor_name=manifest.motor.name,
         )
 
-    def arm(self, limits: Limits) -> None:
+    def energise(self, limits: Limits) -> None:
         """Ready to play."""
-        if self._fault is not None:
-            raise DriveRefused(f"a fault is latched: {self._fault}")
-        self._limits = limits
-        self._last_beat_s = time.monotonic()
+        self.heartbeat()
 
     def heartbeat(self) -> None:
         """The host is alive."""
         self._last_beat_s = time.monotonic()
 
-    def execute(self, excitation: Excitation) -> Iterator[Capture]:
+    def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Play the first segment that answers the excitation and was not played yet, else one that was.
 
         Raises
@@ -122,9 +116,9 @@ class ReplayDrive:
         DriveRefused
             Where the recording holds no such measurement.
         """
-        recording, limits = self._recording, self._limits
-        if recording is None or limits is None:
-            raise DriveRefused(f"not armed{f': {self._fault}' if self._fault else ''}")
+        recording, limits = self._recording, self.limits
+        assert recording is not None
+        assert limits is not None
         segment = self._choose(recording, excitation)
         try:
             capture = recording.load(segment)
@@ -135,8 +129,9 @@ class ReplayDrive:
         if not longest <= limits.current_a:
             raise DriveRefused(f"{segment.id} reaches {longest:.3g} A, above the limit of {limits.current_a:g} A")
         self._played.add(segment.id)
-        start_s = segment.start_s if segment.start_s >= self._clock_s else self._clock_s
-        return self._play(capture, rows, start_s + (0.0 if start_s > self._clock_s else excitation.settling_s), segment)
+        start_s = max(segment.start_s, self._clock_s)
+        start_s += 0.0 if start_s > self._clock_s else excitation.settling_s
+        return self._play(capture.model_copy(update={"start_s": start_s}), rows, segment)
 
     def _choose(self, recording: Recording, excitation: Excitation) -> Segment:
         fitting = [s for s in recording.segments() if answers(s, excitation, recording.manifest, self._scale_a)]
@@ -144,67 +139,39 @@ class ReplayDrive:
             raise DriveRefused(f"{recording.path}: holds no {in_words(excitation)} that is long enough")
         return next((s for s in fitting if s.id not in self._played), fitting[-1])
 
-    def _play(self, capture: Capture, rows: int, start_s: float, segment: Segment) -> Iterator[Capture]:
+    def _play(self, capture: Capture, rows: int, segment: Segment) -> Iterator[Capture]:
         fs = capture.sampling_frequency_hz
-        step = max(1, round(BLOCK_S * fs))
         turn = np.exp(-1j * segment.rotor_angle_rad)
-        for first in range(0, rows, step):
-            stop = min(first + step, rows)
+        for block in in_blocks(capture, 0.5 * self.watchdog_s, rows):  # a heart that stops is noticed in time
             if self._options.real_time:
-                time.sleep((stop - first) / fs)
+                time.sleep(len(block) / fs)
             self._require_heartbeat()
-            block = Capture(
-                start_s=start_s + first / fs,
-                sampling_frequency_hz=fs,
-                i_ab=capture.i_ab[first:stop],
-                v_ab=capture.v_ab[first:stop],
-                v_dc=capture.v_dc[first:stop],
-                i_abc=None if capture.i_abc is None else capture.i_abc[first:stop],
-                temperature_c=None if capture.temperature_c is None else capture.temperature_c[first:stop],
-            )
-            self._clock_s = start_s + stop / fs
+            self._clock_s = block.start_s + len(block) / fs
             self._current = complex(*block.i_ab.mean(axis=0)) * turn
             yield block
 
     def _require_heartbeat(self) -> None:
         silent_s = time.monotonic() - self._last_beat_s
-        if silent_s > WATCHDOG_S:
-            self._fault, self._limits, self._current = "heartbeat_lost", None, 0j
-            raise DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {silent_s:.2f} s")
+        if silent_s > self.watchdog_s:
+            raise self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, f"no heartbeat for {silent_s:.2f} s"))
 
     def telemetry(self) -> Telemetry:
         """A reading, now."""
-        if self._fault is not None:
-            state = DriveState.FAULTED
-        else:
-            state = DriveState.DISARMED if self._limits is None else DriveState.ARMED
         bus_v = 0.0 if self._recording is None else self._recording.manifest.drive.dc_bus_voltage_v
+        i, state = self._current, self.state
         return Telemetry(
-            state=state,
-            time_s=self._clock_s,
-            i_d_a=self._current.real,
-            i_q_a=self._current.imag,
-            v_dc_v=bus_v,
-            faults=() if self._fault is None else (self._fault,),
+            state=state, time_s=self._clock_s, i_d_a=i.real, i_q_a=i.imag, v_dc_v=bus_v, faults=self.faults
         )
 
-    def ramp_down(self) -> None:
+    def ramp(self) -> None:
         """Play nothing more."""
         self._current = 0j
-
-    def disarm(self) -> None:
-        """Play nothing until armed again."""
-        self._limits, self._current = None, 0j
-
-    def clear_fault(self) -> None:
-        """Forget the fault."""
-        self._fault = None
 
     def set_brake(self, engaged: bool) -> None:
         """Refused: a recording has no brake to move."""
         raise DriveRefused("a recording has no brake to move")
 
-    def close(self) -> None:
+    def release(self) -> None:
         """Let go of the recording."""
         self._recording = None
 

@@ -25,13 +25,12 @@ class SerialDrive(LinkDrive):
 
     name: ClassVar[str] = "serial"
     Options: ClassVar[type[BaseModel]] = SerialOptions
-    sealed_options: ClassVar[frozenset[str]] = frozenset()
 
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._line: SerialOptions = setup.options
 
-    def _open(self) -> Port:
+    def open_port(self) -> Port:
         from plugins.drives.serial._port import SerialPort
 
         return SerialPort(self._line.port, self._line.baud_rate, dtr=self._line.dtr)

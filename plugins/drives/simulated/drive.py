@@ -14,6 +14,7 @@ from typing import ClassVar
 
 from pydantic import BaseModel
 
+from orchestrator.driving import DriveShell
 from plugins.drives.simulated import _memory
 from plugins.drives.simulated._bench import Bench
 from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
@@ -43,7 +44,7 @@ from protocols import (
 TRUTH = "truth.json"
 
 
-class SimulatedDrive:
+class SimulatedDrive(DriveShell):
     """A drive, its motor and its bench in one process; implements `Drive` and `ResumableDrive`."""
 
     name: ClassVar[str] = "simulated"
@@ -51,26 +52,21 @@ class SimulatedDrive:
     sealed_options: ClassVar[frozenset[str]] = frozenset({"plant"})
 
     def __init__(self, setup: DriveSetup) -> None:
-        self._setup = setup
+        super().__init__(setup)
         self._options: SimulatedOptions = setup.options
-        self._state = DriveState.DISARMED
-        self._latched: list[str] = []
-        self._limits: Limits | None = None
         self._number = 0
         self._bench = Bench(self._options.plant, setup.seed)
         self._control = CurrentControl()
         self._faults = FaultPlan(self._options.faults)
         self._link_lost = False
         self._last_beat = 0.0
-        self._turn = 0
         self._simulator: Simulator | None = None
 
     # Link
 
-    def connect(self) -> Capabilities:
+    def open(self) -> Capabilities:
         """Make the plant, compile its loop, seal the truth; raises `InputError` where the options make no motor."""
-        self._check_link()
-        options, setup = self._options, self._setup
+        options, setup = self._options, self.setup
         nameplate = read_nameplate(setup.motor)
         bus_v = bus_voltage(options, nameplate)
         plant = derive(options, nameplate, bus_v)
@@ -85,76 +81,48 @@ class SimulatedDrive:
         self._warm_up()
         return self._permission.capabilities
 
-    def close(self) -> None:
-        """Let go of the link."""
-        self._turn += 1
-        self._state = DriveState.DISARMED
-
     def heartbeat(self) -> None:
         """Feed the watchdog."""
         self._last_beat = time.monotonic()
 
     # Power stage
 
-    def arm(self, limits: Limits) -> None:
-        """Enable the power stage within these limits."""
-        self._attend()
-        if self._state is DriveState.FAULTED:
-            raise DriveRefused(f"a fault is latched ({', '.join(self._latched)}); clear it first")
-        self._permission.check_limits(limits)
-        self._limits = limits
-        self._state = DriveState.ARMED
-        self._last_beat = time.monotonic()
+    def energise(self, limits: Limits) -> None:
+        """The watchdog's time runs from here."""
+        self.heartbeat()
 
-    def execute(self, excitation: Excitation) -> Iterator[Capture]:
-        """Check the excitation, then run it as the iterator is drawn from."""
-        self._attend()
-        if self._state is not DriveState.ARMED or self._limits is None:
-            raise DriveRefused(f"not armed ({self._state.value})")
-        self._permission.check(excitation, self._limits)
-        self._turn += 1
-        return self._execute(excitation, self._turn)
+    def start(self, excitation: Excitation) -> Iterator[Capture]:
+        """Check what this plant does not allow, then run it as the iterator is drawn from."""
+        self._permission.check(excitation)
+        return self._run(excitation)
 
     def telemetry(self) -> Telemetry:
         """Readings as the drive low-passes them, in the frame of the last excitation."""
         self._check_link()
         self._watch()
         i_d, i_q, v_dc = self._plant.shown
-        return Telemetry(
-            state=self._state,
-            time_s=self._plant.time_s,
-            i_d_a=i_d,
-            i_q_a=i_q,
-            v_dc_v=v_dc,
-            faults=tuple(self._latched),
-        )
+        time_s = self._plant.time_s
+        return Telemetry(state=self.state, time_s=time_s, i_d_a=i_d, i_q_a=i_q, v_dc_v=v_dc, faults=self.faults)
 
-    def ramp_down(self) -> None:
-        """Current to zero under control, then held there; nothing to do where the bridge is off."""
+    def ramp(self) -> None:
+        """Current to zero under control, then held there."""
         self._check_link()
-        self._watch()
-        self._turn += 1
-        if self._state is DriveState.ARMED:
+        if not self._watch():
             self._bring_to_zero()
 
-    def disarm(self) -> None:
+    def switch_off(self) -> None:
         """Bridge off; what current there still is drains through the diodes."""
         self._check_link()
-        self._turn += 1
-        if self._state is DriveState.ARMED:
-            self._gates_off()
-            self._state = DriveState.DISARMED
+        off = Piece(OFF, max(1, self._planner.samples(DRAIN_S)))
+        self._drain(Program((Stretch(off),)), 3)
 
-    def clear_fault(self) -> None:
-        """Forget latched faults."""
+    def forget_fault(self) -> None:
+        """Nothing is kept but what the shell keeps."""
         self._check_link()
-        self._latched.clear()
-        if self._state is DriveState.FAULTED:
-            self._state = DriveState.DISARMED
 
     def set_brake(self, engaged: bool) -> None:
         """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
-        self._attend()
+        self.attend()
         if not self._options.has_brake:
             raise DriveRefused("this drive has no brake")
         self._bench.set_brake(engaged, self._plant)
@@ -163,7 +131,7 @@ class SimulatedDrive:
 
     def checkpoint(self, point_id: str) -> None:
         """Save plant, control, clock and brake; nothing without a private directory."""
-        if self._setup.private_directory is None:
+        if self.setup.private_directory is None:
             return
         saved = _memory.Saved(
             self._plant.memory,
@@ -173,16 +141,16 @@ class SimulatedDrive:
             self._control.damping,
             tuple(sorted(self._faults.fired)),
         )
-        _memory.save(self._setup.private_directory, point_id, saved)
+        _memory.save(self.setup.private_directory, point_id, saved)
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Go on after a point as if nothing had happened; the clock stands at `start_s`."""
-        self._attend()
-        if self._setup.private_directory is None:
+        self.attend()
+        if self.setup.private_directory is None:
             raise DriveRefused("no private directory, so no state to take up again")
-        if self._state is not DriveState.DISARMED:
-            raise DriveRefused(f"a state can be taken up while disarmed only ({self._state.value})")
-        saved = _memory.load(self._setup.private_directory, point_id)
+        if self.state is not DriveState.DISARMED:
+            raise DriveRefused(f"a state can be taken up while disarmed only ({self.state.value})")
+        saved = _memory.load(self.setup.private_directory, point_id)
         self._plant.memory = saved.memory
         self._number, self._bench.braked = saved.number, saved.braked
         self._control = CurrentControl(bandwidth_hz=saved.bandwidth_hz, damping=saved.damping)
@@ -193,10 +161,8 @@ class SimulatedDrive:
 
     # How an excitation runs
 
-    def _execute(self, excitation: Excitation, turn: int) -> Iterator[Capture]:
+    def _run(self, excitation: Excitation) -> Iterator[Capture]:
         simulator, fs = self._plant, self._options.sampling_frequency_hz
-        if self._turn != turn:
-            raise DriveRefused("the excitation was given up")
         self._number += 1
         if self._number > 1 and self._options.gap_s > 0:
             self._let_pass(self._options.gap_s)
@@ -219,14 +185,11 @@ class SimulatedDrive:
                 spoil = self._strike(self._faults.strike(due[block])) or spoil
                 continue
             pace.wait(len(block) / fs)
-            if self._watch():
-                raise DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off")
+            self.attend()
             if spoil is not None:
                 block, spoil = corrupted(block, spoil), None
             yield block
-            if self._turn != turn:
-                raise DriveRefused("the excitation was given up")
-            self._attend()
+            self.attend()
 
     def _strike(self, fault: Fault) -> Fault | None:
         """Let a fault happen; returns it where it spoils the block to come."""
@@ -240,7 +203,7 @@ class SimulatedDrive:
             case "slow":
                 time.sleep(fault.sleep_s)
             case "trip":
-                raise self._trip(FaultCause(fault.cause), "the drive tripped")
+                raise self.trip(DriveFault(FaultCause(fault.cause), "the drive tripped"))
             case "exception":
                 raise RuntimeError("the drive plugin failed")
             case "wrong_data":
@@ -248,22 +211,10 @@ class SimulatedDrive:
         return None
 
     def _trip_of(self, trip: Tripped) -> DriveFault:
-        limit = self._options.trip_ratio * (self._limits.current_a if self._limits else 0.0)
+        limit = self._options.trip_ratio * (self.limits.current_a if self.limits else 0.0)
         if trip.overload:
-            return self._trip(FaultCause.OVERTEMPERATURE, "overload protection")
-        return self._trip(FaultCause.OVERCURRENT, f"current above {limit:.4g} A")
-
-    def _trip(self, cause: FaultCause, detail: str) -> DriveFault:
-        """Bridge off at once, fault latched."""
-        self._gates_off()
-        self._latch(cause)
-        return DriveFault(cause, detail)
-
-    def _latch(self, cause: FaultCause) -> None:
-        self._state = DriveState.FAULTED
-        self._turn += 1
-        if cause.value not in self._latched:
-            self._latched.append(cause.value)
+            return self.trip(DriveFault(FaultCause.OVERTEMPERATURE, "overload protection"))
+        return self.trip(DriveFault(FaultCause.OVERCURRENT, f"current above {limit:.4g} A"))
 
     def _bring_to_zero(self) -> None:
         program = self._planner.to_zero(self._control, self._plant.set_point)
@@ -278,17 +229,13 @@ class SimulatedDrive:
         except Tripped as trip:
             raise self._trip_of(trip) from None
 
-    def _gates_off(self) -> None:
-        off = Piece(OFF, max(1, self._planner.samples(DRAIN_S)))
-        self._drain(Program((Stretch(off),)), 3)
-
     def _drain(self, program: Program, kind: int) -> None:
         noise = self._plant.noise(kind, self._number)
         for _ in self._plant.run(program, self._tuning(), 1.0, noise, ()):
             pass
 
     def _tuning(self) -> ControlParameters:
-        limits, capabilities = self._limits, self._permission.capabilities
+        limits, capabilities = self.limits, self._permission.capabilities
         max_v = capabilities.max_voltage_v if limits is None else limits.voltage_v
         max_a = capabilities.max_current_a if limits is None else limits.current_a
         return tune(
@@ -307,13 +254,11 @@ class SimulatedDrive:
 
     # Watchdog and link
 
-    def _attend(self) -> None:
+    def attend(self) -> None:
         """What every call but the stopping ones begins with; raises `DriveFault`."""
         self._check_link()
-        if self._simulator is None:
-            raise DriveRefused("not connected")
         if self._watch():
-            raise DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off")
+            raise self.latched[-1]
 
     def _check_link(self) -> None:
         if self._link_lost:
@@ -322,13 +267,12 @@ class SimulatedDrive:
     def _watch(self) -> bool:
         """The drive's own dead man; True where it has just acted."""
         watchdog = self._options.watchdog_s
-        if self._state is not DriveState.ARMED or watchdog is None:
+        if self.state is not DriveState.ARMED or watchdog is None:
             return False
         if time.monotonic() - self._last_beat <= watchdog:
             return False
         self._bring_to_zero()
-        self._gates_off()
-        self._latch(FaultCause.HEARTBEAT_LOST)
+        self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off"))
         return True
 
     # Plant

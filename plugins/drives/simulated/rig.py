@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from orchestrator.driving import refuse_excitation
 from plugins.drives.simulated import _memory
 from plugins.drives.simulated._bench import Bench
 from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
@@ -125,7 +126,8 @@ class Rig:
 
     def check(self, excitation: Excitation, limits: Limits) -> None:
         """Raises `DriveRefused` for what these limits, or this drive, do not allow."""
-        self._permission.check(excitation, limits)
+        refuse_excitation(excitation, limits, self.capabilities, self.own_nameplate.resistance_ohm)
+        self._permission.check(excitation)
 
     # What it does
 

@@ -165,7 +165,7 @@ def test_a_drive_that_holds_another_limit_than_was_written_is_not_armed() -> Non
 def test_limits_above_the_drives_own_are_refused() -> None:
     with bench() as b:
         b.drive.connect()
-        with pytest.raises(DriveRefused, match="current limit 6 is above"):
+        with pytest.raises(DriveRefused, match="current limit 6 A is above"):
             b.drive.arm(Limits(current_a=6.0, voltage_v=100.0))
         assert not b.device.arms
 

@@ -47,7 +47,7 @@ def test_it_only_reads_and_a_fault_stays_as_it_is(capsys: pytest.CaptureFixture[
 
 def test_an_armed_drive_is_not_disturbed() -> None:
     with armed("can") as b:
-        channel = b.drive._setup.options.channel
+        channel = b.drive.setup.options.channel
         command(["--can", f"virtual:{channel}"])
         assert b.drive.telemetry().state.value == "armed"
         assert b.device.ledger.session == b.drive._host.conversation.session  # type: ignore[union-attr]

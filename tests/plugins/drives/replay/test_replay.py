@@ -84,15 +84,15 @@ def test_the_procedure_played_back_gives_the_same_rows(original: Recording, tmp_
 def test_what_the_recording_does_not_hold_is_refused(original: Recording) -> None:
     drive = armed(original)
     hold = some_hold(original)
-    for other in (
-        hold.model_copy(update={"current_d_a": hold.current_d_a + 0.1}),
-        hold.model_copy(update={"rotor_angle_rad": hold.rotor_angle_rad + math.pi / 3}),
-        hold.model_copy(update={"pwm_frequency_hz": 1234.0}),
-        hold.model_copy(update={"duration_s": 1e3}),
-        hold.model_copy(update={"current_d_a": math.nan}),
+    for change, told in (
+        ({"current_d_a": hold.current_d_a + 0.1}, "holds no hold"),
+        ({"rotor_angle_rad": hold.rotor_angle_rad + math.pi / 3}, "holds no hold"),
+        ({"pwm_frequency_hz": 1234.0}, "PWM frequency 1234 Hz"),
+        ({"duration_s": 1e3}, "holds no hold"),
+        ({"current_d_a": math.nan}, "current_d_a is not a finite number"),
     ):
-        with pytest.raises(DriveRefused, match="holds no hold"):
-            list(drive.execute(other))
+        with pytest.raises(DriveRefused, match=told):
+            list(drive.execute(hold.model_copy(update=change)))
 
 
 def test_a_limit_below_what_was_recorded_is_kept(original: Recording) -> None:
