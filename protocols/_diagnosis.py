@@ -7,6 +7,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from protocols._base import ArrayModel, Samples, Shape, Strict, Vectors
+from protocols._reports import CompareReport, DiagnosisReport, DiagnosisWords, NextExperiment
 
 Phases = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("n", 3))]
 Curve = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("m",))]
@@ -93,8 +94,7 @@ class Compared(Strict):
     """The model held against the measurements."""
 
     kind: Literal["compared"] = "compared"
-    report: dict[str, Any]
-    """What `fluxbench compare --json` prints."""
+    report: CompareReport
 
 
 class Diagnosed(Strict):
@@ -103,19 +103,13 @@ class Diagnosed(Strict):
     kind: Literal["diagnosed"] = "diagnosed"
     round: int
     """0: of what the procedure measured; n: after the n-th proposed experiment."""
-    report: dict[str, Any]
-    """What `fluxbench diagnose --json` prints."""
-    words: dict[str, str]
-    """The five slots."""
+    report: DiagnosisReport
+    words: DiagnosisWords
 
 
-class ExperimentProposed(Strict):
+class ExperimentProposed(NextExperiment):
     """The experiment that would tell two effects apart, and whether this run goes on to do it."""
 
     kind: Literal["experiment_proposed"] = "experiment_proposed"
     round: int
-    stage: dict[str, Any]
-    """A procedure's stage."""
-    separates: tuple[str, str]
-    minutes: float
     accepted: bool

@@ -10,6 +10,7 @@ import numpy as np
 
 from protocols._base import ArrayModel, Shape, Strict, Vectors
 from protocols._recording import RecordingReader
+from protocols._remarks import Number, Remarks
 
 Grid = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("d", "q"))]
 AxisD = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("d",))]
@@ -44,7 +45,7 @@ class ResistanceEstimate(Strict):
     last_ohm: float
     readings: tuple[ResistanceReading, ...]
     """In order of time."""
-    notes: tuple[str, ...] = ()
+    remarks: Remarks = ()
 
 
 class FluxMap(ArrayModel):
@@ -83,8 +84,8 @@ class FluxPoints(ArrayModel):
 class AxisPercent(Strict):
     """A check's figure on each axis, in per cent of the rated flux."""
 
-    d_percent: float | None
-    q_percent: float | None
+    d_percent: Number
+    q_percent: Number
 
 
 class MapChecks(Strict):
@@ -98,13 +99,31 @@ class MapChecks(Strict):
     """rms of dpsi_d/di_q - dpsi_q/di_d against the mean inductance."""
 
 
+class Coefficient(Strict):
+    """One number of a formula."""
+
+    name: str
+    value: float
+    std: float
+    unit: str
+
+
+class ClosedForm(Strict):
+    """A map as a formula with fitted coefficients."""
+
+    formula: str
+    coefficients: tuple[Coefficient, ...]
+
+
 class FluxMapEstimate(ArrayModel):
     """A flux map, where it comes from, and how far it agrees with itself."""
 
     map: FluxMap
     points: FluxPoints
     checks: MapChecks
-    notes: tuple[str, ...] = ()
+    form: ClosedForm | None = None
+    """Where the map is one of a few numbers' rather than a table."""
+    remarks: Remarks = ()
 
 
 Estimate = ResistanceEstimate | FluxMapEstimate

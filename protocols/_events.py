@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import BeforeValidator, Field
 
 from protocols._base import ArrayModel, Strict
 from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentProposed
@@ -13,6 +13,7 @@ from protocols._estimates import FluxMapEstimate, ResistanceEstimate
 from protocols._motor import Motor
 from protocols._procedure import Stage
 from protocols._recording import Capture, Segment
+from protocols._reports import EstimationReport
 
 
 class RunStarted(Strict):
@@ -141,8 +142,8 @@ class RunEnded(Strict):
     reason: str
     run: str
     """The run directory."""
-    estimates: dict[str, Any] = Field(default_factory=dict)
-    """What `fluxbench estimate --json` prints of the recording; empty where nothing was estimated."""
+    estimates: Annotated[EstimationReport | None, BeforeValidator(lambda found: found or None)] = None
+    """None where nothing was estimated; older journals have an empty object there."""
 
 
 Message = (

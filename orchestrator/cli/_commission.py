@@ -122,8 +122,9 @@ def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int
     if as_json:
         import json
 
-        found = {"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason}
-        _tell(json.dumps(found | {"estimates": dict(outcome.estimates)}, indent=2), sys.stdout)
+        estimates = {} if outcome.estimates is None else outcome.estimates.model_dump(mode="json")
+        found = {"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason, "estimates": estimates}
+        _tell(json.dumps(found, indent=2), sys.stdout)
     if outcome.error is None:
         if outcome.reason == NOTHING_LEFT and not as_json:
             _tell(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute anew", sys.stdout)

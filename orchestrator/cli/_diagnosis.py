@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,9 +12,6 @@ from orchestrator.cli._tables import amount, print_table, stage_as_yaml
 from orchestrator.diagnosis import (
     CROSS_SATURATION,
     SATURATION,
-    AddReport,
-    CompareReport,
-    DiagnosisReport,
     ModelChoice,
     add_effects,
     compare_recording,
@@ -25,7 +22,7 @@ from orchestrator.diagnosis import (
 )
 from orchestrator.exporting import load_map
 from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
-from protocols import Effect, PluginError
+from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, Effect, PluginError
 
 SLOTS = {
     "where_it_fails": "where it fails",
@@ -127,11 +124,11 @@ def _print_comparison(report: CompareReport) -> None:
     _print_notes(report.notes)
 
 
-def _print_diagnosis(report: DiagnosisReport, words: Mapping[str, str]) -> None:
+def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     print(f"{report.recording}: {report.verdict.replace('_', ' ')}")
     print()
     for field, title in SLOTS.items():
-        print(f"{title:<19} {words[field]}")
+        print(f"{title:<19} {getattr(words, field)}")
     print()
     _print_ladder(report)
     if report.traces:

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from orchestrator.cli._results import open_any
 from orchestrator.cli._tables import stage_as_yaml
-from orchestrator.diagnosis import diagnose_recording
+from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.engine import following_stages, installed_effects
 from orchestrator.runs import RunDirectory, is_run
 from protocols import (
     Diagnosed,
     DiagnoseStage,
+    DiagnosisReport,
     InputError,
     OperatorStage,
     PointDone,
@@ -43,11 +41,10 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[Stage, 
     """
     path = source.parent.parent if source.is_file() and source.name == DIAGNOSIS.name else source
     report = _newest_report(path)
-    proposal = report.get("next_experiment")
-    if not isinstance(proposal, dict):
-        verdict = str(report.get("verdict", "no verdict")).replace("_", " ")
+    if report.next_experiment is None:
+        verdict = report.verdict.replace("_", " ")
         raise InputError(str(path), "", f"nothing to decide: {verdict}, and no experiment is proposed")
-    experiment = _experiment_of(proposal, path)
+    experiment = report.next_experiment.stage
     if not is_run(path):
         print(stage_as_yaml(experiment))
         problem = "missing: nobody knows the drive that this recording is from; put the stage above in a procedure"
@@ -56,13 +53,6 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[Stage, 
     last = next((s for s in reversed(procedure.stages) if isinstance(s, DiagnoseStage)), DiagnoseStage(kind="diagnose"))
     more = following_stages(last.model_copy(update={"rounds": rounds}), experiment, procedure)
     return path, (_lock_question(procedure), *more)
-
-
-def _experiment_of(proposal: dict[str, Any], path: Path) -> dict[str, Any]:
-    stage = proposal.get("stage")
-    if not isinstance(stage, dict):
-        raise RecordingError(str(path), "next_experiment.stage", "expected a stage of a procedure")
-    return stage
 
 
 def _lock_question(procedure: Procedure) -> OperatorStage:
@@ -74,17 +64,13 @@ def _lock_question(procedure: Procedure) -> OperatorStage:
     return OperatorStage(kind="operator", prompt=prompt, answer=answer)
 
 
-def _newest_report(path: Path) -> dict[str, Any]:
+def _newest_report(path: Path) -> DiagnosisReport:
     """The diagnosis of all that was measured: as it was kept, else made now."""
-    readers: tuple[Callable[[Path], dict[str, Any] | None], ...] = (_kept_report, _journalled_report)
-    for read in readers:
-        report = read(path)
-        if report is not None:
-            return report
-    return diagnose_recording(open_any(path), installed_effects()).report.model_dump(mode="json")
+    report = _kept_report(path) or _journalled_report(path)
+    return report or diagnose_recording(open_any(path), installed_effects()).report
 
 
-def _kept_report(path: Path) -> dict[str, Any] | None:
+def _kept_report(path: Path) -> DiagnosisReport | None:
     """`results/diagnosis.json`, unless something was measured after it."""
     file = path / DIAGNOSIS
     if not file.is_file():
@@ -92,21 +78,15 @@ def _kept_report(path: Path) -> dict[str, Any] | None:
     captures = (capture.stat().st_mtime for capture in (path / "captures").glob("*.parquet"))
     if file.stat().st_mtime < max(captures, default=0.0):
         return None
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise RecordingError(str(file), "", f"cannot be read: {error}") from None
-    if not isinstance(found, dict):
-        raise RecordingError(str(file), "", "expected a JSON object")
-    report = found.get("report", found)
-    return report if isinstance(report, dict) else None
+    kept = load_diagnosis(path)
+    return None if kept is None else kept.report
 
 
-def _journalled_report(path: Path) -> dict[str, Any] | None:
+def _journalled_report(path: Path) -> DiagnosisReport | None:
     """What the run itself said last, unless something was measured after it."""
     if not is_run(path):
         return None
-    found: dict[str, Any] | None = None
+    found: DiagnosisReport | None = None
     for entry in RunDirectory.open(path).journal.read():
         if isinstance(entry.message, Diagnosed):
             found = entry.message.report

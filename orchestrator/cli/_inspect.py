@@ -56,8 +56,8 @@ def procedures(name: str | None) -> int:
 
 def schema(name: str) -> int:
     """Print the JSON Schema of a file format."""
-    from orchestrator.estimation import EstimationReport
     from orchestrator.runs import RunRecord
+    from protocols import EstimationReport
 
     models: dict[str, type[BaseModel]] = {
         "procedure": Procedure,

@@ -8,11 +8,11 @@ from pathlib import Path
 
 from orchestrator.cli._tables import print_table
 from orchestrator.engine import installed_estimators
-from orchestrator.estimation import EstimationReport, estimate_recording
+from orchestrator.estimation import estimate_recording
 from orchestrator.recording import MANIFEST_NAME, Recording, open_recording
 from orchestrator.registry import PluginKind, load_plugin
 from orchestrator.runs import RunDirectory, is_run
-from protocols import AxisPercent, InputError, RecordingError
+from protocols import AxisPercent, EstimationReport, InputError, RecordingError
 
 PAPER = {"crossings": "1.3 % d, 2.9 % q"}
 """What the paper prints of its own measurement."""
@@ -68,6 +68,13 @@ def _print_report(report: EstimationReport) -> None:
         ("classical against injection", _percent(report.classical_against_injection_percent), "-"),
     ]
     print_table(("check", "here", "in the paper"), rows)
+    for method, made in report.maps.items():
+        if made.form is not None:
+            print(f"{method}: {made.form.formula}")
+            print_table(
+                ("coefficient", "value", "std", "unit"),
+                [(c.name, f"{c.value:.5g}", f"{c.std:.2g}", c.unit) for c in made.form.coefficients],
+            )
     for reason in report.reasons:
         print(f"note: {reason}")
     for name, file in report.files.items():

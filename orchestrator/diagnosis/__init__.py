@@ -15,7 +15,6 @@ from orchestrator.diagnosis.reporting.ladder import DETECTED
 from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, SavedModel, read_model
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
-from orchestrator.diagnosis.reporting.reports import AddReport, CompareReport, DiagnosisReport, Words
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
@@ -25,15 +24,11 @@ __all__ = [
     "DETECTED",
     "MODEL_NAME",
     "SATURATION",
-    "AddReport",
-    "CompareReport",
     "Diagnosis",
-    "DiagnosisReport",
     "Magnetics",
     "ModelChoice",
     "SavedDiagnosis",
     "SavedModel",
-    "Words",
     "add_effects",
     "compare_recording",
     "diagnose_and_keep",

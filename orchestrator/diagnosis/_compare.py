@@ -16,7 +16,6 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, read_model
-from orchestrator.diagnosis.reporting.reports import CompareReport, NoiseFloor, PercentPair, StageError, WorstSegment
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.leftover import map_breaks
 from orchestrator.diagnosis.selection.sufficiency import solvable
@@ -24,7 +23,7 @@ from orchestrator.diagnosis.selection.workflow import ModelChoice, first_steps, 
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording
-from protocols import Effect, SegmentStage
+from protocols import AxisPercent, CompareReport, Effect, NoiseFloor, Remark, SegmentStage, StageError, WorstSegment
 
 WORST = 8
 
@@ -53,9 +52,11 @@ def compare_recording(
     start = open_for_diagnosis(recording)
     kept = read_model(out or recording.path) if model is None else None
     names: list[str] = [e.name for e in kept.effects] if kept is not None else []
-    notes = list(start.notes)
+    remarks = list(start.remarks)
     if model is None and kept is None and out is not None:
-        notes.append(f"no {MODEL_NAME} in {out}: the bare map is compared")
+        remarks.append(
+            Remark.of("no_model", "no {file} in {folder}: the bare map is compared", file=MODEL_NAME, folder=str(out))
+        )
     if model is None:
         model = kept.baseline if kept is not None and kept.baseline in ("linear", "saturated") else "saturated"
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
@@ -64,7 +65,9 @@ def compare_recording(
         if name in library:
             fit = with_effect(start.fitter, fit, library[name])
         elif name not in MAGNETIC:
-            notes.append(f"{name}: in model.json, but not among the installed effects")
+            remarks.append(
+                Remark.of("not_installed", "{effect}: in model.json, but not among the installed effects", effect=name)
+            )
     title = " + ".join([name_of(model), *names])
     pieces = [p for p in start.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(start, fit)
@@ -76,10 +79,10 @@ def compare_recording(
         chi2=fit.chi2_per_dof,
         stages=tuple(_stage_error(fit, stage) for stage in dict.fromkeys(p.stage for p in start.prepared.pieces)),
         worst=_worst(fit, pieces),
-        parity=PercentPair(d_percent=100.0 * parity[0] / rated, q_percent=100.0 * parity[1] / rated),
+        parity=AxisPercent(d_percent=100.0 * parity[0] / rated, q_percent=100.0 * parity[1] / rated),
         reciprocity_percent=100.0 * reciprocity,
         crossings=_crossings(fit, rated),
-        notes=tuple(notes),
+        remarks=tuple(remarks),
     )
 
 
@@ -107,7 +110,7 @@ def _rated_flux(start: Start, fit: Fit) -> float:
     return max(float(np.linalg.norm(psi[0] - psi[1])), 1e-12)
 
 
-def _crossings(fit: Fit, rated_wb: float) -> PercentPair:
+def _crossings(fit: Fit, rated_wb: float) -> AxisPercent:
     """Largest wandering of the flux integrated along a trapezoid from the map's, per cent of the rated flux.
 
     Where paths cross, two integrated fluxes differ by no more than twice this. A constant voltage error, which
@@ -123,6 +126,6 @@ def _crossings(fit: Fit, rated_wb: float) -> PercentPair:
         flux = np.cumsum(rows - rows.mean(axis=0), axis=0) * piece.windows.step / piece.signals.sampling_frequency_hz
         largest = np.maximum(largest, np.ptp(flux, axis=0))
     if not seen:
-        return PercentPair(d_percent=None, q_percent=None)
+        return AxisPercent(d_percent=None, q_percent=None)
     percent = 100.0 * largest / rated_wb
-    return PercentPair(d_percent=float(percent[0]), q_percent=float(percent[1]))
+    return AxisPercent(d_percent=float(percent[0]), q_percent=float(percent[1]))

@@ -24,18 +24,6 @@ from orchestrator.diagnosis.reporting.ladder import (
     verdict_of,
 )
 from orchestrator.diagnosis.reporting.model_file import SavedModel, read_model, saved_map, write_model
-from orchestrator.diagnosis.reporting.reports import (
-    AddReport,
-    DiagnosisReport,
-    FoundEffect,
-    NextExperiment,
-    NoiseFloor,
-    ParameterValue,
-    Rung,
-    ShapeShare,
-    Unexplained,
-    Verdict,
-)
 from orchestrator.diagnosis.selection.forward_search import (
     Search,
     Step,
@@ -56,7 +44,23 @@ from orchestrator.diagnosis.selection.workflow import (
     without_doubtful,
 )
 from orchestrator.recording import Recording
-from protocols import DiagnosisStep, Effect, PluginError, StorageError
+from protocols import (
+    AddReport,
+    DiagnosisReport,
+    DiagnosisStep,
+    Effect,
+    FoundEffect,
+    NextExperiment,
+    NoiseFloor,
+    ParameterValue,
+    PluginError,
+    Remark,
+    Rung,
+    ShapeShare,
+    StorageError,
+    Unexplained,
+    Verdict,
+)
 
 QUIET = 0.8
 """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
@@ -127,7 +131,8 @@ def diagnose_recording(
     search, spared = pruned(start, converged(start, search))
     search, doubtful = without_doubtful(start, search)
     first, last = search.steps[0].fit, search.fit
-    notes = [*start.notes, *(f"{n} resembles a part of what is left, but not steadily" for n in doubtful)]
+    unsteady = "{effect} resembles a part of what is left, but not steadily"
+    remarks = [*start.remarks, *(Remark.of("unsteady", unsteady, effect=n) for n in doubtful)]
     found = _magnetic_rungs(search) + found_effects(start.fitter, last, search.steps, search.rivals)
     periodic = any(not line.switching for line in start.fitter.noise.lines)
     verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
@@ -135,15 +140,15 @@ def diagnose_recording(
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > NOTEWORTHY and left.shape:
-        notes.append(f"small beside what was found, but not noise: chi2 {last.chi2_per_dof:.3g}, {left.shape[0].group}")
+        text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
+        remarks.append(Remark.of("not_noise", text, chi2=last.chi2_per_dof, shape=left.shape[0].group))
     if start.fitter.effort.exhausted:
-        notes.append("the search was cut short: it took more computing than a diagnosis may")
+        remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
     if last.chi2_per_dof < QUIET:
-        notes.append(
-            f"chi2 {last.chi2_per_dof:.2g} is too small for random noise: the readings err from one to the next"
-        )
+        text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
+        remarks.append(Remark.of("too_quiet", text, chi2=last.chi2_per_dof))
     joint = joint_fit(start.fitter, search, library)
-    notes += other_opinion(joint, found)
+    remarks += other_opinion(joint, found)
     ladder = tuple(rung(step) for step in search.steps)
     if on_step is not None:
         _show(start, search, ladder, on_step)
@@ -157,12 +162,12 @@ def diagnose_recording(
         ladder=ladder,
         unexplained=left,
         next_experiment=_proposal(start, last, library, found, verdict, [*doubtful, *search.traces]),
-        notes=tuple(notes),
+        remarks=tuple(remarks),
         seconds=time.monotonic() - began,
     )
     problem = _save(recording, start, search, name_of(model), found, ladder, out)
     if problem is not None:
-        report = report.model_copy(update={"notes": (*report.notes, problem)})
+        report = report.with_remark(Remark.of("not_written", "{problem}", problem=problem))
     return Diagnosis(report, start, search)
 
 
@@ -217,14 +222,15 @@ def _refitted(
     start = open_for_diagnosis(recording)
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
     steps = first_steps(start, model, [n for n in names if n in MAGNETIC])
-    notes = list(start.notes)
+    remarks = list(start.remarks)
     for name in names:
         if name in library:
             steps.append(Step(name, with_effect(start.fitter, steps[-1].fit, library[name])))
         elif name in MAGNETIC and model != "linear":
-            notes.append(f"{name}: in the map {name_of(model)} already")
+            remarks.append(Remark.of("in_map", "{effect}: in the map {map} already", effect=name, map=name_of(model)))
         elif name not in MAGNETIC:
-            notes.append(f"{name}: in model.json, but not among the installed effects: left out")
+            text = "{effect}: in model.json, but not among the installed effects: left out"
+            remarks.append(Remark.of("not_installed", text, effect=name))
     search = Search(steps)
     found = _magnetic_rungs(search) + found_effects(start.fitter, search.fit, steps, {})
     ladder = tuple(rung(step) for step in steps)
@@ -232,7 +238,7 @@ def _refitted(
     if problem is not None:
         raise StorageError(problem)
     left = _unexplained(start, steps[0].fit, search.fit)
-    return AddReport(effects=found, ladder=ladder, unexplained=left, notes=tuple(notes))
+    return AddReport(effects=found, ladder=ladder, unexplained=left, remarks=tuple(remarks))
 
 
 def _show(start: Start, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]) -> None:

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.segments import Prepared, coarse, prepare
 from orchestrator.recording._recording_checks import SoundRecording
-from protocols import RecordingReader
+from protocols import RecordingReader, Remark
 
 MOST_EFFORT = 3e8
 """Samples times columns that a search may take."""
@@ -36,7 +36,7 @@ def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = la
     low, high, q = prepared.current_range
     noise = sensor_noise(prepared.pieces)
     require_enough(prepared, noise)
-    notes = [*prepared.notes, *what_is_missing(prepared), *_of_noise(noise)]
+    remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise)]
     reach = max(-low, high, q)
     # The map is smooth on the scale of this current; where little of the plane was seen, that is not the rated one.
     current = min(motor.rated_current_a or reach, 2.0 * reach)
@@ -46,21 +46,25 @@ def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = la
     effort = Effort(max(MOST_EFFORT, 600.0 * samples))
     fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=effort, poll=poll)
     search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
-    return Start(prepared, fitter, search, l_d, l_q, current, tuple(notes))
+    return Start(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 
-def _of_noise(noise: SensorNoise) -> list[str]:
+def _of_noise(noise: SensorNoise) -> list[Remark]:
     """What is unusual about the current readings' noise; all of it is allowed for."""
-    notes = []
+    remarks = []
     if noise.correlation != 0.0:
-        notes.append(f"the current readings' noise is correlated, {noise.correlation:.2f} from one to the next")
+        text = "the current readings' noise is correlated, {correlation:.2f} from one to the next"
+        remarks.append(Remark.of("noise_correlated", text, correlation=noise.correlation))
     ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
     if ratio > 1.1:
-        notes.append(f"the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)")
+        text = "the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)"
+        remarks.append(Remark.of("noise_under_injection", text, ratio=ratio))
     for line in noise.lines:
-        told = "switching ripple in the samples" if line.switching else "periodic disturbance"
-        notes.append(f"{told}: {1e3 * math.sqrt(2.0 * line.power):.2g} mA at {line.frequency_hz:.4g} Hz in the holds")
-    return notes
+        kind = "switching ripple in the samples" if line.switching else "periodic disturbance"
+        size = {"amplitude_ma": 1e3 * math.sqrt(2.0 * line.power), "frequency_hz": line.frequency_hz}
+        text = "{kind}: {amplitude_ma:.2g} mA at {frequency_hz:.4g} Hz in the holds"
+        remarks.append(Remark.of("periodic", text, kind=kind, **size))
+    return remarks
 
 
 def _rough_inductance(prepared: Prepared) -> float:

@@ -6,8 +6,8 @@ the drive stands down, the reason is in the journal, and what was measured is a 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 from orchestrator.config import Plan, PlannedPoint
@@ -33,6 +33,7 @@ from protocols import (
     Effect,
     Estimate,
     EstimateStage,
+    EstimationReport,
     Estimator,
     ExperimentProposed,
     FluxbenchError,
@@ -90,8 +91,8 @@ class Outcome:
     reason: str
     error: BaseException | None
     """What ended it before its time."""
-    estimates: Mapping[str, object] = field(default_factory=dict)
-    """As `RunEnded` has them."""
+    estimates: EstimationReport | None = None
+    """As `RunEnded` has it."""
 
 
 class Commissioning:
@@ -137,7 +138,7 @@ class Commissioning:
         self._probe = RippleProbe(self._power, limits, plan.procedure.motor, interrupts)
         self._machine = StateMachine(self._on_change)
         self._agenda = Agenda(run, plan, capabilities)
-        self._summary: dict[str, object] = {}
+        self._summary: EstimationReport | None = None
 
     @property
     def state(self) -> State:
@@ -315,11 +316,11 @@ class Commissioning:
         self._compute()
         wanted = [e for e in self._estimators if stage.estimators is None or e.name in stage.estimators]
         try:
-            report = estimate_recording(self._recording(), wanted, self._run.path, on_estimate=self._say_estimate)
+            self._summary = estimate_recording(
+                self._recording(), wanted, self._run.path, on_estimate=self._say_estimate
+            )
         except NotMeasuredError as error:
             self._log.say(Note(level="warning", text=str(error)))
-            return
-        self._summary = report.model_dump(mode="json")
 
     def _diagnose(self, index: int, stage: DiagnoseStage) -> None:
         self._compute(Trigger.COMPARE)

@@ -21,8 +21,8 @@ from protocols import (
 )
 
 if TYPE_CHECKING:
-    from orchestrator.diagnosis import DiagnosisReport
     from orchestrator.recording import Recording
+    from protocols import DiagnosisReport
 
 
 def compared(recording: Recording, stage: DiagnoseStage) -> Compared:
@@ -35,8 +35,7 @@ def compared(recording: Recording, stage: DiagnoseStage) -> Compared:
     """
     from orchestrator.diagnosis import compare_recording
 
-    report = compare_recording(recording, model=stage.model)
-    return Compared(report=report.model_dump(mode="json"))
+    return Compared(report=compare_recording(recording, model=stage.model))
 
 
 def diagnosed(
@@ -74,11 +73,7 @@ def diagnosed(
 
 def _proposal(report: DiagnosisReport, number: int) -> ExperimentProposed | None:
     found = report.next_experiment
-    if found is None:
-        return None
-    return ExperimentProposed(
-        round=number, stage=found.stage, separates=found.separates, minutes=found.minutes or 0.0, accepted=False
-    )
+    return None if found is None else ExperimentProposed(**found.model_dump(), round=number, accepted=False)
 
 
 def following_stages(stage: DiagnoseStage, experiment: dict[str, Any], procedure: Procedure) -> tuple[Stage, ...]:

@@ -2,6 +2,5 @@
 
 from orchestrator.estimation._estimation import estimate_recording
 from orchestrator.estimation._flux_map_file import load_flux_map, save_flux_map
-from orchestrator.estimation._report import EstimationReport, ResistanceReport
 
-__all__ = ["EstimationReport", "ResistanceReport", "estimate_recording", "load_flux_map", "save_flux_map"]
+__all__ = ["estimate_recording", "load_flux_map", "save_flux_map"]

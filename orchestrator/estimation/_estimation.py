@@ -9,19 +9,22 @@ from tempfile import TemporaryDirectory
 from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
 from orchestrator.analysis._heating import temperature_rise
 from orchestrator.estimation._flux_map_file import save_flux_map
-from orchestrator.estimation._report import EstimationReport, ResistanceReport
 from orchestrator.recording import replace_file
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import (
     Estimate,
     EstimationContext,
+    EstimationReport,
     Estimator,
     FluxMapEstimate,
     MapChecks,
+    MapReport,
     NotMeasuredError,
     PluginError,
     RecordingReader,
+    Remark,
     ResistanceEstimate,
+    ResistanceReport,
     StorageError,
 )
 
@@ -72,12 +75,12 @@ def estimate_recording(
     resistance: ResistanceEstimate | None = None
     resistances: dict[str, ResistanceEstimate] = {}
     maps: dict[str, FluxMapEstimate] = {}
-    missing: list[str] = []
+    missing: list[Remark] = []
     for estimator in sorted(estimators, key=_turn):
         try:
             found = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=dict(maps)))
         except NotMeasuredError as error:
-            missing.append(f"{estimator.name}: {error}")
+            missing.append(Remark(code="not_measured", text=str(error)).by(estimator.name))
             continue
         if isinstance(found, ResistanceEstimate):
             resistances[estimator.name] = found
@@ -89,7 +92,7 @@ def estimate_recording(
         if on_estimate is not None:
             on_estimate(found)
     if resistance is None and not maps:
-        problem = "; ".join(missing) or "no estimator was asked"
+        problem = "; ".join(remark.text for remark in missing) or "no estimator was asked"
         raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
     missing += _other_resistances(resistance, resistances)
     report = _report(recording, resistance, maps, missing)
@@ -101,10 +104,13 @@ def _turn(estimator: Estimator) -> tuple[bool, int]:
     return estimator.produces != "resistance", _TURNS.index(estimator.name) + 1 if estimator.name in _TURNS else 0
 
 
-def _other_resistances(chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]) -> list[str]:
+def _other_resistances(
+    chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]
+) -> list[Remark]:
     """The one with the narrowest interval is chosen; what the others say is told."""
+    text = "R_s = {value_ohm:.4g} ohm (95 %: {low:.4g} to {high:.4g}), a wider interval: not used"
     return [
-        f"{name}: R_s = {r.value_ohm:.4g} ohm (95 %: {r.low:.4g} to {r.high:.4g}), a wider interval: not used"
+        Remark.of("wider_interval", text, value_ohm=r.value_ohm, low=r.low, high=r.high).by(name)
         for name, r in resistances.items()
         if r is not chosen
     ]
@@ -130,7 +136,7 @@ def _report(
     recording: RecordingReader,
     resistance: ResistanceEstimate | None,
     maps: dict[str, FluxMapEstimate],
-    missing: list[str],
+    missing: list[Remark],
 ) -> EstimationReport:
     best = _recommended(maps, recording.manifest.motor.rated_current_a)
     checks = best.checks if best else MapChecks()
@@ -138,8 +144,9 @@ def _report(
     against = _objections(best)
     remarks = _remarks(difference, maps)
     unscaled = best is not None and rated_flux_wb(best.map, recording.manifest.motor.rated_current_a) is None
-    notes = ["the map does not reach the rated current: no percentages"] if unscaled else []
-    notes += [f"{method}: {note}" for method, found in maps.items() for note in found.notes]
+    unscaled_text = "the map does not reach the rated current: no percentages"
+    told = [Remark.of("rated_current_not_reached", unscaled_text)] if unscaled else []
+    told += [remark.by(method) for method, found in maps.items() for remark in found.remarks]
     return EstimationReport(
         resistance=_resistance_report(resistance) if resistance else None,
         method=best.map.method if best else None,
@@ -148,7 +155,8 @@ def _report(
         reciprocity_percent=checks.reciprocity_percent,
         classical_against_injection_percent=difference,
         usable=best is not None and not against,
-        reasons=[*against, *remarks, *missing, *(resistance.notes if resistance else ()), *notes],
+        remarks=(*against, *remarks, *missing, *(resistance.remarks if resistance else ()), *told),
+        maps={method: MapReport(checks=found.checks, form=found.form) for method, found in maps.items()},
     )
 
 
@@ -172,39 +180,44 @@ def _difference(recording: RecordingReader, maps: dict[str, FluxMapEstimate]) ->
     return difference_percent(injection, classical, rated)
 
 
-def _objections(best: FluxMapEstimate | None) -> list[str]:
-    """What makes the recommended map unusable, in words."""
+def _objections(best: FluxMapEstimate | None) -> list[Remark]:
+    """What makes the recommended map unusable."""
     if best is None:
-        return ["no flux map could be made"]
-    checks, words = best.checks, []
+        return [Remark.of("no_map", "no flux map could be made")]
+    checks, told = best.checks, []
     for axis in ("d", "q"):
         crossing = getattr(checks.crossings, f"{axis}_percent", None)
         if crossing is not None and crossing > _BAD_CROSSINGS_PERCENT:
-            words.append(f"where current paths cross, psi_{axis} differs by {crossing:.1f} % of the rated flux")
+            text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
+            told.append(Remark.of("bad_crossings", text, axis=axis, apart_percent=crossing))
         parity = getattr(checks.parity, f"{axis}_percent", None)
         if parity is not None and parity > _BAD_PARITY_PERCENT:
-            words.append(
-                f"psi_{axis} breaks its symmetry in i_q by {parity:.1f} % of the rated flux: is the rotor angle right?"
+            text = (
+                "psi_{axis} breaks its symmetry in i_q by {off_percent:.1f} % of the rated flux: "
+                "is the rotor angle right?"
             )
-    return words
+            told.append(Remark.of("bad_parity", text, axis=axis, off_percent=parity))
+    return told
 
 
-def _remarks(difference: float | None, maps: dict[str, FluxMapEstimate]) -> list[str]:
+def _remarks(difference: float | None, maps: dict[str, FluxMapEstimate]) -> list[Remark]:
     """A difference between the methods speaks against one of them, and does not say which."""
-    words = []
+    told = []
     if difference is not None and difference > _BAD_DIFFERENCE_PERCENT:
-        words.append(f"the classical and the injection map differ by {difference:.1f} % of the rated flux (rms)")
+        text = "the classical and the injection map differ by {apart_percent:.1f} % of the rated flux (rms)"
+        told.append(Remark.of("methods_differ", text, apart_percent=difference))
     if not {"classical", "injection"} <= maps.keys():
-        return words
+        return told
     ratio = flux_ratio(maps["injection"].map, maps["classical"].map)
     if ratio is not None and abs(ratio[0] - 1.0) > max(_SURE * ratio[1], _LEAST_RATIO):
         less = ratio[0] < 1.0
         cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
-        words.append(
-            f"injection gives {100 * abs(ratio[0] - 1.0):.1f} % {'less' if less else 'more'} flux than the classical "
+        text = (
+            f"injection gives {{apart_percent:.1f}} % {'less' if less else 'more'} flux than the classical "
             f"method, more than their errors explain: {cause}"
         )
-    return words
+        told.append(Remark.of("flux_ratio", text, apart_percent=100 * abs(ratio[0] - 1.0), ratio=ratio[0]))
+    return told
 
 
 def _written(

@@ -11,9 +11,13 @@ from protocols import (
     AxisPercent,
     Capture,
     Compared,
+    CompareReport,
     Diagnosed,
+    DiagnosisReport,
     DiagnosisStep,
+    DiagnosisWords,
     DriveRecord,
+    EstimationReport,
     ExperimentProposed,
     FluxMap,
     FluxMapEstimate,
@@ -26,6 +30,7 @@ from protocols import (
     MapEstimated,
     Message,
     Motor,
+    NoiseFloor,
     Note,
     OperatorAnswered,
     OperatorAsked,
@@ -35,6 +40,7 @@ from protocols import (
     ResistanceEstimated,
     ResistanceReading,
     RunEnded,
+    Rung,
     RunStarted,
     SamplesCaptured,
     Segment,
@@ -42,6 +48,7 @@ from protocols import (
     StagesAppended,
     StageStarted,
     StateChanged,
+    Unexplained,
 )
 
 MOTOR = Motor(name="kit's motor", pole_pairs=2, rated_current_rms_a=1.66, stator_resistance_ohm=4.25)
@@ -93,9 +100,9 @@ def one_of_each(run: Path) -> list[Message]:
         ),
         ResistanceEstimated(estimate=_resistance()),
         MapEstimated(estimate=_map()),
-        Compared(report={"recording": "kit", "chi2": 12.5, "notes": []}),
+        Compared(report=_comparison()),
         _diagnosis_step(),
-        Diagnosed(round=0, report=_REPORT, words=dict.fromkeys(_SLOTS, "said in words")),
+        Diagnosed(round=0, report=_diagnosis(), words=_WORDS),
         ExperimentProposed(
             round=0,
             stage={"kind": "gates_off", "duration_s": 2.0},
@@ -109,20 +116,36 @@ def one_of_each(run: Path) -> list[Message]:
     ]
 
 
-_SLOTS = ("where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide")
-_REPORT = {
-    "recording": "kit",
-    "noise_floor": {"rms_v": 0.004},
-    "verdict": "explained",
-    "effects": [],
-    "traces": [],
-    "joint": [],
-    "ladder": [{"added": None, "chi2": 12.5, "rms_v": 0.05, "heldout_rms_v": None, "current_rms_a": None}],
-    "unexplained": {"fraction": 0.0, "shape": []},
-    "next_experiment": None,
-    "notes": [],
-    "seconds": 1.5,
-}
+_WORDS = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, "said in words"))
+
+
+def _comparison() -> CompareReport:
+    return CompareReport(
+        recording="kit",
+        model="saturated",
+        noise_floor=NoiseFloor(rms_v=0.004),
+        chi2=12.5,
+        stages=(),
+        worst=(),
+        parity=AxisPercent(d_percent=0.1, q_percent=None),
+        reciprocity_percent=0.2,
+        crossings=AxisPercent(d_percent=None, q_percent=None),
+    )
+
+
+def _diagnosis() -> DiagnosisReport:
+    return DiagnosisReport(
+        recording="kit",
+        noise_floor=NoiseFloor(rms_v=0.004),
+        verdict="explained",
+        effects=(),
+        traces=(),
+        joint=(),
+        ladder=(Rung(added=None, chi2=12.5, rms_v=0.05, heldout_rms_v=None, current_rms_a=None),),
+        unexplained=Unexplained(fraction=0.0, shape=()),
+        next_experiment=None,
+        seconds=1.5,
+    )
 
 
 def _diagnosis_step() -> DiagnosisStep:
@@ -194,7 +217,19 @@ def _point_started(k: int) -> PointStarted:
 
 
 def _ended(run: Path) -> RunEnded:
-    return RunEnded(outcome="finished", reason="all stages are done", run=str(run), estimates={"usable": True})
+    return RunEnded(outcome="finished", reason="all stages are done", run=str(run), estimates=_estimates())
+
+
+def _estimates() -> EstimationReport:
+    return EstimationReport(
+        resistance=None,
+        method="injection",
+        crossings=None,
+        parity=None,
+        reciprocity_percent=None,
+        classical_against_injection_percent=None,
+        usable=True,
+    )
 
 
 def _resistance() -> ResistanceEstimate:

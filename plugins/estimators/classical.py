@@ -37,6 +37,7 @@ from protocols import (
     FluxPoints,
     NotMeasuredError,
     RecordingReader,
+    Remark,
     ResistanceEstimate,
     Segment,
     SegmentStage,
@@ -82,7 +83,7 @@ class ClassicalEstimator:
             map=flux_map,
             points=points,
             checks=check_map(flux_map, rated, network.misfit),
-            notes=_notes(swept, network, rated),
+            remarks=_remarks(swept, network, rated),
             paths=network.paths,
             loss=swept.losses.phase if swept.clear else NO_LOSS,
         )
@@ -198,28 +199,31 @@ def _error_draws(network: Network) -> Array:
     return np.concatenate(columns)
 
 
-def _notes(swept: _Swept, network: Network, rated: float | None) -> tuple[str, ...]:
-    notes = []
+def _remarks(swept: _Swept, network: Network, rated: float | None) -> tuple[Remark, ...]:
+    remarks = []
     left_out = len(swept.sweeps) - len(network.paths)
     if left_out:
-        notes.append(f"{left_out} of {len(swept.sweeps)} sweeps cross none of the others and are left out")
+        text = "{left_out} of {sweeps} sweeps cross none of the others and are left out"
+        remarks.append(Remark.of("sweeps_left_out", text, left_out=left_out, sweeps=len(swept.sweeps)))
     if not rated:
-        return tuple(notes)
+        return tuple(remarks)
     left, bare = (100 * _widest(sweeps) / rated for sweeps in (swept.with_model, swept.bare))
     error_v = float(np.abs(swept.losses.error_v).max())
     if swept.clear:
         apart = [a.path.psi - b.path.psi for a, b in zip(swept.with_model, swept.bare, strict=True)]
         moved = np.concatenate([one - one.mean(axis=0) for one in apart])
         off = 100 / rated * float(np.sqrt((moved**2).sum(axis=1).mean()))
-        notes.append(
-            f"each phase loses up to {error_v:.2f} V, told from the loops; not taken out, "
-            f"rising and falling branches would differ by up to +-{bare:.0f} % of the rated flux, and their mean by "
-            f"{off:.1f} % (rms)"
+        text = (
+            "each phase loses up to {lost_v:.2f} V, told from the loops; not taken out, "
+            "rising and falling branches would differ by up to +-{apart_percent:.0f} % of the rated flux, and their "
+            "mean by {mean_percent:.1f} % (rms)"
         )
+        remarks.append(Remark.of("inverter_loss", text, lost_v=error_v, apart_percent=bare, mean_percent=off))
     widest = left if swept.modelled else bare
     if widest > 2.0:
-        notes.append(
-            f"rising and falling branches still differ by up to +-{widest:.1f} % of the rated flux: "
+        text = (
+            "rising and falling branches still differ by up to +-{apart_percent:.1f} % of the rated flux: "
             "a voltage error of another kind, or hysteresis; their mean is used"
         )
-    return tuple(notes)
+        remarks.append(Remark.of("branches_differ", text, apart_percent=widest))
+    return tuple(remarks)

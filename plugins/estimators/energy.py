@@ -14,7 +14,7 @@ import numpy as np
 from orchestrator.analysis import EnergyFit, check_map, rated_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
-from protocols import EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader
+from protocols import EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader, Remark
 
 _CORRELATED = 0.5
 
@@ -40,7 +40,7 @@ class EnergyEstimator:
                 segment=measured.segments,
             ),
             checks=_checked(flux_map, rated, fit, measured),
-            notes=tuple(_notes(fit, flux_map, rated, measured.current)),
+            remarks=tuple(_remarks(fit, flux_map, rated, measured.current)),
             fit=fit,
         )
 
@@ -57,39 +57,47 @@ def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: M
     return checks.model_copy(update={"crossings": injected.checks.crossings})
 
 
-def _notes(fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Array) -> list[str]:
-    notes = []
+def _remarks(fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Array) -> list[Remark]:
+    remarks: list[Remark] = []
+
+    def told(code: str, text: str, **values: float) -> None:
+        remarks.append(Remark.of(code, text, **values))
+
     if rated:
         spread = np.sqrt(np.nanmean(flux_map.psi_d_std**2 + flux_map.psi_q_std**2))
-        notes.append(
-            f"the flux is known to +-{1.96 * 100 * spread / rated:.2f} % of the rated flux (95 %, over the map)"
-        )
+        text = "the flux is known to +-{half_percent:.2f} % of the rated flux (95 %, over the map)"
+        told("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
     if fit.angle_rad:
-        notes.append(
-            f"the map is symmetric about an axis {np.degrees(fit.angle_rad):+.2f} degrees (electrical) from the "
+        text = (
+            "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
             "believed d axis: is the rotor angle right? The map stays in the believed frame"
         )
+        told("axis_turned", text, angle_deg=float(np.degrees(fit.angle_rad)))
     inductance = fit.inductance(current)[0]
     if fit.stiffening_per_h:
         less = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
-        notes.append(
-            f"injection gives {less:.1f} % less flux than the sweeps: hysteresis, whose loops a small ripple does not "
-            "pass; the map has the sweeps' flux, its inductances are those along the map"
+        text = (
+            "injection gives {less_percent:.1f} % less flux than the sweeps: hysteresis, whose loops a small ripple "
+            "does not pass; the map has the sweeps' flux, its inductances are those along the map"
         )
+        told("hysteresis", text, less_percent=less)
     if fit.scales[0] > 3.0 and fit.correlation > _CORRELATED:
-        notes.append(
-            f"what the energy leaves of the inductances is {fit.scales[0]:.0f} times their noise and alike at "
-            f"neighbouring points (correlation {fit.correlation:.2f}): an effect that is no magnetics"
+        text = (
+            "what the energy leaves of the inductances is {noises:.0f} times their noise and alike at "
+            "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
         )
+        told("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
     if fit.dead_time:
         most = 100.0 * float(np.abs(fit.taken_out[:, [0, 2]] / inductance[: len(fit.taken_out), [0, 2]]).max())
-        notes.append(
-            f"where a phase current passes zero, dead time makes injection's inductances look up to {most:.1f} % "
-            "wrong; taken out"
+        text = (
+            "where a phase current passes zero, dead time makes injection's inductances look up to {most_percent:.1f} "
+            "% wrong; taken out"
         )
+        told("dead_time", text, most_percent=most)
     doubted = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
     if doubted > 0.0:
-        notes.append(f"{100.0 * doubted:.0f} % of the injection's points are confirmed by no others and count for less")
+        text = "{points_percent:.0f} % of the injection's points are confirmed by no others and count for less"
+        told("doubted_points", text, points_percent=100.0 * doubted)
     if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
-        notes.append("the energy is not convex everywhere: there the map cannot be inverted")
-    return notes
+        told("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
+    return remarks

@@ -40,6 +40,7 @@ from protocols import (
     FluxPoints,
     NotMeasuredError,
     RecordingReader,
+    Remark,
     Segment,
     SegmentStage,
 )
@@ -99,7 +100,7 @@ class InjectionEstimator:
             map=flux_map,
             points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
             checks=check_map(flux_map, rated, _misfit(points)),
-            notes=(*_notes(groups, chosen, points, flux), *skipped),
+            remarks=(*_remarks(groups, chosen, points, flux), *(Remark(code="skipped", text=one) for one in skipped)),
             inductances=points,
         )
 
@@ -219,12 +220,14 @@ def _misfit(points: Inductances) -> Array | None:
     return join_paths(paths).misfit if len(paths) > 1 else None
 
 
-def _notes(groups: list[_Group], chosen: _Group, points: Inductances, flux: IntegratedFlux) -> list[str]:
-    notes = []
+def _remarks(groups: list[_Group], chosen: _Group, points: Inductances, flux: IntegratedFlux) -> list[Remark]:
+    remarks = []
     if not flux.anchored:
-        notes.append("zero current lies outside the measured points: the flux there was extrapolated")
+        text = "zero current lies outside the measured points: the flux there was extrapolated"
+        remarks.append(Remark.of("zero_outside", text))
     if len(groups) > 1:
-        notes.append(f"several injections: the map is of {chosen} ({len(chosen.ripples)} points)")
+        text = "several injections: the map is of {injection} ({points} points)"
+        remarks.append(Remark.of("several_injections", text, injection=str(chosen), points=len(chosen.ripples)))
     for group in groups:
         if group is chosen:
             continue
@@ -233,7 +236,7 @@ def _notes(groups: list[_Group], chosen: _Group, points: Inductances, flux: Inte
         ratios = [other.matrix[:, k, k] / here(points.matrix[:, k, k], points.slope[:, k, k]) for k in range(2)]
         if np.isfinite(ratios).any():
             d, q = (100.0 * (float(np.nanmean(ratio)) - 1.0) for ratio in ratios)
-            notes.append(
-                f"with {group} L_dd is {d:+.1f} % and L_qq {q:+.1f} % of the map's ({len(group.ripples)} points)"
-            )
-    return notes
+            text = "with {by} L_dd is {d_percent:+.1f} % and L_qq {q_percent:+.1f} % of the map's ({points} points)"
+            figures = {"d_percent": d, "q_percent": q, "points": len(group.ripples)}
+            remarks.append(Remark.of("other_injection", text, by=str(group), **figures))
+    return remarks

@@ -14,7 +14,7 @@ import numpy as np
 from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, rated_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import energy_measurements, gridded, pm_flux
-from protocols import EstimationContext, FluxMapEstimate, FluxPoints, RecordingReader
+from protocols import ClosedForm, Coefficient, EstimationContext, FluxMapEstimate, FluxPoints, RecordingReader, Remark
 
 _ENOUGH_PERCENT = 0.5  # of the rated flux, rms, off the flexible energy
 
@@ -47,36 +47,39 @@ class PolynomialEstimator:
                 segment=measured.segments,
             ),
             checks=check_map(flux_map, rated, measured.misfit(fit)),
-            notes=(_formula(fit), _goodness(fit, energy, measured.current, rated)),
+            form=_form(fit),
+            remarks=_remarks(fit, energy, measured.current, rated),
         )
 
 
-def _formula(fit: PolynomialFit) -> str:
-    """The coefficients with their standard deviations and units."""
-    values = dict(zip(fit.terms, zip(fit.coefficients, fit.std, strict=True), strict=True))
-    words = []
+def _form(fit: PolynomialFit) -> ClosedForm:
+    """The coefficients with their standard deviations; L_d and L_q in place of those of x^2 and y^2."""
+    values = dict(zip(fit.terms, zip(fit.coefficients.tolist(), fit.std.tolist(), strict=True), strict=True))
+    told = []
     for name, term in (("L_d", (2, 0)), ("L_q", (0, 2))):
         value, std = values.pop(term)
-        words.append(f"{name} = {500.0 / value:.5g} +- {500.0 * std / value**2:.2g} mH")
+        told.append(Coefficient(name=name, value=0.5 / value, std=0.5 * std / value**2, unit="H"))
     for (m, n), (value, std) in values.items():
-        words.append(f"alpha{m}{n} = {value:.4g} +- {std:.2g} A/Wb^{m + n - 1}")
+        told.append(Coefficient(name=f"alpha{m}{n}", value=value, std=std, unit=f"A/Wb^{m + n - 1}"))
     axis = f" about an axis {np.degrees(fit.angle_rad):+.2f} degrees from the believed d axis" if fit.angle_rad else ""
-    return (
-        "H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, y = psi_q, i = grad H"
-        f"{axis}: {', '.join(words)}"
-    )
+    formula = f"H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, y = psi_q, i = grad H{axis}"
+    return ClosedForm(formula=formula, coefficients=tuple(told))
 
 
-def _goodness(fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float | None) -> str:
-    tried = ", ".join(f"{degree}: {value - min(fit.criteria.values()):.0f}" for degree, value in fit.criteria.items())
-    words = f"degree {fit.degree} of the tried ones (criterion above the best: {tried})"
+def _remarks(fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float | None) -> tuple[Remark, ...]:
+    """Which degree was chosen, and whether the polynomial can stand for the flexible energy."""
+    best = min(fit.criteria.values())
+    tried = ", ".join(f"{degree}: {value - best:.0f}" for degree, value in fit.criteria.items())
+    text = "degree {degree} of the tried ones (criterion above the best: {tried})"
+    values: dict[str, float | str | None] = {"degree": fit.degree, "tried": tried}
     if np.isfinite(fit.misfit_percent):
-        words += f"; it leaves {fit.misfit_percent:.2f} % of the inductances (rms)"
-    if not rated:
-        return words
-    apart = fit.flux(current)[0] - energy.flux(current)[0]
-    off = 100.0 / rated * float(np.sqrt((apart**2).sum(axis=1).mean()))
-    verdict = (
-        "good enough to stand for it" if off < _ENOUGH_PERCENT else "this motor saturates in another way: use the map"
-    )
-    return f"{words} and is {off:.2f} % of the rated flux off the flexible energy (rms): {verdict}"
+        text += "; it leaves {left_percent:.2f} % of the inductances (rms)"
+        values["left_percent"] = fit.misfit_percent
+    if rated:
+        apart = fit.flux(current)[0] - energy.flux(current)[0]
+        off = 100.0 / rated * float(np.sqrt((apart**2).sum(axis=1).mean()))
+        good = off < _ENOUGH_PERCENT
+        text += " and is {off_percent:.2f} % of the rated flux off the flexible energy (rms): "
+        text += "good enough to stand for it" if good else "this motor saturates in another way: use the map"
+        values["off_percent"] = off
+    return (Remark.of("degree", text, **values),)

@@ -17,6 +17,7 @@ from protocols import (
     EstimationContext,
     NotMeasuredError,
     RecordingReader,
+    Remark,
     ResistanceEstimate,
     ResistanceReading,
     Segment,
@@ -73,7 +74,7 @@ class ResistanceEstimator:
             first_ohm=readings[0].value_ohm,
             last_ohm=readings[-1].value_ohm,
             readings=readings,
-            notes=_notes(fit, [d for _, d in used], bool(holds), readings),
+            remarks=_remarks(fit, [d for _, d in used], bool(holds), readings),
         )
 
 
@@ -171,26 +172,31 @@ def _student_95(freedom: int) -> float:
     return float(stdtrit(freedom, 0.975))
 
 
-def _notes(fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[ResistanceReading, ...]) -> tuple[str, ...]:
-    notes = []
+def _remarks(
+    fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[ResistanceReading, ...]
+) -> tuple[Remark, ...]:
+    remarks = []
     if not held:
-        notes.append("no DC holds: R_s is from the rests of the classical sweeps")
+        remarks.append(Remark.of("no_holds", "no DC holds: R_s is from the rests of the classical sweeps"))
     if not fit.error_v:
-        notes.append("too few different currents to tell R_s from the inverter's own voltage drop")
+        text = "too few different currents to tell R_s from the inverter's own voltage drop"
+        remarks.append(Remark.of("few_currents", text))
     largest = max(float(np.linalg.norm(d.i_ab)) for d in used)
     for pwm_hz, error in fit.error_v.items():
         if error > 0.01 * fit.resistance_ohm * largest:
-            at = f" at {pwm_hz / 1e3:.3g} kHz" if pwm_hz else ""
-            notes.append(f"the inverter keeps {error:.2f} V from each phase{at} (dead time or device drops); taken out")
+            at = " at {pwm_khz:.3g} kHz" if pwm_hz else ""
+            text = f"the inverter keeps {{kept_v:.2f}} V from each phase{at} (dead time or device drops); taken out"
+            remarks.append(Remark.of("inverter_loss", text, kept_v=error, pwm_khz=pwm_hz / 1e3))
     if fit.error_v and max(fit.error_v.values()) > 0.01 * fit.resistance_ohm * largest:
-        notes.append(
-            "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
-        )
+        text = "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
+        remarks.append(Remark.of("device_resistance", text))
     change = readings[-1].value_ohm / readings[0].value_ohm - 1.0
     rise = temperature_rise(readings)
     if rise is not None and abs(change) > max(0.02, 1.5 * (rise.high - rise.value) * COPPER_PER_K):
-        notes.append(
-            f"R_s changes by {100 * change:+.1f} % over the recording: the winding's temperature by {rise.value:+.0f} "
-            f"(+-{max(rise.high - rise.value, 1.0):.0f}) K, if it is copper and started at 20 C"
+        text = (
+            "R_s changes by {change_percent:+.1f} % over the recording: the winding's temperature by {rise_k:+.0f} "
+            "(+-{half_k:.0f}) K, if it is copper and started at 20 C"
         )
-    return tuple(notes)
+        figures = {"change_percent": 100 * change, "rise_k": rise.value, "half_k": max(rise.high - rise.value, 1.0)}
+        remarks.append(Remark.of("drift", text, **figures))
+    return tuple(remarks)

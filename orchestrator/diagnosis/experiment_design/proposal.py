@@ -14,8 +14,7 @@ from orchestrator.diagnosis.experiment_design.separation import rivals, separati
 from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.reports import NextExperiment
-from protocols import SegmentStage
+from protocols import NextExperiment, SegmentStage
 
 _RIPPLE = {"voltage_delay", "current_filter", "eddy_currents", "skin_effect"}
 _PWM = {"dead_time", "device_drop"}

@@ -17,7 +17,7 @@ from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import FluxMap, NotMeasuredError, SegmentStage
+from protocols import FluxMap, NotMeasuredError, Remark, SegmentStage
 
 Baseline = Literal["linear", "saturated"]
 ROUGHNESS = 3.0
@@ -41,7 +41,7 @@ class Start:
     l_q_h: float
     current_a: float
     """Rated current, or the largest used; no more than twice that [A peak]."""
-    notes: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
 
 def saturated_model(start: Start, intervals: int) -> Model:

@@ -18,9 +18,17 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
-from orchestrator.diagnosis.reporting.reports import DiagnosisReport, Words
 from orchestrator.recording import replace_file
-from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, RecordingError, ResistanceCourse, StorageError
+from protocols import (
+    CurrentExcerpt,
+    DiagnosisReport,
+    DiagnosisStep,
+    DiagnosisWords,
+    FluxLoop,
+    RecordingError,
+    ResistanceCourse,
+    StorageError,
+)
 
 REPORT_NAME = "diagnosis.json"
 STEPS_NAME = "diagnosis.npz"
@@ -37,20 +45,20 @@ class SavedDiagnosis:
 
     Attributes
     ----------
-    report : dict
-        What ``fluxbench diagnose --json`` prints.
-    words : dict
-        The five slots.
+    report : DiagnosisReport
+    words : DiagnosisWords
     steps : tuple of DiagnosisStep
         The ladder; empty where only the words were kept.
     """
 
-    report: dict[str, Any]
-    words: dict[str, str]
+    report: DiagnosisReport
+    words: DiagnosisWords
     steps: tuple[DiagnosisStep, ...]
 
 
-def save_diagnosis(directory: Path, report: DiagnosisReport, words: Words, steps: Sequence[DiagnosisStep]) -> None:
+def save_diagnosis(
+    directory: Path, report: DiagnosisReport, words: DiagnosisWords, steps: Sequence[DiagnosisStep]
+) -> None:
     """Replace ``results/diagnosis.json`` and ``results/diagnosis.npz`` in a run or recording.
 
     Raises
@@ -86,14 +94,14 @@ def load_diagnosis(directory: Path) -> SavedDiagnosis | None:
     ladder = [rung.added for rung in report.ladder]
     if steps and [step.added for step in steps] != ladder:
         raise RecordingError(str(drawn), _META, f"not of the diagnosis in {REPORT_NAME}: diagnose again")
-    return SavedDiagnosis(report.model_dump(mode="json"), words.model_dump(), steps)
+    return SavedDiagnosis(report, words, steps)
 
 
-def _told(path: Path) -> tuple[DiagnosisReport, Words]:
+def _told(path: Path) -> tuple[DiagnosisReport, DiagnosisWords]:
     content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, dict):
         raise ValueError("expected an object with report and words")
-    return DiagnosisReport.model_validate(content.get("report")), Words.model_validate(content.get("words"))
+    return DiagnosisReport.model_validate(content.get("report")), DiagnosisWords.model_validate(content.get("words"))
 
 
 def _guarded(path: Path, read: Callable[[], Content]) -> Content:

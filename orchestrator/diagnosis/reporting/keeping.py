@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
@@ -10,7 +11,7 @@ from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.recording import Recording
-from protocols import DiagnosisStep, Effect, StorageError
+from protocols import DiagnosisStep, Effect, Remark, StorageError
 
 
 def diagnose_and_keep(
@@ -48,7 +49,6 @@ def diagnose_and_keep(
     try:
         save_diagnosis(out or recording.path, diagnosis.report, words, steps)
     except StorageError as error:
-        report = diagnosis.report
-        noted = report.model_copy(update={"notes": (*report.notes, str(error))})
-        diagnosis = Diagnosis(noted, diagnosis.start, diagnosis.search)
-    return diagnosis, SavedDiagnosis(diagnosis.report.model_dump(mode="json"), words.model_dump(), tuple(steps))
+        remark = Remark.of("not_written", "{problem}", problem=str(error))
+        diagnosis = replace(diagnosis, report=diagnosis.report.with_remark(remark))
+    return diagnosis, SavedDiagnosis(diagnosis.report, words, tuple(steps))

@@ -11,11 +11,11 @@ from orchestrator.diagnosis.fitting.candidates import Active, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
-from orchestrator.diagnosis.reporting.reports import FoundEffect, ParameterValue, Rung, Verdict
 from orchestrator.diagnosis.selection.forward_search import Step
 from orchestrator.diagnosis.uncertainty.trust import coordinate_spread
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.numerics.types import Array
+from protocols import FoundEffect, ParameterValue, Rung, Verdict
 
 DETECTED = 1.08
 """chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""

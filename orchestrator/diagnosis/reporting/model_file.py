@@ -10,9 +10,8 @@ from pydantic import ValidationError
 
 from orchestrator._validation import first_problem
 from orchestrator.diagnosis.fitting.model import Model
-from orchestrator.diagnosis.reporting.reports import FoundEffect, Rung
 from orchestrator.recording import replace_file
-from protocols import RecordingError, StorageError, Strict
+from protocols import FoundEffect, RecordingError, Rung, StorageError, Strict
 
 MODEL_NAME = "model.json"
 

@@ -18,13 +18,12 @@ from orchestrator.diagnosis.fitting.candidates import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
-from orchestrator.diagnosis.reporting.reports import Rung
 from orchestrator.diagnosis.selection.forward_search import Step
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
-from protocols import DiagnosisStep, ResistanceCourse, SegmentStage
+from protocols import DiagnosisStep, ResistanceCourse, Rung, SegmentStage
 
 MOST_ROWS = 4000
 """Rows that a step keeps."""

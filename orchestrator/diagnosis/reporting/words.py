@@ -11,9 +11,8 @@ import numpy as np
 from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
-from orchestrator.diagnosis.reporting.reports import FoundEffect, Words
 from orchestrator.numerics.frames import to_dq
-from protocols import SegmentStage
+from protocols import DiagnosisWords, FoundEffect, SegmentStage
 
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
@@ -33,11 +32,11 @@ _LOOKS = {
 }
 
 
-def in_words(diagnosis: Diagnosis) -> Words:
+def in_words(diagnosis: Diagnosis) -> DiagnosisWords:
     """The five slots, each a sentence or two with units."""
     report = diagnosis.report
     clean = report.verdict == "clean"
-    return Words(
+    return DiagnosisWords(
         where_it_fails="nowhere beyond the noise" if clean else _where(diagnosis),
         what_it_looks_like="noise" if clean else _looks(diagnosis),
         likely_cause=_cause(diagnosis),

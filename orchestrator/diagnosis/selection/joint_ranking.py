@@ -13,8 +13,8 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.reports import FoundEffect, JointEntry
 from orchestrator.diagnosis.selection.forward_search import LinearView, Search, linear_view, score
+from protocols import FoundEffect, JointEntry, Remark
 
 SAME = 0.995
 """Correlation above which two effects are one in the joint fit; the priors hold those that are merely alike."""
@@ -54,7 +54,7 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> t
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < CERTAIN, -(e.relative_size or 0.0))))
 
 
-def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[str]:
+def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[Remark]:
     """What the joint fit says where it disagrees: the search takes what errs most first, be it ever so small."""
     if not joint or not found or joint[0].name in {name for e in found for name in (e.name, *e.twins)}:
         return []
@@ -63,10 +63,11 @@ def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> 
     named = largest.relative_size or 0.0
     if z < CERTAIN or size < OUTWEIGHS * named:
         return []
-    return [
-        f"with all effects fitted together {first} is the largest, {size:.2g} of its typical size; "
-        f"of those that were named, {largest.name} is, {named:.2g} of its own"
-    ]
+    text = (
+        "with all effects fitted together {first} is the largest, {first_size:.2g} of its typical size; "
+        "of those that were named, {named} is, {named_size:.2g} of its own"
+    )
+    return [Remark.of("joint_disagrees", text, first=first, first_size=size, named=largest.name, named_size=named)]
 
 
 def _still_holds(view: LinearView, fit: Fit) -> bool:

@@ -15,10 +15,9 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.reports import ShapeGroup
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
-from protocols import EffectLayer, EffectParameter, Signals
+from protocols import EffectLayer, EffectParameter, ShapeGroup, Signals
 
 Field = Callable[[Signals, float], Array]
 """Signals and the typical current [A] -> a signal of unit size."""

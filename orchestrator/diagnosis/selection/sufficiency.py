@@ -12,7 +12,7 @@ import numpy as np
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import HAT_S, Piece, Prepared
 from orchestrator.numerics.types import Array
-from protocols import NotMeasuredError, RecordingReader, SegmentStage
+from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
 _Reader = TypeVar("_Reader", bound=RecordingReader)
 _More = ParamSpec("_More")
@@ -116,30 +116,43 @@ def _different(pieces: Sequence[Piece], apart_a: float) -> list[Piece]:
     return found
 
 
-def what_is_missing(prepared: Prepared) -> list[str]:
+def what_is_missing(prepared: Prepared) -> list[Remark]:
     """What cannot be told from this recording, whatever is found in it."""
-    notes = []
+    missing: list[Remark] = []
+
+    def told(code: str, text: str, **values: float) -> None:
+        missing.append(Remark.of(code, text, **values))
+
     stages = {p.stage for p in prepared.pieces}
     if (views := _views(prepared)) < _FEW_VIEWS:
-        notes.append(f"{views} places of the current plane only: what no effect explains may pass for several that do")
+        told(
+            "few_places",
+            "{places} places of the current plane only: what no effect explains may pass for several that do",
+            places=views,
+        )
     if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
-        notes.append("no sweep and no injection: flux and inductance cannot be seen, only the resistance")
+        told("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")
     elif SegmentStage.CLASSICAL not in stages:
-        notes.append("no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
+        told("no_sweep", "no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
     if SegmentStage.RESISTANCE not in stages:
-        notes.append("no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure")
+        told(
+            "no_holds",
+            "no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure",
+        )
     if SegmentStage.GATES_OFF not in stages:
-        notes.append("no gates-off reading: a current offset and a voltage bias cannot be told apart")
+        told("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be told apart")
     if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
-        notes.append("one PWM frequency only: dead time and device drop cannot be told apart")
+        told("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
     amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
     if not amplitudes:
-        notes.append("no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
+        told("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
     elif max(amplitudes) < 1.3 * min(amplitudes):
-        notes.append("one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+        told("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
-        notes.append("no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
-    return notes
+        told(
+            "no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance"
+        )
+    return missing
 
 
 def _swing(piece: Piece) -> float:

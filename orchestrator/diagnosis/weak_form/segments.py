@@ -19,6 +19,7 @@ from protocols import (
     NotMeasuredError,
     RealArray,
     RecordingReader,
+    Remark,
     Segment,
     SegmentStage,
     Signals,
@@ -82,7 +83,7 @@ class Prepared:
 
     manifest: Manifest
     pieces: tuple[Piece, ...]
-    notes: tuple[str, ...]
+    remarks: tuple[Remark, ...]
 
     @property
     def current_range(self) -> tuple[float, float, float]:
@@ -108,9 +109,9 @@ def prepare(recording: RecordingReader) -> Prepared:
         Where there is no segment with current in it.
     """
     manifest = recording.manifest
-    notes: list[str] = []
+    remarks: list[Remark] = []
     segments = [s for s in recording.segments() if s.stage in USABLE]
-    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, notes)
+    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, remarks)
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
     # Every fifth injection point, not of a sweep's first row or column, where the map would have to extrapolate.
     fifth = set(injections[2::5]) if len(injections) >= 10 else set()
@@ -118,7 +119,7 @@ def prepare(recording: RecordingReader) -> Prepared:
     for segment in segments:
         piece = _piece(recording, segment, segment.id in fifth, wanted.get(segment.id))
         if piece is None:
-            notes.append(f"{segment.id}: too short to be used")
+            remarks.append(Remark.of("too_short", "{segment}: too short to be used", segment=segment.id))
         else:
             pieces.append(piece)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
@@ -127,7 +128,7 @@ def prepare(recording: RecordingReader) -> Prepared:
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = unread_heat(recording, [s for s in recording.segments() if s.id not in read])
-    return Prepared(manifest, _with_heat(pieces, unread, manifest), tuple(notes))
+    return Prepared(manifest, _with_heat(pieces, unread, manifest), tuple(remarks))
 
 
 def coarse(prepared: Prepared) -> Prepared:
@@ -157,7 +158,7 @@ def _part(piece: Piece) -> Piece:
     return piece if windows is None else replace(piece, signals=signals, windows=windows)
 
 
-def _thinned(segments: Sequence[Segment], fs: float, notes: list[str]) -> tuple[list[Segment], dict[str, int]]:
+def _thinned(segments: Sequence[Segment], fs: float, remarks: list[Remark]) -> tuple[list[Segment], dict[str, int]]:
     """The segments to be read, and how many samples of each injection point."""
     points = [s for s in segments if s.stage is SegmentStage.INJECTION]
     wanted = {s.id: s.samples for s in points}
@@ -167,7 +168,8 @@ def _thinned(segments: Sequence[Segment], fs: float, notes: list[str]) -> tuple[
     wanted = {s.id: min(s.samples, max(round(turns[s.id]), 1000)) for s in points}
     stride = max(1.0, sum(wanted.values()) / MOST_SAMPLES)
     kept = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
-    notes.append(f"{len(kept)} of {len(points)} injection points are used, evenly spread, and one turn of each")
+    told = "{used} of {points} injection points are used, evenly spread, and one turn of each"
+    remarks.append(Remark.of("thinned", told, used=len(kept), points=len(points)))
     return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in kept], wanted
 
 

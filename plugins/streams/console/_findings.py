@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
-from typing import Any
+from collections.abc import Iterator
 
 from plugins.streams.console._words import printable
 from protocols import Compared, Diagnosed, DiagnosisStep, ExperimentProposed
@@ -25,13 +24,10 @@ DECADES = 3.0
 def comparison_line(message: Compared) -> str:
     """The bare model held against the recording."""
     report = message.report
-    told = f"compared with the model {_text(report.get('model'))}: chi2 {number(report.get('chi2'))}"
-    worst = report.get("worst")
-    if isinstance(worst, list | tuple) and worst and isinstance(worst[0], Mapping):
-        told += f", worst in {_text(worst[0].get('segment'))} with {volts(worst[0].get('rms_v'))}"
-    floor = report.get("noise_floor")
-    noise = floor.get("rms_v") if isinstance(floor, Mapping) else None
-    return f"{told} rms where noise makes {volts(noise)}"
+    told = f"compared with the model {printable(report.model)}: chi2 {number(report.chi2)}"
+    if report.worst:
+        told += f", worst in {printable(report.worst[0].segment)} with {volts(report.worst[0].rms_v)}"
+    return f"{told} rms where noise makes {volts(report.noise_floor.rms_v)}"
 
 
 def step_name(step: DiagnosisStep) -> str:
@@ -57,14 +53,14 @@ def step_bar(step: DiagnosisStep) -> str:
 
 def verdict(message: Diagnosed) -> str:
     """The verdict as words."""
-    told = _text(message.report.get("verdict")).replace("_", " ")
+    told = message.report.verdict.replace("_", " ")
     return f"{told}, after experiment {message.round}" if message.round else told
 
 
 def slot_rows(message: Diagnosed) -> Iterator[tuple[str, str]]:
     """The five slots that are filled, title and text."""
     for slot, title in SLOTS.items():
-        text = message.words.get(slot)
+        text = getattr(message.words, slot)
         if text:
             yield title, printable(text)
 
@@ -72,24 +68,20 @@ def slot_rows(message: Diagnosed) -> Iterator[tuple[str, str]]:
 def proposal_line(message: ExperimentProposed) -> str:
     """What would tell two effects apart."""
     first, second = (name.replace("_", " ") for name in message.separates)
-    kind = _text(message.stage.get("kind"))
+    kind = printable(str(message.stage.get("kind")))
     goes_on = "and the run goes on with it" if message.accepted else "for another run"
     return f"next experiment: {kind}, {message.minutes:.2g} min, tells {first} from {second}; {goes_on}"
 
 
-def volts(value: Any) -> str:
+def volts(value: float | None) -> str:
     """Millivolts below one volt."""
-    if not isinstance(value, int | float):
+    if value is None:
         return "-"
     return f"{1e3 * value:.3g} mV" if abs(value) < 0.9995 else f"{value:.3g} V"
 
 
-def number(value: Any) -> str:
+def number(value: float | None) -> str:
     """Four digits, no powers of ten as far as that goes."""
-    if not isinstance(value, int | float):
+    if value is None:
         return "-"
     return f"{value:.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.3g}"
-
-
-def _text(value: Any) -> str:
-    return printable(str(value)) if value is not None else "-"

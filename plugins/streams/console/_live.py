@@ -250,7 +250,7 @@ def _rung(step: DiagnosisStep) -> RenderableType:
 
 
 def _diagnosis(message: Diagnosed) -> RenderableType:
-    sign, style = MARKS[VERDICT_MARKS.get(str(message.report.get("verdict")), "info")]
+    sign, style = MARKS[VERDICT_MARKS[message.report.verdict]]
     table = Table.grid(padding=(0, 2))
     table.add_column(style="dim")
     table.add_column(overflow="fold")

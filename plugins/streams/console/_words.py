@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, TextIO
+from collections.abc import Iterator
+from typing import TextIO
 
 from plugins.streams.console._progress import Point, Progress, StageProgress
-from protocols import ResistanceEstimate, RunEnded
+from protocols import AxisPercent, EstimationReport, ResistanceEstimate, RunEnded
 
 NAMES = {
     "gates_off": "sensors, gates off",
@@ -107,64 +107,36 @@ def plural(count: int, noun: str) -> str:
 def summary_rows(message: RunEnded) -> Iterator[tuple[str, str]]:
     """The end of a run as label and text, the most wanted first."""
     yield "outcome", f"{message.outcome}: {message.reason}" if message.reason else message.outcome
-    yield from _estimate_rows(message.estimates)
+    if message.estimates is not None:
+        yield from _estimate_rows(message.estimates)
     yield "run", message.run
 
 
-def _estimate_rows(found: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    for key, label, text in ESTIMATE_ROWS:
-        value = found.get(key)
-        if value not in (None, "", [], {}):
-            by = BY_CONSTRUCTION if key in HELD_BY_AN_ENERGY and found.get("method") in ENERGIES else ""
-            yield label, text(value) + by
-    remarks = found.get("reasons")
-    for number, remark in enumerate(remarks if isinstance(remarks, list | tuple) else ()):
-        yield "" if number else "remarks", shortened(typeset(str(remark)))
-    known = {"reasons", *(key for key, _, _ in ESTIMATE_ROWS)}
-    for key, value in found.items():
-        if key not in known and isinstance(value, str | int | float):
-            yield key.replace("_", " "), str(value)
-    files = found.get("files")
-    if isinstance(files, Mapping):
-        yield from sorted(
-            ((str(k), str(v)) for k, v in files.items()), key=lambda file: (file[0] == "estimates", file[0])
-        )
+def _estimate_rows(found: EstimationReport) -> Iterator[tuple[str, str]]:
+    """What was estimated, what is said of it, and where it is kept."""
+    if found.resistance is not None:
+        r = found.resistance
+        yield "R_s", f"{r.value_ohm:.4g} Ω (95 %: {r.low:.4g} to {r.high:.4g})"
+    if found.method is not None:
+        yield "map by", found.method
+    yield "map usable", "yes" if found.usable else "no"
+    by = BY_CONSTRUCTION if found.method in ENERGIES else ""
+    for label, checked in (("crossings", found.crossings), ("parity", found.parity)):
+        if checked is not None:
+            yield label, _axes(checked) + (by if label == "parity" else "")
+    if found.reciprocity_percent is not None:
+        yield "reciprocity", f"{found.reciprocity_percent:.2g} %{by}"
+    if found.classical_against_injection_percent is not None:
+        yield "classical against injection", f"{found.classical_against_injection_percent:.2g} %"
+    for number, remark in enumerate(found.remarks):
+        yield "" if number else "remarks", shortened(typeset(remark.text))
+    yield from sorted(found.files.items(), key=lambda file: (file[0] == "estimates", file[0]))
 
 
-def _resistance_text(value: Any) -> str:
-    if not isinstance(value, Mapping) or not isinstance(value.get("value_ohm"), int | float):
-        return str(value)
-    low, high = value.get("low"), value.get("high")
-    known = isinstance(low, int | float) and isinstance(high, int | float)
-    interval = f" (95 %: {low:.4g} to {high:.4g})" if known else ""
-    return f"{value['value_ohm']:.4g} Ω{interval}"
-
-
-def _percent_text(value: Any) -> str:
-    if isinstance(value, Mapping):
-        told = [
-            f"{str(axis).removesuffix('_percent')} {figure:.2g} %"
-            for axis, figure in value.items()
-            if isinstance(figure, int | float)
-        ]
-        return ", ".join(told) or "not measured"
-    return f"{value:.2g} %" if isinstance(value, int | float) else str(value)
-
-
-def _yes_or_no(value: Any) -> str:
-    return "yes" if value else "no"
+def _axes(value: AxisPercent) -> str:
+    figures = (("d", value.d_percent), ("q", value.q_percent))
+    return ", ".join(f"{axis} {figure:.2g} %" for axis, figure in figures if figure is not None) or "not measured"
 
 
 ENERGIES = ("energy", "polynomial")
-HELD_BY_AN_ENERGY = ("parity", "reciprocity_percent")
 BY_CONSTRUCTION = " (by construction)"
-ESTIMATE_ROWS: tuple[tuple[str, str, Callable[[Any], str]], ...] = (
-    ("resistance", "R_s", _resistance_text),
-    ("method", "map by", str),
-    ("usable", "map usable", _yes_or_no),
-    ("crossings", "crossings", _percent_text),
-    ("parity", "parity", _percent_text),
-    ("reciprocity_percent", "reciprocity", _percent_text),
-    ("classical_against_injection_percent", "classical against injection", _percent_text),
-)
-"""Key in what `fluxbench estimate --json` prints, label, and how its value is told."""

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, TypeVar
 import numpy as np
 from pydantic import ValidationError
 
-from orchestrator.estimation import EstimationReport, load_flux_map
+from orchestrator.estimation import load_flux_map
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, JournalRecord, RunDirectory, RunRecord
 from protocols import (
+    EstimationReport,
     FluxbenchError,
     FluxMap,
     LockChecked,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -10,11 +9,12 @@ from datetime import UTC, datetime
 import numpy as np
 
 from orchestrator.analysis import check_map, rated_flux_wb
-from orchestrator.estimation import EstimationReport
 from plugins.streams.report._collect import Material
-from plugins.streams.report._text import NOT_MEASURED, borne, fixed, percent, plain, typographic
+from plugins.streams.report._text import NOT_MEASURED, borne, fixed, number, percent, plain, typographic
 from protocols import (
     AxisPercent,
+    Coefficient,
+    EstimationReport,
     FluxMap,
     LockChecked,
     Message,
@@ -37,7 +37,6 @@ QUANTITIES = (("psi_d", "mWb"), ("psi_q", "mWb"), ("l_dd", "mH"), ("l_dq", "mH")
 
 ENERGIES = ("energy", "polynomial")
 """Methods whose maps are symmetric and reciprocal whatever was measured."""
-_COEFFICIENT = re.compile(r"\b(L_d|L_q|alpha\d+) = (\S+) \+- (\S+) (mH|A/Wb\^\d+)")
 
 
 @dataclass(frozen=True)
@@ -115,28 +114,29 @@ def summary(material: Material) -> Iterator[Line]:
 def remarks(material: Material) -> list[str]:
     """What the estimators say beside their numbers."""
     found = material.estimates
-    return [typographic(_without_coefficients(reason)) for reason in found.reasons] if found is not None else []
+    return [typographic(remark.text) for remark in found.remarks] if found is not None else []
 
 
-def coefficient_rows(material: Material) -> list[list[str]]:
-    """The polynomial's coefficients out of its remark: name, value, standard deviation, unit."""
-    found = material.estimates.reasons if material.estimates is not None else []
-    rows = [row for reason in found for row in (_COEFFICIENT.findall(reason) if _has_coefficients(reason) else ())]
-    return [[_greek(name), *(typographic(value) for value in values)] for name, *values in rows]
+@dataclass(frozen=True)
+class Formula:
+    """A map that is a formula: its coefficients as rows of name, value, standard deviation, unit."""
+
+    method: str
+    text: str
+    rows: tuple[tuple[str, str, str, str], ...]
 
 
-def _has_coefficients(reason: str) -> bool:
-    return len(_COEFFICIENT.findall(reason)) > 1
+def formulas(material: Material) -> Iterator[Formula]:
+    """The maps that are formulas."""
+    for method, made in material.estimates.maps.items() if material.estimates is not None else ():
+        if made.form is not None:
+            yield Formula(method, made.form.formula, tuple(map(_coefficient, made.form.coefficients)))
 
 
-def _without_coefficients(reason: str) -> str:
-    if not _has_coefficients(reason):
-        return reason
-    return f"{_COEFFICIENT.split(reason)[0].rstrip(' :')}; its coefficients are in the table"
-
-
-def _greek(name: str) -> str:
-    return name.replace("alpha", "α")
+def _coefficient(found: Coefficient) -> tuple[str, str, str, str]:
+    factor, unit = (1e3, "mH") if found.unit == "H" else (1.0, found.unit)
+    name = found.name.replace("alpha", "α")
+    return name, number(factor * found.value, 5), number(factor * found.std, 2), unit
 
 
 def checks(material: Material) -> Iterator[Check]:
@@ -270,8 +270,8 @@ def _map_lines(material: Material) -> Iterator[Line]:
     use = "usable" if found.usable else "not to be used"
     yield Line("Flux map", f"{use}: by {found.method}{size}", "good" if found.usable else "bad")
     if not found.usable:
-        for number, reason in enumerate(found.reasons[:3]):
-            yield Line("" if number else "because", typographic(reason))
+        for place, remark in enumerate(found.remarks[:3]):
+            yield Line("" if place else "because", typographic(remark.text))
 
 
 def _inductance_line(material: Material) -> Iterator[Line]:

@@ -5,7 +5,7 @@ Black is measured, vermilion is what the model with its effects says, grey is th
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -26,7 +26,7 @@ from plugins.streams.report._canvas import (
     uri,
 )
 from plugins.streams.report._text import number, plain
-from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, RealArray, ResistanceCourse
+from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, JointEntry, RealArray, ResistanceCourse, Rung
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +40,7 @@ ARROW_IN = 0.30
 _TIGHT: dict[str, Any] = {"handletextpad": 0.1, "columnspacing": 0.8, "markerscale": 1.4}
 
 
-def ladder_figure(ladder: Sequence[Mapping[str, Any]], floor_v: float) -> str:
+def ladder_figure(ladder: Sequence[Rung], floor_v: float) -> str:
     """rms residual over the noise floor after each added effect, fitted and held out; the floor as a line.
 
     Reads downwards, so that names have room on a phone.
@@ -48,11 +48,11 @@ def ladder_figure(ladder: Sequence[Mapping[str, Any]], floor_v: float) -> str:
     height = max(1.7, 1.15 + 0.42 * len(ladder))
     figure, axes = new_figure(WIDTH_IN, height)
     places = np.arange(len(ladder))
-    for key, colour, mark, name, shift in (
-        ("rms_v", BLACK, "o", "fitted", -0.09),
-        ("heldout_rms_v", BLUE, "D", "held out", 0.09),
+    for volts, colour, mark, name, shift in (
+        ([rung.rms_v for rung in ladder], BLACK, "o", "fitted", -0.09),
+        ([rung.heldout_rms_v for rung in ladder], BLUE, "D", "held out", 0.09),
     ):
-        values = np.array([np.nan if rung.get(key) is None else rung[key] for rung in ladder]) / floor_v
+        values = np.array([np.nan if one is None else one for one in volts]) / floor_v
         if np.isfinite(values).any():
             axes.plot(values, places + shift, "-", color=colour, lw=1.2, alpha=0.5)
             axes.plot(values, places + shift, mark, color=colour, ms=6, label=name)
@@ -62,7 +62,7 @@ def ladder_figure(ladder: Sequence[Mapping[str, Any]], floor_v: float) -> str:
     axes.set_xlim(min(low, 0.8), max(high, 3.0))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter("")
-    axes.set_yticks(places, [rung_name(rung.get("added"), k) for k, rung in enumerate(ladder)])
+    axes.set_yticks(places, [rung_name(rung.added, k) for k, rung in enumerate(ladder)])
     axes.set_ylim(len(ladder) - 0.5, -0.5)
     name_axes(axes, "rms residual over noise", "")
     legend_above(axes, 3)
@@ -311,17 +311,17 @@ def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> st
     return uri(figure)
 
 
-def joint_figure(joint: Sequence[Mapping[str, Any]]) -> str:
+def joint_figure(joint: Sequence[JointEntry]) -> str:
     """The whole library fitted at once: sizes relative to typical, those that chance could have made hollow."""
     figure, axes = new_figure(WIDTH_IN, max(1.8, 0.9 + 0.32 * len(joint)))
     for place, entry in enumerate(joint):
-        size, z = float(entry.get("relative_size") or 0.0), float(entry.get("z") or 0.0)
+        size, z = entry.relative_size or 0.0, entry.z or 0.0
         sure = abs(z) >= 4.0
         axes.barh(place, size, height=0.62, color=MODEL if sure else "none", edgecolor=MODEL if sure else GUIDE)
         axes.text(size, place, f"  z = {number(z, 3)}", va="center", fontsize=SMALL - 1)
-    axes.set_yticks(range(len(joint)), [plain(str(entry.get("name"))) for entry in joint])
+    axes.set_yticks(range(len(joint)), [plain(entry.name) for entry in joint])
     axes.set_ylim(len(joint) - 0.4, -0.6)
-    largest = max((float(e.get("relative_size") or 0.0) for e in joint), default=1.0) or 1.0
+    largest = max((e.relative_size or 0.0 for e in joint), default=1.0) or 1.0
     axes.set_xlim(0.0, 1.3 * largest)
     name_axes(axes, "size relative to typical", "")
     axes.grid(axis="y", visible=False)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 def diagnosis_pictures(found: SavedDiagnosis) -> Iterator[Picture]:
     """The ladder first, then what the residual looks like, then the waveforms behind it."""
-    ladder, floor = found.report["ladder"], found.report["noise_floor"]["rms_v"]
+    ladder, floor = found.report.ladder, found.report.noise_floor.rms_v
     if ladder and floor:
         caption = (
             f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {scaled(floor, 'V')}."

@@ -75,7 +75,7 @@ def render(material: Material, *, draws: bool = True) -> str:
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
         remarks=content.remarks(material),
-        coefficients=content.coefficient_rows(material),
+        formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [_undrawn(material)],
         quantities=content.QUANTITIES,
         map_method=main.method if main is not None else "",

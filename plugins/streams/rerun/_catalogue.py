@@ -8,11 +8,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from orchestrator.estimation import EstimationReport
 from orchestrator.runs import RunDirectory
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
-from protocols import Diagnosed, FluxbenchError, Message, PointDone, RunEnded
+from protocols import Diagnosed, EstimationReport, FluxbenchError, Message, PointDone, RunEnded
 
 DATASET = "runs"
 COLUMNS = ("run", "created", "motor", "drive", "points", "outcome", "r_s_ohm", "map_by", "usable", "verdict", "view")
@@ -37,7 +36,7 @@ def row(path: Path) -> dict[str, Any]:
     found |= {"created": record.created, "motor": record.procedure.motor.name, "drive": record.procedure.drive.name}
     found |= {"points": sum(isinstance(m, PointDone) for m in messages)}
     found["outcome"] = "unfinished" if ended is None else ended.outcome
-    if ended is not None:
+    if ended is not None and ended.estimates is not None:
         found |= _estimates(ended.estimates)
     return found | {"verdict": _verdict(path, messages)}
 
@@ -48,14 +47,11 @@ def _verdict(path: Path, messages: Sequence[Message]) -> Any:
         kept = json.loads((path / "results" / "diagnosis.json").read_text(encoding="utf-8"))
         return kept.get("report", kept)["verdict"]
     except (OSError, ValueError, AttributeError, KeyError, TypeError):
-        verdicts = [m.report.get("verdict") for m in messages if isinstance(m, Diagnosed)]
+        verdicts = [m.report.verdict for m in messages if isinstance(m, Diagnosed)]
         return verdicts[-1] if verdicts else None
 
 
-def _estimates(estimates: dict[str, Any]) -> dict[str, Any]:
-    if not estimates:
-        return {}
-    report = EstimationReport.model_validate(estimates)
+def _estimates(report: EstimationReport) -> dict[str, Any]:
     value = None if report.resistance is None else report.resistance.value_ohm
     return {"r_s_ohm": value, "map_by": report.method, "usable": report.usable}
 

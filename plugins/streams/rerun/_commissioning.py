@@ -306,12 +306,13 @@ class Commissioning:
 
     def _run_ended(self, message: RunEnded) -> list[Entry]:
         self._status.ended = message
-        method = message.estimates.get("method")
-        out = [*self.waveforms(), *self._reached()]
-        if isinstance(method, str) and method in self._maps and method != self._shown_map:
-            out += self._show_map(self._maps[method])
         facts = {"outcome": message.outcome, "reason": message.reason}
-        facts |= {k: str(message.estimates[k]) for k in ("method", "usable") if k in message.estimates}
+        out = [*self.waveforms(), *self._reached()]
+        if message.estimates is not None:
+            method = message.estimates.method
+            facts |= {"method": str(method), "usable": str(message.estimates.usable)}
+            if method in self._maps and method != self._shown_map:
+                out += self._show_map(self._maps[method])
         level = "INFO" if message.outcome == "finished" else "ERROR"
         return [
             *out,

@@ -132,8 +132,8 @@ class Diagnosis:
 
     def _diagnosed(self, message: Diagnosed) -> list[Entry]:
         report = message.report
-        found = [e.get("name") for e in report.get("effects", []) if isinstance(e, dict)]
-        facts = {"verdict": report.get("verdict"), "effects": ", ".join(map(str, found)), "round": message.round}
+        effects = ", ".join(effect.name for effect in report.effects)
+        facts = {"verdict": report.verdict, "effects": effects, "round": message.round}
         return [*self._told("words", words_page(message.words)), properties("diagnosis", facts)]
 
     def _proposed(self, message: ExperimentProposed) -> list[Entry]:
@@ -144,8 +144,7 @@ class Diagnosis:
         return self._told("next", text + table(("setting", "value"), rows))
 
     def _compared(self, message: Compared) -> list[Entry]:
-        stages = [s for s in message.report.get("stages", []) if isinstance(s, dict)]
-        rows = [(plain(str(s.get("stage"))), _told_volts(s.get("rms_v")), _told(s.get("chi2"))) for s in stages]
+        rows = [(plain(s.stage), _told_volts(s.rms_v), _told(s.chi2)) for s in message.report.stages]
         head = ("stage", "residual, rms", "χ² per degree of freedom")
         return self._told("compared", "## The model against the measurements\n\n" + table(head, rows))
 
@@ -316,9 +315,9 @@ def _ladder_page(steps: list[DiagnosisStep]) -> str:
     )
 
 
-def _told_volts(value: object) -> str:
-    return volts(value) if isinstance(value, int | float) else "–"
+def _told_volts(value: float | None) -> str:
+    return "–" if value is None else volts(value)
 
 
-def _told(value: object) -> str:
-    return f"{value:.3g}" if isinstance(value, int | float) else "–"
+def _told(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"

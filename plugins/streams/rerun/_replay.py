@@ -12,12 +12,13 @@ import numpy as np
 from pydantic import ValidationError
 
 from orchestrator.diagnosis import load_diagnosis
-from orchestrator.estimation import EstimationReport, load_flux_map
+from orchestrator.estimation import load_flux_map
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, RunDirectory, is_run
 from protocols import (
     Diagnosed,
+    EstimationReport,
     FluxbenchError,
     FluxMap,
     FluxMapEstimate,
@@ -30,6 +31,7 @@ from protocols import (
     PointDone,
     PointStarted,
     RealArray,
+    Remark,
     RunEnded,
     RunStarted,
     SamplesCaptured,
@@ -143,13 +145,12 @@ def _maps(directory: Path) -> Iterator[Message]:
         i_dq, psi_dq = _grid_points(found)
         points = FluxPoints(i_dq=i_dq, psi_dq=psi_dq, segment=("",) * len(i_dq))
         checks = MapChecks()
-        notes: tuple[str, ...] = ()
+        remarks: tuple[Remark, ...] = ()
+        if report is not None and found.method in report.maps:
+            checks = report.maps[found.method].checks
         if report is not None and report.method == found.method:
-            checks = MapChecks(
-                crossings=report.crossings, parity=report.parity, reciprocity_percent=report.reciprocity_percent
-            )
-            notes = tuple(report.reasons)
-        yield MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=checks, notes=notes))
+            remarks = report.remarks
+        yield MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=checks, remarks=remarks))
 
 
 def _report(directory: Path) -> EstimationReport | None:

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import rerun as rr
 
 from plugins.streams.rerun._tape import Entry, When, entry
-from protocols import AxisPercent, FluxMapEstimate, LockChecked, ResistanceEstimate
+from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate
 
 PAPER = AxisPercent(d_percent=1.3, q_percent=2.9)
 """Crossings that Combes, Malrait, Martin and Rouchon print of their own measurement."""
@@ -76,7 +76,8 @@ def resistance_page(found: ResistanceEstimate) -> str:
         ("last reading", f"{found.last_ohm:.4g} Ω"),
         ("readings", str(len(found.readings))),
     ]
-    return "\n\n".join(["# Stator resistance", table(("", ""), rows), *(f"- {one_line(note)}" for note in found.notes)])
+    told = [f"- {one_line(remark.text)}" for remark in found.remarks]
+    return "\n\n".join(["# Stator resistance", table(("", ""), rows), *told])
 
 
 def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) -> str:
@@ -96,15 +97,14 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     if lock is not None:
         parts.append(f"**Rotor:** {one_line(lock.summary)}")
     for found in maps.values():
-        parts += [f"- {one_line(note)}" for note in found.notes]
+        parts += [f"- {one_line(remark.text)}" for remark in found.remarks]
     return "\n\n".join(parts)
 
 
-def words_page(words: Mapping[str, str]) -> str:
+def words_page(words: DiagnosisWords) -> str:
     """A diagnosis in its five slots."""
-    known = [f"## {title}\n\n{one_line(words[slot])}" for slot, title in SLOTS.items() if words.get(slot)]
-    others = [f"## {plain(slot)}\n\n{one_line(text)}" for slot, text in words.items() if slot not in SLOTS and text]
-    return "\n\n".join(["# The diagnosis", *known, *others])
+    told = ((title, getattr(words, slot)) for slot, title in SLOTS.items())
+    return "\n\n".join(["# The diagnosis", *(f"## {title}\n\n{one_line(text)}" for title, text in told if text)])
 
 
 def percent(value: float | None) -> str:

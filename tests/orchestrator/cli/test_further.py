@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -10,7 +9,9 @@ from typing import Any
 import pytest
 import yaml
 
+from orchestrator.diagnosis import save_diagnosis
 from protocols import Diagnosed, PointDone, StagesAppended
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 from tests.support.processes import fluxbench, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_document, tiny_file
 
@@ -28,8 +29,7 @@ def diagnosis_in(run: Path, experiment: dict[str, Any] | None) -> None:
     proposal = None
     if experiment is not None:
         proposal = {"stage": experiment, "separates": ["dead_time", "device_drop"], "minutes": 0.1}
-    (run / "results").mkdir(exist_ok=True)
-    (run / "results" / "diagnosis.json").write_text(json.dumps({"verdict": "explained", "next_experiment": proposal}))
+    save_diagnosis(run, a_diagnosis(next_experiment=proposal), WORDS, ())
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +60,7 @@ def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(run: Path) 
     assert len([m for m in messages if isinstance(m, PointDone)]) == 19 + 8
     assert "has the rotor been held" in done.stdout.lower()
     (diagnosed,) = (m for m in messages if isinstance(m, Diagnosed))
-    assert [(e["name"], e["twins"]) for e in diagnosed.report["effects"]] == [("dead_time", [])]
+    assert [(e.name, e.twins) for e in diagnosed.report.effects] == [("dead_time", ())]
     again = fluxbench("run", "--from", run)
     assert (again.returncode, again.stderr.count("\n")) == (2, 1)
     assert "nothing to decide" in again.stderr
@@ -124,4 +124,4 @@ def test_a_run_killed_within_an_appended_stage_goes_on_exactly_there(tmp_path: P
     assert points()[: len(before)] == before
     assert len(points()) == len(set(points())) == 19 + 16
     last = [message for message in messages_of(run) if isinstance(message, Diagnosed)][-1]
-    assert [effect["name"] for effect in last.report["effects"]] == ["dead_time"]
+    assert [effect.name for effect in last.report.effects] == ["dead_time"]

@@ -27,6 +27,7 @@ from protocols import (
     StagesAppended,
     StateChanged,
 )
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_procedure
 
 EXPERIMENT = {
@@ -53,10 +54,10 @@ def propose(monkeypatch: pytest.MonkeyPatch) -> Propose:
             proposal = ExperimentProposed(
                 round=number, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
             )
-            report = {"verdict": "explained", "next_experiment": {"stage": stage}}
-            return Diagnosed(round=number, report=report, words={}), proposal
+            report = a_diagnosis(next_experiment={"stage": stage, "separates": proposal.separates, "minutes": 0.1})
+            return Diagnosed(round=number, report=report, words=WORDS), proposal
 
-        monkeypatch.setattr("orchestrator.engine._commissioning.compared", lambda *_: Compared(report={}))
+        monkeypatch.setattr("orchestrator.engine._commissioning.compared", lambda *_: Compared(report=a_comparison()))
         monkeypatch.setattr("orchestrator.engine._commissioning.diagnosed", diagnosed)
 
     return put
@@ -101,18 +102,18 @@ def decided(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_run_measures_what_its_diagnosis_asks_for_and_ends_with_one_name(decided: Path) -> None:
     first, second = told(decided, Diagnosed)
-    assert {first.report["effects"][0]["name"], *first.report["effects"][0]["twins"]} == {"dead_time", "device_drop"}
-    (effect,) = second.report["effects"]
-    assert (effect["name"], effect["twins"]) == ("dead_time", [])
-    assert effect["parameters"]["voltage_v"]["value"] == pytest.approx(0.8, rel=0.02)
+    assert {first.report.effects[0].name, *first.report.effects[0].twins} == {"dead_time", "device_drop"}
+    (effect,) = second.report.effects
+    assert (effect.name, effect.twins) == ("dead_time", ())
+    assert effect.parameters["voltage_v"].value == pytest.approx(0.8, rel=0.02)
     assert (first.round, second.round) == (0, 1)
-    assert set(first.words) == {"where_it_fails", "what_it_looks_like", "likely_cause", "if_added", "to_decide"}
+    assert all(first.words.model_dump().values())
 
 
 def test_the_last_diagnosis_is_kept_in_the_results(decided: Path) -> None:
     kept = json.loads((decided / "results" / "diagnosis.json").read_text())
     last = told(decided, Diagnosed)[-1]
-    assert (kept["report"], kept["words"]) == (last.report, last.words)
+    assert (kept["report"], kept["words"]) == (last.report.model_dump(mode="json"), last.words.model_dump())
     assert (decided / "results" / "diagnosis.npz").stat().st_size > 1000
 
 

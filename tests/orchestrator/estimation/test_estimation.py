@@ -13,12 +13,13 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from orchestrator.estimation import EstimationReport, estimate_recording
+from orchestrator.estimation import estimate_recording
 from protocols import (
     AxisPercent,
     DriveRecord,
     Estimate,
     EstimationContext,
+    EstimationReport,
     FluxMapEstimate,
     FluxPoints,
     Manifest,
@@ -27,6 +28,7 @@ from protocols import (
     NotMeasuredError,
     PluginError,
     RecordingReader,
+    Remark,
     ResistanceEstimate,
     ResistanceReading,
 )
@@ -85,9 +87,8 @@ class Mapper:
         points = FluxPoints(i_dq=np.zeros((1, 2)), psi_dq=np.zeros((1, 2)), segment=("a",))
         exact = exact_map(self.name)
         scaled = {"psi_d": 0.3 + self.factor * (exact.psi_d - 0.3), "psi_q": self.factor * exact.psi_q}
-        return FluxMapEstimate(
-            map=exact.model_copy(update=scaled), points=points, checks=self.checks, notes=("a note",)
-        )
+        said = (Remark(code="noted", text="a note"),)
+        return FluxMapEstimate(map=exact.model_copy(update=scaled), points=points, checks=self.checks, remarks=said)
 
 
 def numbers(value: Any) -> list[float]:

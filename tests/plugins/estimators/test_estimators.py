@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from functools import cache
 from pathlib import Path
 
@@ -88,10 +87,9 @@ def test_dead_time_hurts_neither_map() -> None:
 
 
 def test_what_integration_would_be_without_the_inverter_is_said() -> None:
-    told = [note for note in classical_of(True).notes if "would differ by up to" in note]
-    assert len(told) == 1
-    assert "told from the loops" in told[0]
-    assert not any("would differ" in note for note in classical_of(False).notes)
+    (told,) = (remark for remark in classical_of(True).remarks if remark.code == "inverter_loss")
+    assert told.values["apart_percent"] == pytest.approx(45.0, rel=0.1)
+    assert "inverter_loss" not in {remark.code for remark in classical_of(False).remarks}
 
 
 @pytest.mark.parametrize("method", ["injection", "classical"])
@@ -175,9 +173,9 @@ def truth_at(found: FluxMapEstimate) -> Array:
 
 
 def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
-    notes = " ".join(injection_of(False).notes)
-    assert "the map is of 20 V rms at 500 Hz (25 points)" in notes
-    assert "with 40 V rms" in notes
+    told = {remark.code: remark for remark in injection_of(False).remarks}
+    assert told["several_injections"].values == {"injection": "20 V rms at 500 Hz", "points": 25}
+    assert str(told["other_injection"].values["by"]).startswith("40 V rms")
 
 
 def test_frequencies_are_kept_apart_as_well() -> None:
@@ -189,12 +187,12 @@ def test_frequencies_are_kept_apart_as_well() -> None:
     captures = at_500.captures | {names[s.id]: at_300.load(s) for s in at_300.manifest.segments}
     renamed = tuple(s.model_copy(update={"id": names[s.id]}) for s in at_300.manifest.segments)
     both = MemoryRecording(at_500.manifest, captures).with_segments((*at_500.manifest.segments, *renamed))
-    notes = " ".join(InjectionEstimator().estimate(both, EstimationContext()).notes)
-    assert "the map is of 20 V rms at 500 Hz (25 points)" in notes
-    ratios = re.findall(r"with 40 V rms at (\d+) Hz L_dd is ([+-][\d.]+) % and L_qq ([+-][\d.]+) %", notes)
-    assert {int(one[0]) for one in ratios} == {300, 500}
+    told = InjectionEstimator().estimate(both, EstimationContext()).remarks
+    assert [one.values["injection"] for one in told if one.code == "several_injections"] == ["20 V rms at 500 Hz"]
+    others = {str(one.values["by"]): one.values for one in told if one.code == "other_injection"}
+    assert {"40 V rms at 300 Hz", "40 V rms at 500 Hz"} <= others.keys()
     # A motor without iron losses: whatever it is injected with, it is one motor.
-    assert all(abs(float(off)) <= 0.2 for one in ratios for off in one[1:])
+    assert all(abs(float(one[k] or 0.0)) <= 0.25 for one in others.values() for k in ("d_percent", "q_percent"))
 
 
 def test_a_drives_delay_is_taken_from_the_manifest() -> None:
@@ -251,8 +249,8 @@ def test_resistance_drift_is_read_off_the_sweeps() -> None:
     found = resistance_of(MemoryRecording(recording.manifest, warmed))
     assert found.first_ohm == pytest.approx(R_S, rel=0.01)
     assert found.last_ohm == pytest.approx(1.1 * R_S, rel=0.01)
-    told = next(note for note in found.notes if "changes by" in note)
-    assert "temperature by +25 " in told
+    told = next(remark for remark in found.remarks if remark.code == "drift")
+    assert told.values["rise_k"] == pytest.approx(25.0, abs=1.0)
     starts = [reading.start_s for reading in found.readings]
     assert starts == sorted(starts)
 
@@ -289,7 +287,7 @@ def test_injections_points_are_readings_too(known: bool) -> None:
 def test_sweeps_alone_tell_a_resistance_too() -> None:
     found = resistance_of(clean().only(SegmentStage.CLASSICAL))
     assert found.value_ohm == pytest.approx(R_S, rel=5e-3)
-    assert any("no DC holds" in note for note in found.notes)
+    assert "no_holds" in {remark.code for remark in found.remarks}
 
 
 @pytest.mark.parametrize("estimator", [ResistanceEstimator(), ClassicalEstimator(), InjectionEstimator()])

@@ -6,22 +6,25 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.estimation import EstimationReport, ResistanceReport, save_flux_map
+from orchestrator.estimation import save_flux_map
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import (
     AxisPercent,
     Capabilities,
     Capture,
+    EstimationReport,
     FluxMap,
     JournalledMessage,
     LockChecked,
     Note,
     PointDone,
     Procedure,
+    Remark,
     ResistanceEstimate,
     ResistanceEstimated,
     ResistanceReading,
+    ResistanceReport,
     RunEnded,
     RunStarted,
     Segment,
@@ -86,7 +89,7 @@ def a_report() -> EstimationReport:
         reciprocity_percent=0.66,
         classical_against_injection_percent=2.4,
         usable=True,
-        reasons=["classical: the loop is open by 1.1 mWb near zero current"],
+        remarks=(Remark(code="classical.loop_open", text="classical: the loop is open by 1.1 mWb near zero current"),),
         files={"flux_map": "results/flux_map.nc"},
     )
 

@@ -20,6 +20,7 @@ from plugins.streams.console import ConsoleOptions, ConsoleStream
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import duration, time_left
 from protocols import (
+    EstimationReport,
     Limits,
     Message,
     Note,
@@ -70,7 +71,8 @@ def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], **
 
 
 def ending(**estimates: Any) -> RunEnded:
-    return RunEnded(outcome="finished", reason="every stage is done", run="runs/demo", estimates=estimates)
+    report = EstimationReport.model_validate(estimates)
+    return RunEnded(outcome="finished", reason="every stage is done", run="runs/demo", estimates=report)
 
 
 def displays() -> list[str]:
@@ -127,9 +129,12 @@ def test_faults_and_their_reason_are_told_in_plain_lines(monkeypatch: pytest.Mon
 
 def test_summary_is_a_table_of_what_was_estimated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     end = ending(
-        resistance={"value_ohm": 4.312345, "low": 4.305, "high": 4.32},
+        resistance={"value_ohm": 4.312345, "low": 4.305, "high": 4.32, "first_ohm": 4.3, "last_ohm": 4.32},
         method="injection",
         crossings={"d_percent": 0.41, "q_percent": None},
+        parity=None,
+        reciprocity_percent=None,
+        classical_against_injection_percent=None,
         usable=False,
         reasons=["the rotor turned", "too few points"],
         files={"estimates": "results/estimates.json", "flux_map": "results/flux_map.nc"},

@@ -14,7 +14,7 @@ from matplotlib import pyplot
 
 from plugins.streams.report import ReportStream, write_report
 from plugins.streams.report._collect import collect
-from plugins.streams.report._content import checks, coefficient_rows, map_rows, remarks
+from plugins.streams.report._content import checks, formulas, map_rows, remarks
 from plugins.streams.report._figures import (
     HELD_COLOURS,
     _colours_of,
@@ -24,7 +24,18 @@ from plugins.streams.report._figures import (
     profile,
 )
 from plugins.streams.report._page import render
-from protocols import NoOptions, RecordingError, RunEnded, StorageError, StreamSetup
+from protocols import (
+    ClosedForm,
+    Coefficient,
+    MapChecks,
+    MapReport,
+    NoOptions,
+    RecordingError,
+    Remark,
+    RunEnded,
+    StorageError,
+    StreamSetup,
+)
 from tests.plugins.streams.example_run import a_map, a_run_directory
 
 HOSTILE = "<script>alert(1)</script>\"><img src=x onerror=alert(2)> & 'motor' {{ 7*7 }}"
@@ -245,7 +256,7 @@ def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
 def test_a_run_that_was_stopped_is_reported_without_waiting_for_pictures(tmp_path: Path) -> None:
     run = a_run_directory(tmp_path / "run")
     stream = ReportStream(StreamSetup(run=run, options=NoOptions()))
-    stream.receive(RunEnded(outcome="aborted", reason="signal SIGINT", run=str(run), estimates={}))
+    stream.receive(RunEnded(outcome="aborted", reason="signal SIGINT", run=str(run)))
     stream.close()
     page = Page((run / "report.html").read_text(encoding="utf-8"))
     assert page.all("img") == []
@@ -309,9 +320,12 @@ def test_pictures_are_svg_and_leave_no_figure_behind(finished: Path) -> None:
     assert pyplot.get_fignums() == []
 
 
-POLYNOMIAL = (
-    "polynomial: H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, i = grad H: "
-    "L_d = 43.2 +- 0.1 mH, L_q = 69.1 +- 0.2 mH, alpha30 = -12.5 +- 0.31 A/Wb^2"
+POLYNOMIAL = ClosedForm(
+    formula="H = x^2/2L_d + y^2/2L_q + sum of alpha_mn x^m y^n, x = psi_d - psi_M, i = grad H",
+    coefficients=(
+        Coefficient(name="L_d", value=0.0432, std=0.0001, unit="H"),
+        Coefficient(name="alpha30", value=-12.5, std=0.31, unit="A/Wb^2"),
+    ),
 )
 
 
@@ -325,16 +339,15 @@ def estimated(run: Path, **changes: object) -> Path:
 
 
 def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(tmp_path: Path) -> None:
-    material = collect(estimated(a_run_directory(tmp_path / "run"), reasons=[POLYNOMIAL, "energy: known to +-0.1 %"]))
-    assert coefficient_rows(material) == [
-        ["L_d", "43.2", "0.1", "mH"],
-        ["L_q", "69.1", "0.2", "mH"],
-        ["α30", "−12.5", "0.31", "A/Wb^2"],
-    ]
-    formula, other = remarks(material)
-    assert formula.endswith("i = grad H; its coefficients are in the table")
-    assert other == "energy: known to ±0.1 %"
-    assert "coefficients" in render(material, draws=False)
+    made = {"polynomial": MapReport(checks=MapChecks(), form=POLYNOMIAL)}
+    said = (Remark(code="energy.flux_error", text="energy: known to +-0.1 %"),)
+    material = collect(estimated(a_run_directory(tmp_path / "run"), maps=made, remarks=said))
+    (formula,) = formulas(material)
+    assert formula.rows == (("L_d", "43.2", "0.1", "mH"), ("α30", "−12.5", "0.31", "A/Wb^2"))
+    assert remarks(material) == ["energy: known to ±0.1 %"]
+    page = render(material, draws=False)
+    assert "The map by polynomial as a formula" in page
+    assert "−12.5" in page
 
 
 def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(tmp_path: Path) -> None:

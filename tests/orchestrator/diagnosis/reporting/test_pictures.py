@@ -17,11 +17,18 @@ from orchestrator.diagnosis.reporting.diagnosis_file import REPORT_NAME, STEPS_N
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import MOST_ROWS, diagnosis_step, kept_rows
-from orchestrator.diagnosis.reporting.reports import DiagnosisReport, NoiseFloor, Unexplained, Words
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
-from protocols import DiagnosisStep, RecordingError, StorageError
+from protocols import (
+    DiagnosisReport,
+    DiagnosisStep,
+    DiagnosisWords,
+    NoiseFloor,
+    RecordingError,
+    StorageError,
+    Unexplained,
+)
 
 Ladder = tuple[tuple[Step, ...], Start, tuple[DiagnosisStep, ...]]
 
@@ -165,7 +172,7 @@ def a_report(steps: tuple[DiagnosisStep, ...]) -> DiagnosisReport:
     )
 
 
-WORDS = Words(where_it_fails="a", what_it_looks_like="b", likely_cause="c", if_added="d", to_decide="e")
+WORDS = DiagnosisWords(where_it_fails="a", what_it_looks_like="b", likely_cause="c", if_added="d", to_decide="e")
 
 
 def test_what_was_saved_comes_back(ladder: Ladder, tmp_path: Path) -> None:
@@ -174,8 +181,8 @@ def test_what_was_saved_comes_back(ladder: Ladder, tmp_path: Path) -> None:
     save_diagnosis(tmp_path, report, WORDS, steps)
     kept = load_diagnosis(tmp_path)
     assert kept is not None
-    assert kept.report == report.model_dump(mode="json")
-    assert kept.words == WORDS.model_dump()
+    assert kept.report == report
+    assert kept.words == WORDS
     assert json.loads((tmp_path / "results" / REPORT_NAME).read_text()).keys() == {"report", "words"}
     for have, want in zip(kept.steps, steps, strict=True):
         assert have.stage == want.stage

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from orchestrator.diagnosis.reporting.reports import FoundEffect, JointEntry
 from orchestrator.diagnosis.selection.joint_ranking import other_opinion
+from protocols import FoundEffect, JointEntry
 
 
 def found(name: str, size: float, *twins: str) -> FoundEffect:
@@ -15,9 +15,9 @@ def entry(name: str, size: float, z: float = 20.0) -> JointEntry:
 
 
 def test_a_larger_effect_that_was_not_named_is_spoken_of() -> None:
-    notes = other_opinion([entry("voltage_delay", 0.21), entry("dead_time", 0.05)], [found("dead_time", 0.05)])
-    assert len(notes) == 1
-    assert "voltage_delay is the largest, 0.21 of its typical size" in notes[0]
+    remarks = other_opinion([entry("voltage_delay", 0.21), entry("dead_time", 0.05)], [found("dead_time", 0.05)])
+    assert len(remarks) == 1
+    assert "voltage_delay is the largest, 0.21 of its typical size" in remarks[0].text
 
 
 def test_agreement_chance_and_small_differences_are_not_spoken_of() -> None:

@@ -38,7 +38,7 @@ def test_the_page_s_procedure_runs_and_its_holds_show_the_resistance(tmp_path: P
         assert port.servo.configuration["servo.max_current_A"] == 20.0
     assert result.outcome.ending == "finished"
     assert result.outcome.estimates is not None
-    assert "resistance" in result.outcome.estimates
+    assert result.outcome.estimates.resistance is not None
     recording = open_recording(tmp_path / "run")
     segments = recording.segments(SegmentStage.RESISTANCE)
     assert len(segments) == 8

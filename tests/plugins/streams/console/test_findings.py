@@ -17,28 +17,25 @@ from plugins.streams.console._words import summary_rows
 from protocols import (
     Compared,
     Diagnosed,
+    DiagnosisWords,
     ExperimentProposed,
     FluxMapEstimate,
     FluxPoints,
     MapChecks,
     MapEstimated,
     Message,
+    NoiseFloor,
+    Remark,
     RunEnded,
     StateChanged,
     StreamSetup,
 )
-from tests.plugins.streams.example_run import a_map
-from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis, some_steps
+from tests.plugins.streams.example_run import a_map, a_report
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis, some_steps
 
-COMPARED = Compared(
-    report={
-        "model": "saturated",
-        "chi2": 5.489e4,
-        "noise_floor": {"rms_v": 0.00345},
-        "worst": [{"segment": "resistance-022", "rms_v": 1.48}],
-    }
-)
-DIAGNOSED = Diagnosed(round=0, report=a_diagnosis().model_dump(mode="json"), words=WORDS.model_dump())
+SAID = Remark(code="said", values={"apart_percent": 1.5}, text="they differ by 1.5 %")
+COMPARED = Compared(report=a_comparison())
+DIAGNOSED = Diagnosed(round=0, report=a_diagnosis(), words=WORDS)
 PROPOSED = ExperimentProposed(
     round=0, stage={"kind": "resistance"}, separates=("dead_time", "device_drop"), minutes=0.27, accepted=True
 )
@@ -114,7 +111,7 @@ def test_quiet_leaves_a_diagnosis_to_the_results(monkeypatch: pytest.MonkeyPatch
 def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     found = a_map("energy")
     points = FluxPoints(i_dq=found.psi_d[:2, :2], psi_dq=found.psi_d[:2, :2], segment=("a", "b"))
-    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), notes=("n",)))
+    estimated = MapEstimated(estimate=FluxMapEstimate(map=found, points=points, checks=MapChecks(), remarks=[SAID]))
     lines = told(monkeypatch, tmp_path, [*MESSAGES, estimated], "jsonl").splitlines()
     objects = [json.loads(line) for line in lines]
     assert [o["kind"] for o in objects] == [m.kind for m in [*MESSAGES, estimated]]
@@ -132,7 +129,7 @@ def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytes
     assert step["resistance"] == {}
     assert objects[-1]["estimate"]["map"] == {"method": "energy"}
     assert objects[-1]["estimate"]["points"] == {}
-    assert objects[-1]["estimate"]["notes"] == ["n"]
+    assert objects[-1]["estimate"]["remarks"] == [SAID.model_dump()]
     assert objects[-3]["words"] == WORDS.model_dump()
 
 
@@ -141,10 +138,12 @@ def test_a_message_without_arrays_is_whole() -> None:
 
 
 def test_a_report_that_says_little_is_told_all_the_same(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    empty: list[Message] = [Compared(report={}), Diagnosed(round=2, report={}, words={})]
+    bare = a_comparison().model_copy(update={"chi2": None, "worst": (), "noise_floor": NoiseFloor(rms_v=None)})
+    silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
+    empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]
     assert told(monkeypatch, tmp_path, empty, "plain").splitlines() == [
-        "compared with the model -: chi2 - rms where noise makes -",
-        "diagnosis: -, after experiment 2",
+        "compared with the model saturated: chi2 - rms where noise makes -",
+        "diagnosis: explained, after experiment 2",
     ]
     assert told(monkeypatch, tmp_path, empty, "live")
 
@@ -157,8 +156,9 @@ def test_a_bar_is_as_long_as_the_error_has_decades_above_the_noise() -> None:
 
 
 def test_a_long_remark_is_one_line_and_numbers_are_typeset() -> None:
-    wall = "polynomial: H = " + ", ".join(f"alpha{k} = -1.5 +- 0.1 A/Wb^2" for k in range(30))
-    estimates = {"method": "energy", "reciprocity_percent": 0.002, "reasons": ["moved -0.2 +- 0.1 deg", wall]}
+    wall = "moved " + ", ".join(f"-{k} +- 0.1 deg" for k in range(30))
+    remarks = [Remark(code="moved", text=text) for text in ("moved -0.2 +- 0.1 deg", wall)]
+    estimates = a_report().model_copy(update={"method": "energy", "reciprocity_percent": 0.002, "remarks": remarks})
     ended = RunEnded(outcome="finished", reason="", run="r", estimates=estimates)
     rows = list(summary_rows(ended))
     assert ("remarks", "moved −0.2 ± 0.1 deg") in rows

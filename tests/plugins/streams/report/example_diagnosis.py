@@ -6,8 +6,19 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.diagnosis import DiagnosisReport, Words
-from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, ResistanceCourse
+from protocols import (
+    AxisPercent,
+    CompareReport,
+    CurrentExcerpt,
+    DiagnosisReport,
+    DiagnosisStep,
+    DiagnosisWords,
+    FluxLoop,
+    NoiseFloor,
+    ResistanceCourse,
+    StageError,
+    WorstSegment,
+)
 
 STEP_V = 0.4
 NOISE_V = 0.004
@@ -54,7 +65,25 @@ def a_diagnosis(**changes: Any) -> DiagnosisReport:
     return DiagnosisReport.model_validate(report | changes)
 
 
-WORDS = Words(
+def a_comparison() -> CompareReport:
+    """The bare model, which misses the dead time."""
+    return CompareReport(
+        recording="example",
+        model="saturated",
+        noise_floor=NoiseFloor(rms_v=0.00345),
+        chi2=5.489e4,
+        stages=(
+            StageError(stage="resistance", rms_v=2.1, chi2=9e4, current_rms_a=None),
+            StageError(stage="injection", rms_v=1.7, chi2=4e4, current_rms_a=0.06),
+        ),
+        worst=(WorstSegment(segment="resistance-022", i_d_a=0.1, i_q_a=0.0, rms_v=1.48),),
+        parity=AxisPercent(d_percent=0.1, q_percent=0.2),
+        reciprocity_percent=0.3,
+        crossings=AxisPercent(d_percent=None, q_percent=None),
+    )
+
+
+WORDS = DiagnosisWords(
     where_it_fails="worst in resistance-002: 1.48e+03 mV rms",
     what_it_looks_like="An odd step in each phase current.",
     likely_cause="dead_time (voltage_v 0.4 V, 95 % -0.399..0.401)",

@@ -40,7 +40,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> str:
 
 
 def saved(**changes: object) -> SavedDiagnosis:
-    return SavedDiagnosis(a_diagnosis(**changes).model_dump(mode="json"), WORDS.model_dump(), some_steps())
+    return SavedDiagnosis(a_diagnosis(**changes), WORDS, some_steps())
 
 
 def words_of(page: str) -> str:
@@ -97,14 +97,14 @@ def test_a_damaged_diagnosis_is_named_and_the_rest_reported(tmp_path: Path) -> N
 
 @pytest.mark.usefixtures("undrawn")
 def test_without_steps_the_ladder_is_drawn_from_the_report() -> None:
-    found = SavedDiagnosis(a_diagnosis().model_dump(mode="json"), WORDS.model_dump(), ())
+    found = SavedDiagnosis(a_diagnosis(), WORDS, ())
     assert [p.title for p in diagnosis_pictures(found)] == ["The error ladder", "The whole library, fitted together"]
 
 
 @pytest.mark.usefixtures("undrawn")
 def test_one_rung_is_drawn_without_a_before() -> None:
     report = a_diagnosis(verdict="clean", effects=[], ladder=a_diagnosis().model_dump()["ladder"][:1])
-    found = SavedDiagnosis(report.model_dump(mode="json"), WORDS.model_dump(), some_steps()[:1])
+    found = SavedDiagnosis(report, WORDS, some_steps()[:1])
     pictures = list(diagnosis_pictures(found))
     assert len(pictures) == 9
     assert not any(picture.beside for picture in pictures)

@@ -9,12 +9,15 @@ from protocols import (
     CurrentExcerpt,
     Diagnosed,
     DiagnosisStep,
+    DiagnosisWords,
     ExperimentProposed,
     FluxLoop,
     Message,
     RealArray,
     ResistanceCourse,
 )
+from tests.plugins.streams.report.example_diagnosis import a_comparison
+from tests.plugins.streams.report.example_diagnosis import a_diagnosis as reported
 
 EFFECTS = ("dead_time", "winding_heating", "rotor_misalignment")
 NOISE_V = 0.004
@@ -25,22 +28,22 @@ TO_ABC = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
 def a_diagnosis(pictures: bool = True) -> list[Message]:
     """The comparison, one step for the bare model and one for each effect, the verdict, and what to measure next."""
     steps: list[Message] = [a_step(k, pictures) for k in range(len(EFFECTS) + 1)]
-    report = {"verdict": "explained", "effects": [{"name": name} for name in EFFECTS]}
-    return [a_comparison(), *steps, Diagnosed(round=0, report=report, words=WORDS), a_proposal()]
+    effects = [{"name": n, "parameters": {}, "twins": [], "relative_size": 1.0, "log_evidence": 1.0} for n in EFFECTS]
+    return [
+        Compared(report=a_comparison()),
+        *steps,
+        Diagnosed(round=0, report=reported(effects=effects), words=WORDS),
+        a_proposal(),
+    ]
 
 
-WORDS = {
-    "where_it_fails": "At every operating point, most near zero current: 1.9 V rms against 4 mV of noise.",
-    "what_it_looks_like": "Odd in the phase currents, as an inverter's errors are.",
-    "likely_cause": "Dead time, 8.0 V (95 %: 7.9 to 8.1 V); device drop cannot be told from it here.",
-    "if_added": "The held-out error falls from 1.9 V to 4.2 mV; the noise floor is 4 mV.",
-    "to_decide": "Hold direct currents at two PWM frequencies: 0.4 min.",
-}
-
-
-def a_comparison() -> Compared:
-    stages = [{"stage": s, "rms_v": v, "chi2": c} for s, v, c in (("resistance", 2.1, 9e4), ("injection", 1.7, 4e4))]
-    return Compared(report={"chi2": 6e4, "stages": stages})
+WORDS = DiagnosisWords(
+    where_it_fails="At every operating point, most near zero current: 1.9 V rms against 4 mV of noise.",
+    what_it_looks_like="Odd in the phase currents, as an inverter's errors are.",
+    likely_cause="Dead time, 8.0 V (95 %: 7.9 to 8.1 V); device drop cannot be told from it here.",
+    if_added="The held-out error falls from 1.9 V to 4.2 mV; the noise floor is 4 mV.",
+    to_decide="Hold direct currents at two PWM frequencies: 0.4 min.",
+)
 
 
 def a_proposal() -> ExperimentProposed:

@@ -1,0 +1,235 @@
+"""What estimation, comparison and diagnosis report: the JSON that is printed, kept and sent, as pydantic models.
+
+Every number is finite or null. What other versions have written is read: keys that are not known are passed over.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal, Self
+
+from pydantic import Field, computed_field
+
+from protocols._base import Lenient
+from protocols._estimates import AxisPercent, ClosedForm, Interval, MapChecks, ResistanceReading
+from protocols._remarks import Number, Remark, Remarks
+
+Verdict = Literal["clean", "explained", "mostly_explained", "unknown_remains"]
+ShapeGroup = Literal[
+    "odd_phase_current",
+    "even_phase_current",
+    "constant",
+    "anisotropic_resistance",
+    "time_resistance",
+    "power_voltage",
+    "sweep_direction",
+    "ripple_in_phase",
+    "ripple_edges",
+    "map_not_even",
+    "reciprocity_broken",
+    "map_detail",
+    "periodic",
+    "other",
+]
+
+
+class Remarked(Lenient):
+    """A report with remarks; `notes` has their sentences alone."""
+
+    remarks: Remarks = ()
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """The remarks' sentences."""
+        return tuple(remark.text for remark in self.remarks)
+
+    def with_remark(self, remark: Remark) -> Self:
+        """The same, with one more."""
+        return self.model_copy(update={"remarks": (*self.remarks, remark)})
+
+
+class NoiseFloor(Lenient):
+    """What the residual would be if only the sensors' noise were left."""
+
+    rms_v: Number
+
+
+class ParameterValue(Lenient):
+    """A fitted parameter with its 95 % interval."""
+
+    value: Number
+    low: Number
+    high: Number
+    unit: str
+
+
+class FoundEffect(Lenient):
+    """An effect that the data ask for."""
+
+    name: str
+    parameters: dict[str, ParameterValue]
+    twins: tuple[str, ...]
+    """Effects that do as well in its place, in this recording."""
+    relative_size: Number
+    """|first parameter| over its typical value (inverted where small is strong)."""
+    log_evidence: Number
+
+
+class JointEntry(Lenient):
+    """One effect in the joint fit of the whole library."""
+
+    name: str
+    relative_size: Number
+    z: Number
+
+
+class Rung(Lenient):
+    """The error after one more effect."""
+
+    added: str | None
+    chi2: Number
+    """Per degree of freedom of the whitened training residual."""
+    rms_v: Number
+    heldout_rms_v: Number
+    current_rms_a: Number
+
+
+class ShapeShare(Lenient):
+    """How much of the leftover has one shape."""
+
+    group: ShapeGroup
+    share: Number
+
+
+class Unexplained(Lenient):
+    """What is left."""
+
+    fraction: Number
+    """sqrt((chi2_after - 1) / (chi2_before - 1))."""
+    shape: tuple[ShapeShare, ...]
+
+
+class NextExperiment(Lenient):
+    """What to measure to tell two effects apart, as a procedure's stage."""
+
+    stage: dict[str, Any]
+    separates: tuple[str, str]
+    minutes: float
+
+
+class DiagnosisReport(Remarked):
+    """`fluxbench diagnose --json`."""
+
+    recording: str
+    noise_floor: NoiseFloor
+    verdict: Verdict
+    effects: tuple[FoundEffect, ...]
+    """In the order in which they were added."""
+    traces: tuple[str, ...]
+    joint: tuple[JointEntry, ...]
+    ladder: tuple[Rung, ...]
+    unexplained: Unexplained
+    next_experiment: NextExperiment | None
+    seconds: Number
+
+
+class StageError(Lenient):
+    """The residual in one kind of stage."""
+
+    stage: str
+    rms_v: Number
+    chi2: Number
+    current_rms_a: Number
+
+
+class WorstSegment(Lenient):
+    """A segment that the model fits badly, with its mean current."""
+
+    segment: str
+    i_d_a: Number
+    i_q_a: Number
+    rms_v: Number
+
+
+class CompareReport(Remarked):
+    """`fluxbench compare --json`."""
+
+    recording: str
+    model: str
+    noise_floor: NoiseFloor
+    chi2: Number
+    stages: tuple[StageError, ...]
+    worst: tuple[WorstSegment, ...]
+    parity: AxisPercent
+    reciprocity_percent: Number
+    crossings: AxisPercent
+
+
+class AddReport(Remarked):
+    """`fluxbench add --json`, and `remove`."""
+
+    effects: tuple[FoundEffect, ...]
+    ladder: tuple[Rung, ...]
+    unexplained: Unexplained
+
+
+class DiagnosisWords(Lenient):
+    """The diagnosis in words, one slot a question."""
+
+    where_it_fails: str
+    what_it_looks_like: str
+    likely_cause: str
+    if_added: str
+    to_decide: str
+
+
+class ResistanceReport(Lenient):
+    """Stator resistance over the recording."""
+
+    value_ohm: float
+    low: float
+    high: float
+    """95 % interval of `value_ohm`."""
+    first_ohm: float
+    last_ohm: float
+    temperature_rise_k: Interval | None = None
+    """Of a copper winding that started at 20 C, from the first reading to the last."""
+    readings: tuple[ResistanceReading, ...] = ()
+    """In order of time."""
+
+
+class MapReport(Lenient):
+    """What is told of one flux map beside its file."""
+
+    checks: MapChecks
+    form: ClosedForm | None = None
+
+
+class EstimationReport(Lenient):
+    """What the estimators found; every number finite, or null where the recording does not allow it.
+
+    The checks are the recommended map's.
+    """
+
+    resistance: ResistanceReport | None
+    method: str | None
+    """Of the recommended map."""
+    crossings: AxisPercent | None
+    parity: AxisPercent | None
+    reciprocity_percent: float | None
+    classical_against_injection_percent: float | None
+    """rms of the flux difference over the injection map's grid, in per cent of the rated flux."""
+    usable: bool
+    """Whether the recommended map can be relied on."""
+    remarks: Remarks = ()
+    """What speaks against it, and what could not be estimated and why."""
+    maps: dict[str, MapReport] = Field(default_factory=dict)
+    """Every map that was made, by method."""
+    files: dict[str, str] = Field(default_factory=dict)
+    """Path of each file written, by name."""
+
+    @computed_field  # type: ignore[prop-decorator]
+    @property
+    def reasons(self) -> tuple[str, ...]:
+        """The remarks' sentences."""
+        return tuple(remark.text for remark in self.remarks)
