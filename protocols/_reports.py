@@ -131,6 +131,8 @@ class DiagnosisReport(Remarked):
     unexplained: Unexplained
     next_experiment: NextExperiment | None
     seconds: Number
+    criteria: dict[str, dict[str, Any]] = Field(default_factory=dict)
+    """The thresholds that it was made with, by room."""
 
 
 class StageError(Lenient):

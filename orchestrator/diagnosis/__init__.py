@@ -6,12 +6,12 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 
 from orchestrator.diagnosis._compare import compare_recording
 from orchestrator.diagnosis._diagnose import Diagnosis, add_effects, diagnose_recording, remove_effect
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
-from orchestrator.diagnosis.reporting.ladder import DETECTED
 from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, SavedModel, read_model
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
@@ -21,9 +21,9 @@ from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magneti
 
 __all__ = [
     "CROSS_SATURATION",
-    "DETECTED",
     "MODEL_NAME",
     "SATURATION",
+    "Criteria",
     "Diagnosis",
     "Magnetics",
     "ModelChoice",

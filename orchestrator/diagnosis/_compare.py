@@ -25,8 +25,6 @@ from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording
 from protocols import AxisPercent, CompareReport, Effect, NoiseFloor, Remark, SegmentStage, StageError, WorstSegment
 
-WORST = 8
-
 
 @solvable
 def compare_recording(
@@ -101,7 +99,7 @@ def _worst(fit: Fit, pieces: Sequence[Piece]) -> tuple[WorstSegment, ...]:
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
         rms = mean_rms_v(fit, partial(is_, piece))
         rows.append(WorstSegment(segment=piece.segment.id, i_d_a=float(i_d), i_q_a=float(i_q), rms_v=rms))
-    return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:WORST])
+    return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[: fit.criteria.pictures.worst_segments])
 
 
 def _rated_flux(start: Start, fit: Fit) -> float:

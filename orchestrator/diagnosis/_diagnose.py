@@ -11,12 +11,12 @@ import numpy as np
 
 from orchestrator._validation import suggestion
 from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.experiment_design.proposal import next_experiment
 from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import (
-    DETECTED,
     found_effects,
     left_fraction,
     noise_rms_v,
@@ -62,11 +62,6 @@ from protocols import (
     Verdict,
 )
 
-QUIET = 0.8
-"""chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
-NOTEWORTHY = 1.5
-"""chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
-
 
 @dataclass(frozen=True)
 class Diagnosis:
@@ -95,6 +90,7 @@ def diagnose_recording(
     out: Path | None = None,
     on_step: Callable[[DiagnosisStep], None] | None = None,
     poll: Callable[[], None] = lambda: None,
+    criteria: Criteria | None = None,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -112,6 +108,8 @@ def diagnose_recording(
         Called with each rung of the ladder in order, once the search is over.
     poll : callable
         Called several times a second; what it raises ends the diagnosis.
+    criteria : Criteria, optional
+        Thresholds other than the default ones.
 
     Raises
     ------
@@ -124,13 +122,14 @@ def diagnose_recording(
     """
     began = time.monotonic()
     _known(without, effects)
-    start = open_for_diagnosis(recording, poll)
+    start = open_for_diagnosis(recording, poll, criteria)
     library = scaled_library(effects, start.prepared.manifest, without)
     search = search_effects(start, map_steps(start, model, without), library)
     search = on_a_finer_map(start, search, library)
     search, spared = pruned(start, converged(start, search))
     search, doubtful = without_doubtful(start, search)
     first, last = search.steps[0].fit, search.fit
+    limits = last.criteria.selection
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks = [*start.remarks, *(Remark.of("unsteady", unsteady, effect=n) for n in doubtful)]
     found = _magnetic_rungs(search) + found_effects(start.fitter, last, search.steps, search.rivals)
@@ -139,16 +138,16 @@ def diagnose_recording(
     left = _unexplained(start, first, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
-    if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > NOTEWORTHY and left.shape:
+    if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > limits.noteworthy_chi2 and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=last.chi2_per_dof, shape=left.shape[0].group))
     if start.fitter.effort.exhausted:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
-    if last.chi2_per_dof < QUIET:
+    if last.chi2_per_dof < limits.too_quiet_chi2:
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=last.chi2_per_dof))
     joint = joint_fit(start.fitter, search, library)
-    remarks += other_opinion(joint, found)
+    remarks += other_opinion(joint, found, limits)
     ladder = tuple(rung(step) for step in search.steps)
     if on_step is not None:
         _show(start, search, ladder, on_step)
@@ -164,6 +163,7 @@ def diagnose_recording(
         next_experiment=_proposal(start, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=tuple(remarks),
         seconds=time.monotonic() - began,
+        criteria=start.prepared.criteria.model_dump(mode="json"),
     )
     problem = _save(recording, start, search, name_of(model), found, ladder, out)
     if problem is not None:
@@ -285,7 +285,8 @@ def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
 
 
 def _unexplained(start: Start, first: Fit, last: Fit) -> Unexplained:
-    shape = leftover_shape(start.fitter, last, start.current_a) if last.chi2_per_dof > DETECTED else []
+    detected = last.chi2_per_dof > last.criteria.selection.detected_chi2
+    shape = leftover_shape(start.fitter, last, start.current_a) if detected else []
     return Unexplained(
         fraction=left_fraction(first, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),

@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.fit import Effort, Fitter
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
@@ -15,11 +16,10 @@ from orchestrator.diagnosis.weak_form.segments import Prepared, coarse, prepare
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import RecordingReader, Remark
 
-MOST_EFFORT = 3e8
-"""Samples times columns that a search may take."""
 
-
-def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = lambda: None) -> Start:
+def open_for_diagnosis(
+    recording: RecordingReader, poll: Callable[[], None] = lambda: None, criteria: Criteria | None = None
+) -> Start:
     """Read a recording and find its noise; what `poll` raises ends any fit of it.
 
     Raises
@@ -29,34 +29,35 @@ def open_for_diagnosis(recording: RecordingReader, poll: Callable[[], None] = la
     NotMeasuredError
         Where currents and voltages cannot be a motor's, or are too little to tell anything from.
     """
+    criteria = criteria or Criteria()
     watched = SoundRecording(recording)
-    prepared = prepare(watched)
+    prepared = prepare(watched, criteria)
     watched.conclude()
     motor = prepared.manifest.motor
     low, high, q = prepared.current_range
-    noise = sensor_noise(prepared.pieces)
+    noise = sensor_noise(prepared.pieces, criteria.weak_form)
     require_enough(prepared, noise)
-    remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise)]
+    remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection)]
     reach = max(-low, high, q)
     # The map is smooth on the scale of this current; where little of the plane was seen, that is not the rated one.
-    current = min(motor.rated_current_a or reach, 2.0 * reach)
+    current = min(motor.rated_current_a or reach, criteria.fitting.widest_plane * reach)
     l_d = motor.d_inductance_h or _rough_inductance(prepared)
     l_q = motor.q_inductance_h or l_d
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
-    effort = Effort(max(MOST_EFFORT, 600.0 * samples))
+    effort = Effort(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
     fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=effort, poll=poll)
     search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
     return Start(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 
-def _of_noise(noise: SensorNoise) -> list[Remark]:
+def _of_noise(noise: SensorNoise, criteria: SelectionCriteria) -> list[Remark]:
     """What is unusual about the current readings' noise; all of it is allowed for."""
     remarks = []
     if noise.correlation != 0.0:
         text = "the current readings' noise is correlated, {correlation:.2f} from one to the next"
         remarks.append(Remark.of("noise_correlated", text, correlation=noise.correlation))
     ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
-    if ratio > 1.1:
+    if ratio > criteria.noisier_ripple:
         text = "the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)"
         remarks.append(Remark.of("noise_under_injection", text, ratio=ratio))
     for line in noise.lines:

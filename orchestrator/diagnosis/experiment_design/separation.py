@@ -22,7 +22,7 @@ from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared, _windows
+from orchestrator.diagnosis.weak_form.segments import Piece, windows_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, Segment, SegmentStage, Signals
@@ -91,7 +91,7 @@ def separation(start: Start, pair: Rivals, stage: dict[str, Any]) -> float:
 def _part_of(start: Start) -> Fitter:
     pieces = start.coarse.prepared.pieces
     stride = max(1, math.ceil(len(pieces) / _MOST_PIECES))
-    prepared = Prepared(start.prepared.manifest, pieces[::stride], ())
+    prepared = replace(start.coarse.prepared, pieces=pieces[::stride])
     return replace(start.coarse, prepared=prepared, threads=1)
 
 
@@ -107,7 +107,7 @@ def _normal(
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
     # Planned segments have no ids of their own: what a fitter remembers of one must not serve the next.
-    here = replace(fitter, prepared=Prepared(fitter.prepared.manifest, tuple(pieces), ()), _raw_basis={})
+    here = replace(fitter, prepared=replace(fitter.prepared, pieces=tuple(pieces)), _raw_basis={})
     frame = here.frame(model)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
@@ -208,7 +208,7 @@ def _piece(
         drive=s.drive,
         bridge_on=kind is not SegmentStage.GATES_OFF,
     )
-    windows = _windows(segment, fs, i_ab, v_ab)
+    windows = windows_of(segment, fs, i_ab, v_ab, start.prepared.criteria.weak_form)
     assert windows is not None
     return replace(
         last, segment=segment, held_out=False, signals=signals, windows=windows, averaged=1, before_ab=i_ab[0]

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
@@ -20,13 +21,6 @@ from orchestrator.numerics.types import Array
 from protocols import FluxMap, NotMeasuredError, Remark, SegmentStage
 
 Baseline = Literal["linear", "saturated"]
-ROUGHNESS = 3.0
-"""Standard deviation of the map's fourth derivatives, in L / I^2."""
-INTERVALS = (6, 8, 10)
-ROUGH = 1.03
-"""chi2 per degree of freedom above which a finer map is tried on the whole recording."""
-COARSE = 10.0
-"""And below which."""
 
 
 @dataclass(frozen=True)
@@ -43,18 +37,22 @@ class Start:
     """Rated current, or the largest used; no more than twice that [A peak]."""
     remarks: tuple[Remark, ...]
 
+    @property
+    def criteria(self) -> FittingCriteria:
+        return self.prepared.criteria.fitting
+
 
 def saturated_model(start: Start, intervals: int) -> Model:
     """A free map with this many spline intervals on each axis."""
     grid = _grid(start, intervals)
-    prior = smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
+    prior = smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, start.criteria.roughness)
     space = MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
     return Model(space, linear_magnetics(grid, start.l_d_h, start.l_q_h), _resistance(start))
 
 
 def linear_model(start: Start) -> Model:
     """Constant inductances: the nameplate's, or free ones where it has none."""
-    grid = _grid(start, INTERVALS[0])
+    grid = _grid(start, start.criteria.intervals[0])
     motor = start.prepared.manifest.motor
     known = motor.d_inductance_h is not None and motor.q_inductance_h is not None
     linear = linear_magnetics(grid, start.l_d_h, start.l_q_h)
@@ -69,7 +67,7 @@ def linear_model(start: Start) -> Model:
 
 def with_saturation(start: Start, model: Model) -> Model:
     """The map W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
-    free = saturated_model(start, INTERVALS[0]).space
+    free = saturated_model(start, start.criteria.intervals[0]).space
     nd, nq = free.grid.functions
     directions = np.concatenate([np.kron(np.eye(nd), np.ones((nq, 1))), np.kron(np.ones((nd, 1)), np.eye(nq))], axis=1)
     # The constant is in both; the prior decides.
@@ -81,7 +79,7 @@ def with_saturation(start: Start, model: Model) -> Model:
 
 def with_cross_saturation(start: Start, model: Model) -> Model:
     """The free map."""
-    free = saturated_model(start, INTERVALS[0])
+    free = saturated_model(start, start.criteria.intervals[0])
     return Model(free.space, free.magnetics, model.r_s, model.active)
 
 
@@ -90,7 +88,7 @@ MAP_STEPS = {SATURATION: with_saturation, CROSS_SATURATION: with_cross_saturatio
 
 def given_model(start: Start, flux_map: FluxMap) -> Model:
     """A user's own map, kept as it is: splines through its flux and inductances."""
-    grid = _grid(start, INTERVALS[-1])
+    grid = _grid(start, start.criteria.intervals[-1])
     i_d, i_q = np.meshgrid(np.asarray(flux_map.i_d, float), np.asarray(flux_map.i_q, float), indexing="ij")
     here = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
     psi = np.stack([np.asarray(flux_map.psi_d, float).ravel(), np.asarray(flux_map.psi_q, float).ravel()], axis=1)
@@ -100,8 +98,9 @@ def given_model(start: Start, flux_map: FluxMap) -> Model:
     if good.sum() < 4:
         raise NotMeasuredError(flux_map.method, "psi_d, psi_q", "the map does not cover the recording's currents")
     rows = _flux_rows(grid, here[good])
-    prior = 1e-3 * smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, ROUGHNESS)
-    scale = 1.0 / (1e-4 * math.sqrt(start.l_d_h * start.l_q_h) * start.current_a)
+    inductance_h = math.sqrt(start.l_d_h * start.l_q_h)
+    prior = 1e-3 * smoothness_prior(grid, inductance_h, start.current_a, start.criteria.roughness)
+    scale = 1.0 / (start.criteria.given_map_error * inductance_h * start.current_a)
     design = np.concatenate([rows * scale, prior])
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
@@ -120,15 +119,17 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
 
 def fitted_baseline(start: Start) -> Fit:
     """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
-    part = with_detail(start, start.coarse, start.coarse.fit(saturated_model(start, INTERVALS[0]), renewals=1))
+    first = start.coarse.fit(saturated_model(start, start.criteria.intervals[0]), renewals=1)
+    part = with_detail(start, start.coarse, first)
     fit = start.fitter.fit(part.model, renewals=0)
     # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
-    return with_detail(start, start.fitter, fit) if ROUGH < fit.chi2_per_dof < COARSE else fit
+    worth_it = start.criteria.finer_above_chi2 < fit.chi2_per_dof < start.criteria.finer_below_chi2
+    return with_detail(start, start.fitter, fit) if worth_it else fit
 
 
 def with_detail(start: Start, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on finer and finer maps, as long as each is worth its freedom."""
-    for intervals in INTERVALS[1:]:
+    for intervals in start.criteria.intervals[1:]:
         finer = finer_map(start, fitter, fit, intervals)
         if finer is None:
             if intervals > fit.model.space.grid.cells[0]:
@@ -147,12 +148,13 @@ def finer_map(start: Start, fitter: Fitter, fit: Fit, intervals: int) -> Fit | N
     trial = fitter.fit(model, steps=2, renewals=0)
     freed = fit.dof - trial.dof
     gain = fit.objective - trial.objective
-    return trial if gain > (6.0 * max(freed, 1.0) + 30.0) * max(trial.chi2_per_dof, 1.0) else None
+    asked = start.criteria.finer_gain_per_freedom * max(freed, 1.0) + start.criteria.finer_gain
+    return trial if gain > asked * max(trial.chi2_per_dof, 1.0) else None
 
 
 def _grid(start: Start, intervals: int) -> EvenSpline:
     low, high, q = start.prepared.current_range
-    least = 0.05 * max(-low, high, q)
+    least = start.criteria.least_range * max(-low, high, q)
     return EvenSpline(min(low, -least), max(high, least), max(q, least), (intervals, intervals))
 
 

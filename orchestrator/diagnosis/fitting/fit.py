@@ -16,6 +16,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate, apply_effects, typical_coordinate
 from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, PieceFrame, PieceRows
@@ -37,18 +38,6 @@ from protocols import EffectLayer, ParameterRole, Signals
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
-
-
-LEAST_DAMPED, MOST_DAMPED = 0.1, 50.0
-"""Damping with which a step that failed is tried again, and the last."""
-KEPT = 0.75
-"""Part of its promise that a damped step keeps where the next one may be damped less."""
-NOTHING = 2.0
-"""A promise that is not worth a second try where the first did not keep it."""
-_OWN_COLUMNS = 3
-"""What an evaluation without effects costs, in columns."""
-LIKE = 0.01
-"""Relative change of the mean inductance that the noise's covariance bears."""
 
 
 @dataclass
@@ -86,6 +75,10 @@ class Fitter:
     poll: Callable[[], None] = lambda: None
     _raw_basis: dict[str, tuple[EvenSpline, Array]] = field(default_factory=dict)
 
+    @property
+    def criteria(self) -> FittingCriteria:
+        return self.prepared.criteria.fitting
+
     def fit(
         self, model: Model, frame: Frame | None = None, *, steps: int = 8, renewals: int = 2, tolerance: float = 1e-4
     ) -> Fit:
@@ -108,32 +101,33 @@ class Fitter:
         for _ in range(renewals):
             old = best
             best = self._descend(self.evaluate(best.model, self.frame(best.model, best.frame)), steps, tolerance)
-            if abs(best.chi2 - old.chi2) < 1e-3 * best.chi2:
+            if abs(best.chi2 - old.chi2) < self.criteria.renewal_change * best.chi2:
                 break
         return best
 
     def _descend(self, best: Fit, steps: int, tolerance: float) -> Fit:
-        damping = 0.0
+        damping, limits = 0.0, self.criteria
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
-            enough = 0.2 + tolerance * max(best.chi2 - best.dof, 0.0)
+            enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
             promised = newton_step(best, system, 0.0)[1]
             if promised < enough:
                 break
             while True:
                 move, _ = newton_step(best, system, damping)
                 trial = self._resized(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
-                if trial.objective < best.objective + 0.05 or damping > MOST_DAMPED or promised < NOTHING:
+                missed = trial.objective >= best.objective + limits.slack
+                if not missed or damping > limits.most_damping or promised < limits.least_promise:
                     break
-                damping = max(10.0 * damping, LEAST_DAMPED)
+                damping = max(10.0 * damping, limits.least_damping)
             gain = best.objective - trial.objective
-            if gain > -0.05:
+            if gain > -limits.slack:
                 best = trial
             if gain < enough:
                 break
             # Where a step had to be damped, the next one most likely has to be too.
-            if gain > KEPT * promised:
-                damping = 0.1 * damping if damping > LEAST_DAMPED else 0.0
+            if gain > limits.promise_kept * promised:
+                damping = 0.1 * damping if damping > limits.least_damping else 0.0
         return best
 
     def promise(self, fit: Fit) -> float:
@@ -174,7 +168,7 @@ class Fitter:
         self.poll()
         wanted = [*model.free, *extra]
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
-        self.effort.spent += samples * (len(wanted) + _OWN_COLUMNS)
+        self.effort.spent += samples * (len(wanted) + self.criteria.evaluation_columns)
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
         rows = self._map(lambda job: self._piece_rows(model, job[0], job[1], wanted), jobs)
         return self._solve(model, frame, rows)
@@ -200,7 +194,8 @@ class Fitter:
         mean = here.inductance.mean(axis=0)
         slopes = self._slopes(piece, base, model)
         alike = old is not None and not old.shaped_noise and slopes is None
-        if old is not None and alike and np.abs(mean - old.mean_inductance).max() < LIKE * float(mean[[0, 2]].min()):
+        bearable = self.criteria.same_inductance * float(mean[[0, 2]].min())
+        if old is not None and alike and np.abs(mean - old.mean_inductance).max() < bearable:
             whitener, mean = old.whitener, old.mean_inductance
         else:
             factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
@@ -233,6 +228,7 @@ class Fitter:
             float(piece.segment.rotor_angle_rad),
             self.pm_flux_wb,
             1.0 / base.sampling_frequency_hz,
+            self.prepared.criteria.weak_form.observer_time_constant_s,
         )
         return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, here
 
@@ -291,11 +287,11 @@ class Fitter:
         p = active.candidate.named(name)
         x = active.coordinate(name)
         if p.role is not ParameterRole.AMPLITUDE:
-            step = 0.05 * max(abs(x), 1.0)
+            step = self.criteria.column_step * max(abs(x), 1.0)
         elif active.is_absent:
             step = typical_coordinate(p)
         else:
-            step = 0.05 * max(abs(x), 0.02)
+            step = self.criteria.column_step * max(abs(x), self.criteria.least_amplitude)
         if is_stuck(active, name, x + step):
             step = -step
         at = next((k for k, a in enumerate(ordered) if a.name == active.name), None)

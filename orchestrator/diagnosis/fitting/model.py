@@ -8,6 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
@@ -126,6 +127,10 @@ class Fit:
     """Whitened columns of every piece: the free parameters', then what was asked for beside them."""
     resistance: tuple[Array, ...]
     """Whitened R_s columns."""
+
+    @property
+    def criteria(self) -> Criteria:
+        return self.prepared.criteria
 
     @property
     def chi2_per_dof(self) -> float:

@@ -16,9 +16,6 @@ from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
-LONGEST_S = 1.0
-"""How much of each segment is simulated: many time constants, and both signs of a trapezoid."""
-
 
 def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple[Array, Array]:
     """Predicted and measured magnetising current of one piece in the true frame, each (n, 2) [A].
@@ -57,7 +54,7 @@ def current_rms(fit: Fit, use: Callable[[Piece], bool] = lambda _: True) -> floa
     for index, piece in enumerate(fit.prepared.pieces):
         if piece.stage is SegmentStage.GATES_OFF or not use(piece):
             continue
-        longest = round(LONGEST_S * piece.signals.sampling_frequency_hz)
+        longest = round(fit.criteria.pictures.simulated_s * piece.signals.sampling_frequency_hz)
         stage_share = 3 if piece.stage is SegmentStage.RESISTANCE else 1
         predicted, measured = simulated_current(fit, index, longest // stage_share)
         total += float(np.sum((predicted - measured) ** 2))

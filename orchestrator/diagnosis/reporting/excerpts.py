@@ -8,35 +8,24 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator, Sequence
-from typing import Literal
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.fitting.candidates import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.weak_form.equations import true_frame
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import AXES, Axis, Piece, swept_axis
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, Signals
-
-Axis = Literal["d", "q", "dq"]
-
-MOST_POINTS = 400
-"""Of one curve."""
-RIPPLE_PERIODS = 2
-LONGEST_TRAPEZOID_S = 2.5
-SETTLED_S = 0.1
-"""Of a simulation, before a ripple is shown: the first current is a noisy sample."""
-APART = 1.3
-"""Ratio of two amplitudes that are told apart."""
 
 
 def excerpts(fit: Fit) -> tuple[CurrentExcerpt, ...]:
     """Ripple at one injection point, at two amplitudes where there are two, and one period of a trapezoid."""
     pieces = fit.prepared.pieces
-    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces))
+    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces, fit.criteria.selection.amplitudes_apart))
     trapezoid = (_trapezoid_excerpt(fit, k) for k in _trapezoid(pieces))
     return tuple(e for e in itertools.chain(ripples, trapezoid) if e is not None)
 
@@ -47,14 +36,14 @@ def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
     for k, piece in enumerate(fit.prepared.pieces):
         if piece.stage is not SegmentStage.CLASSICAL:
             continue
-        axis, held = _swept(piece)
+        axis, held = _swept(piece, fit.criteria.weak_form)
         if axis not in best or held < best[axis][0]:
             best[axis] = (held, k)
-    return tuple(_loop(fit, best[axis][1], axis) for axis in ("d", "q", "dq") if axis in best)
+    return tuple(_loop(fit, best[axis][1], axis) for axis in AXES if axis in best)
 
 
-def ripple_pair(pieces: Sequence[Piece]) -> tuple[int, ...]:
-    """Two injection segments at one point with different amplitudes, the smaller first; else one; else none."""
+def ripple_pair(pieces: Sequence[Piece], ratio: float) -> tuple[int, ...]:
+    """Two injection segments at one point with amplitudes apart by a ratio, the smaller first; else one; else none."""
     points = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.INJECTION]
     if not points:
         return ()
@@ -63,7 +52,7 @@ def ripple_pair(pieces: Sequence[Piece]) -> tuple[int, ...]:
     from_zero = np.linalg.norm(current, axis=1)
     reach = float(from_zero.max()) or 1.0
     apart = np.linalg.norm(current[:, None] - current, axis=2)
-    is_pair = (volts > APART * volts[:, None]) & (volts[:, None] > 0.0) & (apart < 0.15 * reach)
+    is_pair = (volts > ratio * volts[:, None]) & (volts[:, None] > 0.0) & (apart < 0.15 * reach)
     if not is_pair.any():
         return (points[int(np.argmin(from_zero))],)
     # Distances of a hundredth of the range are all alike: then the point nearest zero.
@@ -87,13 +76,11 @@ def _amplitude(piece: Piece) -> float:
 def _ripple_excerpt(fit: Fit, index: int) -> CurrentExcerpt | None:
     """Some periods from where the voltage is injected along +d, so that two amplitudes lie over each other."""
     piece = fit.prepared.pieces[index]
-    fs, n = piece.signals.sampling_frequency_hz, len(piece.signals.v_dc)
-    frequency = piece.segment.settings.get("frequency_hz")
-    if not isinstance(frequency, int | float) or not 0 < frequency < fs / 4:
+    limits, fs, n = fit.criteria.pictures, piece.signals.sampling_frequency_hz, len(piece.signals.v_dc)
+    if piece.segment.settings.get("frequency_hz") is None or not (period := piece.windows.period):
         return None
-    period = fs / float(frequency)
-    shown = math.ceil(RIPPLE_PERIODS * period) + 1
-    settled = round(SETTLED_S * fs)
+    shown = math.ceil(limits.ripple_periods * period) + 1
+    settled = round(limits.settled_s * fs)
     turn = round(fs / float(piece.segment.settings.get("rotation_hz") or 1.0))
     stop = min(n, settled + turn + shown)
     if stop < settled + 2 * shown:
@@ -121,10 +108,11 @@ def _trapezoid(pieces: Sequence[Piece]) -> Iterator[int]:
 def _trapezoid_excerpt(fit: Fit, index: int) -> CurrentExcerpt:
     """The second period where there is one: the first may begin elsewhere."""
     piece = fit.prepared.pieces[index]
-    shown = min(_period(piece), _samples(piece, LONGEST_TRAPEZOID_S))
+    shown = min(_period(piece), _samples(piece, fit.criteria.pictures.longest_trapezoid_s))
     first = shown - 1 if 2 * shown - 1 <= len(piece.signals.v_dc) else 0
     predicted, measured = _currents(fit, index, first + shown)
-    return _excerpt(piece, measured[first:], predicted[first:], math.ceil(shown / MOST_POINTS), None)
+    stride = math.ceil(shown / fit.criteria.pictures.most_points)
+    return _excerpt(piece, measured[first:], predicted[first:], stride, None)
 
 
 def _excerpt(piece: Piece, measured: Array, predicted: Array, stride: int, amplitude: float | None) -> CurrentExcerpt:
@@ -174,7 +162,7 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     measured = _integral(corrected, fit.model.r_s / float(kept.base.resistance_ohm[0]), last, ts)
     measured = to_dq(measured, piece.segment.rotor_angle_rad)
     i_dq = to_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
-    stride = math.ceil(len(i_dq) / MOST_POINTS)
+    stride = math.ceil(len(i_dq) / fit.criteria.pictures.most_points)
     return FluxLoop(
         segment=piece.segment.id,
         swept_axis=axis,
@@ -197,13 +185,11 @@ def _integral(signals: Signals, factor: float, part: slice, ts: float) -> Array:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def _swept(piece: Piece) -> tuple[Axis, float]:
+def _swept(piece: Piece, criteria: WeakFormCriteria) -> tuple[Axis, float]:
     """The axis that a sweep moves, and the size of the current that it holds on the other."""
-    i_dq = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)
-    spread = np.ptp(i_dq, axis=0)
-    if spread.min() > 0.5 * spread.max():
-        return "dq", 0.0
-    return ("d", float(abs(i_dq[:, 1].mean()))) if spread[0] > spread[1] else ("q", float(abs(i_dq[:, 0].mean())))
+    axis = swept_axis(piece.segment, piece.signals.i_ab, criteria)
+    i_d, i_q = np.abs(_mean_current(piece))
+    return axis, {"d": float(i_q), "q": float(i_d), "dq": 0.0}[axis]
 
 
 def _period(piece: Piece) -> int:

@@ -7,6 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
@@ -23,6 +24,7 @@ def diagnose_and_keep(
     out: Path | None = None,
     on_step: Callable[[DiagnosisStep], None] | None = None,
     poll: Callable[[], None] = lambda: None,
+    criteria: Criteria | None = None,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
     """`diagnose_recording`, and what it found written to ``results/diagnosis.json`` and ``.npz``.
 
@@ -44,7 +46,9 @@ def diagnose_and_keep(
         if on_step is not None:
             on_step(step)
 
-    diagnosis = diagnose_recording(recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll)
+    diagnosis = diagnose_recording(
+        recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll, criteria=criteria
+    )
     words = in_words(diagnosis)
     try:
         save_diagnosis(out or recording.path, diagnosis.report, words, steps)

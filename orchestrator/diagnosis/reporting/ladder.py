@@ -17,14 +17,6 @@ from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.numerics.types import Array
 from protocols import FoundEffect, ParameterValue, Rung, Verdict
 
-DETECTED = 1.08
-"""chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""
-EXPLAINED, MOSTLY = 0.05, 0.30
-SHAPE_ERROR = 0.12
-"""What a slightly wrong shape of the right effects may leave of chi2 - 1, over the root of what there was at first."""
-LEAST_LEFT = 1.5
-"""A remainder of chi2 - 1 below this is small whatever there was at first."""
-
 
 def training(piece: Piece) -> bool:
     return not piece.held_out
@@ -68,7 +60,7 @@ def rung(step: Step) -> Rung:
 
 def left_fraction(before: Fit, after: Fit) -> float:
     """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    if before.chi2_per_dof <= DETECTED:
+    if before.chi2_per_dof <= before.criteria.selection.detected_chi2:
         return 0.0
     return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before.chi2_per_dof - 1.0))
 
@@ -79,18 +71,19 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     The fraction alone would forgive a large second error beside a huge first one. A wrong shape of the right effect
     leaves some of it, the more the stronger it shows; what is beyond that is another effect's.
     """
-    if after.chi2_per_dof <= DETECTED:
+    limits = after.criteria.selection
+    if after.chi2_per_dof <= limits.detected_chi2:
         return "explained" if effects else "clean"
     fraction = left_fraction(before, after)
-    if not effects or fraction > MOSTLY or not small_remainder(before, after):
+    if not effects or fraction > limits.mostly_explained or not small_remainder(before, after):
         return "unknown_remains"
-    return "explained" if fraction <= EXPLAINED else "mostly_explained"
+    return "explained" if fraction <= limits.explained else "mostly_explained"
 
 
 def small_remainder(before: Fit, after: Fit) -> bool:
     """Whether what is left may be due to the found effects' shape."""
-    first = math.sqrt(max(before.chi2_per_dof - 1.0, 0.0))
-    return after.chi2_per_dof - 1.0 <= max(LEAST_LEFT, SHAPE_ERROR * first)
+    limits, first = after.criteria.selection, math.sqrt(max(before.chi2_per_dof - 1.0, 0.0))
+    return after.chi2_per_dof - 1.0 <= max(limits.least_left, limits.shape_error * first)
 
 
 def found_effects(
@@ -99,16 +92,16 @@ def found_effects(
     """The active effects with 95 % intervals; see `coordinate_spread`."""
     if not fit.model.active:
         return ()
-    variance = coordinate_spread(fitter, fit) ** 2
+    half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
     evidence = {s.added: s.log_evidence for s in steps}
     found, k = [], 0
     for active in fit.model.active:
-        spread = dict(zip(active.free, np.sqrt(variance[k : k + len(active.free)]), strict=True))
+        widths = dict(zip(active.free, half[k : k + len(active.free)], strict=True))
         k += len(active.free)
         found.append(
             FoundEffect(
                 name=active.name,
-                parameters={n: _interval(active, n, float(spread[n])) for n in active.free},
+                parameters={n: _interval(active, n, float(widths[n])) for n in active.free},
                 twins=tuple(rivals.get(active.name, ())),
                 relative_size=active.relative_size,
                 log_evidence=evidence.get(active.name, 0.0),
@@ -117,8 +110,8 @@ def found_effects(
     return tuple(found)
 
 
-def _interval(active: Active, name: str, spread: float) -> ParameterValue:
+def _interval(active: Active, name: str, half: float) -> ParameterValue:
     p = active.candidate.named(name)
     x = active.coordinate(name)
-    ends = sorted((value_at(p, x - 1.96 * spread), value_at(p, x + 1.96 * spread)))
+    ends = sorted((value_at(p, x - half), value_at(p, x + half)))
     return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit)

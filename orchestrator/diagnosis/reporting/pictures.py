@@ -25,11 +25,6 @@ from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import DiagnosisStep, ResistanceCourse, Rung, SegmentStage
 
-MOST_ROWS = 4000
-"""Rows that a step keeps."""
-MOST_DWELLS = 400
-LEAST_CURRENT = 0.2
-"""Part of the largest current below which a dwell says too little of R_s."""
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 _PHASES = np.array([[1.0, 0.0], [-0.5, math.sqrt(0.75)], [-0.5, -math.sqrt(0.75)]])
 
@@ -49,13 +44,13 @@ def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None =
     Notes
     -----
     Rows are windows of the weak form, injection's carriers other than the mean left out, thinned to
-    `MOST_ROWS` with every stage kept; the same rows at every step of one recording.
+    `PictureCriteria.most_rows` with every stage kept; the same rows at every step of one recording.
     """
     fit = step.fit
     numbers = known or rung(step)
     rows = [_Rows(fit, k) for k in range(len(fit.prepared.pieces))]
     stages = [row.piece.stage.value for row in rows for _ in range(len(row.time_s))]
-    kept = kept_rows(stages)
+    kept = kept_rows(stages, fit.criteria.pictures.most_rows)
     residual_ab = np.concatenate([row.residual_ab_v for row in rows])[kept]
     i_ab = np.concatenate([row.i_ab for row in rows])[kept]
     return DiagnosisStep(
@@ -80,7 +75,7 @@ def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None =
     )
 
 
-def kept_rows(stages: list[str], most: int = MOST_ROWS) -> NDArray[np.int64]:
+def kept_rows(stages: list[str], most: int) -> NDArray[np.int64]:
     """Which rows stay when there are more than `most`: small stages whole, large ones spread evenly.
 
     A golden-ratio sequence picks them, which stays out of step with the turns and periods in the rows.
@@ -164,7 +159,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
             continue
         current = row.i_dq.mean(axis=0)
         square = float(current @ current)
-        if square < (LEAST_CURRENT * largest) ** 2 or square == 0.0:
+        if square < (fit.criteria.pictures.least_dwell_current * largest) ** 2 or square == 0.0:
             continue
         base = fit.frame.pieces[row.index].base
         corrected = apply_effects(base, fit.model.active)
@@ -173,7 +168,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         found.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
     if not found:
         return None
-    stride = math.ceil(len(found) / MOST_DWELLS)
+    stride = math.ceil(len(found) / fit.criteria.pictures.most_dwells)
     time_s, heat_j, measured, modelled = np.array(found[::stride]).T
     return ResistanceCourse(
         time_s=np.ascontiguousarray(time_s),

@@ -19,28 +19,6 @@ from orchestrator.diagnosis.selection.identifiability import separable
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
-LOG_EVIDENCE = 16.0
-"""Least gain in log evidence (natural) for an effect to be added: chance alone reaches this once in some 1e6 tries,
-and some twenty effects with shapes to choose from are tried on each recording."""
-TIE = 3.0
-"""Rivals this near in log evidence cannot be told apart."""
-LEAST_SIZE = 0.02
-"""Effects smaller than this part of their typical size are traces."""
-LEAST_SHARE = 0.2
-"""Least part of the excess chi2 - 1 that an effect has to remove to be added."""
-HOPEFUL = 0.3
-"""Rivals whose linear gain is at least this part of the best one's are refitted too."""
-STAND_IN = 0.8
-"""Look-alikes that explain this part of what the best one does are its twins."""
-CLOSE = 2.0
-"""Rivals whose excess chi2 is within this factor of the best one's are fitted to the end."""
-SHAPES = (-2.0, -1.0, 1.0)
-"""Shapes from which a refit may start beside the typical one, in widths of the prior."""
-NEEDED = 1000.0
-"""Loss of chi2 beyond which, to first order, an effect's simple form cannot do."""
-MOST_TRIALS = 5
-MOST_EFFECTS = 6
-
 
 @dataclass(frozen=True)
 class Score:
@@ -153,10 +131,11 @@ def forward(
     rivals : mapping, optional
         Of the effects that the steps have already.
     """
+    limits = fitter.prepared.criteria.selection
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
-    while len(search.fit.model.active) < MOST_EFFECTS and not fitter.effort.exhausted:
+    while len(search.fit.model.active) < limits.most_effects and not fitter.effort.exhausted:
         fit = search.fit
         rejected |= _alike(fit, candidates)
         if search.view is None or search.view.fit.model is not fit.model:
@@ -172,13 +151,14 @@ def forward(
         ranked = sorted(((log_evidence(t, inflation) - before, n, t) for n, t in trials), key=lambda item: -item[0])
         gain, name, trial = ranked[0]
         tell(str([(n, round(g, 1), round(t.chi2_per_dof, 3)) for g, n, t in ranked]))
-        if gain < LOG_EVIDENCE:
+        if gain < limits.log_evidence:
             break
-        if _size(trial, name) < LEAST_SIZE or _share(fit, trial) < LEAST_SHARE:
-            rejected.update(n for g, n, _ in ranked if g > LOG_EVIDENCE)
+        if _size(trial, name) < limits.least_size or _share(fit, trial) < limits.least_share:
+            rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
             search.traces.append(name)
             continue
-        search.rivals[name] = [n for g, n, t in ranked[1:] if gain - g < TIE or _stands_in(fit, trial, t, name, n)]
+        tied = (n for g, n, t in ranked[1:] if gain - g < limits.tie or _stands_in(fit, trial, t, name, n))
+        search.rivals[name] = list(tied)
         better = polished(fitter, trial, inflation)
         search.steps.append(Step(name, repolished(fitter, better), gain))
         rejected = {n for tied in search.rivals.values() for n in tied}
@@ -201,27 +181,26 @@ def _stands_in(before: Fit, best: Fit, other: Fit, name: str, rival: str) -> boo
     effects = {a.name: a.candidate.effect for t in (best, other) for a in t.model.active}
     if separable(before.prepared, effects[name], effects[rival]):
         return False
-    return before.chi2 - other.chi2 > STAND_IN * (before.chi2 - best.chi2)
+    return before.chi2 - other.chi2 > before.criteria.selection.stand_in * (before.chi2 - best.chi2)
 
 
 def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
     """The best few by linear gain, with the declared twins of the best; none where even the best explains little."""
     if not scores:
         return []
-    best = scores[0]
-    least = 2.0 * LOG_EVIDENCE * max(1.0, (fit.chi2 - best.gain) / fit.dof)
+    best, limits = scores[0], fit.criteria.selection
+    least = 2.0 * limits.log_evidence * max(1.0, (fit.chi2 - best.gain) / fit.dof)
     # A refit with the shape free does better than the linear estimate, but not without limit.
-    if best.gain < least or best.gain < 0.5 * LEAST_SHARE * (fit.chi2 - fit.dof):
+    if best.gain < least or best.gain < 0.5 * limits.least_share * (fit.chi2 - fit.dof):
         return []
     twins = best.candidate.effect.twins
-    return [s for s in scores if s.gain > least and (s.gain > HOPEFUL * best.gain or s.candidate.name in twins)][
-        :MOST_TRIALS
-    ]
+    hopeful = [s for s in scores if s.gain > limits.hopeful * best.gain or s.candidate.name in twins]
+    return [s for s in hopeful if s.gain > least][: limits.most_trials]
 
 
 def _faint(scores: Sequence[Score], fit: Fit) -> list[str]:
     """Effects whose linear gain is beyond chance, though they explain little of what is left."""
-    least = 2.0 * LOG_EVIDENCE * max(1.0, fit.chi2_per_dof)
+    least = 2.0 * fit.criteria.selection.log_evidence * max(1.0, fit.chi2_per_dof)
     return [s.candidate.name for s in scores[:3] if s.gain > least]
 
 
@@ -247,7 +226,7 @@ def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str
     """Refits with each of some effects; those that stay far behind the best are not fitted to the end."""
     rough = [(s.candidate.name, _refit(fitter, fit, s)) for s in hopeful]
     best = min(t.chi2 for _, t in rough)
-    near = CLOSE * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
+    near = fit.criteria.selection.near_best * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
     if sum(t.chi2 < near for _, t in rough) < 2:
         return rough
     return [(n, fitter.fit(t.model, t.frame, steps=5, renewals=0) if t.chi2 < near else t) for n, t in rough]
@@ -271,7 +250,7 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
     candidate = scored.candidate
     best, gain, coordinates = candidate.absent(), scored.gain, scored.coordinates
     for shape in candidate.of_role(ParameterRole.SHAPE)[:1]:
-        variants = [candidate.absent().moved(shape, x) for x in SHAPES]
+        variants = [candidate.absent().moved(shape, x) for x in fit.criteria.selection.shape_starts]
         columns = [(v, n) for v in variants for n in candidate.amplitudes]
         normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
         kept, each = len(fit.model.free), len(candidate.amplitudes)
@@ -307,7 +286,7 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
         names = active.candidate.of_role(ParameterRole.REFINEMENT)
         if fitter.effort.exhausted or not set(names) & set(active.free):
             continue
-        if loss_without(best, active, names) > NEEDED:
+        if loss_without(best, active, names) > fit.criteria.selection.flexible_form_needed:
             continue
         simple = replace(active, free=tuple(n for n in active.free if n not in names))
         for name in names:
@@ -316,7 +295,7 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
         models[index] = simple
         trial = fitter.fit(best.model.with_active(models), best.frame, steps=8, renewals=0, tolerance=3e-4)
         inflation = max(1.0, min(best.chi2_per_dof, trial.chi2_per_dof))
-        if log_evidence(trial, inflation) > log_evidence(best, inflation) - TIE:
+        if log_evidence(trial, inflation) > log_evidence(best, inflation) - fit.criteria.selection.tie:
             best = trial
     return best
 
@@ -342,8 +321,9 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     active[index] = active[index].freeing(*names)
     # Whether it pays shows early; the last fit of all is taken to its end.
     trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
-    if fitter.promise(trial) < TIE * inflation:
+    tie = fit.criteria.selection.tie
+    if fitter.promise(trial) < tie * inflation:
         return None
     trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
     inflation = max(1.0, min(inflation, trial.chi2_per_dof))
-    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + TIE else None
+    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + tie else None

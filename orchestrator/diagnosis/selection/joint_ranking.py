@@ -10,20 +10,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import LinearView, Search, linear_view, score
 from protocols import FoundEffect, JointEntry, Remark
-
-SAME = 0.995
-"""Correlation above which two effects are one in the joint fit; the priors hold those that are merely alike."""
-OUTWEIGHS = 1.5
-"""How much larger than all that was named the joint fit's first has to be to be spoken of, in typical sizes."""
-CERTAIN = 4.0
-"""Standard deviations beyond which chance has not made an effect."""
-UNMOVED = 0.01
-"""Change of chi2 beyond which effects have to be scored anew, relative."""
 
 
 def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
@@ -51,17 +43,20 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> t
         if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
             entries[active.name] = entry
     # An effect that chance could have made is ranked below all that it could not, whatever its size.
-    return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < CERTAIN, -(e.relative_size or 0.0))))
+    certain = fit.criteria.selection.certain
+    return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < certain, -(e.relative_size or 0.0))))
 
 
-def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[Remark]:
+def other_opinion(
+    joint: Sequence[JointEntry], found: Sequence[FoundEffect], criteria: SelectionCriteria
+) -> list[Remark]:
     """What the joint fit says where it disagrees: the search takes what errs most first, be it ever so small."""
     if not joint or not found or joint[0].name in {name for e in found for name in (e.name, *e.twins)}:
         return []
     first, size, z = joint[0].name, joint[0].relative_size or 0.0, abs(joint[0].z or 0.0)
     largest = max(found, key=lambda e: e.relative_size or 0.0)
     named = largest.relative_size or 0.0
-    if z < CERTAIN or size < OUTWEIGHS * named:
+    if z < criteria.certain or size < criteria.outweighs * named:
         return []
     text = (
         "with all effects fitted together {first} is the largest, {first_size:.2g} of its typical size; "
@@ -75,7 +70,7 @@ def _still_holds(view: LinearView, fit: Fit) -> bool:
     seen = view.fit
     same = seen.model.names == fit.model.names and seen.model.space is fit.model.space
     parameters = [n for _, n in seen.model.free] == [n for _, n in fit.model.free]
-    return same and parameters and abs(seen.chi2 - fit.chi2) < UNMOVED * fit.chi2
+    return same and parameters and abs(seen.chi2 - fit.chi2) < fit.criteria.selection.view_change * fit.chi2
 
 
 def _distinct(view: LinearView) -> list[int]:
@@ -88,6 +83,6 @@ def _distinct(view: LinearView) -> list[int]:
     taken = list(range(len(view.fit.model.free)))
     for scored in score(view):
         own = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
-        if not taken or like[np.ix_(own, taken)].max() < SAME:
+        if not taken or like[np.ix_(own, taken)].max() < view.fit.criteria.selection.one_column:
             taken += own
     return taken

@@ -73,7 +73,7 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
     current_a : float
         A typical current, to give the shapes their width [A].
     """
-    excess = fit.chi2 - fit.dof
+    limits, excess = fit.criteria.selection, fit.chi2 - fit.dof
     if excess <= 0.0:
         return []
     shapes = _shapes(current_a, max(fit.model.r_s, 1e-3))
@@ -96,14 +96,14 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
             for name, where in left.items()
         }
         name = max(gains, key=lambda n: gains[n])
-        if gains[name] < max(0.02 * excess, 20.0):
+        if gains[name] < max(limits.leftover_share * excess, limits.leftover_chi2):
             break
         chosen += [kept + k for k in left.pop(name)]
         explained += gains[name]
         group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
         shares.append((group, min(gains[name] / excess, 1.0)))
     rest = 1.0 - sum(share for _, share in shares)
-    if rest > 0.02:
+    if rest > limits.leftover_share:
         shares.append(("other", rest))
     total = sum(share for _, share in shares)
     return [(group, share / total) for group, share in sorted(shares, key=lambda item: -item[1])]

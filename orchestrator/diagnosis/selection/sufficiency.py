@@ -9,27 +9,15 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import HAT_S, Piece, Prepared
+from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
 _Reader = TypeVar("_Reader", bound=RecordingReader)
 _More = ParamSpec("_More")
 _Result = TypeVar("_Result")
-
-_LEAST_CURRENT = 0.02
-"""Of the rated one."""
-_LEAST_RATE_HZ = 8.0 / HAT_S
-_LEAST_HOLD_S = 0.01
-_LEAST_ROWS = 10
-"""Equations of a sweep or an injection."""
-_LEAST_VIEWS = 6
-_FEW_VIEWS = 16
-_VIEWS = {SegmentStage.RESISTANCE: 1, SegmentStage.INJECTION: 1, SegmentStage.CLASSICAL: 2}
-"""A hold and an injection see one place of the current plane, a sweep two sides of it."""
-_SAME = 0.02
-"""Currents nearer to each other than this part of the largest are one."""
 
 
 def require_enough(prepared: Prepared, noise: SensorNoise) -> None:
@@ -40,19 +28,23 @@ def require_enough(prepared: Prepared, noise: SensorNoise) -> None:
     NotMeasuredError
         In one line that says what there is and what there would have to be.
     """
-    fs = prepared.manifest.drive.sampling_frequency_hz
-    if fs < _LEAST_RATE_HZ:
-        problem = f"{fs:g} Hz is too slow for a diagnosis; expected {_LEAST_RATE_HZ:g} Hz at least"
+    limits, fs = prepared.criteria.selection, prepared.manifest.drive.sampling_frequency_hz
+    least_hz = limits.least_samples_per_hat / prepared.criteria.weak_form.hat_s
+    if fs < least_hz:
+        problem = f"{fs:g} Hz is too slow for a diagnosis; expected {least_hz:g} Hz at least"
         raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)
     low, high, q = prepared.current_range
     reach = max(-low, high, q)
     spread = math.sqrt(float(np.trace(noise.covariance)))
-    if reach < max(_LEAST_CURRENT * (prepared.manifest.motor.rated_current_a or 0.0), 5.0 * spread):
+    rated = prepared.manifest.motor.rated_current_a or 0.0
+    if reach < max(limits.least_current * rated, limits.least_current_to_noise * spread):
         problem = f"no excitation: currents stay below {reach:.3g} A"
         raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
-    if (views := _views(prepared)) < _LEAST_VIEWS:
+    if (views := _views(prepared)) < limits.least_views:
         used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
-        expected = f"{_LEAST_VIEWS} holds or injections at different currents, or {_LEAST_VIEWS // 2} sweeps"
+        expected = (
+            f"{limits.least_views} holds or injections at different currents, or {limits.least_views // 2} sweeps"
+        )
         problem = (
             f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {views} places of the current plane: "
             f"too little to tell a cause from; expected {expected}"
@@ -84,23 +76,25 @@ def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[C
 def _views(prepared: Prepared) -> int:
     """How many places of the current plane were looked at for long enough."""
     low, high, q = prepared.current_range
-    apart = _SAME * max(-low, high, q)
-    telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart)]
-    return sum(_VIEWS[p.stage] for p in _different(telling, apart))
+    limits = prepared.criteria.selection
+    apart = limits.same_current * max(-low, high, q)
+    telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart, limits)]
+    sweeps = [p.stage is SegmentStage.CLASSICAL for p in _different(telling, apart)]
+    return len(sweeps) + (limits.views_of_a_sweep - 1) * sum(sweeps)
 
 
 def _seconds(piece: Piece) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _tells(piece: Piece, apart_a: float) -> bool:
+def _tells(piece: Piece, apart_a: float, limits: SelectionCriteria) -> bool:
     """Whether a segment is long enough, and a hold has settled too."""
     if piece.stage is not SegmentStage.RESISTANCE:
-        return piece.windows.rows >= _LEAST_ROWS
+        return piece.windows.rows >= limits.least_rows
     i = piece.signals.i_ab
     half, last = len(i) // 2, len(i) // 4
     moved = i[half:-last].mean(axis=0) - i[-last:].mean(axis=0)
-    return _seconds(piece) >= _LEAST_HOLD_S and float(np.abs(moved).max()) < apart_a
+    return _seconds(piece) >= limits.least_hold_s and float(np.abs(moved).max()) < apart_a
 
 
 def _different(pieces: Sequence[Piece], apart_a: float) -> list[Piece]:
@@ -124,7 +118,7 @@ def what_is_missing(prepared: Prepared) -> list[Remark]:
         missing.append(Remark.of(code, text, **values))
 
     stages = {p.stage for p in prepared.pieces}
-    if (views := _views(prepared)) < _FEW_VIEWS:
+    if (views := _views(prepared)) < prepared.criteria.selection.few_views:
         told(
             "few_places",
             "{places} places of the current plane only: what no effect explains may pass for several that do",
@@ -146,7 +140,7 @@ def what_is_missing(prepared: Prepared) -> list[Remark]:
     amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
     if not amplitudes:
         told("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
-    elif max(amplitudes) < 1.3 * min(amplitudes):
+    elif max(amplitudes) < prepared.criteria.selection.amplitudes_apart * min(amplitudes):
         told("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
         told(

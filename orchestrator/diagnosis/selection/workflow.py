@@ -7,7 +7,6 @@ from collections.abc import Sequence
 
 from orchestrator.diagnosis.fitting.baseline import (
     MAP_STEPS,
-    ROUGH,
     Start,
     fitted_baseline,
     given_model,
@@ -17,10 +16,8 @@ from orchestrator.diagnosis.fitting.baseline import (
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.ladder import DETECTED, verdict_of
+from orchestrator.diagnosis.reporting.ladder import verdict_of
 from orchestrator.diagnosis.selection.forward_search import (
-    LEAST_SIZE,
-    LOG_EVIDENCE,
     Search,
     Step,
     forward,
@@ -33,18 +30,6 @@ from protocols import FluxMap, PluginError
 
 ModelChoice = str | FluxMap
 """``saturated`` (the free energy map), ``linear`` (the nameplate), or a map of one's own."""
-MINOR = 0.15
-"""Effects smaller than this part of their typical size are asked whether they can be spared."""
-SPARE = 0.03
-"""What minor effects may leave of chi2 - 1 when they go, over the root of what there was before the first effect."""
-OBVIOUS = 10.0
-"""How many times that an effect has to be worth, to first order, not to be asked at all."""
-UNDETECTED_SIZE = 0.03
-"""Least size of an effect that is named though the model fits without it."""
-LEAST_CERTAINTY = 5.0
-"""Least amplitude, in its standard deviations with the scatter between blocks, for a minor effect to be named."""
-STEADY = 0.2
-"""Largest inconstancy of an effect that is named while something unknown remains."""
 
 
 def first_steps(start: Start, model: ModelChoice, magnetic: Sequence[str]) -> list[Step]:
@@ -71,7 +56,7 @@ def map_steps(start: Start, model: ModelChoice, without: Sequence[str]) -> list[
         fit = start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))
         gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
         gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
-        if gain > LOG_EVIDENCE:
+        if gain > start.prepared.criteria.selection.log_evidence:
             steps.append(Step(name, fit, gain))
     return steps
 
@@ -80,7 +65,8 @@ def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candid
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
     part = start.coarse.fit(steps[-1].fit.model, renewals=0)
     quick = forward(start.coarse, [Step(None, part)], library)
-    if quick.fit.model.active and quick.fit.chi2_per_dof > ROUGH and quick.fit.model.space.is_free:
+    coarse_map = quick.fit.chi2_per_dof > start.criteria.finer_above_chi2 and quick.fit.model.space.is_free
+    if quick.fit.model.active and coarse_map:
         quick = _finer(quick, with_detail(start, start.coarse, quick.fit), start.coarse, library)
     fits = list(steps)
     for step in quick.steps[1:]:
@@ -96,7 +82,8 @@ def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candid
 def on_a_finer_map(start: Start, search: Search, library: Sequence[Candidate]) -> Search:
     """Whether what is left is the map's own detail, which big effects hid at first."""
     fit = search.fit
-    if not fit.model.active or fit.chi2_per_dof < DETECTED or not fit.model.space.is_free:
+    detected = fit.criteria.selection.detected_chi2
+    if not fit.model.active or fit.chi2_per_dof < detected or not fit.model.space.is_free:
         return search
     return _finer(search, with_detail(start, start.fitter, fit), start.fitter, library)
 
@@ -117,13 +104,13 @@ def without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
     Nor is one that takes away less than remains.
     """
     doubtful: list[str] = []
-    first = search.steps[0].fit
+    first, steady = search.steps[0].fit, start.prepared.criteria.selection.least_constancy
     while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
         drift = inconstancy(search.fit)
         if verdict_of(first, search.fit, 1) == "unknown_remains":
-            drift = {name: max(size, STEADY * _left_over_own(search, name)) for name, size in drift.items()}
+            drift = {name: max(size, steady * _left_over_own(search, name)) for name, size in drift.items()}
         worst = max(drift, key=lambda name: drift[name])
-        if drift[worst] <= STEADY:
+        if drift[worst] <= steady:
             break
         doubtful.append(worst)
         search = without(start, search, worst)
@@ -184,22 +171,25 @@ def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
 def _is_minor(first: Fit, full: Fit, active: Active) -> bool:
     """Whether an effect is small, and not one that obviously nothing else could stand in for."""
     lost = loss_without(full, active, active.candidate.amplitudes) / full.dof
-    return active.relative_size < MINOR and lost < OBVIOUS * _spare(first)
+    limits = full.criteria.selection
+    return active.relative_size < limits.minor_size and lost < limits.obvious * _spare(first)
 
 
 def _spare(first: Fit) -> float:
     """What minor effects may leave of chi2 - 1 when they go."""
-    return max(DETECTED - 1.0, SPARE * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
+    limits = first.criteria.selection
+    return max(limits.detected_chi2 - 1.0, limits.spare * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
 
 
 def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
-    size = next(a.relative_size for a in full.model.active if a.name == name)
-    if size < LEAST_SIZE or certainty(full)[name] < LEAST_CERTAINTY:
+    limits, size = full.criteria.selection, next(a.relative_size for a in full.model.active if a.name == name)
+    if size < limits.least_size or certainty(full)[name] < limits.least_certainty:
         return True
     inflation = max(1.0, full.chi2_per_dof)
-    if log_evidence(full, inflation) - log_evidence(without, inflation) < LOG_EVIDENCE:
+    if log_evidence(full, inflation) - log_evidence(without, inflation) < limits.log_evidence:
         return True
-    if without.chi2_per_dof < DETECTED and (size < UNDETECTED_SIZE or not foretold(without, full)):
+    undetected = without.chi2_per_dof < limits.detected_chi2
+    if undetected and (size < limits.undetected_size or not foretold(without, full)):
         return True
     if len(full.model.active) < 2:
         return False

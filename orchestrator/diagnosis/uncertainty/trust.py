@@ -17,23 +17,6 @@ from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SegmentStage
 
-BLOCKS = 8
-FORM_DOUBT = 5e-4
-"""Standard deviation of what any effect's form leaves out, as a part of the effect.
-
-A knee of another shape than any in the family shifts an inverter's fitted voltage by some 0.01 to 0.1 %, which is less
-than a user cares for and more than the noise of half a million samples.
-"""
-RIPPLE_DOUBT = 0.02
-"""The same where the ripple shows the effect and nothing at rest does.
-
-What currents at rest show is measured by several stages; where the form is wrong they contradict each other, and the
-segments' disagreement says so. The ripple has no second witness: it is one frequency, sampled some twenty times a
-period. What a sampled form leaves out there is of order R_s Ts / L, half a percent to one, and the form's course over
-frequency is carried on from that one to all others. Against a plant with forms of its own, effects that the ripple
-shows come out 2 % off (rms, one in twenty by more than 4 %), however little the noise and however near chi2 is to one.
-"""
-
 
 def inconstancy(fit: Fit) -> dict[str, float]:
     """How much each active effect's amplitude scatters between blocks of the recording, relative to itself.
@@ -57,7 +40,8 @@ def inconstancy(fit: Fit) -> dict[str, float]:
 
 def certainty(fit: Fit) -> dict[str, float]:
     """Each active effect's largest amplitude in standard deviations, disagreement between blocks included."""
-    spread = np.sqrt(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + block_scatter(fit) ** 2 / BLOCKS)
+    between = block_scatter(fit) ** 2 / fit.criteria.uncertainty.blocks
+    spread = np.sqrt(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + between)
     found: dict[str, float] = {}
     for k, (active, name) in enumerate(fit.model.free):
         if name in active.candidate.amplitudes:
@@ -72,7 +56,7 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     The larger of the fit's own, inflated by chi2 per degree of freedom and with those flexible forms free that go
     either way, and of what the segments' disagreement makes of it (the sandwich estimate with segments as clusters,
     H. White, Econometrica 48 (1980), doi:10.2307/1912934); on top of it the scatter between blocks, and what the
-    effect's form leaves out: `FORM_DOUBT` of it, `RIPPLE_DOUBT` as far as the ripple alone tells it.
+    effect's form leaves out: `form_doubt` of it, `ripple_doubt` as far as the ripple alone tells it.
     """
     rigid = [(a, n) for a in fit.model.active for n in _yielding(a)]
     loose = fitter.evaluate(fit.model, fit.frame, rigid)
@@ -84,8 +68,10 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     sandwich = inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / max(len(pulls) - len(own), 1)
     plain = np.diag(inverse) * max(fit.chi2_per_dof, 1.0)
     share = ripple_share([(piece, rows @ inverse[:, :count]) for piece, _, rows in segments])
-    doubt = np.hypot(FORM_DOUBT, RIPPLE_DOUBT * share) * np.array([_extent(a, n) for a, n in fit.model.free])
-    variance = np.maximum(plain, np.diag(sandwich))[:count] + block_scatter(fit) ** 2 / BLOCKS + doubt**2
+    criteria = fit.criteria.uncertainty
+    extent = np.array([_extent(a, n) for a, n in fit.model.free])
+    doubt = np.hypot(criteria.form_doubt, criteria.ripple_doubt * share) * extent
+    variance = np.maximum(plain, np.diag(sandwich))[:count] + block_scatter(fit) ** 2 / criteria.blocks + doubt**2
     return np.asarray(np.sqrt(variance))
 
 
@@ -145,7 +131,8 @@ def _scatter(fit: Fit, column: int) -> float:
     weight, pull = np.cumsum(weights), np.cumsum(pulls)
     if weight[-1] <= 0.0:
         return 0.0
-    edges = np.searchsorted(weight, weight[-1] * (np.arange(1, BLOCKS + 1) / BLOCKS - 1e-12))
+    blocks = fit.criteria.uncertainty.blocks
+    edges = np.searchsorted(weight, weight[-1] * (np.arange(1, blocks + 1) / blocks - 1e-12))
     at = np.unique(np.minimum(edges, len(weight) - 1))
     w = np.diff(np.concatenate([[0.0], weight[at]]))
     p = np.diff(np.concatenate([[0.0], pull[at]]))

@@ -14,9 +14,6 @@ from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 
-_OVERLAP = 0.08
-"""How far beyond its cell a polynomial is still used, in cells: splines of degree five part with its fifth power."""
-
 
 @njit(cache=True, nogil=True)
 def sum_basis(
@@ -29,6 +26,7 @@ def sum_basis(
     numbers: Array,
     counts: NDArray[np.int64],
     pieces: Array,
+    overlap: float = 0.08,
 ) -> Array:
     """Weighted sums of -(psi_{k+1} - psi_k), one column a coefficient -> (hats, n_bins, 2, coefficients).
 
@@ -38,6 +36,8 @@ def sum_basis(
         Magnetising current in the true rotor frame.
     delta : array, shape (n,) or (0,)
         True minus believed angle; the flux is turned back into the believed frame by its mean. Empty: zero.
+    overlap : float
+        How far beyond its cell a polynomial is still used, in cells: splines part with its fifth power, 3e-6.
     """
     n = i_dq.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2
@@ -69,7 +69,8 @@ def sum_basis(
         u1 = (i_dq[k + 1, 0] - numbers[0]) / numbers[1]
         v1 = (i_dq[k + 1, 1] - numbers[2]) / numbers[3]
         fresh = not waiting[b]
-        if waiting[b] and not (_within(u0, u1, where[b, 0], counts[0]) and _within(v0, v1, where[b, 1], counts[1])):
+        inside = _within(u0, u1, where[b, 0], counts[0], overlap) and _within(v0, v1, where[b, 1], counts[1], overlap)
+        if waiting[b] and not inside:
             _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
             fresh = True
         if fresh:
@@ -96,9 +97,9 @@ def sum_basis(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _within(x0: float, x1: float, cell: int, cells: int) -> bool:
-    low = -_OVERLAP if cell > 0 else -1e9
-    high = 1.0 + _OVERLAP if cell < cells - 1 else 1e9
+def _within(x0: float, x1: float, cell: int, cells: int, overlap: float) -> bool:
+    low = -overlap if cell > 0 else -1e9
+    high = 1.0 + overlap if cell < cells - 1 else 1e9
     return low <= x0 - cell <= high and low <= x1 - cell <= high
 
 

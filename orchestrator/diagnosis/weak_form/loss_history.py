@@ -7,14 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.numerics.types import Array
 from protocols import LossHistory, RecordingReader, Segment, SegmentStage
 
-_SETTLE_S = 1.0
-"""How long before a capture its first current is taken to have flowed, where nothing was captured."""
-_STEP_S = 0.05
-_STEPS = 2000
-"""About how many steps the history of the loss has at most, those at the gaps aside."""
 _SILENT = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
 
 
@@ -38,9 +34,9 @@ class Heated:
     before: float
 
 
-def step_of(duration_s: float) -> float:
+def step_of(duration_s: float, criteria: WeakFormCriteria) -> float:
     """Time step of the history of an experiment that took so long [s]."""
-    return max(_STEP_S, duration_s / _STEPS)
+    return max(criteria.loss_step_s, duration_s / criteria.most_loss_steps)
 
 
 def heated(square: Array, start_s: float, end_s: float, fs: float, step_s: float, before: float) -> Heated:
@@ -50,7 +46,7 @@ def heated(square: Array, start_s: float, end_s: float, fs: float, step_s: float
     return Heated(start_s, end_s, start_s + starts / fs, np.asarray(means, dtype=np.float64), before)
 
 
-def unread_heat(recording: RecordingReader, segments: Sequence[Segment]) -> list[Heated]:
+def unread_heat(recording: RecordingReader, segments: Sequence[Segment], step_s: float) -> list[Heated]:
     """Of segments that are not fitted: as captured, injection points that were left out by what they aimed at."""
     fs = recording.manifest.drive.sampling_frequency_hz
     found = []
@@ -60,17 +56,17 @@ def unread_heat(recording: RecordingReader, segments: Sequence[Segment]) -> list
         if segment.stage in _SILENT and segment.samples:
             i_ab = np.asarray(recording.load(segment).i_ab, dtype=np.float64)
             square = np.einsum("ij,ij->i", i_ab, i_ab)
-            found.append(heated(square, segment.start_s, end, fs, _STEP_S, float(square[0])))
+            found.append(heated(square, segment.start_s, end, fs, step_s, float(square[0])))
         elif segment.stage is SegmentStage.INJECTION and None not in target:
             aimed = sum(float(x) ** 2 for x in target if x is not None)
             found.append(Heated(segment.start_s, end, np.array([segment.start_s]), np.array([aimed]), aimed))
     return found
 
 
-def loss_history(items: Sequence[Heated], resistance_ohm: float) -> LossHistory:
+def loss_history(items: Sequence[Heated], resistance_ohm: float, settling_s: float) -> LossHistory:
     """All of them in order of time.
 
-    In a gap the drive settles to what flows next; a longer one than it takes to settle is spent without current.
+    In a gap the drive settles for `settling_s` to what flows next; the rest of a longer one is spent without current.
     """
     times: list[Array] = []
     squares: list[Array] = []
@@ -79,7 +75,7 @@ def loss_history(items: Sequence[Heated], resistance_ohm: float) -> LossHistory:
     for item in sorted(items, key=lambda h: h.start_s):
         gap = max(item.start_s - end, 0.0)
         if gap > 0.0:
-            times.append(np.array([end, item.start_s - min(gap, _SETTLE_S)]))
+            times.append(np.array([end, item.start_s - min(gap, settling_s)]))
             squares.append(np.array([0.0, item.before]))
             captured.append(np.zeros(2))
         times.append(item.times_s)

@@ -19,16 +19,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
 from orchestrator.diagnosis.weak_form.spectral_lines import Line, added_noise, find_lines
-from orchestrator.diagnosis.weak_form.windows import HARMONICS, hat_weights
+from orchestrator.diagnosis.weak_form.windows import hat_weights
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
-
-_LEAST_CORRELATION = 0.08
-"""Correlations below this are within what a recording's length makes of white noise."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +62,7 @@ class SensorNoise:
             return np.array([self._steady(piece)])
         if rho == 0.0:
             return np.ones(len(w.carriers))
-        order = np.array([0, *(h for h in HARMONICS for _ in range(2) if 0 < h < w.n_bins / 2)])
-        turn = 2.0 * np.pi * order[: len(w.carriers)] / max(w.period, 1.0)
+        turn = 2.0 * np.pi * np.array(w.orders) / max(w.period, 1.0)
         return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
 
     def _steady(self, piece: Piece) -> float:
@@ -79,7 +76,7 @@ class SensorNoise:
         return (1.0 + rho) / (1.0 - rho) + sum(more)
 
 
-def sensor_noise(pieces: Sequence[Piece]) -> SensorNoise:
+def sensor_noise(pieces: Sequence[Piece], criteria: WeakFormCriteria) -> SensorNoise:
     """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
 
     From holds and gates-off readings; where there are none, from trapezoids, then from the injection itself.
@@ -88,13 +85,14 @@ def sensor_noise(pieces: Sequence[Piece]) -> SensorNoise:
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
     lags = [s.lag for s in steady if math.isfinite(s.lag)]
-    rho = _correlation(float(np.median(lags))) if lags else 0.0
+    rho = _correlation(float(np.median(lags)), criteria.least_correlation) if lags else 0.0
     # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
     holds = [p for p in pieces if p.stage is SegmentStage.RESISTANCE]
     rate = holds[0].signals.sampling_frequency_hz * holds[0].averaged if holds else 0.0
-    lines = find_lines([p.scatter.spectrum for p in holds], [x.spectrum for x in of[SegmentStage.GATES_OFF]], rate)
+    off = [x.spectrum for x in of[SegmentStage.GATES_OFF]]
+    lines = find_lines([p.scatter.spectrum for p in holds], off, rate, criteria)
     return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho, lines)
 
 
@@ -103,10 +101,10 @@ def _typical(scatters: Sequence[Scatter]) -> Array:
     return np.asarray(covariance + (1e-12 + 1e-6 * float(np.trace(covariance))) * np.eye(2))
 
 
-def _correlation(lag: float) -> float:
+def _correlation(lag: float, least: float) -> float:
     """rho of a first-order process whose second differences have this first autocorrelation; 0 where that is chance."""
     low, high = -0.98, 0.98
-    if _lag(-_LEAST_CORRELATION) < lag < _lag(_LEAST_CORRELATION):
+    if _lag(-least) < lag < _lag(least):
         return 0.0
     for _ in range(40):
         middle = 0.5 * (low + high)

@@ -1,7 +1,7 @@
 """Flux linkage and current over time without the sensors' noise: fast from the voltage, slow from the map.
 
 psi(i) alone carries the current's noise, which drives a hysteresis operator to and fro; the integral of v - R i
-alone drifts. The observer follows the integral and is drawn to psi(i) with a time constant of 5 ms. Fits nothing.
+alone drifts. The observer follows the integral and is drawn to psi(i) with a time constant of some ms. Fits nothing.
 """
 
 from __future__ import annotations
@@ -12,8 +12,6 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.types import Array
-
-_TIME_CONSTANT_S = 0.005
 
 
 @njit(cache=True, nogil=True)
@@ -26,6 +24,7 @@ def smooth_flux(
     angle: float,
     pm_flux: float,
     ts: float,
+    time_constant_s: float,
 ) -> tuple[Array, Array, Array]:
     """Flux linkage with its noise, without it, and the current that belongs to the latter, each (n, 2).
 
@@ -50,7 +49,7 @@ def smooth_flux(
     psi = np.empty((n, 2))
     out = np.empty((n, 2))
     current = np.empty((n, 2))
-    pull = 1.0 - math.exp(-ts / _TIME_CONSTANT_S)
+    pull = 1.0 - math.exp(-ts / time_constant_s)
     c = math.cos(angle)
     s = math.sin(angle)
     mean_d = 0.0

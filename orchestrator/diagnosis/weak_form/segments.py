@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
 from orchestrator.diagnosis.weak_form.loss_history import Heated, heated, loss_history, step_of, unread_heat
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_of
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
@@ -25,23 +27,10 @@ from protocols import (
     Signals,
 )
 
-HAT_S = 0.010
-"""Distance of the hats in trapezoids; a hat is twice as long."""
-HATS_PER_TURN = 8
+Axis = Literal["d", "q", "dq"]
+AXES: tuple[Axis, ...] = ("d", "q", "dq")
 USABLE = (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
-_LEAST_SAMPLES = 17
-_FIRST = 5
 _SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
-MOST_SAMPLES = 2_400_000
-"""Of injection that are read; longer recordings are thinned."""
-_COARSE_POINTS = 24
-_COARSE_TURN = 0.75
-"""Injection points, and the part of a turn of each, to search in."""
-_STEP = 0.002
-"""Largest step of the current between averaged samples, as a part of the largest current."""
-_QUIET = 0.2
-"""The same as a part of the noise."""
-_MOST_AVERAGED = {SegmentStage.GATES_OFF: 10, SegmentStage.RESISTANCE: 10, SegmentStage.CLASSICAL: 2}
 
 
 @dataclass(frozen=True)
@@ -84,6 +73,7 @@ class Prepared:
     manifest: Manifest
     pieces: tuple[Piece, ...]
     remarks: tuple[Remark, ...]
+    criteria: Criteria
 
     @property
     def current_range(self) -> tuple[float, float, float]:
@@ -98,7 +88,7 @@ class Prepared:
         return low, high, q
 
 
-def prepare(recording: RecordingReader) -> Prepared:
+def prepare(recording: RecordingReader, criteria: Criteria) -> Prepared:
     """Read every usable segment of a recording.
 
     Raises
@@ -111,13 +101,14 @@ def prepare(recording: RecordingReader) -> Prepared:
     manifest = recording.manifest
     remarks: list[Remark] = []
     segments = [s for s in recording.segments() if s.stage in USABLE]
-    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, remarks)
+    cutting = criteria.weak_form
+    segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, cutting, remarks)
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
-    # Every fifth injection point, not of a sweep's first row or column, where the map would have to extrapolate.
-    fifth = set(injections[2::5]) if len(injections) >= 10 else set()
+    # Not of a grid's first row or column, where the map would have to extrapolate.
+    held_out = set(injections[2 :: cutting.held_out_every]) if len(injections) >= cutting.held_out_from else set()
     pieces: list[Piece] = []
     for segment in segments:
-        piece = _piece(recording, segment, segment.id in fifth, wanted.get(segment.id))
+        piece = _piece(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
         if piece is None:
             remarks.append(Remark.of("too_short", "{segment}: too short to be used", segment=segment.id))
         else:
@@ -127,53 +118,58 @@ def prepare(recording: RecordingReader) -> Prepared:
     pieces.sort(key=lambda p: p.segment.start_s)
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
-    unread = unread_heat(recording, [s for s in recording.segments() if s.id not in read])
-    return Prepared(manifest, _with_heat(pieces, unread, manifest), tuple(remarks))
+    unread = unread_heat(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
+    return Prepared(manifest, _with_heat(pieces, unread, manifest, cutting), tuple(remarks), criteria)
 
 
 def coarse(prepared: Prepared) -> Prepared:
     """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points."""
+    cutting = prepared.criteria.weak_form
     points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
-    stride = max(1, len(points) - 1) / (_COARSE_POINTS - 1)
-    kept = {points[round(k * stride)] for k in range(_COARSE_POINTS)} if len(points) > _COARSE_POINTS else set(points)
+    most = min(cutting.coarse_points, len(points))
+    kept = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
     pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in kept)
-    return Prepared(prepared.manifest, tuple(_part(p) for p in pieces), ())
+    return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces), remarks=())
 
 
-def _part(piece: Piece) -> Piece:
+def _part(piece: Piece, criteria: WeakFormCriteria) -> Piece:
     s, settings = piece.signals, piece.segment.settings
     n, fs = len(s.v_dc), s.sampling_frequency_hz
-    first, count = 0, n
+    count = n
     if piece.stage is SegmentStage.CLASSICAL and settings.get("period_s"):
         count = round(float(settings["period_s"]) * fs)
     elif piece.stage is SegmentStage.INJECTION and settings.get("rotation_hz"):
-        count = round(_COARSE_TURN * fs / float(settings["rotation_hz"]))
-    stop = first + count + 1
-    if stop >= n or count < 100:
+        count = round(criteria.coarse_turn * fs / float(settings["rotation_hz"]))
+    stop = count + 1
+    if stop >= n or count < criteria.coarse_least_samples:
         return piece
-    cut = {name: getattr(s, name)[first:stop] for name in _SAMPLED}
+    cut = {name: getattr(s, name)[:stop] for name in _SAMPLED}
     # Without effects both are one and the same array, and the fit looks for that.
-    signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"], "start_s": s.start_s + first / fs})
-    windows = _windows(piece.segment, fs, signals.i_ab, signals.v_ab)
+    signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"]})
+    windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
     return piece if windows is None else replace(piece, signals=signals, windows=windows)
 
 
-def _thinned(segments: Sequence[Segment], fs: float, remarks: list[Remark]) -> tuple[list[Segment], dict[str, int]]:
+def _thinned(
+    segments: Sequence[Segment], fs: float, criteria: WeakFormCriteria, remarks: list[Remark]
+) -> tuple[list[Segment], dict[str, int]]:
     """The segments to be read, and how many samples of each injection point."""
     points = [s for s in segments if s.stage is SegmentStage.INJECTION]
     wanted = {s.id: s.samples for s in points}
-    if sum(wanted.values()) <= MOST_SAMPLES:
+    if sum(wanted.values()) <= criteria.most_samples:
         return list(segments), wanted
-    turns = {s.id: 1.25 * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
-    wanted = {s.id: min(s.samples, max(round(turns[s.id]), 1000)) for s in points}
-    stride = max(1.0, sum(wanted.values()) / MOST_SAMPLES)
+    turns = {s.id: criteria.thinned_turns * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
+    wanted = {s.id: min(s.samples, max(round(turns[s.id]), criteria.thinned_least_samples)) for s in points}
+    stride = max(1.0, sum(wanted.values()) / criteria.most_samples)
     kept = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
     told = "{used} of {points} injection points are used, evenly spread, and one turn of each"
     remarks.append(Remark.of("thinned", told, used=len(kept), points=len(points)))
     return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in kept], wanted
 
 
-def _piece(recording: RecordingReader, segment: Segment, fifth: bool, samples: int | None) -> Piece | None:
+def _piece(
+    recording: RecordingReader, segment: Segment, held_out: bool, samples: int | None, criteria: WeakFormCriteria
+) -> Piece | None:
     drive = recording.manifest.drive
     capture = recording.load(segment)
     fs = drive.sampling_frequency_hz
@@ -181,17 +177,17 @@ def _piece(recording: RecordingReader, segment: Segment, fifth: bool, samples: i
     v_ab = np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
     v_ab = _delayed(v_ab, drive.voltage_delay_samples or 0.0)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
-    if len(i_ab) < _LEAST_SAMPLES:
+    if len(i_ab) < criteria.least_samples:
         return None
     ripple = segment.stage is SegmentStage.INJECTION
-    scatter = scatter_of(i_ab, _injection_period(segment, fs, v_ab) if ripple else None)
+    scatter = scatter_of(i_ab, injection_period(segment, fs, v_ab, criteria) if ripple else None)
     # An injected ripple moves the current at once; its mean is what the drive had settled to.
-    before, start = (i_ab if ripple else i_ab[:_FIRST]).mean(axis=0), segment.start_s
-    width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))))
+    before, start = (i_ab if ripple else i_ab[: criteria.first_readings]).mean(axis=0), segment.start_s
+    width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
     if width > 1:
         i_ab, v_ab, v_dc = _averaged(i_ab, v_ab, v_dc, width)
         start, fs = start + 0.5 * (width - 1) / fs, fs / width
-    windows = _windows(segment, fs, i_ab, v_ab)
+    windows = windows_of(segment, fs, i_ab, v_ab, criteria)
     if windows is None:
         return None
     n = len(i_ab)
@@ -211,20 +207,22 @@ def _piece(recording: RecordingReader, segment: Segment, fifth: bool, samples: i
         drive=drive,
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
     )
-    diagonal = segment.stage is SegmentStage.CLASSICAL and _sweeps_both(segment, i_ab)
-    return Piece(segment, fifth or diagonal, signals, windows, scatter, width, before)
+    diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab, criteria) == "dq"
+    return Piece(segment, held_out or diagonal, signals, windows, scatter, width, before)
 
 
-def _width(stage: SegmentStage, i_ab: Array, noise_a: float) -> int:
+def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:
     """How many readings of a slow stage may be averaged: so few that the current hardly moves from mean to mean."""
-    most = min(_MOST_AVERAGED.get(stage, 1), len(i_ab) // 200)
-    if most < 2:
+    slow = stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE)
+    most = criteria.most_averaged_at_rest if slow else criteria.most_averaged_in_sweeps
+    most = min(most, len(i_ab) // criteria.least_averaged_samples)
+    if most < 2 or stage is SegmentStage.INJECTION:
         return 1
     # Means of 32 readings, so that noise is not taken for movement; a jump at the start of a capture is let pass.
     length = len(i_ab) // 32 * 32
     means = i_ab[:length].reshape(-1, 32, 2).mean(axis=1)
     usual = float(np.quantile(np.abs(np.diff(means, axis=0)).max(axis=1), 0.95)) / 32.0
-    allowed = max(_STEP * float(np.abs(means).max()), _QUIET * noise_a)
+    allowed = max(criteria.averaged_step * float(np.abs(means).max()), criteria.averaged_noise * noise_a)
     return int(min(most, max(1.0, allowed / max(usual, 1e-12))))
 
 
@@ -246,34 +244,41 @@ def _averaged(i_ab: Array, v_ab: Array, v_dc: Array, width: int) -> tuple[Array,
     )
 
 
-def _sweeps_both(segment: Segment, i_ab: Array) -> bool:
-    axis = segment.settings.get("swept_axis")
-    if axis is not None:
-        return str(axis) == "dq"
-    spread = np.ptp(to_dq(i_ab, segment.rotor_angle_rad), axis=0)
-    return bool(spread.min() > 0.5 * spread.max())
+def swept_axis(segment: Segment, i_ab: RealArray, criteria: WeakFormCriteria) -> Axis:
+    """The axis along which a sweep moves the current: as it says itself, else by what moved."""
+    said = segment.settings.get("swept_axis")
+    for axis in AXES:
+        if said == axis:
+            return axis
+    swing_d, swing_q = np.ptp(to_dq(i_ab, segment.rotor_angle_rad), axis=0)
+    if min(swing_d, swing_q) > criteria.diagonal_share * max(swing_d, swing_q):
+        return "dq"
+    return "d" if swing_d > swing_q else "q"
 
 
-def _windows(segment: Segment, fs: float, i_ab: RealArray, v_ab: RealArray) -> Windows | None:
+def windows_of(
+    segment: Segment, fs: float, i_ab: RealArray, v_ab: RealArray, criteria: WeakFormCriteria
+) -> Windows | None:
+    """The windows that suit a segment's stage; None where it is too short for one.
+
+    Two halves of a dwell, overlapping hats of a sweep, and of an injection hats times the period's Fourier modes.
+    """
     intervals = len(i_ab) - 1
-    if intervals < 4:
-        return None
-    if segment.stage is SegmentStage.CLASSICAL:
-        return plain_windows(intervals, HAT_S * fs)
-    if segment.stage is SegmentStage.INJECTION:
-        period = _injection_period(segment, fs, v_ab)
-        if period is None:
-            return plain_windows(intervals, HAT_S * fs)
-        turn_s = 1.0 / float(segment.settings.get("rotation_hz") or 1.0)
-        step = min(turn_s / HATS_PER_TURN * fs, intervals / 4)
-        return periodic_windows(intervals, max(step, 4 * period), period)
-    return plain_windows(intervals, intervals / 2)
+    if segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
+        return plain_windows(intervals, intervals / 2)
+    period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
+    if period is None:
+        return plain_windows(intervals, criteria.hat_s * fs)
+    turn_s = 1.0 / float(segment.settings.get("rotation_hz") or 1.0)
+    step = min(turn_s / criteria.hats_per_turn * fs, intervals / 4)
+    return periodic_windows(intervals, max(step, criteria.least_periods_per_hat * period), period, criteria.most_bins)
 
 
-def _injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | None:
+def injection_period(segment: Segment, fs: float, v_ab: RealArray, criteria: WeakFormCriteria) -> float | None:
     """Samples in an injection period: as asked for, else half the distance of the voltage's strongest lines."""
     asked = segment.settings.get("frequency_hz")
-    if isinstance(asked, int | float) and 0 < asked < fs / 4:
+    highest = fs / criteria.least_samples_per_period
+    if isinstance(asked, int | float) and 0 < asked < highest:
         return fs / float(asked)
     n = len(v_ab)
     vectors = v_ab[:, 0] + 1j * v_ab[:, 1]
@@ -281,7 +286,8 @@ def _injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | N
     ahead = int(np.argmax(spectrum[1 : n // 2])) + 1
     behind = int(np.argmax(spectrum[: n // 2 : -1])) + 1
     frequency = 0.5 * (ahead + behind) * fs / n
-    return fs / frequency if 4.0 * fs / n < frequency < fs / 4 else None
+    # A line nearer to zero than a Hann window's width is the mean's.
+    return fs / frequency if 4.0 * fs / n < frequency < highest else None
 
 
 def _delayed(v_ab: Array, samples: float) -> Array:
@@ -294,12 +300,14 @@ def _delayed(v_ab: Array, samples: float) -> Array:
     return np.ascontiguousarray((1.0 - part) * v_ab[last] + part * v_ab[np.maximum(last - 1, 0)])
 
 
-def _with_heat(pieces: Sequence[Piece], unread: Sequence[Heated], manifest: Manifest) -> tuple[Piece, ...]:
+def _with_heat(
+    pieces: Sequence[Piece], unread: Sequence[Heated], manifest: Manifest, criteria: WeakFormCriteria
+) -> tuple[Piece, ...]:
     """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
     last = pieces[-1].signals
-    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
+    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz, criteria)
     items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
-    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0)
+    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, criteria.settling_s)
     energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])
     return tuple(
         replace(p, signals=p.signals.model_copy(update={"heat_j": _heat_of(p, losses, energy), "losses": losses}))

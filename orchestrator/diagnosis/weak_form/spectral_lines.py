@@ -13,17 +13,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.numerics.types import Array
-
-LEAST_HZ = 40.0
-"""Below this, current control answers to what is slow."""
-STANDS_OUT = 30.0
-"""Least height of a line over the median of its neighbourhood, spectra averaged over all holds."""
-LEAST_SIZE = 0.3
-"""Least rms of a line that matters, in standard deviations of a reading, where it is strongest."""
-STEADY = 0.35
-"""Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
-_NEAR, _FAR, _MOST = 4, 24, 6
 
 
 @dataclass(frozen=True)
@@ -55,7 +46,7 @@ def spectrum_of(i_ab: Array) -> Array:
     return np.asarray(power.mean(axis=1) / float(window @ window))
 
 
-def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple[Line, ...]:
+def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float, criteria: WeakFormCriteria) -> tuple[Line, ...]:
     """The lines that matter, strongest first.
 
     Parameters
@@ -63,9 +54,10 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple
     holds, off : sequence of array
         `spectrum_of` holds, and of readings with the bridge off.
     """
+    near, far = criteria.line_bins
     length = max((len(s) for s in holds), default=0)
     alike = np.array([s for s in holds if len(s) == length])
-    if len(alike) < 4 or length < 8 * _FAR:
+    if len(alike) < 4 or length < 8 * far:
         return ()
     mean = alike.mean(axis=0)
     noise = float(np.median(mean))
@@ -73,22 +65,23 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple
     # A line is higher than both its neighbours; the tail of a current that is still settling only falls.
     beside = np.pad(mean, 1, constant_values=0.0)
     left, found = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
-    for _ in range(_MOST):
-        left[: max(2, math.ceil(LEAST_HZ / step_hz))] = 0.0
+    for _ in range(criteria.most_lines):
+        left[: max(2, math.ceil(criteria.line_least_hz / step_hz))] = 0.0
         at = int(np.argmax(left))
-        low, high = max(at - _FAR, 1), min(at + _FAR + 1, length)
-        around = np.concatenate([mean[low : max(at - _NEAR, low)], mean[min(at + _NEAR + 1, high) : high]])
-        if left[at] < STANDS_OUT * float(np.median(around)):
+        low, high = max(at - far, 1), min(at + far + 1, length)
+        around = np.concatenate([mean[low : max(at - near, low)], mean[min(at + near + 1, high) : high]])
+        if left[at] < criteria.line_stands_out * float(np.median(around)):
             break
-        own = slice(max(at - _NEAR, 0), min(at + _NEAR + 1, length))
+        own = slice(max(at - near, 0), min(at + near + 1, length))
         left[own] = 0.0
         # A Hann window spreads a line over bins that add up to its power times n / 2 (twice at the very end).
         each = alike[:, own].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
         size = np.sqrt(np.maximum(each, 0.0))
-        if size.max() < LEAST_SIZE * math.sqrt(noise):
+        if size.max() < criteria.line_least_size * math.sqrt(noise):
             continue
-        quiet = all(_height(s, at * step_hz, fs) < STANDS_OUT for s in off)
-        switching = bool(off) and quiet and at < length - 2 and float(np.std(size)) < STEADY * float(np.mean(size))
+        quiet = all(_height(s, at * step_hz, fs) < criteria.line_stands_out for s in off)
+        steady = float(np.std(size)) < criteria.line_steady * float(np.mean(size))
+        switching = bool(off) and quiet and steady and at < length - 2
         found.append(Line(at * step_hz, float(each.mean()), switching))
     return tuple(found)
 

@@ -8,6 +8,7 @@ carriers are one small matrix product afterwards. Knows nothing of motors.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +16,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
-
-HARMONICS = (0, 1, 2, 3, 5)
-MAX_BINS = 40
 
 
 @dataclass(frozen=True)
@@ -36,6 +34,8 @@ class Windows:
         Value of each carrier in each bin.
     period : float
         Intervals in an injection period; 0 where nothing is injected.
+    orders : tuple of int
+        Fourier mode of each carrier; the mean is of order 0.
     """
 
     hats: int
@@ -43,6 +43,7 @@ class Windows:
     bins: NDArray[np.int64]
     carriers: Array
     period: float = 0.0
+    orders: tuple[int, ...] = (0,)
 
     @property
     def n_bins(self) -> int:
@@ -75,8 +76,10 @@ def plain_windows(intervals: int, step: float) -> Windows | None:
     return Windows(hats, step, np.zeros(intervals, dtype=np.int64), np.ones((1, 1)))
 
 
-def periodic_windows(intervals: int, step: float, period: float) -> Windows | None:
-    """Hats `step` apart, times the Fourier modes 0, 1, 2, 3, 5 of a period of `period` samples.
+def periodic_windows(
+    intervals: int, step: float, period: float, most_bins: int, harmonics: Sequence[int] = (1, 2, 3, 5)
+) -> Windows | None:
+    """Hats `step` apart, times the mean and Fourier modes of a period of `period` samples.
 
     Bins follow the period even where it is no whole number of samples: any weight gives a valid
     equation, and the bins are the weight.
@@ -84,15 +87,14 @@ def periodic_windows(intervals: int, step: float, period: float) -> Windows | No
     hats = math.floor(intervals / step + 1e-9) - 1
     if hats < 1:
         return None
-    n_bins = int(min(round(period), MAX_BINS))
+    n_bins = int(min(round(period), most_bins))
     phase = np.mod((np.arange(intervals) + 0.5) / period, 1.0)
     bins = np.minimum((phase * n_bins).astype(np.int64), n_bins - 1)
     centre = 2 * np.pi * (np.arange(n_bins) + 0.5) / n_bins
-    rows = [np.ones(n_bins)]
-    for harmonic in HARMONICS:
-        if 0 < harmonic < n_bins / 2:
-            rows += [np.cos(harmonic * centre), np.sin(harmonic * centre)]
-    return Windows(hats, step, bins, np.array(rows), period)
+    seen = [order for order in harmonics if order < n_bins / 2]
+    modes = [wave(order * centre) for order in seen for wave in (np.cos, np.sin)]
+    orders = (0, *(order for order in seen for _ in range(2)))
+    return Windows(hats, step, bins, np.array([np.ones(n_bins), *modes]), period, orders)
 
 
 @njit(cache=True, nogil=True)

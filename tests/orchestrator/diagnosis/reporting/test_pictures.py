@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.fitting.baseline import INTERVALS, Start, saturated_model
+from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.fitting.baseline import Start, saturated_model
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.diagnosis_file import REPORT_NAME, STEPS_NAME, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
-from orchestrator.diagnosis.reporting.pictures import MOST_ROWS, diagnosis_step, kept_rows
+from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
@@ -32,12 +33,14 @@ from protocols import (
 
 Ladder = tuple[tuple[Step, ...], Start, tuple[DiagnosisStep, ...]]
 
+RATIO = Criteria().selection.amplitudes_apart
+
 
 @pytest.fixture(scope="module")
 def ladder(with_dead_time: Recording) -> Ladder:
     """The map alone, then with the dead time that is really there."""
     start = open_for_diagnosis(with_dead_time)
-    bare = start.fitter.fit(saturated_model(start, INTERVALS[0]), renewals=1)
+    bare = start.fitter.fit(saturated_model(start, start.criteria.intervals[0]), renewals=1)
     candidate = scaled_library([DeadTime()], start.prepared.manifest)[0]
     steps = (Step(None, bare), Step("dead_time", with_effect(start.fitter, bare, candidate)))
     return steps, start, tuple(diagnosis_step(k, step, start) for k, step in enumerate(steps))
@@ -136,18 +139,18 @@ def test_small_stages_are_kept_whole_and_large_ones_evenly() -> None:
     # Out of step with anything periodic: every eighth row is kept as often as any other.
     counts = np.bincount((of_sweeps - 30) % 8, minlength=8)
     assert counts.max() < 1.1 * counts.min()
-    assert list(kept_rows(stages[:100])) == list(range(100))
+    assert list(kept_rows(stages[:100], 4000)) == list(range(100))
 
 
 def test_without_two_amplitudes_one_ripple_is_shown(ladder: Ladder) -> None:
     _, start, _ = ladder
     pieces = start.prepared.pieces
-    small, large = ripple_pair(pieces)
+    small, large = ripple_pair(pieces, RATIO)
     one = [pieces[large]]
-    assert ripple_pair(one) == (0,)
-    assert ripple_pair([p for p in pieces if p.stage.value == "resistance"]) == ()
+    assert ripple_pair(one, RATIO) == (0,)
+    assert ripple_pair([p for p in pieces if p.stage.value == "resistance"], RATIO) == ()
     other = replace(pieces[small], segment=pieces[small].segment.model_copy(update={"settings": {"amplitude_v": 41.0}}))
-    assert len(ripple_pair([other, pieces[large]])) == 1
+    assert len(ripple_pair([other, pieces[large]], RATIO)) == 1
 
 
 def a_report(steps: tuple[DiagnosisStep, ...]) -> DiagnosisReport:
@@ -195,7 +198,7 @@ def test_what_was_saved_comes_back(ladder: Ladder, tmp_path: Path) -> None:
         assert have.resistance is not None
         assert want.resistance is not None
         assert np.allclose(have.resistance.measured_ohm, want.resistance.measured_ohm, rtol=1e-6)
-    assert (tmp_path / "results" / STEPS_NAME).stat().st_size < 120 * MOST_ROWS
+    assert (tmp_path / "results" / STEPS_NAME).stat().st_size < 120 * Criteria().pictures.most_rows
 
 
 def test_a_directory_without_a_diagnosis_has_none(tmp_path: Path) -> None:

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import fitted_baseline
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.uncertainty.trust import (
-    FORM_DOUBT,
-    RIPPLE_DOUBT,
     coordinate_spread,
     following,
     ripple_share,
@@ -28,6 +27,8 @@ from plugins.effects.timing import VoltageDelay
 from protocols import Effect
 
 LATE_SAMPLES = 0.1
+
+DOUBT = Criteria().uncertainty
 
 
 def fitted(recording: Recording, effect: Effect) -> tuple[Fitter, Fit]:
@@ -72,8 +73,8 @@ def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[
     fitter, fit = delayed
     x = fit.model.active[0].coordinate("delay_s")
     (spread,) = coordinate_spread(fitter, fit)
-    assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * RIPPLE_DOUBT * abs(x)
-    assert 0.98 * RIPPLE_DOUBT * abs(x) < spread < 2.0 * RIPPLE_DOUBT * abs(x)
+    assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * DOUBT.ripple_doubt * abs(x)
+    assert 0.98 * DOUBT.ripple_doubt * abs(x) < spread < 2.0 * DOUBT.ripple_doubt * abs(x)
 
 
 def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Recording) -> None:
@@ -81,5 +82,5 @@ def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Rec
     active, name = fit.model.free[0]
     assert name == "voltage_v"
     spread = float(coordinate_spread(fitter, fit)[0])
-    assert FORM_DOUBT * active.coordinate(name) < spread < 0.2 * RIPPLE_DOUBT * active.coordinate(name)
+    assert DOUBT.form_doubt * active.coordinate(name) < spread < 0.2 * DOUBT.ripple_doubt * active.coordinate(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread

@@ -1,0 +1,285 @@
+"""Every threshold of a diagnosis, in one place: what it is, its unit, why it is what it is, and where it comes from.
+
+Sources: ``theory`` follows from the statement beside it; ``simulated`` was chosen by trial on simulated plants (the
+simulated drive and the blind suite's plant) and has no measured motor behind it; ``budget`` bounds computing time,
+memory or the size of a file; ``practice`` is what is usual at a bench. The report of a diagnosis says which values it
+was made with.
+"""
+
+from __future__ import annotations
+
+from typing import Any, Literal
+
+from pydantic import Field
+
+from protocols import Strict
+
+Source = Literal["theory", "simulated", "budget", "practice"]
+
+
+def _is(default: object, unit: str, source: Source) -> Any:
+    return Field(default, json_schema_extra={"unit": unit, "source": source})
+
+
+class WeakFormCriteria(Strict):
+    """How a recording is cut into segments' signals and windows, and its noise measured."""
+
+    hat_s: float = _is(0.010, "s", "simulated")
+    """Distance of the hats in trapezoids; a hat is twice as long. Short beside a trapezoid, long beside a sample."""
+    hats_per_turn: int = _is(8, "1", "theory")
+    """Hats in one turn of an injected direction: the flux along it turns twice, and each half turn needs two."""
+    least_periods_per_hat: int = _is(4, "1", "theory")
+    """Injection periods between two hats: fewer, and the Fourier modes of a period are not apart."""
+    least_samples_per_period: int = _is(4, "1", "theory")
+    """Samples in an injection period: below, its edges cannot be seen."""
+    most_bins: int = _is(40, "1", "budget")
+    """Bins of an injection period; modes up to the fifth need no more."""
+    least_samples: int = _is(17, "1", "practice")
+    """Readings of a segment below which it is not used: a hat takes eight on either side."""
+    first_readings: int = _is(5, "1", "practice")
+    """Readings whose mean is the current that had flowed until a segment began."""
+    held_out_every: int = _is(5, "1", "practice")
+    """Every so many-th injection point is kept out of all fits, to judge them by."""
+    held_out_from: int = _is(10, "1", "practice")
+    """Injection points below which none is kept out: the map needs them."""
+    diagonal_share: float = _is(0.5, "1", "theory")
+    """Swing of one axis over the other's from which on a sweep is of both: a sweep of one hardly moves the other."""
+    most_samples: int = _is(2_400_000, "1", "budget")
+    """Of injection that are read; longer recordings are thinned."""
+    thinned_turns: float = _is(1.25, "1", "theory")
+    """Turns of the injected direction that a thinned point keeps: one whole, whatever its windows lose at the ends."""
+    thinned_least_samples: int = _is(1000, "1", "practice")
+    """Samples that a thinned point keeps at least."""
+    coarse_points: int = _is(24, "1", "budget")
+    """Injection points in the part of a recording that is searched first."""
+    coarse_turn: float = _is(0.75, "1", "simulated")
+    """Part of a turn of each of them."""
+    coarse_least_samples: int = _is(100, "1", "practice")
+    """Samples below which a segment is not shortened for that part."""
+    averaged_step: float = _is(0.002, "1", "simulated")
+    """Largest step of the current from one averaged sample to the next, as a part of the segment's largest current."""
+    averaged_noise: float = _is(0.2, "1", "theory")
+    """The same as a part of the noise's standard deviation: what is moved less is lost in it."""
+    most_averaged_at_rest: int = _is(10, "1", "budget")
+    """Readings of a hold or with gates off in one averaged sample."""
+    most_averaged_in_sweeps: int = _is(2, "1", "simulated")
+    """The same of a sweep, whose plateaus and corners are short."""
+    least_averaged_samples: int = _is(200, "1", "practice")
+    """Averaged samples that a segment keeps at least."""
+    least_correlation: float = _is(0.08, "1", "simulated")
+    """Correlations of successive readings below this are within what a recording's length makes of white noise."""
+    line_least_hz: float = _is(40.0, "Hz", "practice")
+    """Lines of the spectrum below this are not looked for: current control answers to what is slow."""
+    line_stands_out: float = _is(30.0, "1", "theory")
+    """Height of a line over the median beside it, spectra averaged over all holds: chance does not reach it."""
+    line_least_size: float = _is(0.3, "1", "simulated")
+    """rms of a line that matters, in standard deviations of a reading, where it is strongest."""
+    line_steady: float = _is(0.35, "1", "simulated")
+    """Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
+    line_bins: tuple[int, int] = _is((4, 24), "1", "theory")
+    """Bins on either side of a line that are its own (a Hann window's), and that are compared with it."""
+    most_lines: int = _is(6, "1", "budget")
+    """Lines that are looked for."""
+    observer_time_constant_s: float = _is(0.005, "s", "simulated")
+    """With which the integrated flux is drawn to the map's: long beside a ripple's period, short beside its drift."""
+    settling_s: float = _is(1.0, "s", "practice")
+    """How long before a capture its first current is taken to have flowed, where nothing was captured."""
+    loss_step_s: float = _is(0.05, "s", "theory")
+    """Step of the history of losses: short beside a winding's thermal time constant."""
+    most_loss_steps: int = _is(2000, "1", "budget")
+    """Steps of that history in a long experiment, those at gaps aside."""
+
+
+class FittingCriteria(Strict):
+    """When a fit ends, when its map is made finer, and how much may be computed."""
+
+    roughness: float = _is(3.0, "L/I^2", "simulated")
+    """Prior standard deviation of the map's fourth derivatives: saturation bends L by itself over the range I."""
+    intervals: tuple[int, ...] = _is((6, 8, 10), "1", "simulated")
+    """Spline intervals on each axis that are tried, one after the other."""
+    least_range: float = _is(0.05, "1", "practice")
+    """Range of the map on an axis where no current flowed, as a part of the other's."""
+    finer_above_chi2: float = _is(1.03, "1", "theory")
+    """chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
+    finer_below_chi2: float = _is(10.0, "1", "simulated")
+    """And below which on the whole recording: where much is missing it is not the map's detail."""
+    finer_gain_per_freedom: float = _is(6.0, "1", "simulated")
+    """Fall of the objective that each freedom of a finer map has to be worth (chance makes one), ..."""
+    finer_gain: float = _is(30.0, "1", "simulated")
+    """... and what it has to be worth beyond that."""
+    given_map_error: float = _is(1e-4, "L I", "practice")
+    """Standard deviation of a given map's fluxes for the spline that is laid through them."""
+    least_gain: float = _is(0.2, "1", "theory")
+    """Fall of the objective below which a step is not worth its evaluation: a tenth in log evidence."""
+    slack: float = _is(0.05, "1", "theory")
+    """Rise of the objective that is rounding and renewed noise, not failure."""
+    renewal_change: float = _is(1e-3, "1", "theory")
+    """Relative change of chi2 below which a frame need not be renewed again."""
+    least_damping: float = _is(0.1, "1", "practice")
+    """Damping (of Levenberg and Marquardt) with which a step that failed is tried again; tenfold each time, ..."""
+    most_damping: float = _is(50.0, "1", "practice")
+    """... and the one beyond which no more is tried."""
+    promise_kept: float = _is(0.75, "1", "practice")
+    """Part of its promise that a damped step keeps where the next one may be damped less."""
+    least_promise: float = _is(2.0, "1", "theory")
+    """A promise that is not worth a second try where the first did not keep it: one in log evidence."""
+    same_inductance: float = _is(0.01, "1", "simulated")
+    """Relative change of the mean inductance that the noise's covariance bears."""
+    column_step: float = _is(0.05, "1", "practice")
+    """Step of a secant, relative to the coordinate: far above rounding, where an effect is still nearly linear."""
+    least_amplitude: float = _is(0.02, "1", "practice")
+    """Coordinate of an amplitude below which the secant's step does not shrink with it."""
+    evaluation_columns: int = _is(3, "1", "budget")
+    """What an evaluation without effects costs, in columns."""
+    most_effort: float = _is(3e8, "1", "budget")
+    """Samples times columns that a search may take, ..."""
+    most_effort_per_sample: float = _is(600.0, "1", "budget")
+    """... and the same for each sample of a large recording."""
+    widest_plane: float = _is(2.0, "1", "practice")
+    """Times the largest current used that the rated one may count for: the map is smooth on that current's scale."""
+
+
+class SelectionCriteria(Strict):
+    """What it takes for a recording to be diagnosed, for an effect to be named, and for what is left to be forgiven."""
+
+    detected_chi2: float = _is(1.08, "1", "simulated")
+    """chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""
+    explained: float = _is(0.05, "1", "practice")
+    """Part of the error (an amplitude) that may be left for ``explained``."""
+    mostly_explained: float = _is(0.30, "1", "practice")
+    """The same for ``mostly_explained``."""
+    shape_error: float = _is(0.12, "1", "simulated")
+    """What a slightly wrong shape of the right effects may leave of chi2 - 1, over the root of what there was first."""
+    least_left: float = _is(1.5, "1", "simulated")
+    """A remainder of chi2 - 1 below this is small whatever there was at first."""
+    too_quiet_chi2: float = _is(0.8, "1", "theory")
+    """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
+    noteworthy_chi2: float = _is(1.5, "1", "practice")
+    """chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
+    log_evidence: float = _is(16.0, "nat", "theory")
+    """Gain for an effect to be added: chance alone reaches this once in some 1e6 tries, and some twenty effects with
+    shapes to choose from are tried on each recording."""
+    tie: float = _is(3.0, "nat", "theory")
+    """Rivals this near in log evidence cannot be told apart: odds of twenty to one."""
+    least_size: float = _is(0.02, "1", "simulated")
+    """Effects smaller than this part of their typical size are traces."""
+    least_share: float = _is(0.2, "1", "simulated")
+    """Part of the excess chi2 - 1 that an effect has to remove to be added (half of it in the linear estimate)."""
+    hopeful: float = _is(0.3, "1", "simulated")
+    """Rivals whose linear gain is at least this part of the best one's are refitted too."""
+    stand_in: float = _is(0.8, "1", "simulated")
+    """Look-alikes that explain this part of what the best one does are its twins."""
+    near_best: float = _is(2.0, "1", "simulated")
+    """Rivals whose excess chi2 is within this factor of the best one's are fitted to the end."""
+    shape_starts: tuple[float, ...] = _is((-2.0, -1.0, 1.0), "1", "theory")
+    """Shapes from which a refit may start beside the typical one, in standard deviations of the prior."""
+    flexible_form_needed: float = _is(1000.0, "1", "simulated")
+    """Loss of chi2 beyond which, to first order, an effect's simple form cannot do."""
+    most_trials: int = _is(5, "1", "budget")
+    """Effects that are refitted in one round."""
+    most_effects: int = _is(6, "1", "practice")
+    """Effects that a model may have."""
+    minor_size: float = _is(0.15, "1", "simulated")
+    """Effects smaller than this part of their typical size are asked whether they can be spared."""
+    spare: float = _is(0.03, "1", "simulated")
+    """What minor effects may leave of chi2 - 1 when they go, over the root of what there was before the first."""
+    obvious: float = _is(10.0, "1", "simulated")
+    """How many times that an effect has to be worth, to first order, not to be asked at all."""
+    undetected_size: float = _is(0.03, "1", "simulated")
+    """Relative size of an effect that is named though the model fits without it."""
+    least_certainty: float = _is(5.0, "1", "theory")
+    """Amplitude of a minor effect that is named, in standard deviations with the scatter between blocks."""
+    least_constancy: float = _is(0.2, "1", "simulated")
+    """Largest scatter, relative to itself, of an effect that is named while something unknown remains."""
+    one_column: float = _is(0.995, "1", "simulated")
+    """Correlation above which two effects are one in the joint fit; the priors hold those that are merely alike."""
+    outweighs: float = _is(1.5, "1", "simulated")
+    """How much larger than all that was named the joint fit's first has to be to be spoken of, in typical sizes."""
+    certain: float = _is(4.0, "1", "theory")
+    """Standard deviations beyond which chance has not made an effect."""
+    view_change: float = _is(0.01, "1", "simulated")
+    """Relative change of chi2 beyond which effects have to be scored anew."""
+    leftover_share: float = _is(0.02, "1", "practice")
+    """Part of the leftover below which a shape is not worth a word, ..."""
+    leftover_chi2: float = _is(20.0, "1", "theory")
+    """... and the chi2 that it has to explain at least: chance makes so much of a shape's few signals once in 1e3."""
+    least_current: float = _is(0.02, "1", "practice")
+    """Part of the rated current that has to have flowed, ..."""
+    least_current_to_noise: float = _is(5.0, "1", "theory")
+    """... and how many standard deviations of a reading."""
+    least_samples_per_hat: int = _is(8, "1", "theory")
+    """Samples between two hats of a trapezoid."""
+    least_hold_s: float = _is(0.01, "s", "practice")
+    """Length of a hold that tells something."""
+    least_rows: int = _is(10, "1", "practice")
+    """Equations of a sweep or an injection that tells something."""
+    least_views: int = _is(6, "1", "practice")
+    """Places of the current plane below which no cause can be named: fewer than the unknowns of the simplest map."""
+    few_views: int = _is(16, "1", "simulated")
+    """Places below which a note says so."""
+    views_of_a_sweep: int = _is(2, "1", "theory")
+    """Places that a sweep sees, both its sides; a hold and an injection see one."""
+    same_current: float = _is(0.02, "1", "practice")
+    """Currents nearer to each other than this part of the largest are one."""
+    amplitudes_apart: float = _is(1.3, "1", "practice")
+    """Ratio of two injected amplitudes that are told apart."""
+    noisier_ripple: float = _is(1.1, "1", "practice")
+    """Ratio of the readings' scatter under injection to that at rest from which on a note says so."""
+
+
+class UncertaintyCriteria(Strict):
+    """How far a fitted effect is trusted."""
+
+    blocks: int = _is(8, "1", "practice")
+    """Of the recording, between which amplitudes are compared."""
+    interval: float = _is(1.96, "1", "theory")
+    """Standard deviations on either side of 95 % of a normal distribution."""
+    form_doubt: float = _is(5e-4, "1", "simulated")
+    """Standard deviation of what any effect's form leaves out, as a part of the effect.
+
+    A knee of another shape than any in the family shifts an inverter's fitted voltage by some 0.01 to 0.1 %, which is
+    less than a user cares for and more than the noise of half a million samples.
+    """
+    ripple_doubt: float = _is(0.02, "1", "simulated")
+    """The same where the ripple shows the effect and nothing at rest does.
+
+    What currents at rest show is measured by several stages; where the form is wrong they contradict each other, and
+    the segments' disagreement says so. The ripple has no second witness: it is one frequency, sampled some twenty
+    times a period. What a sampled form leaves out there is of order R_s Ts / L, half a percent to one, and the form's
+    course over frequency is carried on from that one to all others. Against a plant with forms of its own, effects
+    that the ripple shows come out 2 % off (rms, one in twenty by more than 4 %), however little the noise and however
+    near chi2 is to one.
+    """
+
+
+class PictureCriteria(Strict):
+    """How much of a diagnosis is kept to be drawn."""
+
+    most_rows: int = _is(4000, "1", "budget")
+    """Rows of the residual that a step keeps."""
+    most_dwells: int = _is(400, "1", "budget")
+    """Points of the resistance's course."""
+    least_dwell_current: float = _is(0.2, "1", "theory")
+    """Part of the largest current below which a dwell says too little of R_s: its error grows as the inverse."""
+    most_points: int = _is(400, "1", "budget")
+    """Of one curve."""
+    ripple_periods: int = _is(2, "1", "practice")
+    """Injection periods that are shown."""
+    longest_trapezoid_s: float = _is(2.5, "s", "budget")
+    """Of a sweep."""
+    settled_s: float = _is(0.1, "s", "practice")
+    """Of a simulation, before a ripple is shown: the first current is a noisy sample."""
+    simulated_s: float = _is(1.0, "s", "budget")
+    """How much of each segment is simulated: many time constants, and both signs of a trapezoid."""
+    worst_segments: int = _is(8, "1", "practice")
+    """Segments that a comparison lists."""
+
+
+class Criteria(Strict):
+    """All thresholds of a diagnosis, by the room that they belong to."""
+
+    weak_form: WeakFormCriteria = WeakFormCriteria()
+    fitting: FittingCriteria = FittingCriteria()
+    selection: SelectionCriteria = SelectionCriteria()
+    uncertainty: UncertaintyCriteria = UncertaintyCriteria()
+    pictures: PictureCriteria = PictureCriteria()
