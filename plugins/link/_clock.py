@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import time
 
-LONGEST_S = 0.1
-"""More than this between two looks at the clock, and somebody has held the process."""
+from plugins.link._patience import PATIENCE
 
 
 class AttentiveClock:
@@ -17,6 +16,6 @@ class AttentiveClock:
     def __call__(self) -> float:
         """Seconds since it was made."""
         now_s = time.monotonic()
-        self._total_s += min(now_s - self._seen_s, LONGEST_S)
+        self._total_s += min(now_s - self._seen_s, PATIENCE.held_s)
         self._seen_s = now_s
         return self._total_s

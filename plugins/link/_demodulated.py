@@ -16,6 +16,7 @@ from plugins.link._raw import bus_voltage
 from plugins.link._reading import Reader
 from plugins.wire import (
     RIPPLE,
+    RIPPLE_ROW_BYTES,
     DriveFacts,
     RippleD,
     RippleGrid,
@@ -25,7 +26,6 @@ from plugins.wire import (
 )
 from protocols import Capture, DriveFault, DriveRefused, FaultCause, Injection
 
-ROW_BYTES = 12
 ROWS_A_TURN = 16
 """Fewest rows in one turn of the injected vector; the waveform is linear between rows."""
 
@@ -100,7 +100,7 @@ class RippleRead:
             self._host.link.wait(lambda: False, wait_s)
             return False
         if self._reader is None:  # made no sooner, for it counts the time in which nothing comes
-            self._reader = Reader(self._host, self._number, len(self._counts) * ROW_BYTES, self._layout)
+            self._reader = Reader(self._host, self._number, len(self._counts) * RIPPLE_ROW_BYTES, self._layout)
         data = self._reader.turn(self._reader.assembly.length, wait_s)
         if data is None:
             return False

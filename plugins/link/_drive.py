@@ -16,9 +16,11 @@ from plugins.link._host import Host, fault_names, known_fault, require_held, wor
 from plugins.link._link import Link
 from plugins.link._machine import Machine
 from plugins.link._options import LinkOptions
+from plugins.link._patience import PATIENCE
 from plugins.link._port import Port
 from plugins.link._running import Program
 from plugins.wire import (
+    NO_TEMPERATURE_C,
     Ack,
     AckStatus,
     Capability,
@@ -47,13 +49,8 @@ from protocols import (
     Telemetry,
 )
 
-RAMP_S = 8.0
-"""A current that is not zero after so long is not ramping down."""
-SETTLE_S = 1.0
-"""A change of state that does not show in the status after so long has not happened."""
 DEMODULATED = "injections as ripple demodulated on the drive"
 _ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
-_NO_TEMPERATURE_C = -128
 
 
 class LinkDrive(DriveShell):
@@ -156,7 +153,7 @@ class LinkDrive(DriveShell):
         ack = host.do(Op.ARM)
         host.conversation.armed(ack)
         self.heartbeat()
-        self._await(host, (*_ENERGISED, PowerState.FAULTED), SETTLE_S)
+        self._await(host, (*_ENERGISED, PowerState.FAULTED), PATIENCE.settle_s)
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Write the program and start it; its rows come as the iterator is drawn from."""
@@ -185,7 +182,7 @@ class LinkDrive(DriveShell):
             i_d_a=scale * measurement.i_d,
             i_q_a=scale * measurement.i_q,
             v_dc_v=measurement.v_dc,
-            temperature_c=None if status.temperature == _NO_TEMPERATURE_C else float(status.temperature),
+            temperature_c=None if status.temperature == NO_TEMPERATURE_C else float(status.temperature),
             faults=fault_names(status),
         )
 
@@ -194,7 +191,7 @@ class LinkDrive(DriveShell):
         host = self._reachable(Op.STOP)
         ack = host.command(Op.STOP)
         if ack.status is AckStatus.OK and ack.state in _ENERGISED:
-            self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), RAMP_S)
+            self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), PATIENCE.ramp_s)
 
     def switch_off(self) -> None:
         """PWM off."""
@@ -202,7 +199,7 @@ class LinkDrive(DriveShell):
         ack = host.command(Op.DISARM)
         if ack.state in _ENERGISED:
             raise DriveFault(FaultCause.INTERNAL, f"the drive does not disarm: {words(ack.status)}")
-        self._await(host, (PowerState.DISARMED, PowerState.FAULTED), SETTLE_S)
+        self._await(host, (PowerState.DISARMED, PowerState.FAULTED), PATIENCE.settle_s)
 
     def forget_fault(self) -> None:
         """Clear the drive's latched faults; one that is still ramping down is asked again."""
@@ -212,7 +209,7 @@ class LinkDrive(DriveShell):
             if time.monotonic() > deadline:
                 raise DriveRefused(f"the drive refuses to clear its fault: {words(ack.status)}")
             time.sleep(0.05)
-        self._await(host, (PowerState.DISARMED, *_ENERGISED), SETTLE_S)
+        self._await(host, (PowerState.DISARMED, *_ENERGISED), PATIENCE.settle_s)
         host.fault_told = False
 
     def set_brake(self, engaged: bool) -> None:

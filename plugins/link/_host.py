@@ -7,6 +7,7 @@ import time
 from collections.abc import Mapping
 
 from plugins.link._link import Link
+from plugins.link._patience import PATIENCE
 from plugins.link._reading import read_whole
 from plugins.wire import (
     DESCRIPTION,
@@ -32,10 +33,6 @@ from plugins.wire import (
 )
 from protocols import DriveFault, DriveRefused, FaultCause, InputError
 
-REPEAT_S = 0.05
-"""A request without an answer is repeated after this time."""
-TICK_S = 0.2
-"""The clock follows its answer within this time, or has been lost."""
 _FAULT_REGISTERS = ("fault_cause", "fault_value", "fault_limit", "fault_bits")
 
 
@@ -68,9 +65,9 @@ class Host:
         Raises `DriveFault`: no_answer, or link_lost where the drive does not know this session any more.
         """
         patience_s = patience_s or self._answer_s
-        for _ in range(math.ceil(patience_s / REPEAT_S)):
+        for _ in range(math.ceil(patience_s / PATIENCE.repeat_s)):
             self.link.send(request)
-            reply = self.link.reply(lambda message: answers(message, request), REPEAT_S)
+            reply = self.link.reply(lambda message: answers(message, request), PATIENCE.repeat_s)
             if isinstance(reply, Ack) and reply.status is AckStatus.STALE_SESSION:
                 told = "the drive does not know this session any more: it has restarted, or has another host"
                 raise self.link.lose(DriveFault(FaultCause.LINK_LOST, told))
@@ -138,7 +135,7 @@ class Host:
         while (ack := self.command(Op.IDENTIFY, PROTOCOL_MAJOR, patience_s)).status is AckStatus.BUSY:
             if time.monotonic() > deadline:
                 raise DriveRefused("another host has the drive armed")
-            time.sleep(REPEAT_S)
+            time.sleep(PATIENCE.repeat_s)
         if ack.status is AckStatus.WRONG_VERSION:
             major = ack.value >> 8
             raise DriveRefused(f"the drive speaks version {major} of the protocol, this host version {PROTOCOL_MAJOR}")
@@ -161,9 +158,9 @@ class Host:
         """The drive's clock, now; asked for anew where the answer came but the tick was lost."""
         news = self.link.news
         ticks = news.ticks
-        for _ in range(math.ceil(self._answer_s / TICK_S)):
+        for _ in range(math.ceil(self._answer_s / PATIENCE.tick_s)):
             self.do(Op.TIME_SYNC)
-            if self.link.wait(lambda: news.ticks > ticks, TICK_S) and news.tick is not None:
+            if self.link.wait(lambda: news.ticks > ticks, PATIENCE.tick_s) and news.tick is not None:
                 return news.tick
         raise DriveFault(FaultCause.NO_ANSWER, "the drive does not tell its time")
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 
 from plugins.link._clock import AttentiveClock
 from plugins.link._errors import link_errors
+from plugins.link._patience import PATIENCE
 from plugins.link._port import Port
 from plugins.wire import (
     STALE_PERIODS,
@@ -34,17 +35,8 @@ from plugins.wire import (
 )
 from protocols import DriveFault, FaultCause
 
-LISTEN_S = 0.02
-"""Longest wait for a frame in one turn of the loop."""
-SEND_S = 0.1
-"""A link that takes nothing for so long is stuck."""
-BEAT_S = 0.01
 _FROM_DRIVE = frame_id("Status")
 """Lower identifiers are the host's own, which some buses hand back."""
-_MOST_BULK = 100_000
-_MANY_BULK = 256
-"""So many blocks wake who waits for them; fewer wait for the end of their answer, or for the time to be over."""
-_MOST_REPLIES = 64
 
 
 class News:
@@ -73,9 +65,9 @@ class Link:
         self.port, self.news = port, News()
         self._period_s = telemetry_s
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
-        self._replies: deque[Ack | ParameterValue] = deque(maxlen=_MOST_REPLIES)
+        self._replies: deque[Ack | ParameterValue] = deque(maxlen=PATIENCE.most_replies)
         self._ripple: list[RippleD | RippleQ] = []
-        self._bulk: deque[Frame] = deque(maxlen=_MOST_BULK)
+        self._bulk: deque[Frame] = deque(maxlen=PATIENCE.most_bulk)
         self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}
         self._bulk_end, self._has_ended = frame_id("BulkEnd"), False
         self._changed, self._sending = threading.Condition(), threading.Lock()
@@ -120,19 +112,21 @@ class Link:
         self.check()
         try:
             with link_errors(self.port.where), self._sending:
-                taken = self.port.send([encode(message) for message in messages], SEND_S)
+                taken = self.port.send([encode(message) for message in messages], PATIENCE.send_s)
         except DriveFault as fault:
             raise self.lose(fault) from fault.__cause__
         if not taken:
-            raise self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: takes nothing for {SEND_S:g} s"))
+            raise self.lose(
+                DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: takes nothing for {PATIENCE.send_s:g} s")
+            )
 
     def try_to_send(self, *messages: Message) -> None:
         """Send what the link takes at once, lost or not; returns at once and never raises."""
-        if not self._sending.acquire(timeout=BEAT_S):
+        if not self._sending.acquire(timeout=PATIENCE.beat_s):
             return
         try:
             with link_errors(self.port.where):
-                self.port.send([encode(message) for message in messages], BEAT_S)
+                self.port.send([encode(message) for message in messages], PATIENCE.beat_s)
         except DriveFault as fault:
             self.lose(fault)
         finally:
@@ -159,14 +153,16 @@ class Link:
         clock, held = AttentiveClock(), False
         with self._changed:
             while not held and (left_s := timeout_s - clock()) > 0.0:
-                held = self._changed.wait_for(lambda: self._lost is not None or condition(), min(left_s, LISTEN_S))
+                held = self._changed.wait_for(
+                    lambda: self._lost is not None or condition(), min(left_s, PATIENCE.listen_s)
+                )
             held = held or condition()
         self.check()
         return held
 
     def bulk(self, timeout_s: float) -> Sequence[Frame]:
         """What came of uploads since the last call, waiting for many blocks or the end of an answer."""
-        self.wait(lambda: self._has_ended or len(self._bulk) >= _MANY_BULK, timeout_s)
+        self.wait(lambda: self._has_ended or len(self._bulk) >= PATIENCE.many_bulk, timeout_s)
         with self._changed:
             taken = list(self._bulk)
             self._bulk.clear()
@@ -186,7 +182,7 @@ class Link:
             while not self._over.is_set():
                 begun_s = time.monotonic()
                 with link_errors(self.port.where):
-                    frames = self.port.receive(LISTEN_S)
+                    frames = self.port.receive(PATIENCE.listen_s)
                 self._sort(frames)
                 self._count_silence(time.monotonic() - begun_s)
         except DriveFault as fault:
@@ -196,7 +192,7 @@ class Link:
 
     def _count_silence(self, turn_s: float) -> None:
         """Only time in which somebody listened counts: this process may have been stopped, or kept waiting."""
-        self._silent_s += min(turn_s, 2.0 * LISTEN_S)
+        self._silent_s += min(turn_s, 2.0 * PATIENCE.listen_s)
         if self._silent_s > STALE_PERIODS * self._period_s and self.news.statuses and self._lost is None:
             told = f"the drive is silent: no status for {STALE_PERIODS} periods of {self._period_s:g} s"
             self.lose(DriveFault(FaultCause.LINK_LOST, f"{self.port.where}: {told}"))

@@ -11,6 +11,7 @@ from plugins.link._clock import AttentiveClock
 from plugins.link._demodulated import RippleRead, ripple_periods
 from plugins.link._host import Host
 from plugins.link._machine import Machine, Rows, SecondsOfTick
+from plugins.link._patience import PATIENCE
 from plugins.link._raw import RawRead
 from plugins.wire import (
     Channel,
@@ -23,13 +24,8 @@ from plugins.wire import (
 )
 from protocols import Capture, DriveFault, DriveRefused, Excitation, FaultCause, Injection
 
-QUIET_S = 0.2
-"""A block without rows is yielded when none with rows came for so long."""
 SHORTEST_S, LONGEST_S = 0.1, 0.25
 """Length of a block, the last one apart."""
-LISTEN_S = 0.02
-STUCK_S = 5.0
-"""A program whose progress stands still for longer than it has to settle, and this, is given up."""
 
 
 class Program:
@@ -79,14 +75,14 @@ class Program:
             progress = self._watch()
             started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
             complete = self._is_complete(progress)
-            finished = self._source.turn(progress.rows if progress else 0, complete, LISTEN_S)
+            finished = self._source.turn(progress.rows if progress else 0, complete, PATIENCE.listen_s)
             if start_s is None and (started or complete):
                 start_s = seconds_of_tick(self._start_tick())
             while start_s is not None and self._due(given, finished):
                 stop = min(self._source.ready, given + round(LONGEST_S * self._fs))
                 yield self._source.block(given, stop, start_s + given / self._fs)
                 given, told_s = stop, time.monotonic()
-            if time.monotonic() - told_s > QUIET_S:
+            if time.monotonic() - told_s > PATIENCE.quiet_s:
                 yield self._nothing(seconds_of_tick)
                 told_s = time.monotonic()
 
@@ -138,7 +134,7 @@ class Program:
         if seen != self._seen or self._is_complete(progress):
             self._seen, self._moved_s = seen, now_s
         asked = self._excitation
-        patience_s = STUCK_S + asked.settling_s
+        patience_s = PATIENCE.stuck_s + asked.settling_s
         if now_s - self._moved_s > patience_s:
             told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen[0].name.lower()})"
             raise DriveFault(FaultCause.NO_ANSWER, told)

@@ -1,7 +1,16 @@
 """The drive protocol: messages, framing, registers, captures. Shared by both ends; opens no link itself."""
 
 from plugins.wire._assembly import CaptureAssembly, upload
-from plugins.wire._blocks import CAN_FD, CLASSIC, DESCRIPTION, LAST_CAPTURE, RIPPLE, BlockLayout, serial_blocks
+from plugins.wire._blocks import (
+    CAN_FD,
+    CLASSIC,
+    DESCRIPTION,
+    LAST_CAPTURE,
+    LONGEST_CAPTURE,
+    RIPPLE,
+    BlockLayout,
+    serial_blocks,
+)
 from plugins.wire._codec import Frame, decode, encode, frame_id, single
 from plugins.wire._facts import (
     DriveFacts,
@@ -13,6 +22,7 @@ from plugins.wire._facts import (
 from plugins.wire._framing import SerialDecoder, all_to_serial, to_serial
 from plugins.wire._messages import (
     HEARTBEAT_S,
+    NO_TEMPERATURE_C,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
     STALE_PERIODS,
@@ -54,7 +64,7 @@ from plugins.wire._program import (
     program_registers,
 )
 from plugins.wire._registers import Register, RegisterFile, register_index, register_name, registers
-from plugins.wire._ripple import RippleGrid, RippleRows, demodulate, reconstruct
+from plugins.wire._ripple import RIPPLE_ROW_BYTES, RippleGrid, RippleRows, demodulate, reconstruct
 from plugins.wire._rows import VECTORS, CaptureFormat, Channel, RowFormat, Scales
 from plugins.wire._session import (
     Conversation,
@@ -74,10 +84,13 @@ __all__ = [
     "DESCRIPTION",
     "HEARTBEAT_S",
     "LAST_CAPTURE",
+    "LONGEST_CAPTURE",
     "NODES",
+    "NO_TEMPERATURE_C",
     "PROTOCOL_MAJOR",
     "PROTOCOL_MINOR",
     "RIPPLE",
+    "RIPPLE_ROW_BYTES",
     "STALE_PERIODS",
     "TELEMETRY_S",
     "VECTORS",

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
+from typing import ClassVar
 from zlib import crc32
 
 import numpy as np
@@ -22,10 +23,6 @@ from protocols import DriveFault, FaultCause, InputError
 _TRUSTED_WINDOWS = WINDOWS // 2
 """Answers to older requests are no longer taken, and no more requests are sent without an end of any: tags come round
 again, and this capture and the one before it must not mean different blocks by one."""
-_SLIPS = 2
-"""Ends with an impossible length that are put down to damage on the way."""
-_BRIDGE = 2
-"""Missing blocks with no more than so many present ones between them are asked for together."""
 
 
 class CaptureAssembly:
@@ -47,6 +44,11 @@ class CaptureAssembly:
     passes : int
         How often the whole capture is read where its CRC does not fit, before it is refused.
     """
+
+    slips: ClassVar[int] = 2
+    """Ends with an impossible length that are put down to damage on the way."""
+    bridge: ClassVar[int] = 2
+    """Missing blocks with no more than so many present ones between them are asked for together."""
 
     def __init__(
         self,
@@ -226,7 +228,7 @@ class CaptureAssembly:
             return
         if end.length > self.length:
             self._too_long += 1
-            if self._too_long > _SLIPS:
+            if self._too_long > CaptureAssembly.slips:
                 what = f"capture {self.capture} has {end.length} bytes instead of {self.length}"
                 raise DriveFault(FaultCause.WRONG_DATA, what)
             return
@@ -276,7 +278,7 @@ def _runs(absent: NDArray[np.bool_]) -> list[tuple[int, int]]:
     gaps = np.flatnonzero(absent)
     if not len(gaps):
         return []
-    cuts = np.flatnonzero(np.diff(gaps) > _BRIDGE + 1)
+    cuts = np.flatnonzero(np.diff(gaps) > CaptureAssembly.bridge + 1)
     first, last = gaps[np.r_[0, cuts + 1]], gaps[np.r_[cuts, len(gaps) - 1]]
     return [(int(a), int(b - a + 1)) for a, b in zip(first, last, strict=True)]
 

@@ -14,6 +14,8 @@ HEARTBEAT_S = 0.05
 """Period of the heartbeat [s]."""
 TELEMETRY_S = 0.05
 """Period of Status and Measurement unless the register telemetry_period_s says otherwise [s]."""
+NO_TEMPERATURE_C = -128
+"""Of a Status whose temperature is not measured."""
 STALE_PERIODS = 3
 """Telemetry that is older than this many periods is stale, and means stop."""
 

@@ -10,13 +10,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._ports import PtyPort, Unit
 from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, frame_id, from_bus, heard_by_drive, on_bus
 from protocols import InputError
 
-_FRAMES_EACH = 256
-"""Frames that are looked at in a turn: some buses hand back all that is sent, and others are talking too."""
-_BROKEN_S = 0.002
 _CAN_HEAD, _CAN_START, _CAN_END = struct.Struct("<BIBI"), 0xAA, 0xBB
 _FILTERS_IN_KERNEL = "socketcan"
 """Other interfaces of python-can filter frame by frame, after all the work is done."""
@@ -170,7 +168,7 @@ class CanPort:
     def receive(self, timeout_s: float) -> list[Frame]:
         frames: list[Frame] = []
         wait_s = timeout_s
-        for _ in range(_FRAMES_EACH):
+        for _ in range(BOUNDS.frames_each):
             if self._readable is not None and not self._readable.poll(1e3 * wait_s):
                 break
             message = self._received(0.0 if self._readable is not None else wait_s)
@@ -187,7 +185,7 @@ class CanPort:
         try:
             return self._bus.recv(wait_s)
         except (*self._errors, ValueError, TypeError):  # a damaged frame, or a bus that is down
-            time.sleep(_BROKEN_S)
+            time.sleep(BOUNDS.nobody_s)
             return None
 
     def close(self) -> None:

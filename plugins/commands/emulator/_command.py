@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from plugins.commands.emulator._bounds import BOUNDS
+
 if TYPE_CHECKING:
     from plugins.commands.emulator._ports import Port
     from plugins.drives.simulated import SimulatedOptions
@@ -15,8 +17,6 @@ if TYPE_CHECKING:
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 Part = Annotated[float, typer.Option(min=0.0, max=1.0, metavar="P", help="Part of the frames, each way.")]
-_OVERLOAD_S = 120.0
-"""Of (i / rated)^2 - 1, unless the options say otherwise: 40 s at twice the rated current."""
 _NOT_HERE = {
     "watchdog_s": "use --watchdog",
     "realtime_factor": "use --speed",
@@ -118,7 +118,7 @@ def _plant(motor: Path | None, settings: Sequence[str], watchdog: float | None) 
     with loaded.naming_its_places():
         options = make_options(SimulatedDrive, procedure.drive.options, "drive")
     assert isinstance(options, SimulatedOptions)
-    own: dict[str, Any] = {} if options.overload_s is not None else {"overload_s": _OVERLOAD_S}
+    own: dict[str, Any] = {} if options.overload_s is not None else {"overload_s": BOUNDS.overload_s}
     if watchdog is not None:
         own["watchdog_s"] = watchdog or None
     return options.model_copy(update=own), procedure.motor

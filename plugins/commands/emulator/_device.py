@@ -9,10 +9,11 @@ import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._log import Log, no_log
 from plugins.commands.emulator._memory import Capture
 from plugins.commands.emulator._power import PowerStage
-from plugins.commands.emulator._programs import RIPPLE_RATE_HZ, DeviceSettings, Programs, facts_of_rig
+from plugins.commands.emulator._programs import DeviceSettings, Programs, facts_of_rig
 from plugins.commands.emulator._telemetry import Telemetry
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
@@ -51,7 +52,6 @@ from plugins.wire import (
 )
 from protocols import Motor
 
-_ANSWER_BYTES = 1 << 18
 _LIMIT_OF = {"limit_current_a": "max_current_a", "limit_voltage_v": "max_voltage_v"}
 _FROM_HOST = ("EStop", "Heartbeat", "Command", "ParameterWrite", "ParameterRead", "Setpoint", "ReadBlock")
 
@@ -132,8 +132,8 @@ class Device:
     def _at_most(self, rows: list[Message]) -> list[Message]:
         """As many of the live rows as the bus has room for: 500 a second, of two messages each."""
         now_s = self._clock()
-        earned = self._live_credit + (now_s - self._live_s) * RIPPLE_RATE_HZ
-        self._live_s, room = now_s, min(earned, 0.05 * RIPPLE_RATE_HZ)
+        earned = self._live_credit + (now_s - self._live_s) * BOUNDS.ripple_rate_hz
+        self._live_s, room = now_s, min(earned, 0.05 * BOUNDS.ripple_rate_hz)
         sent = min(len(rows) // 2, int(room + 1e-6))
         self._live_credit = room - sent
         return rows[: 2 * sent]
@@ -358,7 +358,7 @@ class Device:
     def _read_blocks(self, request: ReadBlock) -> Iterator[Message]:
         source = self._source(request.capture)
         # An answer may be shorter than what was asked for; a link must never keep the watchdog waiting.
-        request = request._replace(blocks=min(request.blocks, max(1, _ANSWER_BYTES // self._layout.block)))
+        request = request._replace(blocks=min(request.blocks, max(1, BOUNDS.answer_bytes // self._layout.block)))
         answer = AckStatus.NOT_CAPTURED if source is None else source.answer(request, self._layout)
         if isinstance(answer, Answer):
             self.bulk += [Frame(self._layout.frame_id, payload) for payload in answer.payloads]

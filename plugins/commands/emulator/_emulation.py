@@ -10,13 +10,12 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from types import FrameType
 
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._device import Device
 from plugins.commands.emulator._line import NO_LOSSES, Losses, Lossy, Outbox
 from plugins.commands.emulator._log import Log
 from plugins.commands.emulator._ports import Port
 from plugins.wire import Frame
-
-_BACKLOG_WAIT_S = 1e-3
 
 
 @dataclass(frozen=True)
@@ -45,7 +44,7 @@ class Emulation:
         device, power = self._device, self._device.power
         wait_s = device.wait_s()
         if not self._outbox.empty:
-            wait_s = min(_BACKLOG_WAIT_S, wait_s) if self._outbox.blocked else 0.0
+            wait_s = min(BOUNDS.backlog_s, wait_s) if self._outbox.blocked else 0.0
         power.guard(time.monotonic())
         frames = self._lossy(self._port.receive(wait_s))
         self._notice()

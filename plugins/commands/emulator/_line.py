@@ -8,20 +8,11 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Generic, TypeVar
 
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._ports import Port, Unit
 from plugins.wire import Frame
 
 T = TypeVar("T")
-
-_BATCH = 64
-"""Frames that are sent before watchdog and link are looked at again: a bus may take 0.1 ms for each."""
-_BURST_S = 0.01
-"""A paced line makes up for so much time that it was not attended to."""
-_GIVEN_UP_S = 0.25
-"""What nobody took for so long is thrown away, as a line without a reader does."""
-_MOST_WAITING = 4096
-_LET_GO = 0.2
-"""Chance that a frame that was held back goes out after the next one."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +62,7 @@ class Lossy(Generic[T]):
         yield unit
         if chance() < losses.duplicate:
             yield unit
-        if self._held and chance() < _LET_GO:
+        if self._held and chance() < BOUNDS.let_go:
             yield self._held.popleft()
 
 
@@ -101,7 +92,7 @@ class Outbox:
 
     def put_bulk(self, frames: Iterable[Frame]) -> None:
         """Blocks of a capture, with their end; left out where too many are waiting: the host asks again."""
-        if len(self._bulk) < _MOST_WAITING:
+        if len(self._bulk) < BOUNDS.most_waiting:
             self._bulk.extend(frames)
 
     @property
@@ -120,7 +111,7 @@ class Outbox:
             self._taken_s = now_s
         self._earn(now_s)
         self.blocked = False
-        for _ in range(_BATCH):
+        for _ in range(BOUNDS.batch):
             unit = self._first()
             if unit is None or not self._may_send():
                 return
@@ -130,7 +121,7 @@ class Outbox:
             self._coded.popleft()
             self._taken_s = now_s
             self._credit -= self._port.cost(unit)
-        if now_s - self._taken_s > _GIVEN_UP_S:
+        if now_s - self._taken_s > BOUNDS.given_up_s:
             self.clear()
 
     def _may_send(self) -> bool:
@@ -151,5 +142,5 @@ class Outbox:
         if self._rate is None:
             return
         earned = (now_s - self._paid_s) * self._rate
-        self._credit = min(self._credit + earned, max(self._rate * _BURST_S, 64.0))
+        self._credit = min(self._credit + earned, max(self._rate * BOUNDS.burst_s, 64.0))
         self._paid_s = now_s

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from plugins.drives.simulated.rig import Step
 from plugins.wire import (
     RIPPLE,
+    RIPPLE_ROW_BYTES,
     CaptureSource,
     Channel,
     Message,
@@ -29,7 +30,6 @@ CHANNELS = (
     Channel.I_ALPHA | Channel.I_BETA | Channel.V_ALPHA | Channel.V_BETA | Channel.V_DC
     | Channel.I_A | Channel.I_B | Channel.I_C
 )  # fmt: skip
-RIPPLE_ROW_BYTES = 12
 
 
 class Capture:

@@ -12,13 +12,12 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Protocol
 
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.wire import BlockLayout, Frame, SerialDecoder, serial_blocks, to_serial
 from protocols import InputError
 
 Unit = Frame | bytes
 """What a port sends at a time: a frame, or the bytes of one."""
-_READ_BYTES = 65536
-_NOBODY_S = 0.002
 
 
 class Port(Protocol):
@@ -132,11 +131,11 @@ class PtyPort:
             return []
         if not events[0][1] & select.POLLIN:
             self._lost()
-            time.sleep(min(timeout_s, _NOBODY_S))
+            time.sleep(min(timeout_s, BOUNDS.nobody_s))
             return []
         self._connected = not events[0][1] & select.POLLHUP
         try:
-            return self._decoded(os.read(self._master, _READ_BYTES))
+            return self._decoded(os.read(self._master, BOUNDS.read_bytes))
         except OSError:
             self._lost()
             return []

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._log import Log
 from plugins.commands.emulator._memory import Capture
 from plugins.drives.simulated.rig import Rig, Step, Tripped, is_ramp
@@ -17,12 +18,6 @@ from plugins.wire import Fault, Heartbeat, Message, Phase, PowerState, Watchdog
 from protocols import Excitation, GatesOff, Limits
 
 _STEP_S, _IDLE_STEP_S, _FREE_STEP_S = 2.5e-3, 2e-2, 5e-2
-_ATTENDED_S = 4e-3
-"""The plant is computed for so long at most before link and watchdog are looked at again."""
-_FORGIVEN_S = 0.25
-"""What a process that was stopped or starved missed is caught up with as far as this; the rest never was."""
-_SAFE_WITHIN_S = 0.015
-"""PWM goes off so long after a fault at the latest, wherever the ramp is."""
 _BUS_BAND = (0.5, 1.3)
 _ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
 
@@ -153,7 +148,7 @@ class PowerStage:
         """The dead man: to be called before the link is read, so that nothing late can wake him."""
         if self.energised and self._watchdog is not None and self._watchdog.expired(now_s):
             self.trip(Fault.WATCHDOG, now_s - self._fed_s, self._watchdog.limit_s, since_s=self._fed_s)
-        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > _SAFE_WITHIN_S:
+        if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > BOUNDS.safe_within_s:
             self._gates_off()
 
     def trip(
@@ -213,7 +208,7 @@ class PowerStage:
     def advance(self) -> list[Message]:
         """Let the plant's time pass as far as it is due; returns live ripple rows."""
         begun_s, messages = self._clock(), list[Message]()
-        while self._is_due() and self._clock() - begun_s < _ATTENDED_S:
+        while self._is_due() and self._clock() - begun_s < BOUNDS.attended_s:
             messages += self._step()
         return messages
 
@@ -231,7 +226,7 @@ class PowerStage:
             return ramping or self._recording or self.state in (PowerState.RUNNING, PowerState.STOPPING)
         anchor_s, ticks = self._anchor
         behind = (self._clock() - anchor_s) * self.speed * self._fs - (self.rig.ticks - ticks)
-        if behind > _FORGIVEN_S * self.speed * self._fs + self._next:
+        if behind > BOUNDS.forgiven_s * self.speed * self._fs + self._next:
             self._anchor = (self._clock(), self.rig.ticks)
             return True
         return behind >= self._next

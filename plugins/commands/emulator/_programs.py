@@ -6,10 +6,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.driving import SINGLE
+from plugins.commands.emulator._bounds import BOUNDS
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
     LAST_CAPTURE,
+    LONGEST_CAPTURE,
     AckStatus,
     Capability,
     CaptureFormat,
@@ -24,13 +26,6 @@ from plugins.wire import (
     single,
 )
 from protocols import DriveRefused, Excitation, Injection, Trapezoid
-
-ROW_BYTES = 8
-"""Four int16 channels: what `memory_rows` counts in."""
-RIPPLE_RATE_HZ = 500.0
-_RIPPLE_ROWS = 8192
-_MOST_PERIODS = 2_000
-_LONGEST_CAPTURE = (1 << 26) - 1
 
 
 @dataclass(frozen=True)
@@ -64,10 +59,10 @@ def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
         scales=Scales.spanning(
             1.5 * own.max_current_a, 1.1 * own.max_voltage_v, 1.4 * own.dc_bus_voltage_v, 0.5 * own.max_current_a
         ),
-        memory_bytes=settings.memory_rows * ROW_BYTES,
+        memory_bytes=settings.memory_rows * BOUNDS.row_bytes,
         block_bytes=settings.block_bytes,
-        ripple_rate_max_hz=RIPPLE_RATE_HZ,
-        ripple_memory_rows=_RIPPLE_ROWS,
+        ripple_rate_max_hz=BOUNDS.ripple_rate_hz,
+        ripple_memory_rows=BOUNDS.ripple_rows,
         longest_program_s=settings.longest_program_s,
         description=text,
     )
@@ -111,7 +106,7 @@ class Programs:
     def _judge(self, excitation: Excitation) -> AckStatus:
         """Whether the limits, and the device's own, allow it."""
         own, fs = self._rig.capabilities, self._rig.capabilities.sampling_frequency_hz
-        if isinstance(excitation, Trapezoid) and excitation.periods > _MOST_PERIODS:
+        if isinstance(excitation, Trapezoid) and excitation.periods > BOUNDS.most_periods:
             return AckStatus.TOO_LONG
         if excitation.settling_s + excitation.captured_s > self._settings.longest_program_s * SINGLE:
             return AckStatus.TOO_LONG
@@ -133,7 +128,7 @@ class Programs:
             return AckStatus.NOT_SUPPORTED
         form = RowFormat(channels, CaptureFormat(int(f32)), self._facts.scales) if channels else None
         needed = rows * form.row_bytes if form is not None else 0
-        if needed > _LONGEST_CAPTURE or (not self._settings.ring and needed > self._facts.memory_bytes):
+        if needed > LONGEST_CAPTURE or (not self._settings.ring and needed > self._facts.memory_bytes):
             return AckStatus.NO_MEMORY
         ripple = self._ripple(number, rows, excitation)
         if isinstance(ripple, AckStatus):
@@ -145,13 +140,13 @@ class Programs:
         periods, own = int(self._file["ripple_periods"]), self._rig.capabilities
         if periods == 0 or not isinstance(excitation, Injection):
             return None
-        if excitation.frequency_hz / periods > RIPPLE_RATE_HZ * SINGLE:
+        if excitation.frequency_hz / periods > BOUNDS.ripple_rate_hz * SINGLE:
             return AckStatus.OUT_OF_RANGE
         fs = own.sampling_frequency_hz
         discarded = round(excitation.discard_s * fs)
         grid = RippleGrid(
             fs, excitation.frequency_hz, excitation.waveform, periods, discarded, own.voltage_delay_samples
         )
-        if grid.rows(rows) > _RIPPLE_ROWS:
+        if grid.rows(rows) > BOUNDS.ripple_rows:
             return AckStatus.NO_MEMORY
         return RippleMemory(number, grid, rows, excitation.rotor_angle_rad, self._facts.scales)

@@ -5,11 +5,8 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from plugins.wire import Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
-
-PROGRESS_S = 0.1
-TICK_S = 1.0
-_NOT_MEASURED = -128
+from plugins.commands.emulator._bounds import BOUNDS
+from plugins.wire import NO_TEMPERATURE_C, Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
 
 
 class Telemetry:
@@ -31,7 +28,7 @@ class Telemetry:
             return
         self._told = told
         self._status = (self._status + 1) % 256
-        yield Status(state, cause, beat, faults, _volts(v_dc), _NOT_MEASURED, self._status)
+        yield Status(state, cause, beat, faults, _volts(v_dc), NO_TEMPERATURE_C, self._status)
 
     def periodic(
         self, now_s: float, period_s: float, shown: tuple[float, float, float], scale_a: float, ticks: int
@@ -43,7 +40,7 @@ class Telemetry:
             i_d, i_q = (max(-32768, min(32767, round(i / scale_a))) for i in shown[:2])
             yield Measurement(self._measurement, i_d, i_q, _volts(shown[2]))
         if now_s >= self._tick_due_s:
-            self._tick_due_s = now_s + TICK_S
+            self._tick_due_s = now_s + BOUNDS.tick_s
             yield self.tick(now_s, ticks)
 
     def wait_s(self, now_s: float) -> float:
@@ -60,7 +57,7 @@ class Telemetry:
         if not changed and not (running and now_s >= self._progress_due_s):
             return
         self._phase = (phase, capture)
-        self._progress_due_s = now_s + PROGRESS_S
+        self._progress_due_s = now_s + BOUNDS.progress_s
         self._progress = (self._progress + 1) % 256
         yield Progress(self._progress, phase, capture, rows)
 

@@ -7,18 +7,13 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 from plugins.link import Host, Link, Port, link_errors
 from plugins.link._host import fault_names
 from plugins.wire import NODES, PROTOCOL_MAJOR, Fault, Status, capabilities_of, facts_of
 from protocols import Capabilities, DriveError, DriveFault, DriveRefused, FaultCause
 
-ANSWER_S = 0.4
-_NODE_ANSWER_S = 0.2
-"""The same for each drive that might be on a bus: most are not there."""
-_TELEMETRY_S = 0.3
-_LONGEST_PERIOD_S = 10.0
 _NOT_PROBED = ("serial", "virtual")
 """Interfaces of python-can on every serial port, and within this process alone."""
 
@@ -39,6 +34,15 @@ class LinkName:
 @dataclass(frozen=True)
 class Found:
     """A drive that answered."""
+
+    answer_s: ClassVar[float] = 0.4
+    """A drive that has not answered after so long is not there."""
+    node_answer_s: ClassVar[float] = 0.2
+    """The same for each drive that might be on a bus: most are not there."""
+    telemetry_s: ClassVar[float] = 0.3
+    """What a reading may take to come."""
+    longest_period_s: ClassVar[float] = 10.0
+    """Telemetry may be as slow as this, and the drive is not lost."""
 
     link: LinkName
     node: int
@@ -154,7 +158,7 @@ def found_on(name: LinkName) -> list[Found | DriveError]:
 def _found(name: LinkName, node: int) -> Found:
     with link_errors(name.text):
         port = name.open(node)
-    link = Link(port, _LONGEST_PERIOD_S)
+    link = Link(port, Found.longest_period_s)
     try:
         return _asked(name, node, link)
     finally:
@@ -162,7 +166,7 @@ def _found(name: LinkName, node: int) -> Found:
 
 
 def _asked(name: LinkName, node: int, link: Link) -> Found:
-    host = Host(link, ANSWER_S if name.most == 1 else _NODE_ANSWER_S)
+    host = Host(link, Found.answer_s if name.most == 1 else Found.node_answer_s)
     major = host.read("protocol_major")
     if major != PROTOCOL_MAJOR:
         where = link.port.where
@@ -171,6 +175,6 @@ def _asked(name: LinkName, node: int, link: Link) -> Found:
     scales = facts_of(own).scales
     description = host.description(own, link.layout(int(own["bulk_block_bytes"])))
     news = link.news
-    link.wait(lambda: news.status is not None and news.measurement is not None, _TELEMETRY_S)
+    link.wait(lambda: news.status is not None and news.measurement is not None, Found.telemetry_s)
     current = news.measurement and (scales.current_a * news.measurement.i_d, scales.current_a * news.measurement.i_q)
     return Found(name, node, capabilities_of(own, description, None), description, own, news.status, current)

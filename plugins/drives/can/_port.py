@@ -10,7 +10,7 @@ import struct
 import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from plugins.wire import CAN_FD, CLASSIC, BlockLayout, Frame, from_bus, heard_by_host, on_bus
 from protocols import InputError
@@ -18,24 +18,10 @@ from protocols import InputError
 if TYPE_CHECKING:
     import can
 
-_BATCH = 512
-_BATCH_S = 5e-3
-"""Frames taken at a time, and how much of the thread's own time that may take: frame by frame the rest of the host is
-too slow for CAN FD, and while a slow interface fills a batch nobody hears of it."""
-_ERRORS_IN_A_ROW = 3
-"""Errors without a good frame in between; a frame that was damaged on the way is one."""
 _DAMAGED = (ValueError, TypeError, struct.error)
 """What python-can's own parsers let through when a frame was cut off."""
-_RECEIVE_BUFFER_BYTES = 4 << 20
-_FRAME_BYTES = 1280
-"""What a frame takes of a socket's buffer at most: the kernel counts its own bookkeeping."""
-_FEWEST_EACH = 16
 _CLASSIC_BLOCK_BITS, _FD_SLOW_BITS, _FD_FAST_BITS = 135.0, 36.0, 680.0
 """Bits on the bus for one block with the worst stuffing (docs/wire.md, Bandwidth)."""
-_FOR_BLOCKS = 0.8
-"""Part of the bus that is left to blocks by telemetry, requests, and what has to be asked for twice."""
-_REST_OF_FRAME_S = 0.5
-"""python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
 _FILTERS_IN_KERNEL = "socketcan"
 """Other interfaces of python-can filter frame by frame, after all the work is done."""
 _OWN_RATE = ("virtual", "udp_multicast")
@@ -62,6 +48,23 @@ class CanPort:
     Raises python-can's own errors, and `InputError` for what the interface does not understand.
     """
 
+    batch: ClassVar[int] = 512
+    """Frames taken at a time."""
+    batch_s: ClassVar[float] = 5e-3
+    """How much of the thread's own time that may take: frame by frame the rest of the host is too slow for CAN FD."""
+    errors_in_a_row: ClassVar[int] = 3
+    """Errors without a good frame in between; a frame that was damaged on the way is one."""
+    receive_buffer_bytes: ClassVar[int] = 4 << 20
+    """What is asked of the kernel; it gives what it is allowed to."""
+    frame_bytes: ClassVar[int] = 1280
+    """What a frame takes of a socket's buffer at most: the kernel counts its own bookkeeping."""
+    fewest_each: ClassVar[int] = 16
+    """Blocks in a request, however small the buffer."""
+    for_blocks: ClassVar[float] = 0.8
+    """Part of the bus that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+    rest_of_frame_s: ClassVar[float] = 0.5
+    """python-can's serial format has no checksum: a frame given up half-way leaves bytes that look like another one."""
+
     def __init__(
         self,
         interface: str,
@@ -83,7 +86,7 @@ class CanPort:
         if fd:
             arguments |= {"fd": True, "data_bitrate": data_bitrate}
         if interface == "serial":
-            arguments["timeout"] = _REST_OF_FRAME_S
+            arguments["timeout"] = CanPort.rest_of_frame_s
         arguments |= settings or {}
         try:
             self._bus: can.BusABC = can.Bus(channel=channel, interface=interface, ignore_config=True, **arguments)
@@ -96,7 +99,7 @@ class CanPort:
         unread = _widen_buffer(self._bus)
         self.requests_each, self.blocks_each = (8, 512) if fd else (4, 256)
         if unread is not None:
-            self.blocks_each = min(self.blocks_each, max(unread // self.requests_each, _FEWEST_EACH))
+            self.blocks_each = min(self.blocks_each, max(unread // self.requests_each, CanPort.fewest_each))
         self._readable = _poll_of(self._bus) if interface == "serial" else None
         self._errors = 0
 
@@ -108,8 +111,8 @@ class CanPort:
             return None
         slow, fast = self._rates
         if not self._fd:
-            return _FOR_BLOCKS * layout.block * slow / _CLASSIC_BLOCK_BITS
-        return _FOR_BLOCKS * layout.block / (_FD_SLOW_BITS / slow + _FD_FAST_BITS / fast)
+            return CanPort.for_blocks * layout.block * slow / _CLASSIC_BLOCK_BITS
+        return CanPort.for_blocks * layout.block / (_FD_SLOW_BITS / slow + _FD_FAST_BITS / fast)
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
         deadline = time.monotonic() + timeout_s
@@ -138,7 +141,7 @@ class CanPort:
     def receive(self, timeout_s: float) -> list[Frame]:
         frames: list[Frame] = []
         wait_s, until_s = timeout_s, math.inf
-        while len(frames) < _BATCH and time.thread_time() < until_s:
+        while len(frames) < CanPort.batch and time.thread_time() < until_s:
             if self._readable is not None and not self._readable.poll(1e3 * wait_s):
                 break
             message = self._received(wait_s)
@@ -150,7 +153,7 @@ class CanPort:
                 if identifier is not None:
                     frames.append(Frame(identifier, bytes(message.data)))
             if wait_s:
-                wait_s, until_s = 0.0, time.thread_time() + _BATCH_S
+                wait_s, until_s = 0.0, time.thread_time() + CanPort.batch_s
         return frames
 
     def _received(self, wait_s: float) -> can.Message | None:
@@ -158,7 +161,7 @@ class CanPort:
             message = self._bus.recv(wait_s)
         except (*_DAMAGED, self._can.CanOperationError) as error:
             self._errors += 1
-            if self._errors < _ERRORS_IN_A_ROW:
+            if self._errors < CanPort.errors_in_a_row:
                 return None
             if isinstance(error, _DAMAGED):
                 raise self._can.CanOperationError(f"no whole frame any more ({error})") from error
@@ -178,10 +181,10 @@ def _widen_buffer(bus: can.BusABC) -> int | None:
     except (OSError, NotImplementedError, ValueError):  # not every interface has a socket
         return None
     with suppress(OSError):
-        twin.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER_BYTES)
+        twin.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, CanPort.receive_buffer_bytes)
     held = twin.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
     twin.detach()
-    return held // _FRAME_BYTES
+    return held // CanPort.frame_bytes
 
 
 def _poll_of(bus: can.BusABC) -> select.poll:

@@ -13,18 +13,12 @@ from collections.abc import Callable, Coroutine
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
+from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._faults import STARTING, Mode, fault_of
 from plugins.drives.moteus._options import MoteusOptions
 from protocols import DriveFault, FaultCause, PluginError
 
 T = TypeVar("T")
-ENABLE_S = 1.0
-"""A power stage that is not on after so long does not come on."""
-ANSWER_S = 0.5
-"""A board that has not answered a frame after so long is not there."""
-TALK_S = 1.5
-"""The same for a conversation on the diagnostic stream."""
-_UNLIMITED = -1.0
 _NUMBERS = (
     "motor.poles",
     "motor_position.output.sign",
@@ -160,10 +154,10 @@ class Board:
     async def enabled(self) -> None:
         """Wait until the power stage is on. Raises `DriveFault` where it does not come on."""
         loop = asyncio.get_running_loop()
-        deadline = loop.time() + ENABLE_S
+        deadline = loop.time() + BOUNDS.enable_s
         while (now := await self.reading()).mode in STARTING:
             if loop.time() > deadline:
-                raise DriveFault(FaultCause.NO_ANSWER, f"the power stage is not on after {ENABLE_S:g} s")
+                raise DriveFault(FaultCause.NO_ANSWER, f"the power stage is not on after {BOUNDS.enable_s:g} s")
             await asyncio.sleep(0.005)
         fault = fault_of(now.mode, now.code, self._options.watchdog_s)
         if fault is not None:
@@ -191,8 +185,8 @@ class Board:
     def _command(self, setpoint: Setpoint) -> Any:
         return self._controller.make_position(
             position=setpoint.position,
-            velocity_limit=_UNLIMITED,
-            accel_limit=_UNLIMITED,
+            velocity_limit=BOUNDS.unlimited,
+            accel_limit=BOUNDS.unlimited,
             watchdog_timeout=self._options.watchdog_s,
             fixed_current_override=setpoint.current_a,
             ignore_position_bounds=1,
@@ -216,7 +210,7 @@ class Board:
     async def _say(self, command: Any) -> Any:
         """One exchange; by USB the library would wait for ever."""
         try:
-            return await asyncio.wait_for(self._controller.execute(command), ANSWER_S)
+            return await asyncio.wait_for(self._controller.execute(command), BOUNDS.answer_s)
         except TimeoutError as error:
             raise self._silent() from error
 
@@ -226,7 +220,7 @@ class Board:
         async def whole() -> T:
             async with self._talk:
                 try:
-                    return await asyncio.wait_for(talk(), TALK_S)
+                    return await asyncio.wait_for(talk(), BOUNDS.talk_s)
                 except TimeoutError as error:
                     raise self._silent() from error
 

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._faults import Mode
 from plugins.drives.moteus._frame import Frame
 from plugins.drives.moteus._options import MoteusOptions
 from protocols import Capabilities, DriveFault, DriveRefused, FaultCause, Motor
 
-REGISTER_MAP = 5
-MAX_VOLTAGE = 0.5
-"""Longest voltage vector, as a part of the bus voltage: what sinusoidal modulation reaches for certain."""
 _SAFE_TIMEOUTS = (Mode.STOPPED, Mode.ZERO_VELOCITY, Mode.BRAKE)
 """`servo.timeout_mode`: where no current is driven any more once the rotor stands; mode 10 goes on positioning."""
 
@@ -20,8 +18,10 @@ _SAFE_TIMEOUTS = (Mode.STOPPED, Mode.ZERO_VELOCITY, Mode.BRAKE)
 def require_known(versions: Mapping[str, int], where: str) -> None:
     """Raises `DriveRefused` where the board's registers may mean something else than they do here."""
     found = versions.get("register_map_version")
-    if found != REGISTER_MAP:
-        raise DriveRefused(f"{where}: register map {found}, expected {REGISTER_MAP}; update it (moteus_tool --flash)")
+    if found != BOUNDS.register_map:
+        raise DriveRefused(
+            f"{where}: register map {found}, expected {BOUNDS.register_map}; update it (moteus_tool --flash)"
+        )
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Configuration:
             pwm_frequencies_hz=(self.pwm_frequency_hz,),
             dc_bus_voltage_v=bus_v,
             max_current_a=self.max_current_a,
-            max_voltage_v=MAX_VOLTAGE * bus_v,
+            max_voltage_v=BOUNDS.voltage * bus_v,
             excitations=frozenset({"hold"}),
             watchdog_s=options.watchdog_s if covered else None,
             watchdog_covers=frozenset({"hold"}) if covered else frozenset(),

@@ -9,18 +9,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from plugins.drives.moteus._board import Board, Reading, Setpoint
+from plugins.drives.moteus._bounds import BOUNDS
 from plugins.drives.moteus._faults import fault_of, limiting
 from plugins.drives.moteus._frame import Frame
 from protocols import Capture, DriveFault, FaultCause, Hold, Limits
-
-ANGLE_RAD = 0.02
-"""A board that works at an angle further off than this does not understand positions as it should."""
-ATTEMPTS = 10
-"""A capture with a late reading is thrown away and taken again, so many times in all."""
-OVERCURRENT = 1.25
-"""A measured current past so many times the limit is a trip: the board's own limit has a ripple about it."""
-_QUIET_S = 0.05
-_LOOK_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -78,7 +70,7 @@ class Guard:
         if fault is not None:
             raise fault
         current_a = math.hypot(now.d_a, now.q_a)
-        if not current_a <= OVERCURRENT * self.limits.current_a:
+        if not current_a <= BOUNDS.overcurrent * self.limits.current_a:
             told = f"{current_a:.3g} A measured, with a limit of {self.limits.current_a:g} A"
             raise DriveFault(FaultCause.OVERCURRENT, told)
 
@@ -109,15 +101,15 @@ class Holding:
         settled_s = loop.time() + settle_s
         while (left_s := settled_s - loop.time()) > 0.0:
             await self._look(target)
-            await asyncio.sleep(min(left_s, _LOOK_S))
-        for _ in range(ATTEMPTS):
+            await asyncio.sleep(min(left_s, BOUNDS.look_s))
+        for _ in range(BOUNDS.attempts):
             taken = await self._capture(target, count)
             if taken is not None:
                 return taken
         raise DriveFault(
             FaultCause.WRONG_DATA,
-            f"no {count} readings in a row came within {1e3 * self._period_s:.3g} ms each, in {ATTEMPTS} attempts; "
-            "ask for a lower sampling_frequency_hz",
+            f"no {count} readings in a row came within {1e3 * self._period_s:.3g} ms each, "
+            f"in {BOUNDS.attempts} attempts; ask for a lower sampling_frequency_hz",
         )
 
     async def _go(self, target: Target) -> None:
@@ -126,16 +118,16 @@ class Holding:
         before = self._board.setpoint
         if before is not None and before.position != position:
             await self._board.hold(Setpoint(before.position, 0.0))
-            await asyncio.sleep(_QUIET_S)
+            await asyncio.sleep(BOUNDS.no_current_s)
             await self._board.hold(Setpoint(position, 0.0))
-            await asyncio.sleep(_QUIET_S)
+            await asyncio.sleep(BOUNDS.no_current_s)
         await self._require_angle(target.theta_rad)
         await self._board.hold(Setpoint(position, target.current_a))
 
     async def _require_angle(self, theta_rad: float) -> None:
         self._guard.check(await self._board.reading())
         found = await self._board.theta()
-        if not abs(math.remainder(found - theta_rad, 2.0 * math.pi)) <= ANGLE_RAD:
+        if not abs(math.remainder(found - theta_rad, 2.0 * math.pi)) <= BOUNDS.angle_rad:
             told = f"the board works at an electrical angle of {found:.4f} rad instead of {theta_rad:.4f} rad"
             raise DriveFault(FaultCause.WRONG_DATA, f"{told}; servopos limits, or a firmware that counts otherwise")
 

@@ -10,12 +10,10 @@ from collections.abc import Awaitable, Callable, Coroutine
 from contextlib import suppress
 from typing import Any, TypeVar
 
+from plugins.drives.moteus._bounds import BOUNDS
 from protocols import DriveFault, FaultCause, FluxbenchError
 
 T = TypeVar("T")
-_ROUND_TRIP_S = 1.0
-"""What the loop may take beyond a call's own time before it counts as dead."""
-_LOOK_S = 0.05
 
 
 class Io:
@@ -56,7 +54,7 @@ class Io:
             return await asyncio.wait_for(work(), timeout_s)
 
         future = self.start(timed)
-        self.wait(future, timeout_s + _ROUND_TRIP_S)
+        self.wait(future, timeout_s + BOUNDS.round_trip_s)
         return self.result(future)
 
     def start(self, work: Callable[[], Coroutine[Any, Any, T]]) -> concurrent.futures.Future[T]:
@@ -71,7 +69,7 @@ class Io:
             left_s = deadline - time.monotonic()
             if left_s <= 0.0:
                 return False
-            concurrent.futures.wait([future], min(left_s, _LOOK_S))
+            concurrent.futures.wait([future], min(left_s, BOUNDS.look_s))
         return True
 
     def result(self, future: concurrent.futures.Future[T]) -> T:

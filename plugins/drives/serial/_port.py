@@ -8,17 +8,10 @@ import socket
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any, ClassVar, Protocol
 
 from plugins.wire import BlockLayout, Frame, SerialDecoder, all_to_serial, serial_blocks
 from protocols import InputError
-
-_READ_BYTES = 65536
-_FRAME_OVERHEAD_BYTES = 16
-"""Identifier, offset, CRC-32, stuffing and the closing zero around a block's data."""
-_FOR_BLOCKS = 0.9
-"""Part of the line that is left to blocks by telemetry, requests, and what has to be asked for twice."""
-_CONNECT_S = 2.0
 
 
 class _Handle(Protocol):
@@ -43,6 +36,15 @@ class SerialPort:
 
     Raises pyserial's and the system's own errors, and `InputError` for what no port could be.
     """
+
+    read_bytes: ClassVar[int] = 65536
+    """Bytes read at once."""
+    frame_overhead_bytes: ClassVar[int] = 16
+    """Identifier, offset, CRC-32, stuffing and the closing zero around a block's data."""
+    for_blocks: ClassVar[float] = 0.9
+    """Part of the line that is left to blocks by telemetry, requests, and what has to be asked for twice."""
+    connect_s: ClassVar[float] = 2.0
+    """A socket that has not opened after so long does not."""
 
     requests_each = 16
     blocks_each = 64
@@ -71,7 +73,7 @@ class SerialPort:
     def bulk_rate(self, layout: BlockLayout) -> float | None:
         if self._line_rate is None:
             return None
-        return _FOR_BLOCKS * self._line_rate * layout.block / (layout.block + _FRAME_OVERHEAD_BYTES)
+        return SerialPort.for_blocks * self._line_rate * layout.block / (layout.block + SerialPort.frame_overhead_bytes)
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
         data = self._before + all_to_serial(frames)
@@ -90,7 +92,7 @@ class SerialPort:
         if not self._readable.poll(1e3 * timeout_s):
             return []
         try:
-            data = os.read(self._fd, _READ_BYTES)
+            data = os.read(self._fd, SerialPort.read_bytes)
         except BlockingIOError:
             return []
         if not data:
@@ -119,7 +121,7 @@ def _open_socket(url: str) -> _Handle:
     host, _, port = url.removeprefix("socket://").rpartition(":")
     if not port.isdecimal():
         raise InputError("the drive's line", url, "expected socket://host:port")
-    opened = socket.create_connection((host, int(port)), timeout=_CONNECT_S)
+    opened = socket.create_connection((host, int(port)), timeout=SerialPort.connect_s)
     opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
     return opened
 

@@ -14,8 +14,6 @@ from plugins.drives.simulated._simulator import Memory
 from plugins.drives.simulated.truth import write_json
 from protocols import DriveRefused, Strict
 
-KEPT = 2
-
 
 class _Checkpoint(Strict):
     point_id: str
@@ -63,7 +61,7 @@ def save(directory: Path, point_id: str, saved: Saved) -> None:
         fired=saved.fired,
     )
     write_json(directory / f"plant-{m.ticks:015d}-{saved.number:06d}.json", content.model_dump())
-    for old in sorted(directory.glob("plant-*.json"))[:-KEPT]:
+    for old in sorted(directory.glob("plant-*.json"))[:-2]:  # a kill may come while the last one is being written
         old.unlink(missing_ok=True)
 
 

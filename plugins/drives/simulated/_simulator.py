@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,6 @@ from plugins.drives.simulated._plant import PlantParameters
 from plugins.drives.simulated._program import Program, Stretch
 from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece, Rows, run
 from protocols import Capture
-
-BLOCK_S = 0.5
 
 
 class Tripped(Exception):
@@ -59,12 +57,15 @@ class Memory:
 class Simulator:
     """Plant, sensors and control loop, sample by sample."""
 
+    block_s: ClassVar[float] = 0.5
+    """Longest block of rows that is handed out at a time."""
+
     def __init__(self, plant: TruePlant, sampling_frequency_hz: float, seed: int, angle_rad: float) -> None:
         self.plant = plant
         self.parameters = plant.parameters
         self.sampling_frequency_hz = sampling_frequency_hz
         self.seed = seed % 2**64
-        self.block = max(1, int(BLOCK_S * sampling_frequency_hz))
+        self.block = max(1, int(Simulator.block_s * sampling_frequency_hz))
         self._sums = np.zeros(2)
         self._scratch = (
             np.zeros((self.block, 2), np.float32),

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import ClassVar
 
 from orchestrator.driving import refuse_excitation
 from plugins.drives.simulated import _memory
@@ -27,8 +28,6 @@ __all__ = ["Nameplate", "Rig", "Step", "Stretch", "Tripped", "is_ramp"]
 
 ENDLESS = 1 << 60
 """Samples of a state that lasts until something else is asked for."""
-_SAFE_BANDWIDTH_HZ = 250.0
-_SAFE_RAMP_S = 6e-3
 _LATEST = "latest"
 
 
@@ -55,6 +54,11 @@ class Rig:
 
     Raises `InputError` where the options make no motor.
     """
+
+    safe_bandwidth_hz: ClassVar[float] = 250.0
+    """Bandwidth with which a current is brought to safety, where the sampling allows it."""
+    safe_ramp_s: ClassVar[float] = 6e-3
+    """Shortest ramp to safety: fast, but without a jerk."""
 
     def __init__(self, options: SimulatedOptions, motor: Motor, seed: int) -> None:
         self.options = options
@@ -173,8 +177,8 @@ class Rig:
         """Current to zero as fast as voltage and sampling allow without a jerk: about 10 ms."""
         fs, (d, q) = self.options.sampling_frequency_hz, self._simulator.set_point
         reach_s = max(self.nameplate.l_d_h, self.nameplate.l_q_h) * math.hypot(d, q) / (0.5 * self._power.max_voltage_v)
-        ramp = max(1, self._planner.samples(max(_SAFE_RAMP_S, reach_s)))
-        fast = CurrentControl(bandwidth_hz=max(self._power.control.bandwidth_hz, min(_SAFE_BANDWIDTH_HZ, fs / 20)))
+        ramp = max(1, self._planner.samples(max(Rig.safe_ramp_s, reach_s)))
+        fast = CurrentControl(bandwidth_hz=max(self._power.control.bandwidth_hz, min(Rig.safe_bandwidth_hz, fs / 20)))
         stretches = (
             Stretch(Piece(CONTROL, ramp, d, q, -d / ramp, -q / ramp)),
             Stretch(Piece(CONTROL, ramp // 2)),
