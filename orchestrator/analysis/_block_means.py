@@ -10,7 +10,7 @@ import math
 import numpy as np
 from numba import njit
 
-from orchestrator.analysis._samples import Samples, for_kernels
+from orchestrator.numerics.kernels import Samples, for_kernels
 from orchestrator.numerics.types import Array
 
 

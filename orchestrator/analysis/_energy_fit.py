@@ -18,6 +18,7 @@ from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_apart, waves
 from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
 from orchestrator.analysis._sweep import FluxPath
+from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.reml import Solution, most_likely
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -87,8 +88,8 @@ class EnergyFit:
 def _rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Array:
     """All derivatives of one order in the believed frame, those of more d first; shape (n, order + 1, size)."""
     c, s = np.cos(angle), np.sin(angle)
-    turned = at @ np.array([[c, -s], [s, c]])
-    own = np.stack([spline.rows(turned, order - k, k) for k in range(order + 1)], axis=1)
+    at = to_dq(at, angle)
+    own = np.stack([spline.rows(at, order - k, k) for k in range(order + 1)], axis=1)
     mixing = np.zeros((order + 1, order + 1))
     for k in range(order + 1):
         # d/di_d = c d/dx - s d/dy and d/di_q = s d/dx + c d/dy, multiplied out

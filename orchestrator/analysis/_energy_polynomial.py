@@ -20,6 +20,7 @@ from orchestrator.analysis._integration import Inductances
 from orchestrator.analysis._path_errors import directions, sizes, told_apart, waves
 from orchestrator.analysis._ripple_errors import GAIN_STD
 from orchestrator.analysis._sweep import FluxPath
+from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError
 
@@ -82,13 +83,13 @@ class PolynomialFit:
 
     def flux(self, at: Array) -> tuple[Array, Array]:
         """psi(i) - psi(0) and its standard deviation, shape (n, 2) each [Wb]; NaN where H cannot be inverted."""
-        turn = _turn(self.angle_rad)
+        turn = rotation(self.angle_rad)
         model = _model(self.terms, self.coefficients, at @ turn)
         return model.psi @ turn.T, _spread(np.einsum("xa,nak->nxk", turn, model.psi_by), self.covariance)
 
     def inductance(self, at: Array) -> tuple[Array, Array]:
         """L_dd, L_dq, L_qq and their standard deviations, shape (n, 3) each [H]."""
-        turn = _turn(self.angle_rad)
+        turn = rotation(self.angle_rad)
         model = _model(self.terms, self.coefficients, at @ turn)
         matrix = turn @ model.inductance @ turn.T
         by = np.einsum("xa,nabk,yb->nxyk", turn, model.inductance_by, turn)
@@ -103,12 +104,6 @@ class _Model:
     inductance: Array
     psi_by: Array
     inductance_by: Array
-
-
-def _turn(angle: float) -> Array:
-    """From the frame of the axis of symmetry into the believed one."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s], [s, c]])
 
 
 def _entries(matrix: Array) -> Array:
@@ -225,7 +220,7 @@ class _Data:
 
     @staticmethod
     def of(points: Inductances | None, paths: Sequence[FluxPath], energy: EnergyFit) -> _Data:
-        turn = _turn(energy.angle_rad)
+        turn = rotation(energy.angle_rad)
         own = tuple(FluxPath(p.current @ turn, p.psi @ turn, np.sqrt(turn.T**2 @ p.std**2)) for p in paths)
         every = np.concatenate([*([] if points is None else [points.current @ turn]), *(p.current for p in own)])
         region = every[:: max(1, len(every) // _THIN)]
@@ -318,7 +313,7 @@ def _descended(
 def _start(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> Array:
     """i = grad H(psi) is linear in the coefficients where psi is known already."""
     at = data.region
-    turn = _turn(energy.angle_rad)
+    turn = rotation(energy.angle_rad)
     psi = energy.flux(at @ turn.T)[0] @ turn
     rows = _powers(terms, psi, 1).reshape(-1, len(terms))
     size = np.linalg.norm(rows, axis=0)

@@ -11,9 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._phase_loss_kernel import take_out
-from orchestrator.analysis._samples import Samples, for_kernels
+from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss, take_out
+from orchestrator.numerics.kernels import Samples, dq_of, for_kernels
 from orchestrator.numerics.types import Array
 
 FEATURES = 11
@@ -146,12 +145,12 @@ def _rotate_window(
     for k in range(v.shape[1]):
         row = start + k
         a, b = np.float64(i_ab[row, 0]), np.float64(i_ab[row, 1])
-        i[0, k], i[1, k] = cos * a + sin * b, cos * b - sin * a
+        i[0, k], i[1, k] = dq_of(a, b, cos, sin)
         a, b = np.float64(v_ab[row - whole, 0]), np.float64(v_ab[row - whole, 1])
         if part > 0.0:
             a += part * (v_ab[row - whole - 1, 0] - a)
             b += part * (v_ab[row - whole - 1, 1] - b)
-        v[0, k], v[1, k] = cos * a + sin * b, cos * b - sin * a
+        v[0, k], v[1, k] = dq_of(a, b, cos, sin)
 
 
 @njit(cache=True, nogil=True, fastmath=True)

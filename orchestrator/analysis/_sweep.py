@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._dwells import Dwell, dwell, rests
+from orchestrator.analysis._phase_loss import shape_integrals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
@@ -232,9 +233,7 @@ def _steps(capture: Capture, angle: float, knots_a: Array | None, block: int, bl
     if knots_a is None:
         return np.zeros((blocks, 0, 2))
     # numba stays out of an import that only wants the names
-    from orchestrator.analysis._phase_loss_integrals import step_integrals
-
-    stator = step_integrals(capture.i_ab, knots_a, 1.0 / capture.sampling_frequency_hz, block, blocks)
+    stator = shape_integrals(capture.i_ab, knots_a, 1.0 / capture.sampling_frequency_hz, block, blocks)
     return to_dq(stator.reshape(-1, 2), angle).reshape(stator.shape)
 
 

@@ -18,7 +18,8 @@ from orchestrator.importing._lag import voltage_lag
 from orchestrator.importing._mapping import ImportMapping, Scaling
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
-from orchestrator.importing._vectors import TO_PEAK, clarke
+from orchestrator.importing._vectors import TO_PEAK
+from orchestrator.numerics.frames import from_phases
 from protocols import SegmentStage
 
 _MOST_RATED_CURRENTS, _LEAST_RATED_CURRENTS = 20.0, 0.01
@@ -69,7 +70,7 @@ class Plausibility:
         if w.i_abc is not None:
             self._zero_sequence(w, w.i_abc)
             if self._mapping.phase_currents is not None:
-                self._scaling(w, clarke(w.i_abc))
+                self._scaling(w, from_phases(w.i_abc))
         self._polarity(w)
         if w.stage is SegmentStage.INJECTION:
             lag = voltage_lag(w.i_ab, w.v_ab)

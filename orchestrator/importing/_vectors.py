@@ -1,7 +1,4 @@
-"""Columns into stator-frame vectors, amplitude-invariant peak values, SI; nothing is judged here.
-
-Clarke: x_alpha = (2 x_a - x_b - x_c) / 3, x_beta = (x_b - x_c) / sqrt 3, so a zero sequence drops out.
-"""
+"""Columns into stator-frame vectors, amplitude-invariant peak values, SI; nothing is judged here."""
 
 from __future__ import annotations
 
@@ -22,6 +19,7 @@ from orchestrator.importing._mapping import (
 )
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import FACTORS, ZERO_CELSIUS_K
+from orchestrator.numerics.frames import from_phases, to_ab
 
 Columns = Mapping[str, Numbers]
 
@@ -41,14 +39,12 @@ def vectors(signal: CurrentSignal | VoltageSignal, columns: Columns, rotor_angle
     """
     scale = signal.factor * FACTORS[signal.unit] * TO_PEAK[signal.scaling or "amplitude_invariant"]
     if signal.frame == "abc":
-        return clarke(phases(signal, columns))
+        return from_phases(phases(signal, columns))
     axes = ("alpha", "beta") if signal.frame == "alpha_beta" else ("d", "q")
     # The frame says which axes there are; mypy does not follow it into the keys.
     x = scale * np.column_stack([columns[signal.columns[axis]] for axis in axes])  # type: ignore[index]
     if signal.frame == "alpha_beta":
         return x
-    from orchestrator.numerics.frames import to_ab
-
     return to_ab(x, rotor_angle_rad if signal.angle is None else angle_rad(signal.angle, columns))
 
 
@@ -60,12 +56,6 @@ def phases(signal: CurrentSignal | VoltageSignal | PhaseCurrents, columns: Colum
     for third in {"a", "b", "c"} - known.keys():
         known[third] = -np.sum(list(known.values()), axis=0)
     return np.column_stack([known[axis] for axis in ("a", "b", "c")])
-
-
-def clarke(x_abc: Numbers) -> Numbers:
-    """Phase quantities, shape (n, 3), as amplitude-invariant vectors, shape (n, 2)."""
-    a, b, c = x_abc.T
-    return np.column_stack([(2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0)])
 
 
 def angle_rad(angle: Angle, columns: Columns) -> float | Numbers:

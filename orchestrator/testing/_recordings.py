@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from protocols import Capture, Manifest, RealArray, RecordingReader, Segment, SegmentStage
+from orchestrator.numerics.frames import to_ab
+from protocols import Capture, Manifest, RecordingReader, Segment, SegmentStage
 
 ARRAYS = ("i_ab", "v_ab", "v_dc", "i_abc", "temperature_c")
 
@@ -76,15 +77,10 @@ class Empty:
 
 def turned(recording: RecordingReader, angle_rad: float) -> Disguised:
     """The same measurement as a stator frame turned by `angle_rad` would have seen it."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-
-    def turn(x_ab: RealArray) -> RealArray:
-        return np.stack([c * x_ab[:, 0] - s * x_ab[:, 1], s * x_ab[:, 0] + c * x_ab[:, 1]], axis=1)
-
     return Disguised(
         recording,
         lambda capture: capture.model_copy(
-            update={"i_ab": turn(capture.i_ab), "v_ab": turn(capture.v_ab), "i_abc": None}
+            update={"i_ab": to_ab(capture.i_ab, angle_rad), "v_ab": to_ab(capture.v_ab, angle_rad), "i_abc": None}
         ),
         lambda segment: segment.model_copy(update={"rotor_angle_rad": segment.rotor_angle_rad + angle_rad}),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from orchestrator.numerics.frames import to_ab
 from protocols import DriveRecord, LossHistory, Motor, Signals
 
 SIGNAL_ARRAYS = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab", "heat_j", "psi_ab")
@@ -26,21 +27,20 @@ def exciting_signals(seed: int = 1) -> Signals:
     i_dq = slow + 0.02 * triangle[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1) / inductance
     v_dq = 4.0 * i_dq + np.gradient(inductance * i_dq, 1.0 / fs, axis=0)
     theta = 0.4
-    frame = np.array([[np.cos(theta), -np.sin(theta)], [np.sin(theta), np.cos(theta)]])
-    i_ab = i_dq @ frame.T + rng.normal(0.0, 4e-3, (n, 2))
+    i_ab = to_ab(i_dq, theta) + rng.normal(0.0, 4e-3, (n, 2))
     losses = 6.0 * np.sum(i_dq**2, axis=1)
     return Signals(
         start_s=10.0,
         sampling_frequency_hz=fs,
         pwm_frequency_hz=fs,
         i_ab=i_ab,
-        v_ab=v_dq @ frame.T,
+        v_ab=to_ab(v_dq, theta),
         v_dc=np.full(n, 540.0),
         theta_rad=np.full(n, theta),
         resistance_ohm=np.full(n, 4.0),
         i_m_ab=i_ab.copy(),
         heat_j=100.0 + np.cumsum(losses) / fs,
-        psi_ab=(inductance * i_dq + [0.3, 0.0]) @ frame.T,
+        psi_ab=to_ab(inductance * i_dq + [0.3, 0.0], theta),
         losses=LossHistory(time_s=np.array([0.0, 10.0, 11.0]), power_w=np.array([10.0, float(losses.mean()), 0.0])),
         motor=Motor(
             name="kit",

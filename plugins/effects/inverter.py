@@ -10,9 +10,10 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from orchestrator.numerics.frames import from_two_phases
+from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag
-from plugins.effects._phases import constant
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
 
 _TABLE_STEP, _TABLE_END = 0.01, 40.0
@@ -50,7 +51,6 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
     """v - volts s(i_abc / threshold), s averaged over each interval by Simpson's rule."""
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    half = 0.5 * math.sqrt(3.0)
     steps = 1.0 / (threshold * 0.01)
     a0 = 0.0
     b0 = 0.0
@@ -60,10 +60,7 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
     s2 = 0.0
     for k in range(n + 1):
         last = min(k, n - 1)
-        a1 = steps * i_ab[last, 0]
-        beta = steps * half * i_ab[last, 1]
-        b1 = -0.5 * a1 + beta
-        c1 = -0.5 * a1 - beta
+        a1, b1, c1 = phases_of(steps * i_ab[last, 0], steps * i_ab[last, 1])
         e0 = _look_up(table, a1)
         e1 = _look_up(table, b1)
         e2 = _look_up(table, c1)
@@ -72,8 +69,9 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
             m1 = s1 + 4.0 * _look_up(table, 0.5 * (b0 + b1)) + e1
             m2 = s2 + 4.0 * _look_up(table, 0.5 * (c0 + c1)) + e2
             sixth = volts[k - 1] / 6.0
-            out[k - 1, 0] = v_ab[k - 1, 0] - sixth * (2.0 * m0 - m1 - m2) / 3.0
-            out[k - 1, 1] = v_ab[k - 1, 1] - sixth * (m1 - m2) / math.sqrt(3.0)
+            alpha, beta = vector_of(m0, m1, m2)
+            out[k - 1, 0] = v_ab[k - 1, 0] - sixth * alpha
+            out[k - 1, 1] = v_ab[k - 1, 1] - sixth * beta
         a0, b0, c0 = a1, b1, c1
         s0, s1, s2 = e0, e1, e2
     return out
@@ -211,7 +209,7 @@ class VoltageBias:
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
         """Subtract the bias from the commanded voltage."""
-        bias = constant(values["bias_a_v"], values["bias_b_v"])
+        bias = from_two_phases(values["bias_a_v"], values["bias_b_v"])
         if not signals.bridge_on or not bias.any():
             return signals
         return signals.model_copy(update={"v_ab": signals.v_ab - bias})

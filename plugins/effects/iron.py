@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag, lagged_steps
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
@@ -266,10 +267,8 @@ class SlotHarmonics:
 
 def _crossed(signals: Signals, fading: float) -> Array:
     """Gradient of i_d i_q / (1 + f |i|^2) in the stator frame, shape (n, 2)."""
-    c, s = np.cos(signals.theta_rad), np.sin(signals.theta_rad)
-    i = signals.i_m_ab
-    d, q = c * i[:, 0] + s * i[:, 1], -s * i[:, 0] + c * i[:, 1]
+    d, q = to_dq(signals.i_m_ab, signals.theta_rad).T
     left = 1.0 / np.maximum(1.0 + fading * (d * d + q * q), 0.1)
     bend = 2.0 * fading * d * q * left * left
     psi_d, psi_q = q * left - bend * d, d * left - bend * q
-    return np.stack([c * psi_d - s * psi_q, s * psi_d + c * psi_q], axis=1)
+    return to_ab(np.stack([psi_d, psi_q], axis=1), signals.theta_rad)

@@ -9,9 +9,9 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import low_pass
-from plugins.effects._phases import from_phases, to_phases
 from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import ClassVar
 
+from orchestrator.numerics.frames import from_two_phases, to_phases
 from orchestrator.numerics.types import Array
-from plugins.effects._phases import constant, from_two, to_phases
 from protocols import EffectLayer, EffectParameter, Signals
 
 
@@ -38,7 +38,7 @@ class CurrentGainMismatch:
             return signals
         phases = to_phases(signals.i_ab)
         a, b = phases[:, 0], phases[:, 1]
-        return _shifted(signals, from_two(a * (1.0 / (1.0 + half) - 1.0), b * (1.0 / (1.0 - half) - 1.0)))
+        return _shifted(signals, from_two_phases(a * (1.0 / (1.0 + half) - 1.0), b * (1.0 / (1.0 - half) - 1.0)))
 
 
 class CurrentOffset:
@@ -61,7 +61,7 @@ class CurrentOffset:
 
     def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
         """Subtract the offsets."""
-        offset = constant(values["offset_a_a"], values["offset_b_a"])
+        offset = from_two_phases(values["offset_a_a"], values["offset_b_a"])
         return _shifted(signals, -offset) if offset.any() else signals
 
 
@@ -91,4 +91,4 @@ class CurrentNonlinearity:
         square = read * read
         true = read * (1.0 - k * square / (1.0 + 3.0 * abs(k) * square))
         true = read - k * true * true * true
-        return _shifted(signals, from_two(*(true - read).T))
+        return _shifted(signals, from_two_phases(*(true - read).T))

@@ -14,11 +14,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 from orchestrator.numerics.types import Array
-
-_TO_PHASES = np.array([[1.0, 0.0], [-0.5, np.sqrt(0.75)], [-0.5, -np.sqrt(0.75)]])
-_TO_AB = 2.0 / 3.0 * _TO_PHASES.T
 
 STRONG = 0.2
 """Of the largest current: what is held at less says little of R_s."""
@@ -34,13 +32,12 @@ def step_ab(i_ab: Array, threshold_a: float, abruptness: float = 0.0) -> Array:
     s(x) = tanh(sinh(k x) / k) with k the abruptness, its inverse tanh(asinh(k x) / k) where that is negative: from
     x / sqrt(1 + x^2) at k = -1 over tanh at k = 0 to steps that are complete at a finite current.
     """
-    x = i_ab @ _TO_PHASES.T / threshold_a
+    x = to_phases(i_ab) / threshold_a
     if abruptness > 0.0:
         x = np.sinh(np.clip(abruptness * x, -30.0, 30.0)) / abruptness
     elif abruptness < 0.0:
         x = np.arcsinh(abruptness * x) / abruptness
-    out: Array = np.tanh(x) @ _TO_AB.T
-    return out
+    return from_phases(np.tanh(x))
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,7 @@ from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import EffectLayer, ParameterRole, Signals
@@ -237,8 +238,7 @@ class Fitter:
         inverter = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER]
         if not inverter or not base.bridge_on:
             return None
-        c, s = math.cos(piece.segment.rotor_angle_rad), math.sin(piece.segment.rotor_angle_rad)
-        turn = np.array([[c, s], [-s, c]])
+        turn = rotation(-piece.segment.rotor_angle_rad)
         voltage = np.empty((len(base.v_dc), 2, 2))
         sensor = self.noise.of(piece)
         for axis in range(2):

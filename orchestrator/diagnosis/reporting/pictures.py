@@ -21,12 +21,11 @@ from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
 from orchestrator.diagnosis.selection.forward_search import Step
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
-from orchestrator.numerics.frames import to_ab, to_dq
+from orchestrator.numerics.frames import to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import DiagnosisStep, ResistanceCourse, Rung, SegmentStage
 
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
-_PHASES = np.array([[1.0, 0.0], [-0.5, math.sqrt(0.75)], [-0.5, -math.sqrt(0.75)]])
 
 
 def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None = None) -> DiagnosisStep:
@@ -67,8 +66,8 @@ def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None =
         i_dq=np.concatenate([row.i_dq for row in rows])[kept],
         residual_dq_v=np.concatenate([row.residual_dq_v for row in rows])[kept],
         noise_v=np.concatenate([row.noise_v for row in rows])[kept],
-        i_abc=i_ab @ _PHASES.T,
-        residual_abc_v=residual_ab @ _PHASES.T,
+        i_abc=to_phases(i_ab),
+        residual_abc_v=to_phases(residual_ab),
         excerpts=excerpts(fit),
         loops=flux_loops(fit),
         resistance=_resistance_course(fit, rows),

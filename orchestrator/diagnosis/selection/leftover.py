@@ -5,7 +5,6 @@ Shapes are attributed greedily, the one that explains most of what is still left
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import get_args
@@ -15,14 +14,12 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.numerics.frames import to_ab, to_dq
+from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import EffectLayer, EffectParameter, ShapeGroup, Signals
 
 Field = Callable[[Signals, float], Array]
 """Signals and the typical current [A] -> a signal of unit size."""
-
-_PHASES = np.array([[1.0, 0.0], [-0.5, 0.5 * math.sqrt(3.0)], [-0.5, -0.5 * math.sqrt(3.0)]])
 
 
 @dataclass(frozen=True)
@@ -126,8 +123,7 @@ def _shapes(current_a: float, r_s: float) -> list[_Shape]:
 
     def of_phases(function: Callable[[Array, float], Array]) -> Field:
         def field(s: Signals, a: float) -> Array:
-            each = function(np.asarray(s.i_ab) @ _PHASES.T, a)
-            return np.asarray(each @ _PHASES * (2.0 / 3.0))
+            return from_phases(function(to_phases(s.i_ab), a))
 
         return field
 

@@ -25,6 +25,7 @@ from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
 from orchestrator.diagnosis.weak_form.spectral_lines import Line, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.windows import hat_weights
+from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
@@ -144,14 +145,13 @@ def banded_covariance(
     """
     w = piece.windows
     angle = float(piece.segment.rotor_angle_rad)
-    c, s = math.cos(angle), math.sin(angle)
-    turn = np.array([[c, s], [-s, c]])
+    turn = rotation(-angle)
     sums = _pair_sums(
         here.inductance,
         np.ascontiguousarray(resistance),
         slopes.current if slopes is not None else np.zeros((0, 2, 2)),
         slopes.voltage if slopes is not None else np.zeros((0, 2, 2)),
-        np.linalg.cholesky(turn @ noise.of(piece) @ turn.T),
+        np.asarray(np.linalg.cholesky(turn @ noise.of(piece) @ turn.T), dtype=np.float64),
         r_s,
         1.0 / piece.signals.sampling_frequency_hz,
         w.step,

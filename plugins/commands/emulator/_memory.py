@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.numerics.frames import to_phases
 from plugins.drives.simulated.rig import Step
 from plugins.wire import (
     RIPPLE,
@@ -80,16 +80,16 @@ class Capture:
 
 
 def _columns(i: Real, v: Real, v_dc: Real) -> dict[Channel, Real]:
-    b = -0.5 * i[:, 0] + 0.5 * math.sqrt(3.0) * i[:, 1]
+    a, b, c = to_phases(i).T
     return {
         Channel.I_ALPHA: i[:, 0],
         Channel.I_BETA: i[:, 1],
         Channel.V_ALPHA: v[:, 0],
         Channel.V_BETA: v[:, 1],
         Channel.V_DC: v_dc,
-        Channel.I_A: i[:, 0],
+        Channel.I_A: a,
         Channel.I_B: b,
-        Channel.I_C: -i[:, 0] - b,
+        Channel.I_C: c,
     }
 
 

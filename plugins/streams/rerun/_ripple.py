@@ -13,7 +13,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from plugins.streams.rerun._waveforms import to_dq
+from orchestrator.numerics.frames import to_dq
 from protocols import Capture, RealArray
 
 ROWS = 3000
@@ -51,8 +51,8 @@ def fit_ripple(capture: Capture, angle_rad: float, resistance_ohm: float) -> Rip
     if n < FEWEST:
         return None
     step_s = 1.0 / capture.sampling_frequency_hz
-    current = to_dq(capture.i_ab[-n:], angle_rad).astype(np.float64)
-    voltage = to_dq(capture.v_ab[-n:], angle_rad).astype(np.float64)
+    current = to_dq(capture.i_ab[-n:], angle_rad).T
+    voltage = to_dq(capture.v_ab[-n:], angle_rad).T
     flux = np.zeros_like(current)
     drop = voltage[:, :-1] - 0.5 * resistance_ohm * (current[:, :-1] + current[:, 1:])
     np.cumsum(drop * step_s, axis=1, out=flux[:, 1:])

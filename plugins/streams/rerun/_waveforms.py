@@ -10,22 +10,13 @@ import time
 
 import numpy as np
 
+from orchestrator.numerics.frames import to_dq
 from plugins.streams.rerun._tape import Entry, scalars
 from protocols import Capture, RealArray
 
 BIN_S = 0.02
 LIMITS_EVERY_S = 1.0
 """Their lines are straight: two points a second are enough."""
-
-
-def to_dq(vectors_ab: RealArray, angle_rad: float) -> RealArray:
-    """Stator-frame vectors (n, 2) in the believed frame, axis first: shape (2, n)."""
-    alpha_beta = np.ascontiguousarray(vectors_ab.T)
-    if angle_rad == 0.0:
-        return alpha_beta
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    turned: RealArray = np.array([[c, s], [-s, c]], dtype=alpha_beta.dtype) @ alpha_beta
-    return turned
 
 
 def envelope(rows: RealArray, width: int) -> RealArray:
@@ -53,12 +44,12 @@ class Thinner:
         if n == 0:
             return
         width = max(1, round(BIN_S * capture.sampling_frequency_hz))
-        current = envelope(to_dq(capture.i_ab, angle_rad), width)
+        current = envelope(to_dq(capture.i_ab, angle_rad).T, width)
         # The greatest is drawn half a stretch after the least.
         half = 0.5 * min(width, n) / capture.sampling_frequency_hz
         self._times.append(capture.start_s + half * np.arange(current.shape[1]))
         self._current.append(current)
-        self._voltage.append(envelope(to_dq(capture.v_ab, angle_rad), width))
+        self._voltage.append(envelope(to_dq(capture.v_ab, angle_rad).T, width))
         self.rows += current.shape[1]
 
     def give(self, limits: tuple[float, float] | None) -> list[Entry]:

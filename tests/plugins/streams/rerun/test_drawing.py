@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from plugins.streams import _colours as colours
 from plugins.streams.rerun._axes import Chart, reach, ticks
 from plugins.streams.rerun._clock import Clock
-from plugins.streams.rerun._waveforms import Thinner, envelope, to_dq
+from plugins.streams.rerun._waveforms import Thinner, envelope
 from protocols import Capture
 
 
@@ -45,11 +45,6 @@ def test_a_second_of_waveforms_becomes_a_hundred_rows() -> None:
         *("drive/limit/current", "drive/limit/voltage"),
     ]
     assert thinner.give(None) == []
-
-
-def test_the_believed_frame_turns_against_the_rotor() -> None:
-    along_rotor = np.array([[np.cos(0.7), np.sin(0.7)]])
-    np.testing.assert_allclose(to_dq(along_rotor, 0.7), [[1.0], [0.0]], atol=1e-12)
 
 
 @given(st.floats(-1e3, 1e3), st.floats(1e-6, 1e6))

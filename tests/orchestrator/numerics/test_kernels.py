@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.numerics.frames import from_phases, to_dq, to_phases
+from orchestrator.numerics.kernels import dq_of, for_kernels, phases_of, vector_of
+from orchestrator.numerics.types import Array
+
+VECTORS = np.random.default_rng(1).normal(size=(20, 2)) * 30.0
+
+
+@pytest.mark.parametrize("vector", VECTORS)
+def test_one_sample_is_what_the_array_has(vector: Array) -> None:
+    alpha, beta = vector
+    rounding = 4e-15 * float(np.abs(vector).max())
+    phases = np.array(phases_of(alpha, beta))
+    np.testing.assert_allclose(phases, to_phases(vector[None])[0], rtol=0.0, atol=rounding)
+    np.testing.assert_allclose(np.array(vector_of(*phases)), from_phases(phases[None])[0], rtol=0.0, atol=rounding)
+    turned = np.array(dq_of(alpha, beta, np.cos(0.7), np.sin(0.7)))
+    np.testing.assert_allclose(turned, to_dq(vector[None], 0.7)[0], rtol=0.0, atol=rounding)
+
+
+def test_one_precision_for_all_and_no_copy_of_what_fits() -> None:
+    single, double = VECTORS.astype(np.float32), VECTORS
+    assert for_kernels(single, single)[0] is single
+    assert for_kernels(double)[0] is double
+    assert [x.dtype for x in for_kernels(single, double)] == [np.float64, np.float64]
+    assert all(x.flags.c_contiguous for x in for_kernels(double[:, ::-1], double.T))
