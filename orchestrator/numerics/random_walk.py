@@ -2,8 +2,7 @@
 
     y = X b + Z d + e,      d ~ N(0, s^2 t),      e ~ N(0, s^2)
 
-s is profiled, t is that of the largest restricted likelihood (H. D. Patterson, R. Thompson, "Recovery of inter-block
-information when block sizes are unequal", Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545).
+Z d are the walk's steps; s is profiled, t is that of the largest restricted likelihood (`reml`).
 """
 
 from __future__ import annotations
@@ -11,12 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from orchestrator.numerics.types import Array
-
-_NODES = 24  # of a walk, straight between them
-_DECADES = (-3.0, 10.0)  # of t times what the best seen step of the walk does
+from orchestrator.numerics.reml import RestrictedLikelihood
+from orchestrator.numerics.types import Array, Mask
 
 
 @dataclass(frozen=True)
@@ -65,27 +61,13 @@ class Walk:
 
     def likeliest(self, design: Array, target: Array) -> Walk:
         """The same with the ratio of the largest restricted likelihood."""
-        from scipy.optimize import minimize_scalar
-
         if not self.seen.size:
             return self
-        scaled = design / _sizes(design)
+        rows = np.concatenate([design / _sizes(design), self.steps], axis=1)
+        likelihood = RestrictedLikelihood(rows, target, design.shape[1], noise_known=False)
+        # From a walk that no datum notices to one that follows each of them.
         unit = max(float(self.seen.max()), 1e-300)
-        free = max(len(target) - design.shape[1], 1)
-
-        def at(decade: float) -> Walk:
-            return replace(self, ratio=10.0**decade / unit)
-
-        def cost(decade: float) -> float:
-            walk = at(decade)
-            squares = walk.solve(scaled, target)[0]
-            told = np.linalg.slogdet(walk.weighed(scaled, scaled))[1]
-            own = np.log1p(walk.ratio * walk.seen).sum()
-            return float(free * np.log(max(squares, 1e-300)) + told + own)
-
-        places = np.linspace(*_DECADES, 27)
-        near = float(min(places, key=cost))
-        return at(float(minimize_scalar(cost, bounds=(near - 0.5, near + 0.5), method="bounded").x))
+        return replace(self, ratio=1.0 / likelihood.likeliest((-2.5, 9.5), unit, tolerance=1e-5))
 
 
 def _sizes(design: Array) -> Array:
@@ -98,7 +80,7 @@ def no_walk(count: int) -> Walk:
     return Walk(np.zeros((count, 0)), np.zeros(0))
 
 
-def random_walk(time: Array, gain: Array, counted: NDArray[np.bool_]) -> Walk:
+def random_walk(time: Array, gain: Array, counted: Mask, nodes: int = 24) -> Walk:
     """A walk w(t) of which `gain` is seen; its mean over the counted instants is zero.
 
     Parameters
@@ -107,14 +89,16 @@ def random_walk(time: Array, gain: Array, counted: NDArray[np.bool_]) -> Walk:
     gain : array, shape (n, k)
         What w = 1 does to each of an instant's k data, which are then the rows n * k.
     counted : array of bool, shape (n,)
+    nodes : int
+        Instants, with as many data between any two of them, between which the walk is straight.
     """
     span = float(np.ptp(time))
     if span <= 0.0:
         return no_walk(gain.size)
-    nodes = np.unique(np.quantile(time, np.linspace(0.0, 1.0, _NODES)))
-    since = (nodes - nodes[0]) / span
-    walk = np.sqrt(np.diff(since)) * np.tri(len(nodes), len(nodes) - 1, -1)
-    values = np.stack([np.interp(time, nodes, step) for step in walk.T], axis=1)
+    knots = np.unique(np.quantile(time, np.linspace(0.0, 1.0, nodes)))
+    since = (knots - knots[0]) / span
+    walk = np.sqrt(np.diff(since)) * np.tri(len(knots), len(knots) - 1, -1)
+    values = np.stack([np.interp(time, knots, step) for step in walk.T], axis=1)
     values -= values[counted].mean(axis=0)
     steps = (gain[:, :, None] * values[:, None, :]).reshape(gain.size, -1)
     seen, turn = np.linalg.eigh(steps.T @ steps)

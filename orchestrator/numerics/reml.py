@@ -1,23 +1,26 @@
 """Least squares with modes that are free and modes that are probably small; how small, the data say. Pure algebra.
 
-    y = X b + Z d + e,      d ~ N(0, t),      e ~ N(0, 1)
+    y = X b + Z d + e,      d ~ N(0, s^2 t),      e ~ N(0, s^2)
 
 t is that of the largest restricted likelihood, the free modes integrated out (G. Wahba, "Spline Models for
 Observational Data", SIAM 1990, doi:10.1137/1.9781611970128, section 4.8; H. D. Patterson, R. Thompson, "Recovery of
 inter-block information when block sizes are unequal", Biometrika 58 (1971) 545-554, doi:10.1093/biomet/58.3.545).
-Splines that are not alike in anything but their free modes may be compared by it.
+s is known to be one, or profiled. With M what projects X away, twice the negative logarithm of the likelihood is
+
+    log |X'X| + sum log(1 + t g) + Q / s^2,      Q = y'M y - sum a^2 / (1/t + g),
+
+g being the eigenvalues of Z'M Z and a the data along its eigenvectors; or (n - p) log Q in place of Q / s^2. Splines
+that are not alike in anything but their free modes may be compared by it.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from orchestrator.numerics.types import Array
-
-_FAINT = 1e-12  # of a free mode's largest information, for those that no datum sees
-_RANGE = (-6.0, 16.0)  # decades of t times the best seen mode's information
 
 
 @dataclass(frozen=True)
@@ -38,8 +41,100 @@ class Solution:
     cost: float
 
 
+class RestrictedLikelihood:
+    """The likelihood of 1/t, and what is most probable at one.
+
+    Parameters
+    ----------
+    rows : array, shape (n, k)
+        What each mode does to each datum; the first `free` modes are free.
+    target : array, shape (n,)
+    free : int
+    noise_known : bool
+        Whether s is one, as of data in units of their standard deviation; else it is profiled.
+    unseen : float
+        Information of a free mode that no datum sees, relative to one that is seen: as little as doubles resolve.
+    """
+
+    def __init__(
+        self, rows: Array, target: Array, free: int, *, noise_known: bool = True, unseen: float = 1e-12
+    ) -> None:
+        from scipy.linalg import cho_factor, cho_solve, eigh
+
+        normal, right = rows.T @ rows, rows.T @ target
+        # Modes are of very different sizes; only their scaled information can be inverted.
+        self._size = np.sqrt(np.maximum(np.diag(normal)[:free], 1e-300))
+        scaled = normal[:free, :free] / np.outer(self._size, self._size) + unseen * np.eye(free)
+        self._factor = cho_factor(scaled, lower=True)
+        self._across = normal[:free, free:] / self._size[:, None]
+        self._level = right[:free] / self._size
+        left = normal[free:, free:] - self._across.T @ cho_solve(self._factor, self._across)
+        along = right[free:] - self._across.T @ cho_solve(self._factor, self._level)
+        information, self._turn = eigh(0.5 * (left + left.T))
+        self._information = np.maximum(information, 0.0)
+        self._along = self._turn.T @ along
+        self._squares = float(target @ target - self._level @ cho_solve(self._factor, self._level))
+        self._freedom = None if noise_known else max(len(target) - free, 1)
+
+    @property
+    def largest_information(self) -> float:
+        """Of the mode that the data see best, the free ones apart."""
+        return max(float(self._information[-1]), 1e-300) if len(self._information) else 1.0
+
+    @cached_property
+    def _determinant(self) -> float:
+        return 2.0 * float(np.log(np.diag(self._factor[0])).sum() + np.log(self._size).sum())
+
+    def cost(self, precision: float) -> float:
+        """Minus twice the logarithm of the restricted likelihood at a 1/t, but for constants of the data."""
+        variance = 1.0 / (precision + self._information)
+        explained = float((variance * self._along**2).sum())
+        # log(1 + t g) as a sum of what neither overflows nor cancels
+        grown = float(np.log(precision * variance).sum())
+        if self._freedom is None:
+            return self._squares - explained + self._determinant - grown
+        left = max(self._squares - explained, 1e-300)
+        return self._freedom * float(np.log(left)) + self._determinant - grown
+
+    def likeliest(self, decades: tuple[float, float], unit: float, tolerance: float) -> float:
+        """The 1/t of the largest likelihood.
+
+        Parameters
+        ----------
+        decades : (float, float)
+            Of unit / (1/t) between which one is looked for, in steps of one; it may lie one beyond.
+        unit : float
+            Of 1/t.
+        tolerance : float
+            With which it is found, in decades.
+        """
+        from scipy.optimize import minimize_scalar
+
+        def cost(decade: float) -> float:
+            return self.cost(10.0**-decade * unit)
+
+        near = min(np.arange(decades[0], decades[1] + 0.5).tolist(), key=cost)
+        best = minimize_scalar(cost, bounds=(near - 1.0, near + 1.0), method="bounded", options={"xatol": tolerance})
+        return float(10.0 ** -float(best.x) * unit)
+
+    def solution(self, precision: float) -> Solution:
+        """All modes at a 1/t, for noise of variance one."""
+        from scipy.linalg import cho_solve, solve_triangular
+
+        free, size = len(self._size), self._size[:, None]
+        std = np.sqrt(1.0 / (precision + self._information))
+        rough = self._turn * std
+        small = rough @ (std * self._along)
+        modes = np.concatenate([cho_solve(self._factor, self._level - self._across @ small) / self._size, small])
+        root = np.zeros((len(modes), len(modes)))
+        root[:free, :free] = solve_triangular(self._factor[0], np.eye(free), lower=True).T / size
+        root[:free, free:] = -cho_solve(self._factor, self._across @ rough) / size
+        root[free:, free:] = rough
+        return Solution(modes, root, self.cost(precision))
+
+
 def most_likely(rows: Array, target: Array, free: int) -> Solution:
-    """Solve for all modes.
+    """Solve for all modes, the noise being known.
 
     Parameters
     ----------
@@ -48,43 +143,6 @@ def most_likely(rows: Array, target: Array, free: int) -> Solution:
     target : array, shape (n,)
     free : int
     """
-    from scipy.linalg import cho_factor, cho_solve, eigh, solve_triangular
-    from scipy.optimize import minimize_scalar
-
-    normal, right = rows.T @ rows, rows.T @ target
-    # Modes are of very different sizes; only their scaled information can be inverted.
-    size = np.sqrt(np.maximum(np.diag(normal)[:free], 1e-300))
-    seen = normal[:free, :free] / np.outer(size, size) + _FAINT * np.eye(free)
-    factor = cho_factor(seen, lower=True)
-    across = normal[:free, free:] / size[:, None]
-    level = right[:free] / size
-    left = normal[free:, free:] - across.T @ cho_solve(factor, across)
-    asked = right[free:] - across.T @ cho_solve(factor, level)
-    information, turn = eigh(0.5 * (left + left.T))
-    information = np.maximum(information, 0.0)
-    asked = turn.T @ asked
-    best_seen = max(float(information[-1]), 1e-300) if len(information) else 1.0
-    squares = float(target @ target - level @ cho_solve(factor, level))
-    constant = squares + 2.0 * float(np.log(np.diag(factor[0])).sum() + np.log(size).sum())
-
-    def spread(log_t: float) -> Array:
-        return np.asarray(1.0 / (10.0**-log_t * best_seen + information))
-
-    def cost(log_t: float) -> float:
-        own = spread(log_t)
-        # log(1 + t g) as a sum of what neither overflows nor cancels
-        grown = np.log(10.0**-log_t * best_seen * own)
-        return constant - float((own * asked**2).sum() + grown.sum())
-
-    places = np.linspace(*_RANGE, 23)
-    near = float(places[int(np.argmin([cost(float(x)) for x in places]))])
-    best = minimize_scalar(cost, bounds=(near - 1.0, near + 1.0), method="bounded", options={"xatol": 0.02})
-    own = np.sqrt(spread(float(best.x)))
-    rough = turn * own
-    found = rough @ (own * asked)
-    modes = np.concatenate([cho_solve(factor, level - across @ found) / size, found])
-    root = np.zeros((len(modes), len(modes)))
-    root[:free, :free] = solve_triangular(factor[0], np.eye(free), lower=True).T / size[:, None]
-    root[:free, free:] = -cho_solve(factor, across @ rough) / size[:, None]
-    root[free:, free:] = rough
-    return Solution(modes, root, float(best.fun))
+    likelihood = RestrictedLikelihood(rows, target, free)
+    # From modes that are not there at all to modes that are as good as free; the likelihood is flat beyond.
+    return likelihood.solution(likelihood.likeliest((-6.0, 16.0), likelihood.largest_information, tolerance=0.02))

@@ -1,9 +1,11 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from orchestrator.numerics.random_walk import no_walk, random_walk
-from tests.orchestrator.analysis.plant import Array
+from orchestrator.numerics.types import Array
 
 TIME = np.linspace(0.0, 10.0, 40)
 GAIN = np.stack([np.cos(TIME), np.sin(TIME)], axis=1)
@@ -20,8 +22,27 @@ def test_without_a_walk_it_is_least_squares() -> None:
     target = seen(np.full(len(TIME), 3.0), 0.1, 1)
     squares, answer = no_walk(len(target)).solve(DESIGN, target)
     expected, left = np.linalg.lstsq(DESIGN, target, rcond=None)[:2]
-    np.testing.assert_allclose(answer, expected)
-    np.testing.assert_allclose(squares, left[0])
+    np.testing.assert_allclose(answer, expected, rtol=1e-12)
+    np.testing.assert_allclose(squares, left[0], rtol=1e-9)
+
+
+def test_beside_a_walk_it_is_generalised_least_squares() -> None:
+    target = seen(3.0 + np.sin(TIME), 0.1, 2)
+    walk = replace(random_walk(TIME, GAIN, EVERY), ratio=0.7)
+    inverse = np.linalg.inv(np.eye(len(target)) + walk.ratio * walk.steps @ walk.steps.T)
+    covariance = np.linalg.inv(DESIGN.T @ inverse @ DESIGN)
+    squares, answer = walk.solve(DESIGN, target)
+    expected = covariance @ DESIGN.T @ inverse @ target
+    off = target - DESIGN @ expected
+    np.testing.assert_allclose(answer, expected, rtol=1e-9)
+    np.testing.assert_allclose(squares, off @ inverse @ off, rtol=1e-9)
+    np.testing.assert_allclose(walk.covariance(DESIGN), covariance, rtol=1e-9)
+
+
+def test_a_walk_with_as_many_nodes_as_instants_has_their_covariance() -> None:
+    steps = random_walk(TIME, np.ones((len(TIME), 1)), TIME[0] == TIME, nodes=len(TIME)).steps
+    since = TIME / TIME[-1]
+    np.testing.assert_allclose(steps @ steps.T, np.minimum(since[:, None], since[None, :]), rtol=0.0, atol=1e-12)
 
 
 def test_what_stands_still_is_not_made_to_wander() -> None:
