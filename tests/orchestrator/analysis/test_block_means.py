@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from orchestrator.analysis._block_means import block_means
+from tests.support.close import assert_close
 
 STEP_S, BLOCK = 1e-4, 7
 
@@ -21,4 +22,4 @@ def test_means_are_those_of_current_and_running_integrals(delay: float, dtype: t
     found = block_means(i.astype(dtype), v.astype(dtype), sampling_s=STEP_S, delay=delay, block=BLOCK)
     for one, running in zip(found, (i, charge, impulse), strict=True):
         expected = running[:56].reshape(8, BLOCK, 2).mean(axis=1)
-        np.testing.assert_allclose(one, expected, rtol=1e-12, atol=1e-15)
+        assert_close(one, expected, 1e-12)

@@ -12,6 +12,7 @@ from orchestrator.analysis._energy_polynomial import _inverted, terms_of
 from tests.orchestrator.analysis.plant import L_D, L_Q, flux_for, saturated_current, saturated_hessian
 from tests.orchestrator.analysis.test_energy_fit import PLACES, measured, paths
 from tests.orchestrator.analysis.test_sweep import RATED_WB
+from tests.support.close import assert_close
 
 TRUE = {(2, 0): 0.5 / L_D, (0, 2): 0.5 / L_Q, (3, 0): 9.0, (1, 2): 6.0, (4, 0): 40.0, (2, 2): 40.0, (0, 4): 50.0}
 
@@ -53,7 +54,7 @@ def test_stated_errors_are_those_of_finite_differences() -> None:
     fit = fitted()
     for axis, e in enumerate(1e-4 * np.eye(2)):
         slope = (fit.flux(PLACES + e)[0] - fit.flux(PLACES - e)[0]) / 2e-4
-        np.testing.assert_allclose(slope, fit.inductance(PLACES)[0][:, axis : axis + 2], atol=1e-6)
+        assert_close(slope, fit.inductance(PLACES)[0][:, axis : axis + 2], 2e-5)
 
 
 @pytest.mark.parametrize("terms", [terms_of(4), terms_of(6)])
@@ -63,7 +64,7 @@ def test_newton_finds_the_flux_of_every_current(terms: tuple[tuple[int, int], ..
     psi = _inverted(terms, coefficients, plane)
     assert np.isfinite(psi).all()
     if len(terms) == len(TRUE):
-        np.testing.assert_allclose(saturated_current(psi), plane, atol=1e-7)
+        assert_close(saturated_current(psi), plane, 1e-8)
 
 
 def test_where_there_is_no_flux_there_is_none() -> None:

@@ -11,6 +11,7 @@ import pytest
 from orchestrator.analysis import KNOTS, SweepTrace, VoltageLosses, close_loops, flux_by_rests, sweep_of, trace_sweep
 from tests.orchestrator.analysis.plant import R_S, SAMPLING_HZ, Array, capture_of, flux_for, saturated_current
 from tests.orchestrator.analysis.test_sweep import RATED_WB, off_percent, swept
+from tests.support.close import assert_close
 
 KNOTS_A = KNOTS * 3.35
 
@@ -110,7 +111,7 @@ def test_the_frame_does_not_matter() -> None:
     straight = losses_of(True)
     # Turned by a third of a turn the phases only change their names.
     third = losses_of(True, angle=2 * np.pi / 3)
-    np.testing.assert_allclose(third.error_v, straight.error_v, atol=1e-6)
+    assert_close(third.error_v, straight.error_v, 1e-6)
     truth = flux_for(np.array([[0.0, 2.0]]), saturated_current)
     sweep = sweep_of(traces(True, 0.0, 2 * np.pi / 3)[0], third.flux(traces(True, 0.0, 2 * np.pi / 3)[0]))
     at = [np.interp([-2.0, 2.0], sweep.path.current[:, 1], sweep.path.psi[:, 1])]

@@ -9,6 +9,7 @@ from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_ap
 from orchestrator.analysis._ripple_errors import error_modes
 from tests.orchestrator.analysis.test_energy_fit import paths
 from tests.orchestrator.analysis.test_integration import PLANE, exact
+from tests.support.close import assert_close
 
 
 def test_the_waves_of_a_random_walk_fall_as_one_over_their_number() -> None:
@@ -51,8 +52,8 @@ def test_dead_time_acts_along_the_phase_whose_current_is_zero() -> None:
     far = at_a & (np.abs(PLANE[:, 1]) > 2.0)
     effect = error_modes(points, np.zeros(len(PLANE)))[:, :3, 1]
     assert (effect[far, 0] > 0.0).all()
-    np.testing.assert_allclose(effect[far, 1:], 0.0, atol=1e-12)
+    assert_close(effect[far, 1:], np.zeros_like(effect[far, 1:]), 1e-12, of=effect)
     turned = error_modes(points, np.full(len(PLANE), np.pi / 2))[:, :3, 1]
     at_q = (np.abs(PLANE[:, 1]) < 1e-9) & (np.abs(PLANE[:, 0]) > 2.0)
-    np.testing.assert_allclose(turned[at_q, :2], 0.0, atol=1e-12)
+    assert_close(turned[at_q, :2], np.zeros_like(turned[at_q, :2]), 1e-12, of=turned)
     assert (turned[at_q, 2] > 0.0).all()

@@ -24,6 +24,7 @@ from tests.orchestrator.analysis.plant import (
     saturated_current,
     saturated_hessian,
 )
+from tests.support.close import assert_close
 
 POINTS = np.array([[0.0, 0.0], [1.5, 1.5], [-2.0, -3.0]])
 TIME_CONSTANT_S = L_Q / R_S
@@ -59,7 +60,7 @@ def test_finds_the_hessian_of_a_saturated_motor_to_a_thousandth(point: int) -> N
 
 def test_constant_inductances_come_out_to_a_few_millionths() -> None:
     ripple = demodulate(capture_of(injected(saturated=False), 1), 0.0, time_constant_s=TIME_CONSTANT_S)
-    np.testing.assert_allclose(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), atol=5e-4)
+    assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 2e-5)
     assert np.abs(ripple.third).max() < 0.1
 
 
@@ -96,8 +97,8 @@ def test_frequency_is_found_whatever_the_rotation(rotation: float) -> None:
 def test_turning_rotor_and_belief_together_changes_nothing() -> None:
     straight = demodulate(capture_of(injected(), 2), 0.0, time_constant_s=TIME_CONSTANT_S)
     turned = demodulate(capture_of(injected(), 2, angle=1.1), 1.1, time_constant_s=TIME_CONSTANT_S)
-    np.testing.assert_allclose(turned.hessian, straight.hessian, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(turned.current_dq, straight.current_dq, atol=1e-9)
+    assert_close(turned.hessian, straight.hessian, 1e-9)
+    assert_close(turned.current_dq, straight.current_dq, 1e-9)
 
 
 def test_a_wrong_belief_turns_the_hessian() -> None:
@@ -109,7 +110,7 @@ def test_a_wrong_belief_turns_the_hessian() -> None:
 @pytest.mark.parametrize("resistance", [1.0, 4.3, 20.0, 100.0])
 def test_resistance_does_not_enter(resistance: float) -> None:
     ripple = demodulate(capture_of(injected(resistance=resistance, saturated=False), 0), 0.0, discard_s=0.1)
-    np.testing.assert_allclose(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), atol=0.01)
+    assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 5e-4)
 
 
 @pytest.mark.parametrize("resistance", [30.0, 90.0])

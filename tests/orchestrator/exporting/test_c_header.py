@@ -12,6 +12,7 @@ from orchestrator.exporting import export_map, invert, mtpa
 from orchestrator.exporting._surface import MapSurface
 from protocols import FluxMap, Motor
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, Array, saturated_map
+from tests.support.close import assert_close
 
 GCC = ["gcc", "-std=c99", "-O1", "-Wall", "-Wextra", "-Wpedantic", "-Wconversion", "-Werror"]
 CURRENTS = np.array([[0.0, 0.0], [0.83, -1.37], [-2.1, 1.1], [1.55, 2.05], [-0.05, 2.95], [0.4, -0.4]])
@@ -124,13 +125,13 @@ def test_mtpa_in_the_header_is_the_maps(exported: tuple[Path, FluxMap]) -> None:
     folder, flux_map = exported
     last = defined(folder / "flux_map.h", "FLUXBENCH_MTPA_CURRENT_STEP_A") * 32
     curve = mtpa(flux_map, POLE_PAIRS, np.linspace(0.0, last, 33))
-    np.testing.assert_allclose(table(folder, "fluxbench_mtpa_i_q_table"), curve.i_dq[:, 1], atol=1e-5)
+    assert_close(table(folder, "fluxbench_mtpa_i_q_table"), curve.i_dq[:, 1], 2.0**-23)
     assert curve.interior.all()
 
 
 def test_rows_are_nodes_of_the_first_axis(exported: tuple[Path, FluxMap]) -> None:
     folder, flux_map = exported
-    np.testing.assert_allclose(table(folder, "fluxbench_psi_d_table"), MapSurface(flux_map).filled[0], atol=1e-8)
+    assert_close(table(folder, "fluxbench_psi_d_table"), MapSurface(flux_map).filled[0], 2.0**-23)
 
 
 def test_masks_tell_measured_from_continued(exported: tuple[Path, FluxMap]) -> None:

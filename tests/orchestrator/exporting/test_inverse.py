@@ -19,6 +19,7 @@ from tests.orchestrator.exporting.machines import (
     saturated_map,
     shipped,
 )
+from tests.support.close import assert_close
 
 
 def test_a_plane_is_continued_exactly_and_what_is_known_is_left_alone() -> None:
@@ -27,7 +28,7 @@ def test_a_plane_is_continued_exactly_and_what_is_known_is_left_alone() -> None:
     holed = plane.copy()
     holed[0, :] = holed[-2:, 3:] = holed[2, 2] = np.nan
     filled = fill_smoothly(x, y, holed)
-    np.testing.assert_allclose(filled, plane, atol=1e-12)
+    assert_close(filled, plane, 1e-12)
     np.testing.assert_array_equal(filled[np.isfinite(holed)], holed[np.isfinite(holed)])
 
 
@@ -48,7 +49,7 @@ def test_points_on_one_line_cannot_be_continued() -> None:
 
 def test_surface_passes_through_every_measured_point() -> None:
     surface = MapSurface(saturated_map())
-    np.testing.assert_allclose(surface.psi(surface.currents), surface.fluxes, atol=1e-14)
+    assert_close(surface.psi(surface.currents), surface.fluxes, 1e-14)
 
 
 def test_slopes_of_the_surface_are_those_of_its_values_inside_and_beyond_the_grid() -> None:
@@ -56,10 +57,10 @@ def test_slopes_of_the_surface_are_those_of_its_values_inside_and_beyond_the_gri
     at = np.array([[0.3, -0.7], [1.9, 1.9], [3.4, 0.2], [-3.5, 4.0]])
     step = 1e-6 * np.eye(2)
     numeric = np.stack([(surface.psi(at + e) - surface.psi(at - e)) / 2e-6 for e in step], axis=-1)
-    np.testing.assert_allclose(surface.jacobian(at)[:2], numeric[:2], rtol=1e-5, atol=1e-8)
+    assert_close(surface.jacobian(at)[:2], numeric[:2], 1e-6)
     beyond, onward = at[2:], np.array([[0.1, 0.0], [-0.1, 0.1]])
     went = surface.psi(beyond + onward) - surface.psi(beyond)
-    np.testing.assert_allclose(went, np.einsum("nij,nj->ni", surface.jacobian(beyond), onward), atol=1e-12)
+    assert_close(went, np.einsum("nij,nj->ni", surface.jacobian(beyond), onward), 1e-10)
 
 
 def test_measured_region_holds_its_nodes_and_whole_triangles_and_nothing_else() -> None:
@@ -78,10 +79,8 @@ def test_measured_region_holds_its_nodes_and_whole_triangles_and_nothing_else() 
 def test_linear_machine_is_inverted_exactly() -> None:
     inverse = invert(linear_map())
     assert inverse.measured.all()
-    np.testing.assert_allclose(
-        inverse.i_d, np.broadcast_to((inverse.psi_d[:, None] - PSI_M) / L_D, (51, 51)), atol=1e-9
-    )
-    np.testing.assert_allclose(inverse.i_q, np.broadcast_to(inverse.psi_q[None, :] / L_Q, (51, 51)), atol=1e-9)
+    assert_close(inverse.i_d, np.broadcast_to((inverse.psi_d[:, None] - PSI_M) / L_D, (51, 51)), 1e-9)
+    assert_close(inverse.i_q, np.broadcast_to(inverse.psi_q[None, :] / L_Q, (51, 51)), 1e-9)
 
 
 @pytest.mark.parametrize(("d", "q"), [(2, 2), (2, 5), (3, 2), (4, 3)])
@@ -91,7 +90,7 @@ def test_the_smallest_grids_are_inverted_too(d: int, q: int) -> None:
     part = {name: getattr(whole, name)[:d, :q] for name in fields} | {"i_d": whole.i_d[:d], "i_q": whole.i_q[:q]}
     inverse = invert(whole.model_copy(update=part))
     assert inverse.coverage_percent == 100.0
-    np.testing.assert_allclose(inverse.i_d[:, 0], (inverse.psi_d - PSI_M) / L_D, atol=1e-9)
+    assert_close(inverse.i_d[:, 0], (inverse.psi_d - PSI_M) / L_D, 1e-9)
 
 
 def inversion_error(nodes: int) -> float:
@@ -101,7 +100,7 @@ def inversion_error(nodes: int) -> float:
     i = np.concatenate([r * np.column_stack((np.cos(turn), np.sin(turn))) for r in (0.4, 1.1, 1.8)])
     psi = saturated_flux(i)
     found = currents_at(surface, psi)
-    np.testing.assert_allclose(saturated_current(psi), i, atol=1e-9)
+    assert_close(saturated_current(psi), i, 1e-9)
     return float(np.linalg.norm(found - i, axis=1).max())
 
 
@@ -122,9 +121,10 @@ def test_nothing_outside_the_hull_is_called_measured_and_nothing_inside_is_lost(
 
 @pytest.mark.parametrize("name", SHIPPED)
 def test_every_measured_point_of_a_real_machine_is_given_back(name: str) -> None:
-    inverse = invert(shipped(name))
+    flux_map = shipped(name)
+    inverse = invert(flux_map)
     assert inverse.coverage_percent == 100.0
-    assert inverse.misfit_wb < 1e-9
+    assert inverse.misfit_wb < 1e-9 * np.nanmax(np.abs(flux_map.psi_q))
 
 
 def test_points_that_an_inscribed_rectangle_loses_are_kept() -> None:
@@ -135,7 +135,7 @@ def test_points_that_an_inscribed_rectangle_loses_are_kept() -> None:
     d, q = surface.fluxes.T
     lost = (d < low_d) | (d > high_d) | (q < low_q) | (q > high_q)
     assert lost.mean() > 0.4
-    np.testing.assert_allclose(currents_at(surface, surface.fluxes[lost]), surface.currents[lost], atol=1e-6)
+    assert_close(currents_at(surface, surface.fluxes[lost]), surface.currents[lost], 1e-7)
 
 
 def test_filled_inverse_keeps_what_was_measured() -> None:

@@ -18,6 +18,7 @@ from tests.orchestrator.exporting.machines import (
     saturated_map,
     shipped,
 )
+from tests.support.close import assert_close
 
 
 def coenergy(i_dq: Array) -> Array:
@@ -38,7 +39,7 @@ def test_torque_is_the_coenergys_slope_over_the_rotor_angle_at_fixed_phase_curre
     torque = torque_nm(flux_map, POLE_PAIRS)
     known = np.isfinite(torque)
     assert known.mean() > 0.7
-    np.testing.assert_allclose(torque[known], slope[known], atol=1e-7)
+    assert_close(slope[known], torque[known], 1e-7)
 
 
 def test_mtpa_of_constant_inductances_is_the_closed_form() -> None:
@@ -47,8 +48,8 @@ def test_mtpa_of_constant_inductances_is_the_closed_form() -> None:
     delta = L_Q - L_D
     i_d = (PSI_M - np.sqrt(PSI_M**2 + 8.0 * delta**2 * currents**2)) / (4.0 * delta)
     i_q = np.sqrt(currents**2 - i_d**2)
-    np.testing.assert_allclose(curve.i_dq, np.column_stack((i_d, i_q)), atol=1e-5)
-    np.testing.assert_allclose(curve.torque_nm, 1.5 * POLE_PAIRS * (PSI_M - delta * i_d) * i_q, rtol=1e-9, atol=1e-12)
+    assert_close(curve.i_dq, np.column_stack((i_d, i_q)), 1e-6)
+    assert_close(curve.torque_nm, 1.5 * POLE_PAIRS * (PSI_M - delta * i_d) * i_q, 1e-9)
     assert curve.interior.all()
 
 
@@ -59,8 +60,8 @@ def test_mtpv_of_constant_inductances_is_the_closed_form() -> None:
     a, b = PSI_M / L_D, 1 / L_D - 1 / L_Q
     cosine = (a - np.sqrt(a**2 + 8.0 * b**2 * fluxes**2)) / (4.0 * b * fluxes)
     psi_d, psi_q = fluxes * cosine, fluxes * np.sqrt(1.0 - cosine**2)
-    np.testing.assert_allclose(curve.psi_dq, np.column_stack((psi_d, psi_q)), atol=1e-6)
-    np.testing.assert_allclose(curve.i_dq, np.column_stack(((psi_d - PSI_M) / L_D, psi_q / L_Q)), atol=1e-4)
+    assert_close(curve.psi_dq, np.column_stack((psi_d, psi_q)), 1e-5)
+    assert_close(curve.i_dq, np.column_stack(((psi_d - PSI_M) / L_D, psi_q / L_Q)), 1e-5)
     np.testing.assert_allclose(curve.torque_nm, 1.5 * POLE_PAIRS * psi_q * (a - b * psi_d), rtol=1e-9)
     assert curve.interior.all()
 
@@ -100,7 +101,7 @@ def test_a_best_point_at_the_edge_of_the_measurement_is_said_to_be_one() -> None
     }
     curve = mtpa(flux_map.model_copy(update=right), POLE_PAIRS, np.array([2.0, 8.0]))
     assert not curve.interior.any()
-    np.testing.assert_allclose(curve.i_dq, [[0.0, 2.0], [0.0, 8.0]], atol=1e-4)
+    assert_close(curve.i_dq, [[0.0, 2.0], [0.0, 8.0]], 1e-5)
 
 
 def test_magnitudes_that_were_never_measured_are_nan() -> None:
@@ -144,7 +145,7 @@ def test_saliency_without_cross_saturation_lies_on_the_d_axis() -> None:
 
 def test_saliency_angle_is_odd_in_i_q_where_the_energy_is_even() -> None:
     angle = saliency(saturated_map()).angle_rad
-    np.testing.assert_allclose(angle, -angle[:, ::-1], atol=1e-9)
+    assert_close(angle, -angle[:, ::-1], 1e-9)
     assert np.nanmax(np.abs(angle)) > 0.05
 
 

@@ -12,6 +12,7 @@ from orchestrator.importing import import_files
 from orchestrator.recording import open_recording
 from protocols import FluxbenchError, InputError, StorageError
 from tests.orchestrator.importing.benches import DRIVE, MOTOR, RATE, Bench, held_current, left_in, phase_log
+from tests.support.close import assert_close
 
 
 def test_a_held_current_becomes_one_segment_with_what_the_mapping_says(bench: Bench) -> None:
@@ -45,7 +46,7 @@ def test_two_phase_currents_are_enough(bench: Bench) -> None:
     bench.mapping["current"]["columns"] = {"c": "ic", "a": "ia"}
     bench.run("two")
     (three,), (two,) = bench.captures("three"), bench.captures("two")
-    np.testing.assert_allclose(two.i_ab, three.i_ab, atol=1e-6)
+    assert_close(two.i_ab, three.i_ab, 2.0**-22)
     assert two.i_abc is None
 
 

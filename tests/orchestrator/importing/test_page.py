@@ -10,11 +10,11 @@ import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from orchestrator.importing import Finding, import_files
 from orchestrator.recording import open_recording
+from tests.support.close import assert_close
 
 ROOT = Path(__file__).parents[3]
 PAGE = (ROOT / "docs" / "import.md").read_text(encoding="utf-8")
@@ -56,8 +56,8 @@ def test_the_example_of_the_page_works(folder: Path) -> None:
         assert (again.stage, again.samples) == (segment.stage, segment.samples)
         assert again.start_s == pytest.approx(segment.start_s, abs=1e-6)
         captured, imported = original.load(segment), open_recording(Path(out)).load(again)
-        np.testing.assert_allclose(imported.i_ab, captured.i_ab, atol=1e-6)
-        np.testing.assert_allclose(imported.v_ab, captured.v_ab, atol=1e-5)
+        assert_close(imported.i_ab, captured.i_ab, 2.0**-22)
+        assert_close(imported.v_ab, captured.v_ab, 2.0**-22)
 
 
 def test_the_page_lists_all_findings() -> None:

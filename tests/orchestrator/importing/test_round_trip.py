@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from orchestrator.importing import import_files
 from orchestrator.recording import Recording, open_recording
 from tests.orchestrator.importing.benches import MOTOR, Bench, Numbers, in_phases, write_table
+from tests.support.close import assert_close
 
 REDUCED = Path(__file__).parents[2] / "data" / "pm400-reduced"
 
@@ -172,6 +173,6 @@ def test_a_real_recording_comes_back_from_rms_phases_in_csv(bench: Bench) -> Non
         assert (again.id, again.stage, again.settings) == (segment.id, segment.stage, segment.settings)
         assert again.start_s == pytest.approx(segment.start_s, abs=1e-9)
         before, after = original.load(segment), back.load(again)
-        np.testing.assert_allclose(after.i_ab, before.i_ab, atol=1e-6)
-        np.testing.assert_allclose(after.v_ab, before.v_ab, atol=1e-5)
+        assert_close(after.i_ab, before.i_ab, 2.0**-22)
+        assert_close(after.v_ab, before.v_ab, 2.0**-22)
         np.testing.assert_array_equal(after.v_dc, before.v_dc)

@@ -6,6 +6,7 @@ import pytest
 from orchestrator.numerics.surface import SmoothSurface, TaylorSurface, current_axes, inside_hull
 from protocols import NotMeasuredError
 from tests.orchestrator.analysis.plant import Array
+from tests.support.close import assert_close
 
 RANDOM = np.random.default_rng(5)
 SCATTER = np.concatenate([RANDOM.uniform(-1, 1, (40, 2)), [[-1, -1], [1, -1], [-1, 1], [1, 1]]])
@@ -23,7 +24,7 @@ def cubic(x: Array) -> tuple[Array, Array, Array]:
 
 def test_values_slopes_and_curvatures_reproduce_cubics() -> None:
     surface = TaylorSurface(SCATTER, PLACES, "test")
-    np.testing.assert_allclose(surface(*cubic(SCATTER)), cubic(PLACES)[0], atol=1e-12)
+    assert_close(surface(*cubic(SCATTER)), cubic(PLACES)[0], 1e-12)
 
 
 def test_values_and_slopes_reproduce_quadratics() -> None:
@@ -31,7 +32,7 @@ def test_values_and_slopes_reproduce_quadratics() -> None:
     d, q = SCATTER.T
     x, y = PLACES.T
     slopes = np.stack([2 * d + q, d - 4 * q], axis=1)
-    np.testing.assert_allclose(surface(d**2 + d * q - 2 * q**2, slopes), x**2 + x * y - 2 * y**2, atol=1e-12)
+    assert_close(surface(d**2 + d * q - 2 * q**2, slopes), x**2 + x * y - 2 * y**2, 1e-12)
 
 
 def test_nothing_is_said_outside_the_hull() -> None:

@@ -15,6 +15,7 @@ from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset
 from plugins.effects.timing import CurrentFilter, VoltageDelay
 from protocols import DriveRecord, LossHistory, Motor, RealArray, Signals
+from tests.support.close import assert_close
 
 FS = 10_000.0
 
@@ -69,7 +70,7 @@ def test_dead_time_is_silent_while_the_bridge_is_off() -> None:
 def test_voltage_bias_is_subtracted() -> None:
     signals = _signals()
     out = VoltageBias().correct(signals, {"bias_a_v": 0.3, "bias_b_v": -0.15})
-    np.testing.assert_allclose(signals.v_ab - out.v_ab, np.tile([0.3, 0.0], (400, 1)), atol=1e-12)
+    assert_close(signals.v_ab - out.v_ab, np.tile([0.3, 0.0], (400, 1)), 1e-15, of=signals.v_ab)
 
 
 def test_bus_sag_lowers_the_voltage_by_the_power() -> None:
@@ -89,17 +90,12 @@ def test_sensor_errors_are_undone() -> None:
     signals = _signals()
     true = _two(signals.i_ab)
     gained = _reads(signals, _from_two(true * np.array([1.01, 0.99])))
-    np.testing.assert_allclose(
-        CurrentGainMismatch().correct(gained, {"gain_a_minus_b": 0.02}).i_ab, signals.i_ab, atol=1e-12
-    )
+    assert_close(CurrentGainMismatch().correct(gained, {"gain_a_minus_b": 0.02}).i_ab, signals.i_ab, 1e-14)
     offset = _reads(signals, _from_two(true + np.array([0.02, -0.01])))
-    np.testing.assert_allclose(
-        CurrentOffset().correct(offset, {"offset_a_a": 0.02, "offset_b_a": -0.01}).i_m_ab, signals.i_ab, atol=1e-12
-    )
+    read = CurrentOffset().correct(offset, {"offset_a_a": 0.02, "offset_b_a": -0.01})
+    assert_close(read.i_m_ab, signals.i_ab, 1e-14)
     bent = _reads(signals, _from_two(true + 3e-4 * true**3))
-    np.testing.assert_allclose(
-        CurrentNonlinearity().correct(bent, {"cubic_per_a2": 3e-4}).i_ab, signals.i_ab, atol=1e-7
-    )
+    assert_close(CurrentNonlinearity().correct(bent, {"cubic_per_a2": 3e-4}).i_ab, signals.i_ab, 1e-7)
 
 
 def test_sensor_lag_is_undone_on_a_triangle() -> None:
@@ -115,7 +111,7 @@ def test_extra_resistance_drops_in_its_own_phase() -> None:
     signals = _signals()
     out = PhaseResistanceImbalance().correct(signals, {"extra_a_ohm": 0.3, "extra_b_ohm": 0.0})
     mean = 0.5 * (signals.i_ab[0] + signals.i_ab[1])
-    np.testing.assert_allclose(signals.v_ab[0] - out.v_ab[0], [0.3 * mean[0] * 2.0 / 3.0, 0.0], atol=1e-12)
+    assert_close(signals.v_ab[0] - out.v_ab[0], [0.3 * mean[0] * 2.0 / 3.0, 0.0], 1e-15, of=signals.v_ab)
 
 
 def test_heating_reaches_its_steady_rise() -> None:

@@ -7,6 +7,7 @@ import pytest
 
 from plugins.estimators._inverter import fit_voltage, step_ab
 from tests.orchestrator.analysis.plant import Array
+from tests.support.close import assert_close
 
 PHASES = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
 
@@ -17,8 +18,8 @@ PWM_HZ = np.where(np.arange(len(HELD)) % 2, 20e3, 10e3)
 
 
 def test_a_step_is_odd_and_a_volt_a_phase_is_four_thirds_on_the_phases_axis() -> None:
-    np.testing.assert_allclose(step_ab(HELD, 0.05), -step_ab(-HELD, 0.05), atol=1e-12)
-    np.testing.assert_allclose(step_ab(np.array([[5.0, 0.0]]), 0.05), [[4 / 3, 0.0]], atol=1e-12)
+    assert_close(step_ab(HELD, 0.05), -step_ab(-HELD, 0.05), 1e-15)
+    assert_close(step_ab(np.array([[5.0, 0.0]]), 0.05), [[4 / 3, 0.0]], 1e-15)
 
 
 def test_resistance_step_bias_and_drift_are_told_apart() -> None:

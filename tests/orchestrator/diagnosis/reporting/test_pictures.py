@@ -30,6 +30,7 @@ from protocols import (
     StorageError,
     Unexplained,
 )
+from tests.support.close import assert_close
 
 Ladder = tuple[tuple[Step, ...], Start, tuple[DiagnosisStep, ...]]
 
@@ -66,9 +67,9 @@ def test_the_residual_falls_to_the_noise_of_its_rows(ladder: Ladder) -> None:
 def test_phase_components_have_no_sum_and_the_same_size(ladder: Ladder) -> None:
     for step in ladder[2]:
         for three, two in ((step.residual_abc_v, step.residual_dq_v), (step.i_abc, step.i_dq)):
-            assert np.allclose(three.sum(axis=1), 0.0, atol=1e-9)
+            assert_close(three.sum(axis=1), np.zeros(len(three)), 1e-14, of=three)
             # Amplitude-invariant Clarke: the squares of the phases add up to 3/2 of the vector's.
-            assert np.allclose((three**2).sum(axis=1), 1.5 * (two**2).sum(axis=1))
+            assert_close((three**2).sum(axis=1), 1.5 * (two**2).sum(axis=1), 1e-12)
 
 
 def test_dead_time_is_one_curve_over_each_phase_current(ladder: Ladder) -> None:
@@ -191,10 +192,10 @@ def test_what_was_saved_comes_back(ladder: Ladder, tmp_path: Path) -> None:
         assert have.stage == want.stage
         assert (have.index, have.added, have.effects, have.chi2) == (want.index, want.added, want.effects, want.chi2)
         for name in ("time_s", "i_dq", "residual_dq_v", "noise_v", "i_abc", "residual_abc_v"):
-            assert np.allclose(getattr(have, name), getattr(want, name), rtol=1e-6, atol=1e-9)
+            assert_close(getattr(have, name), getattr(want, name), 1e-6)
         assert have.excerpts[0].segment == want.excerpts[0].segment
-        assert np.allclose(have.excerpts[0].predicted_a, want.excerpts[0].predicted_a, rtol=1e-5, atol=1e-7)
-        assert np.allclose(have.loops[1].psi_measured, want.loops[1].psi_measured, rtol=1e-5, atol=1e-7)
+        assert_close(have.excerpts[0].predicted_a, want.excerpts[0].predicted_a, 1e-5)
+        assert_close(have.loops[1].psi_measured, want.loops[1].psi_measured, 1e-5)
         assert have.resistance is not None
         assert want.resistance is not None
         assert np.allclose(have.resistance.measured_ohm, want.resistance.measured_ohm, rtol=1e-6)

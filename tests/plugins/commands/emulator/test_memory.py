@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -13,6 +12,7 @@ from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
 from plugins.drives.simulated.rig import Step, Stretch
 from plugins.wire import RIPPLE, CaptureFormat, Channel, ReadBlock, RippleGrid, RowFormat, Scales, demodulate
 from plugins.wire import serial_blocks as blocks
+from tests.support.close import assert_close
 
 SCALES = Scales.spanning(10.0, 200.0, 400.0, 5.0)
 
@@ -63,7 +63,7 @@ def test_the_third_phase_closes_the_star() -> None:
     data = b"".join(payload[4:] for payload in answer.payloads)[: 4 * form.row_bytes]  # type: ignore[union-attr]
     columns = form.unpack(data)
     total = columns[Channel.I_A] + columns[Channel.I_B] + columns[Channel.I_C]
-    assert total == pytest.approx(0.0, abs=1e-6)
+    assert_close(total, np.zeros(len(total)), 2.0**-22, of=i)
     beta = (columns[Channel.I_A] + 2 * columns[Channel.I_B]) / np.sqrt(3.0)
-    assert beta == pytest.approx(columns[Channel.I_BETA], abs=1e-6)
+    assert_close(beta, columns[Channel.I_BETA], 2.0**-22)
     assert capture.source(2) is None

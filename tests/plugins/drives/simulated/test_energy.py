@@ -12,6 +12,7 @@ from plugins.drives.simulated import TrueMagnetics, map_motor, map_names, true_f
 from plugins.drives.simulated._map import load_table
 from protocols import InputError, Motor
 from tests.plugins.drives.simulated.conftest import MOTORS, PM400, options_of
+from tests.support.close import assert_close
 
 
 def magnetics_of(motor: Motor, **magnetics: object) -> TrueMagnetics:
@@ -51,9 +52,9 @@ def check_reciprocity_and_parity(truth: TrueMagnetics, reach: float) -> None:
     q = (truth.current(psi + on_q) - truth.current(psi - on_q)) / (2 * step)
     assert np.abs(d[:, 1] - q[:, 0]).max() < 1e-6 * np.abs(d[:, 0]).max()
     mirrored = truth.flux(i * [1.0, -1.0])
-    assert mirrored == pytest.approx(psi * [1.0, -1.0], abs=1e-12)
+    assert_close(mirrored, psi * [1.0, -1.0], 1e-12)
     numeric = np.linalg.inv(np.stack((d, q), axis=-1))
-    assert truth.inductance(i) == pytest.approx(numeric, rel=1e-4, abs=1e-5 * numeric.max())
+    assert_close(truth.inductance(i), numeric, 1e-4)
 
 
 @pytest.mark.parametrize("motor", MOTORS)
@@ -64,7 +65,7 @@ def test_a_nameplate_motor_saturates_as_asked_whatever_its_size(motor: Motor) ->
     assert l_d is not None
     assert l_q is not None
     none = truth.inductance(np.zeros((1, 2)))[0]
-    assert none == pytest.approx(np.diag([l_d, l_q]), rel=1e-9, abs=1e-12)
+    assert_close(none, np.diag([l_d, l_q]), 1e-9)
     on_d, on_q = truth.inductance(np.array([[1.25 * rated, 0.0], [0.0, 1.25 * rated]]))
     assert on_d[0, 0] / l_d == pytest.approx(0.7, abs=1e-3)
     assert on_q[1, 1] / l_q == pytest.approx(0.5, abs=1e-3)
@@ -87,7 +88,7 @@ def test_the_linear_motor_is_linear() -> None:
     truth = magnetics_of(PM400, kind="nameplate", d_fall=0.0, q_fall=0.0, cross=0.0)
     i = grid(5.0)
     expected = np.column_stack((0.30 + 0.04325 * i[:, 0], 0.06905 * i[:, 1]))
-    assert truth.flux(i) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+    assert_close(truth.flux(i), expected, 1e-9)
 
 
 def test_a_polynomial_with_given_coefficients_is_that_polynomial() -> None:
@@ -122,7 +123,7 @@ def test_a_users_own_map_file_serves_as_well(tmp_path: Path, suffix: str) -> Non
         path.write_text("\n".join(("psi_d_Vs,psi_q_Vs,i_d_A,i_q_A", *lines)))
     own = magnetics_of(map_motor("baldor-5k6"), kind="map", file=str(path))
     i_dq = grid(12.0, 5)
-    assert own.flux(i_dq) == pytest.approx(shipped("baldor-5k6").flux(i_dq), abs=1e-8)
+    assert_close(own.flux(i_dq), shipped("baldor-5k6").flux(i_dq), 1e-8)
 
 
 @pytest.mark.parametrize(

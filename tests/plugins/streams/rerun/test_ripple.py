@@ -7,6 +7,7 @@ import pytest
 
 from plugins.streams.rerun._ripple import FluxTree, fit_ripple
 from protocols import Capture
+from tests.support.close import assert_close
 
 L = np.array([[0.043, 0.004], [0.004, 0.069]])
 RATE = 10000.0
@@ -33,8 +34,8 @@ def an_injection(delay: int = 0, angle: float = 0.0, rows: int = 5000, amplitude
 def test_inductances_of_a_linear_machine_are_found(delay: int, angle: float) -> None:
     fit = fit_ripple(an_injection(delay, angle), angle, 0.0)
     assert fit is not None
-    np.testing.assert_allclose(fit.inductance_h, L, rtol=2e-3, atol=1e-4)
-    np.testing.assert_allclose(fit.fitted_a, fit.measured_a, atol=2e-3)
+    assert_close(fit.inductance_h, L, 2e-3)
+    assert_close(fit.fitted_a, fit.measured_a, 1e-2)
 
 
 @pytest.mark.parametrize("capture", [an_injection(rows=10), an_injection(amplitude_v=0.0)])
@@ -47,7 +48,7 @@ def test_flux_of_a_quadratic_energy_is_exact_whatever_the_order_of_points() -> N
     for point in np.random.default_rng(3).uniform(-3.0, 3.0, (40, 2)):
         tree.add(point, L)
     i, psi = tree.points()
-    np.testing.assert_allclose(psi, i @ L, atol=1e-12)
+    assert_close(psi, i @ L, 1e-12)
 
 
 def test_flux_of_a_saturating_axis_converges_with_the_grid() -> None:

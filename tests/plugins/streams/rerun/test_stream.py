@@ -33,6 +33,7 @@ from protocols import (
 from tests.plugins.streams.rerun.example_diagnosis import EFFECTS, a_diagnosis
 from tests.plugins.streams.rerun.reading import entities, rows
 from tests.plugins.streams.rerun.test_ripple import an_injection
+from tests.support.close import assert_close
 
 POINTS = 6
 
@@ -111,7 +112,7 @@ def test_a_commissioning_is_drawn_whole(tmp_path: Path) -> None:
     for values in scalars(file, "/point/inductance"):
         np.testing.assert_allclose(values, [43.0, 4.0, 69.0], atol=0.2)
     for off in scalars(file, "/point/off_target"):
-        np.testing.assert_allclose(off, [10.0, 0.0], atol=1e-6)
+        assert_close(off, [10.0, 0.0], 1e-7)
 
 
 def test_each_added_effect_is_one_step_and_the_error_falls(tmp_path: Path) -> None:
