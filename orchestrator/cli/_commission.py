@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from orchestrator.cli._output import give_up_broken_output
-from orchestrator.cli._results import refuse_file
 from orchestrator.config import read_procedure
 from orchestrator.engine import (
     NOTHING_LEFT,
@@ -25,6 +24,7 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
+from orchestrator.runs import refuse_file
 from orchestrator.streaming import StreamTally
 from protocols import FluxbenchError, InputError
 

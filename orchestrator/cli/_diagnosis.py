@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.cli._interrupting import prompt_interrupt
-from orchestrator.cli._results import open_any, refuse_file
 from orchestrator.cli._tables import amount, print_table, stage_as_yaml
 from orchestrator.diagnosis import (
     CROSS_SATURATION,
@@ -22,6 +21,7 @@ from orchestrator.diagnosis import (
 )
 from orchestrator.exporting import load_map
 from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
+from orchestrator.runs import open_any, refuse_file
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, Effect, PluginError
 
 SLOTS = {

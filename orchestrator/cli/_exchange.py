@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.cli._results import open_any
 from orchestrator.config import load_motor
 from orchestrator.exporting import FORMATS, export_map, load_map
 from orchestrator.importing import import_files
+from orchestrator.runs import open_any
 from protocols import InputError, Motor
 
 

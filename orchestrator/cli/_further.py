@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.cli._results import open_any
 from orchestrator.cli._tables import stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.engine import following_stages, installed_effects
-from orchestrator.runs import RunDirectory, is_run
+from orchestrator.runs import RunDirectory, is_run, open_any
 from protocols import (
     Diagnosed,
     DiagnoseStage,

@@ -12,7 +12,7 @@ from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
 from orchestrator._validation import KeyPath, first_problem, suggestion
-from orchestrator.config._plausibility import implausible
+from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
 from protocols import (
     InputError,

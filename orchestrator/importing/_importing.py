@@ -15,11 +15,11 @@ from orchestrator.importing._loading import read_mapping
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._opening import check_file, open_source
 from orchestrator.importing._placing import Placing
-from orchestrator.importing._plausibility import Plausibility
 from orchestrator.importing._segments import segment_of
 from orchestrator.importing._source import Source
 from orchestrator.importing._splitting import Piece, Splitter
 from orchestrator.importing._timing import Clock
+from orchestrator.importing._waveform_checks import WaveformChecks
 from orchestrator.recording import SegmentWriter, write_manifest
 from protocols import DriveRecord, InputError, Manifest, Motor, Segment, StorageError, Strict
 
@@ -86,7 +86,7 @@ class _Import:
         self._mapping, self._findings, self._directory = mapping, findings, directory
         self._splitter = Splitter(mapping)
         self._clock = Clock(mapping, findings)
-        self._plausibility = Plausibility(mapping, findings)
+        self._checks = WaveformChecks(mapping, findings)
         self._placing = Placing(mapping, findings)
         self._segments: list[Segment] = []
 
@@ -104,7 +104,7 @@ class _Import:
     def finish(self, mapping_path: Path) -> Manifest:
         """Say what concerns the recording as a whole, and write the manifest."""
         self._splitter.check_all_used(str(mapping_path))
-        self._plausibility.conclude(str(mapping_path))
+        self._checks.conclude(str(mapping_path))
         if self._splitter.leftover.rows:
             self._findings.note("leftover", self._left_over())
         drive = self._mapping.drive
@@ -123,7 +123,7 @@ class _Import:
     def _take_piece(self, piece: Piece) -> None:
         for stretch in self._clock.stretches(piece):
             made = segment_of(self._mapping, piece, stretch, self._clock.rate_hz, self._findings)
-            self._plausibility.judge(made.waveforms)
+            self._checks.judge(made.waveforms)
             segment_id, start_s = self._placing.place(piece, stretch, len(made.capture), self._clock.rate_hz)
             with SegmentWriter(self._directory, segment_id) as writer:
                 writer.append(made.capture.model_copy(update={"start_s": start_s}))

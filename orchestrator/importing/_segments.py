@@ -9,11 +9,11 @@ import numpy as np
 from orchestrator.importing._angles import believed_angle_rad, check_angle_column
 from orchestrator.importing._findings import Findings
 from orchestrator.importing._mapping import ImportMapping
-from orchestrator.importing._plausibility import Waveforms
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._splitting import Piece
 from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
 from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors
+from orchestrator.importing._waveform_checks import Waveforms
 from protocols import Capture, InputError
 
 _LARGEST = float(np.finfo(np.float32).max)

@@ -12,30 +12,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator._plausible import DRIVE_RANGES, MOTOR_RANGES, Numbers, outside, slow_part
+from orchestrator.plausibility import (
+    DRIVE_RANGES,
+    MOTOR_RANGES,
+    REFUSED,
+    Numbers,
+    apart_rad,
+    is_reversed,
+    outside,
+    slow_part,
+    within,
+)
 from protocols import Capture, Manifest, NotMeasuredError, RecordingError, RecordingReader, Segment, SegmentStage
 
-_MOST_RATED_CURRENTS = 50.0
-"""Five times the rated current, and a gain that is wrong by ten."""
-_MOST_CURRENT_A = 1e6
-"""Where there is no rated current."""
-_MOST_BUS_VOLTAGES, _LEAST_BUS_VOLTAGES = 10.0, 2e-5
-_BUS_RANGE = (0.02, 20.0)
-_RESISTANCE_RANGE = (0.02, 1000.0)
-"""Of the nameplate's. At small currents an inverter's dead time passes for many times the resistance."""
-_INDUCTANCE_RANGE = (0.01, 100.0)
-_LATEST_S = 1e8
 _RATES = ("frequency_hz", "rotation_hz", "period_s", "pwm_frequency_hz")
 _TARGETS = ("target_d_a", "target_q_a", "held_a")
-_LARGEST_SETTING = 1e9
 _MEASURING = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
-_RIPPLE_SAMPLES = 4000
-_EVERY = 16
-"""Of so many samples of the bus voltage one is looked at."""
-_MOST_SAMPLES = 2_000_000
-_ALIKE = 0.5
-_SIGNIFICANT, _NOISE = 0.05, 0.02
-"""Of the rated current."""
 
 
 @dataclass(frozen=True)
@@ -84,11 +76,11 @@ class SoundRecording:
             self._seen[segment.id] = _seen(segment, capture, self.manifest.drive.voltage_delay_samples or 0.0)
         return capture
 
-    def read_through(self) -> None:
-        """Load so many segments, evenly spread, that `conclude` can tell, and conclude."""
+    def read_through(self, most_samples: int = 2_000_000) -> None:
+        """Load so many segments, evenly spread and of so many samples in all, that `conclude` can tell; conclude."""
         segments = self.segments(*_MEASURING)
         total = sum(s.samples for s in segments)
-        stride = max(1, math.ceil(total / _MOST_SAMPLES))
+        stride = max(1, math.ceil(total / most_samples))
         for segment in segments[::stride]:
             self.load(segment)
         self.conclude()
@@ -109,8 +101,8 @@ class SoundRecording:
         bus = self.manifest.drive.dc_bus_voltage_v
         if current == 0.0:
             self._refuse("i_alpha, i_beta", "zero throughout: no current was measured")
-        # Noise alone needs no voltage, and is no motor's wrong voltage.
-        if voltage < _LEAST_BUS_VOLTAGES * bus and current > _NOISE * (self.manifest.motor.rated_current_a or 0.0):
+        # Noise alone, up to a fiftieth of the rated current, needs no voltage, and is no motor's wrong voltage.
+        if voltage < REFUSED.bus_voltages[0] * bus and current > 0.02 * (self.manifest.motor.rated_current_a or 0.0):
             told = f"nowhere more than {voltage:.3g} V, though up to {current:.3g} A flow and the bus has {bus:g} V"
             self._refuse("v_alpha, v_beta", f"{told}: not the voltage at a motor")
         self._check_polarity_and_resistance(seen)
@@ -119,7 +111,7 @@ class SoundRecording:
     def _check_sizes(self, segment: Segment, capture: Capture) -> None:
         motor, bus = self.manifest.motor, self.manifest.drive.dc_bus_voltage_v
         rated = motor.rated_current_a
-        most_a = _MOST_CURRENT_A if rated is None else _MOST_RATED_CURRENTS * rated
+        most_a = REFUSED.rated_currents[1] * (MOTOR_RANGES["rated_current_rms_a"][1] if rated is None else rated)
         peak = _largest(capture.i_ab)
         if peak > most_a:
             held = "any motor's" if rated is None else f"{peak / rated:.3g} times the rated current, {rated:.3g} A peak"
@@ -127,15 +119,15 @@ class SoundRecording:
                 f"{segment.id}: i_alpha, i_beta", f"{_place(capture.i_ab, peak)}: {peak:.4g} A, {held}; a unit is wrong"
             )
         peak = _largest(capture.v_ab)
-        if peak > _MOST_BUS_VOLTAGES * bus:
+        if peak > REFUSED.bus_voltages[1] * bus:
             held = f"{peak / bus:.3g} times the bus voltage, {bus:g} V"
             self._refuse(
                 f"{segment.id}: v_alpha, v_beta", f"{_place(capture.v_ab, peak)}: {peak:.4g} V, {held}; a unit is wrong"
             )
-        low, high = (limit * bus for limit in _BUS_RANGE)
+        low, high = (limit * bus for limit in REFUSED.bus)
         # With the bridge off the bus may be off too.
         low = 0.0 if segment.stage is SegmentStage.GATES_OFF else low
-        measured = float(np.median(capture.v_dc[::_EVERY]))
+        measured = float(np.median(capture.v_dc[::16]))  # a sixteenth of the samples tells as much, far sooner
         if not low <= measured <= high:
             told = f"{measured:.4g} V (median) on a nominal bus of {bus:g} V; a unit is wrong"
             self._refuse(f"{segment.id}: v_dc", told)
@@ -143,18 +135,18 @@ class SoundRecording:
     def _check_polarity_and_resistance(self, seen: Sequence[_Seen]) -> None:
         i2, v2 = sum(x.i_squared for x in seen), sum(x.v_squared for x in seen)
         motor = self.manifest.motor
-        least = _SIGNIFICANT * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
+        least = 0.05 * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
         # Offsets of the sensors and of the inverter go together in any way.
         if v2 == 0.0 or math.sqrt(i2 / len(seen)) < least:
             return
         product = sum((x.v_on_i for x in seen), 0j)
-        likeness, angle = abs(product) / math.sqrt(i2 * v2), math.atan2(product.imag, product.real)
-        if likeness > _ALIKE and abs(angle) > math.pi / 3.0:
+        angle = apart_rad(product, v2, i2)
+        if angle is not None:
             told = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
-            hint = "one of both is reversed" if abs(angle) > 2.6 else "phases are exchanged, or frames differ"
+            hint = "one of both is reversed" if is_reversed(angle) else "phases are exchanged, or frames differ"
             self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{told}: {hint}")
         nameplate, ohm = motor.stator_resistance_ohm, product.real / i2
-        if nameplate is None or _RESISTANCE_RANGE[0] * nameplate <= ohm <= _RESISTANCE_RANGE[1] * nameplate:
+        if nameplate is None or within(ohm, REFUSED.resistance, nameplate):
             return
         told = f"{ohm:.3g} ohm, where the nameplate has {nameplate:g} ohm: a unit is wrong"
         self._refuse("v_alpha, v_beta over i_alpha, i_beta", told)
@@ -164,13 +156,13 @@ class SoundRecording:
         if i2 == 0.0 or v2 == 0.0 or abs(product) < 0.2 * math.sqrt(i2 * v2):
             return
         where = "ripple of v_alpha, v_beta and i_alpha, i_beta"
-        if product < -_ALIKE * math.sqrt(i2 * v2):
+        if product < -0.5 * math.sqrt(i2 * v2):
             self._refuse(where, "the current falls where the voltage drives it up: one is reversed, or far too late")
         motor = self.manifest.motor
         if product < 0.0 or motor.d_inductance_h is None or motor.q_inductance_h is None:
             return
         henry, nameplate = v2 / product, math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
-        if not _INDUCTANCE_RANGE[0] * nameplate <= henry <= _INDUCTANCE_RANGE[1] * nameplate:
+        if not within(henry, REFUSED.inductance, nameplate):
             told = f"an inductance of {henry:.3g} H, where the nameplate has {nameplate:.3g} H"
             self._refuse(where, f"{told}; a unit, or the sampling frequency, is wrong")
 
@@ -184,7 +176,7 @@ def _check_manifest(manifest: Manifest) -> None:
     for name, problem in outside(manifest.drive.model_dump(), DRIVE_RANGES, "no drive does that"):
         raise RecordingError(manifest.name, f"drive.{name}", problem)
     for segment in manifest.segments:
-        if abs(segment.start_s) > _LATEST_S:
+        if abs(segment.start_s) > 1e8:  # three years
             told = f"{segment.start_s:g} s; expected seconds since the start of the experiment"
             raise RecordingError(manifest.name, f"segments.{segment.id}.start_s", told)
         _check_settings(manifest.name, segment)
@@ -199,7 +191,7 @@ def _check_settings(name: str, segment: Segment) -> None:
         field = f"segments.{segment.id}.settings.{key}"
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise RecordingError(name, field, f"expected a number, got {value!r}"[:120])
-        if abs(value) > _LARGEST_SETTING or (key in _RATES and value < 0):
+        if abs(value) > 1e9 or (key in _RATES and value < 0):
             raise RecordingError(name, field, f"{value!r} cannot be meant"[:120])
 
 
@@ -224,8 +216,9 @@ def _seen(segment: Segment, capture: Capture, late: float) -> _Seen:
     return _Seen(current, voltage, float(i_squared.real), float(v_squared.real), complex(v_on_i), steps)
 
 
-def _steps(capture: Capture, late: int) -> tuple[float, float, float]:
-    i = np.asarray(capture.i_ab[:_RIPPLE_SAMPLES], dtype=np.float64)
+def _steps(capture: Capture, late: int, samples: int = 4000) -> tuple[float, float, float]:
+    """Sums over the steps of the ripple in the first of so many samples: some hundred periods."""
+    i = np.asarray(capture.i_ab[:samples], dtype=np.float64)
     v = np.asarray(capture.v_ab[: len(i)], dtype=np.float64)
     if len(i) < late + 3:
         return 0.0, 0.0, 0.0

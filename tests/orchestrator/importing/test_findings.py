@@ -9,10 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from orchestrator.importing._plausibility import _scaling_hint
+from orchestrator.importing._waveform_checks import _scaling_hint
 from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.benches import PHASES, RATE, Bench, Numbers, held_current, in_phases, phase_log
+from tests.support.close import assert_close
 
 
 def complaint(bench: Bench) -> str:
@@ -73,7 +74,7 @@ def test_resampling_interpolates_currents_keeps_volt_seconds_and_is_noted(bench:
     assert "resampled to 10000 Hz" in report.notes[0]
     (capture,) = bench.captures()
     grid = np.arange(400) / RATE
-    np.testing.assert_allclose(capture.i_ab, np.column_stack([2.0 + 30.0 * grid, 1.0 - 20.0 * grid]), atol=1e-6)
+    assert_close(capture.i_ab, np.column_stack([2.0 + 30.0 * grid, 1.0 - 20.0 * grid]), 2.0**-22)
     held = v[:-1] * np.diff(t)[:, None]
     np.testing.assert_allclose(capture.v_ab[:-1].sum(axis=0) / RATE, held.sum(axis=0), rtol=1e-6)
 

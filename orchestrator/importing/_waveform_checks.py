@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator._plausible import HEXAGON, rms, slow_part
 from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._lag import voltage_lag
 from orchestrator.importing._mapping import ImportMapping, Scaling
@@ -20,14 +19,8 @@ from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK
 from orchestrator.numerics.frames import from_phases
+from orchestrator.plausibility import DOUBTED, HEXAGON, apart_rad, is_reversed, rms, slow_part, within
 from protocols import SegmentStage
-
-_MOST_RATED_CURRENTS, _LEAST_RATED_CURRENTS = 20.0, 0.01
-_MOST_BUS_VOLTAGES, _LEAST_BUS_VOLTAGES = 5.0, 2e-4
-_BUS_RANGE = (0.3, 3.0)
-_RESISTANCE_RANGE = (0.01, 100.0)
-_SIGNIFICANT = 0.05
-_LAG_WORTH_SAYING = 0.25
 
 
 @dataclass(frozen=True)
@@ -48,7 +41,7 @@ class Waveforms:
     raw_voltages: Mapping[str, Numbers]
 
 
-class Plausibility:
+class WaveformChecks:
     """Judges segment by segment, and in the end the recording as a whole."""
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
@@ -87,7 +80,7 @@ class Plausibility:
         bus, nominal = self._mapping.bus, self._mapping.drive.dc_bus_voltage_v
         if bus is None:
             return
-        low, high = (limit * nominal for limit in _BUS_RANGE)
+        low, high = (limit * nominal for limit in DOUBTED.bus)
         median = float(np.median(w.v_dc))
         if not low <= median <= high:
             self._findings.doubt(
@@ -105,7 +98,7 @@ class Plausibility:
             self._largest_current_a = max(self._largest_current_a, peak)
             self._largest_rms_a = max(self._largest_rms_a, rms(w.i_ab))
         rated = self._mapping.motor.rated_current_a
-        if rated is not None and peak > _MOST_RATED_CURRENTS * rated:
+        if rated is not None and peak > DOUBTED.rated_currents[1] * rated:
             self._findings.doubt(
                 Finding.CURRENT_UNIT,
                 w.file,
@@ -129,7 +122,7 @@ class Plausibility:
             f"{length[worst]:.4g} V at sample {worst + 1} from {w.rows} on is more than a bridge makes of {bus:.4g} V "
             f"({HEXAGON * bus:.4g} V)"
         )
-        if largest > _MOST_BUS_VOLTAGES:
+        if largest > DOUBTED.bus_voltages[1]:
             hint = _unit_hint(self._mapping.voltage.unit, float(length[worst]), 1e-3 * bus, HEXAGON * bus)
             self._findings.doubt(Finding.VOLTAGE_UNIT, w.file, self._voltage_names, said + hint)
         else:
@@ -193,24 +186,25 @@ class Plausibility:
             return
         self._power_w += float(np.sum(v * i))
         self._square_a2 += float(np.sum(i * i))
-        likeness, _, angle = _compared(v, i)
-        if likeness > 0.5 and abs(angle) > math.pi / 3.0:
+        i_c, v_c = i[:, 0] + 1j * i[:, 1], v[:, 0] + 1j * v[:, 1]
+        angle = apart_rad(complex(np.vdot(i_c, v_c)), float(np.sum(v * v)), float(np.sum(i * i)))
+        if angle is not None:
+            hint = "one of both is reversed (factor: -1)" if is_reversed(angle) else "phases are exchanged"
             self._findings.doubt(
                 Finding.POLARITY,
                 w.file,
                 f"{self._voltage_names} against {self._current_names}",
                 f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart from {w.rows} on, but a winding "
-                f"takes power: {'one of both is reversed (factor: -1)' if abs(angle) > 2.6 else 'phases are exchanged'}"
-                ", or their frames differ",
+                f"takes power: {hint}, or their frames differ",
             )
 
     def _is_significant(self, rms_a: float) -> bool:
-        """Whether a current is worth a conclusion: small beside neither the rating nor what else was measured."""
-        return rms_a > _SIGNIFICANT * (self._mapping.motor.rated_current_a or self._largest_rms_a)
+        """Whether a current is worth a conclusion: a twentieth of the rating, or of what else was measured."""
+        return rms_a > 0.05 * (self._mapping.motor.rated_current_a or self._largest_rms_a)
 
     def _current_too_small(self, file: str) -> None:
         rated, largest = self._mapping.motor.rated_current_a, self._largest_current_a
-        if rated is not None and 0.0 < largest < _LEAST_RATED_CURRENTS * rated:
+        if rated is not None and 0.0 < largest < DOUBTED.rated_currents[0] * rated:
             self._findings.doubt(
                 Finding.CURRENT_UNIT,
                 file,
@@ -221,7 +215,7 @@ class Plausibility:
 
     def _voltage_too_small(self, file: str) -> None:
         largest = self._largest_modulation
-        if 0.0 < largest < _LEAST_BUS_VOLTAGES:
+        if 0.0 < largest < DOUBTED.bus_voltages[0]:
             self._findings.doubt(
                 Finding.VOLTAGE_UNIT,
                 file,
@@ -235,8 +229,7 @@ class Plausibility:
         if nameplate is None or self._square_a2 == 0.0:
             return
         seen = self._power_w / self._square_a2
-        low, high = (limit * nameplate for limit in _RESISTANCE_RANGE)
-        if not low <= seen <= high:
+        if not within(seen, DOUBTED.resistance, nameplate):
             self._findings.doubt(
                 Finding.VOLTAGE_UNIT,
                 file,
@@ -248,7 +241,8 @@ class Plausibility:
         if not self._lags:
             return
         lag, given = float(np.median(self._lags)), self._mapping.drive.voltage_delay_samples or 0.0
-        if abs(lag - given) > _LAG_WORTH_SAYING:
+        # A quarter of a sample is what the ripple's own shape may look like.
+        if abs(lag - given) > 0.25:
             self._findings.note(
                 "lag",
                 f"the current follows the commanded voltage by {lag:.1f} samples (median of {len(self._lags)} "
