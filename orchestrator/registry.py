@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import importlib.util
 import inspect
+import sys
 import typing
 from collections.abc import Mapping
 from enum import StrEnum
@@ -18,7 +19,7 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from orchestrator._validation import first_problem, suggestion
-from protocols import Drive, Effect, Estimator, NoOptions, PluginError, Stream, Strict
+from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stream, Strict
 
 
 class PluginKind(StrEnum):
@@ -96,11 +97,12 @@ def load_effects_file(path: Path) -> list[type[Any]]:
     if specification is None or specification.loader is None or not path.is_file():
         raise PluginError(str(path), "", "expected a Python file with effects")
     module = importlib.util.module_from_spec(specification)
+    # Dataclasses look their module up by its name.
+    sys.modules[module.__name__] = module
     try:
         specification.loader.exec_module(module)
     except (Exception, SystemExit) as error:
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise PluginError(str(path), "", f"does not run: {reason}") from error
+        raise PluginError(str(path), "", f"does not run: {_reason(error)}") from error
     own = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
     found = [c for c in own if hasattr(c, "correct")]
     if not found:
@@ -153,20 +155,27 @@ def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
         plugin = entry.load()
     except (Exception, SystemExit) as error:
         # An import runs foreign code: it may raise anything, and what it raises is said, not hidden.
-        reason = f"{type(error).__name__}: {error}".splitlines()[0]
-        raise PluginError(info.kind.value, str(info), f"does not load: {reason}") from error
+        raise PluginError(info.kind.value, str(info), f"does not load: {_reason(error)}") from error
     if not isinstance(plugin, type):
         raise PluginError(info.kind.value, str(info), f"expected a class, got {type(plugin).__name__}")
     return plugin
 
 
+def _reason(error: BaseException) -> str:
+    """One line; our own errors speak for themselves."""
+    return str(error) if isinstance(error, FluxbenchError) else f"{type(error).__name__}: {error}".splitlines()[0]
+
+
 def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
     contract = _CONTRACTS[info.kind]
-    for attribute, hint in typing.get_type_hints(contract).items():
-        if get_origin(hint) is ClassVar:
-            problem = _attribute_problem(plugin, attribute, get_args(hint)[0])
-            if problem:
-                raise PluginError(info.kind.value, str(info), f"attribute {attribute!r} {problem}")
+    hints = {a: get_args(h)[0] for a, h in typing.get_type_hints(contract).items() if get_origin(h) is ClassVar}
+    for attribute, definition in vars(contract).items():
+        if isinstance(definition, property):
+            hints[attribute] = typing.get_type_hints(definition.fget)["return"]
+    for attribute, wanted in hints.items():
+        problem = _attribute_problem(plugin, attribute, wanted)
+        if problem:
+            raise PluginError(info.kind.value, str(info), f"attribute {attribute!r} {problem}")
     for method, definition in vars(contract).items():
         if inspect.isfunction(definition) and not method.startswith("_"):
             problem = _method_problem(plugin, method, definition)

@@ -42,12 +42,21 @@ from protocols._drive import (
     Trapezoid,
 )
 from protocols._effects import (
+    PLAIN_UNITS,
+    SCALED_UNITS,
+    Contrast,
+    Correction,
     Effect,
     EffectLayer,
     EffectParameter,
+    EffectParameters,
     LossHistory,
     ParameterRole,
     Signals,
+    amplitude,
+    refinement,
+    shape,
+    unit_powers,
 )
 from protocols._errors import (
     CapabilityError,
@@ -167,6 +176,8 @@ from protocols._streams import (
 )
 
 __all__ = [
+    "PLAIN_UNITS",
+    "SCALED_UNITS",
     "AddReport",
     "AlignmentStage",
     "ArrayModel",
@@ -181,6 +192,8 @@ __all__ = [
     "Coefficient",
     "CompareReport",
     "Compared",
+    "Contrast",
+    "Correction",
     "CurrentControl",
     "CurrentExcerpt",
     "DiagnoseStage",
@@ -199,6 +212,7 @@ __all__ = [
     "Effect",
     "EffectLayer",
     "EffectParameter",
+    "EffectParameters",
     "Estimate",
     "EstimateStage",
     "EstimationContext",
@@ -297,6 +311,10 @@ __all__ = [
     "Vectors",
     "Verdict",
     "WorstSegment",
+    "amplitude",
+    "refinement",
+    "shape",
     "shipped_procedure",
     "shipped_procedures",
+    "unit_powers",
 ]

@@ -7,13 +7,17 @@ function of a recording's signals; entry point group ``fluxbench.effects``.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import dataclasses
+import math
+import re
+from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Annotated, Any, ClassVar, Protocol, runtime_checkable
+from typing import Annotated, Any, ClassVar, Protocol, dataclass_transform, runtime_checkable
 
 import numpy as np
 
-from protocols._base import ArrayModel, Samples, Shape, Strict, Vectors
+from protocols._base import ArrayModel, RealArray, Samples, Shape, Vectors
+from protocols._errors import PluginError
 from protocols._motor import Motor
 from protocols._recording import DriveRecord
 
@@ -30,6 +34,29 @@ class EffectLayer(IntEnum):
     IRON = 7
 
 
+class Contrast(StrEnum):
+    """What a recording may hold beside the usual, by which effects that look alike part."""
+
+    GATES_OFF = "gates_off"
+    """A reading of the sensors with all gates off."""
+    SECOND_PWM_FREQUENCY = "second_pwm_frequency"
+    """Direct currents held at two PWM frequencies."""
+    SECOND_ANGLE = "second_angle"
+    """The rotor locked at two angles."""
+    SECOND_INJECTION_FREQUENCY = "second_injection_frequency"
+    """Ripple of two frequencies."""
+    SECOND_INJECTION_AMPLITUDE = "second_injection_amplitude"
+    """Ripple of two amplitudes, at the same points."""
+    OPERATING_POINTS = "operating_points"
+    """Ripple along both axes."""
+    SMALL_CURRENTS = "small_currents"
+    """Direct currents held densely about zero."""
+    DIRECTIONS = "directions"
+    """Direct currents held all around."""
+    ANCHOR = "anchor"
+    """One point measured twice, when the machine was colder and when it was warmer."""
+
+
 class ParameterRole(StrEnum):
     """What a parameter does in its effect; the diagnosis frees them in this order."""
 
@@ -41,15 +68,45 @@ class ParameterRole(StrEnum):
     """Makes the effect's form more flexible; neutral is the simple form."""
 
 
-class EffectParameter(Strict):
-    """One parameter of an effect, in SI."""
+SCALED_UNITS = ("A", "V", "ohm", "Wb", "H", "W", "Nm")
+"""Units of what is larger in a larger machine: the diagnosis scales a parameter by the nameplate."""
+PLAIN_UNITS = ("1", "s", "Hz", "rad", "K")
+"""Units of what is the same in every machine."""
+
+
+def unit_powers(unit: str) -> dict[str, int]:
+    """The powers of the known units in a product or a quotient: ``rad/Nm``, ``1/A^2``, ``V s``.
+
+    Raises
+    ------
+    ValueError
+        Where the unit holds something else.
+    """
+    known = SCALED_UNITS + PLAIN_UNITS
+    factor = rf"({'|'.join(known)})(\^[2-9])?"
+    if not re.fullmatch(rf"{factor}( {factor})*(/{factor}( {factor})*)?", unit):
+        known_words = ", ".join(known)
+        raise ValueError(
+            f"unit {unit!r} cannot be scaled to a machine; expected a product or quotient of {known_words}"
+        )
+    powers: dict[str, int] = {}
+    for sign, product in zip((1, -1), unit.split("/"), strict=False):
+        for symbol, _, power in (part.partition("^") for part in product.split()):
+            powers[symbol] = powers.get(symbol, 0) + sign * int(power or 1)
+    return powers
+
+
+@dataclass(frozen=True)
+class EffectParameter:
+    """One parameter of an effect, in SI, at the size of a 400 W machine (1.66 A rms, 540 V, 4.25 ohm)."""
 
     name: str
     unit: str
+    """A product or quotient of `SCALED_UNITS` and `PLAIN_UNITS`."""
     typical: float
     """The size met in practice; relative sizes refer to it."""
     prior_width: float
-    """Standard deviation of the prior about zero effect."""
+    """Standard deviation of the prior about zero effect; of a shape in its logarithm."""
     low: float
     high: float
     neutral: float
@@ -58,6 +115,95 @@ class EffectParameter(Strict):
     """Relative size is typical / value instead of value / typical."""
     role: ParameterRole = ParameterRole.AMPLITUDE
 
+    def problem(self) -> str | None:
+        """What would make no sense to a fit, in a few words; None where all is well."""
+        for name in ("low", "high", "neutral", "typical", "prior_width"):
+            if not math.isfinite(getattr(self, name)):
+                return f"{name} is {getattr(self, name)}"
+        if not self.low < self.high:
+            return f"low {self.low:g} is not below high {self.high:g}"
+        for name in ("neutral", "typical"):
+            if not self.low <= getattr(self, name) <= self.high:
+                return f"{name} {getattr(self, name):g} is not between low {self.low:g} and high {self.high:g}"
+        if self.prior_width <= 0.0:
+            return f"prior_width {self.prior_width:g} is not positive"
+        if self.role is ParameterRole.SHAPE and self.low <= 0.0:
+            return f"low {self.low:g} of a shape is not positive"
+        if self.role is ParameterRole.AMPLITUDE and self.typical in (self.neutral, 0.0):
+            return f"typical {self.typical:g} of an amplitude is zero, or its neutral value: it has no size"
+        try:
+            unit_powers(self.unit)
+        except ValueError as error:
+            return str(error)
+        return None
+
+
+def amplitude(
+    unit: str,
+    *,
+    typical: float,
+    prior_width: float,
+    low: float,
+    high: float,
+    neutral: float = 0.0,
+    strong_when_small: bool = False,
+) -> Any:
+    """A field of `EffectParameters` that decides whether the effect is there; its default is the neutral value."""
+    return _declared(
+        ParameterRole.AMPLITUDE, neutral, unit, typical, prior_width, low, high, neutral, strong_when_small
+    )
+
+
+def shape(unit: str, *, typical: float, prior_width: float, low: float, high: float) -> Any:
+    """A positive field of `EffectParameters` that says how the amplitude acts; its default is the typical value."""
+    return _declared(ParameterRole.SHAPE, typical, unit, typical, prior_width, low, high, typical)
+
+
+def refinement(unit: str, *, neutral: float, prior_width: float, low: float, high: float) -> Any:
+    """A field of `EffectParameters` that bends the effect's form; its default, neutral, is the simple form."""
+    return _declared(ParameterRole.REFINEMENT, neutral, unit, neutral, prior_width, low, high, neutral)
+
+
+def _declared(role: ParameterRole, default: float, *facts: Any) -> Any:
+    names = ("unit", "typical", "prior_width", "low", "high", "neutral", "strong_when_small")
+    return dataclasses.field(default=default, metadata={"role": role, **dict(zip(names, facts, strict=False))})
+
+
+@dataclass_transform(kw_only_default=True, frozen_default=True)
+class EffectParameters:
+    """Base of an effect's parameters: each field is declared once, by its role, and read as an attribute.
+
+    A sub-class is a frozen dataclass; without arguments it is the effect's absence::
+
+        class Parameters(EffectParameters):
+            voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
+
+    Raises
+    ------
+    PluginError
+        When such a class is defined: where a field is no parameter, or one that cannot be fitted.
+    """
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        dataclass(frozen=True, kw_only=True)(cls)
+        for field in dataclasses.fields(cls):  # type: ignore[arg-type]  # a dataclass by now
+            if "role" not in field.metadata:
+                raise PluginError("effects", f"{cls.__qualname__}.{field.name}", _ROLES)
+        for parameter in cls.declared():
+            problem = parameter.problem()
+            if problem is not None:
+                raise PluginError("effects", f"{cls.__qualname__}.{parameter.name}", problem)
+
+    @classmethod
+    def declared(cls) -> tuple[EffectParameter, ...]:
+        """What the fields say: amplitudes first, then shapes, then refinements."""
+        fields = dataclasses.fields(cls)  # type: ignore[arg-type]  # its sub-classes are dataclasses
+        found = [EffectParameter(name=field.name, **field.metadata) for field in fields]
+        return tuple(sorted(found, key=lambda p: list(ParameterRole).index(p.role)))
+
+
+_ROLES = "declared without a role: expected amplitude(...), shape(...) or refinement(...)"
 
 Curve = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("m",))]
 
@@ -73,10 +219,29 @@ class LossHistory(ArrayModel):
     """1 where it was measured, 0 where it is assumed, shape (m,); None: measured throughout."""
 
 
+@dataclass(frozen=True)
+class Correction:
+    """What an effect changes of the signals, as new arrays of the same shape; None: unchanged."""
+
+    i_ab: RealArray | None = None
+    v_ab: RealArray | None = None
+    v_dc: RealArray | None = None
+    theta_rad: RealArray | None = None
+    resistance_ohm: RealArray | None = None
+    i_m_ab: RealArray | None = None
+    """None where `i_ab` is given: what magnetises moves along with it."""
+
+    @property
+    def arrays(self) -> dict[str, RealArray]:
+        """What is changed, by its name."""
+        named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
+        return {name: array for name, array in named.items() if array is not None}
+
+
 class Signals(ArrayModel):
     """One segment as an effect sees it, each quantity at its current best; time first.
 
-    Starts as what was measured and commanded; each effect returns a corrected one.
+    Starts as what was measured and commanded; what effects return is put in its place.
     """
 
     start_s: float
@@ -107,6 +272,13 @@ class Signals(ArrayModel):
     bridge_on: bool = True
     """False while all gates are off: then no voltage is commanded and none is impressed."""
 
+    def corrected(self, correction: Correction) -> Signals:
+        """These signals with what an effect changed of them."""
+        changed = correction.arrays
+        if "i_ab" in changed and "i_m_ab" not in changed:
+            changed["i_m_ab"] = self.i_m_ab + (changed["i_ab"] - self.i_ab)
+        return self.model_copy(update=changed) if changed else self
+
 
 @runtime_checkable
 class Effect(Protocol):
@@ -118,16 +290,26 @@ class Effect(Protocol):
     signature: ClassVar[str]
     """One sentence: what it does to the residual."""
     layer: ClassVar[EffectLayer]
-    family: ClassVar[str]
-    """Effects of one family are shapes of the same physics, from simple to flexible."""
-    twins: ClassVar[tuple[str, ...]]
-    """Effects that it cannot be told from without the experiments below."""
-    experiments: ClassVar[tuple[str, ...]]
-    """What to measure to tell it from its twins."""
+    needs: ClassVar[tuple[Contrast, ...]]
+    """Contrasts without which it cannot be told from an effect that needs the same one; mostly none."""
     gauge: ClassVar[str]
-    """What no measurement of this kind can show; empty where nothing."""
-    parameters: ClassVar[tuple[EffectParameter, ...]]
+    """What no measurement of this kind can show, said wherever the effect is named; empty where nothing."""
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
-        """The signals with this effect accounted for; at the neutral values they come back equal."""
+    @property
+    def Parameters(self) -> type[EffectParameters]:
+        """The effect's own class of parameters, mostly nested in it."""
+        ...
+
+    def correct(self, signals: Signals, parameters: Any, /) -> Correction:
+        """What becomes of the signals when this effect is accounted for.
+
+        Asked only where the effect is there: where an amplitude is not neutral and, beyond the current sensors, the
+        bridge is on. The nearer to neutral, the less is changed. The signals are not to be written to.
+
+        Parameters
+        ----------
+        signals : Signals
+        parameters : EffectParameters
+            Of the effect's own class.
+        """
         ...

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from orchestrator.testing._kit import PLUGIN_NAME, Kit
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
-from protocols import Effect, EffectLayer, ParameterRole, Signals
+from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, Signals
 
 VISIBLE = 1e-6
 """Smallest change by a typical effect, relative to the largest value of the signal it acts on."""
@@ -35,10 +34,12 @@ class EffectConformance(Kit, ABC):
         return exciting_signals()
 
     def _values(self, which: str) -> dict[str, float]:
-        return {parameter.name: getattr(parameter, which) for parameter in self.make_effect().parameters}
+        """Every parameter at its ``neutral`` or ``typical`` value."""
+        return {parameter.name: getattr(parameter, which) for parameter in self.make_effect().Parameters.declared()}
 
-    def _correct(self, values: Mapping[str, float]) -> Signals:
-        return self.make_effect().correct(self.signals(), values)
+    def _corrected(self, values: Mapping[str, float]) -> Signals:
+        effect, signals = self.make_effect(), self.signals()
+        return signals.corrected(effect.correct(signals, effect.Parameters(**values)))
 
     def test_entry_point_leads_to_the_effect(self) -> None:
         self.require_entry_point("fluxbench.effects", type(self.make_effect()))
@@ -47,82 +48,68 @@ class EffectConformance(Kit, ABC):
         effect = self.make_effect()
         assert isinstance(effect, Effect), "methods or attributes of protocols.Effect are missing"
         assert isinstance(effect.layer, EffectLayer), f"layer is {effect.layer!r}; expected an EffectLayer"
-        for text in ("summary", "signature", "family"):
+        for text in ("summary", "signature"):
             assert getattr(effect, text).strip(), f"{text} is empty"
-        for group in ("twins", "experiments"):
-            assert all(entry.strip() for entry in getattr(effect, group)), f"{group} holds an empty entry"
-        assert effect.experiments or not effect.twins, "twins without an experiment that tells them apart"
-        assert effect.name not in effect.twins, "an effect is not its own twin"
+        unknown = [need for need in effect.needs if not isinstance(need, Contrast)]
+        assert not unknown, f"needs holds {unknown}; expected members of protocols.Contrast"
 
-    def test_parameters_are_coherent(self) -> None:
-        parameters = self.make_effect().parameters
-        assert parameters, "an effect without a parameter cannot be fitted"
-        names = [p.name for p in parameters]
-        assert len(set(names)) == len(names), f"parameter names repeat: {names}"
+    def test_parameters_can_be_fitted(self) -> None:
+        parameters = self.make_effect().Parameters.declared()
         for p in parameters:
             assert PLUGIN_NAME.match(p.name), f"{p.name!r} is no name for a parameter"
-            assert p.unit.strip(), f"{p.name}: no unit (a plain ratio has the unit 1)"
-            numbers = (p.low, p.high, p.neutral, p.typical, p.prior_width)
-            assert all(map(math.isfinite, numbers)), f"{p.name}: not all numbers are finite"
-            assert p.low < p.high, f"{p.name}: low is not below high"
-            assert p.low <= p.neutral <= p.high, f"{p.name}: neutral is out of bounds"
-            assert p.low <= p.typical <= p.high, f"{p.name}: typical is out of bounds"
-            assert p.prior_width > 0.0, f"{p.name}: prior_width must be positive"
-            assert p.role is not ParameterRole.SHAPE or p.low > 0.0, f"{p.name}: a shape is positive, its low is not"
-        amplitudes = [p for p in parameters if p.role is ParameterRole.AMPLITUDE]
-        assert amplitudes, "no parameter has the role of an amplitude"
-        for p in amplitudes:
-            assert p.typical != p.neutral, f"{p.name}: an amplitude whose typical value is the neutral one"
+            assert p.problem() is None, f"{p.name}: {p.problem()}"
+        assert any(p.role is ParameterRole.AMPLITUDE for p in parameters), "no parameter has the role of an amplitude"
 
     def test_neutral_values_change_nothing(self) -> None:
-        change = largest_change(self.signals(), self._correct(self._values("neutral")))
+        change = largest_change(self.signals(), self._corrected(self._values("neutral")))
         assert change <= self._unseen(), f"the neutral values change a signal by {change:.2g} of its size"
 
     def _unseen(self) -> float:
         """Change that counts as none: a neutral value that is a bound only comes near to it."""
-        if not any(p.strong_when_small for p in self.make_effect().parameters):
+        if not any(p.strong_when_small for p in self.make_effect().Parameters.declared()):
             return 1e-9
-        return NEUTRAL * largest_change(self.signals(), self._correct(self._values("typical")))
+        return NEUTRAL * largest_change(self.signals(), self._corrected(self._values("typical")))
 
     def test_nothing_happens_while_all_amplitudes_are_neutral(self) -> None:
-        parameters = self.make_effect().parameters
+        parameters = self.make_effect().Parameters.declared()
         silenced = {p.name: p.neutral for p in parameters if p.role is ParameterRole.AMPLITUDE}
-        change = largest_change(self.signals(), self._correct(self._values("typical") | silenced))
+        change = largest_change(self.signals(), self._corrected(self._values("typical") | silenced))
         assert change <= self._unseen(), f"with neutral amplitudes, shapes alone change a signal by {change:.2g}"
 
     def test_typical_values_show(self) -> None:
-        change = largest_change(self.signals(), self._correct(self._values("typical")))
+        change = largest_change(self.signals(), self._corrected(self._values("typical")))
         assert change >= VISIBLE, f"the typical values change no signal by more than {change:.2g} of its size"
 
     def test_input_is_not_modified(self) -> None:
-        signals = self.signals()
+        effect, signals = self.make_effect(), self.signals()
         before = {name: getattr(signals, name).tobytes() for name in SIGNAL_ARRAYS}
         for name in SIGNAL_ARRAYS:
             getattr(signals, name).flags.writeable = False
-        self.make_effect().correct(signals, self._values("typical"))
+        effect.correct(signals, effect.Parameters(**self._values("typical")))
         changed = [name for name in SIGNAL_ARRAYS if getattr(signals, name).tobytes() != before[name]]
         assert not changed, f"modified in place: {changed}"
 
     def test_same_input_gives_the_same_output(self) -> None:
-        effect, values = self.make_effect(), self._values("typical")
-        first = effect.correct(self.signals(), values)
-        effect.correct(exciting_signals(seed=7), values)
-        second = effect.correct(self.signals(), values)
-        apart = largest_change(first, second)
-        assert apart == 0.0, "an earlier call is remembered: effects are pure functions"
+        effect, signals = self.make_effect(), self.signals()
+        parameters = effect.Parameters(**self._values("typical"))
+        first = signals.corrected(effect.correct(signals, parameters))
+        effect.correct(exciting_signals(seed=7), parameters)
+        second = signals.corrected(effect.correct(signals, parameters))
+        assert largest_change(first, second) == 0.0, "an earlier call is remembered: effects are pure functions"
 
-    def test_shape_and_clock_are_kept(self) -> None:
-        before, after = self.signals(), self._correct(self._values("typical"))
-        assert isinstance(after, Signals), f"correct returned {type(after).__name__}"
-        for name in ("start_s", "sampling_frequency_hz", "pwm_frequency_hz"):
-            assert getattr(after, name) == getattr(before, name), f"{name} was changed"
-        for name in SIGNAL_ARRAYS:
-            assert getattr(after, name).shape == getattr(before, name).shape, f"{name} has another shape"
+    def test_a_correction_is_returned_in_the_shape_of_the_signals(self) -> None:
+        effect, signals = self.make_effect(), self.signals()
+        found: object = effect.correct(signals, effect.Parameters(**self._values("typical")))
+        assert isinstance(found, Correction), f"correct returned {type(found).__name__} instead of a Correction"
+        for name, array in found.arrays.items():
+            shape = getattr(signals, name).shape
+            assert array.shape == shape, f"{name} has shape {array.shape} instead of {shape}"
+            assert array.dtype.kind == "f", f"{name} is of type {array.dtype}"
 
     def test_every_value_within_bounds_gives_finite_signals(self) -> None:
-        for parameter in self.make_effect().parameters:
+        for parameter in self.make_effect().Parameters.declared():
             for bound in ("low", "high"):
                 values = self._values("typical") | {parameter.name: getattr(parameter, bound)}
-                after = self._correct(values)
+                after = self._corrected(values)
                 for name in SIGNAL_ARRAYS:
                     assert np.isfinite(getattr(after, name)).all(), f"{name} not finite at {bound} of {parameter.name}"

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
 
 from plugins.effects._filters import low_pass
-from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, shape
 
 
 class RotorMisalignment:
@@ -23,19 +22,15 @@ class RotorMisalignment:
     summary: ClassVar[str] = "The rotor is not at the angle that the operator believes in."
     signature: ClassVar[str] = "A map that is not even in i_q, with reciprocity kept."
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
-    family: ClassVar[str] = "frame"
-    twins: ClassVar[tuple[str, ...]] = ("slot_harmonics",)
-    experiments: ClassVar[tuple[str, ...]] = ("realign by 60 degrees electrical", "lock at several angles")
+    needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
     gauge: ClassVar[str] = "The angle is visible only through the assumed evenness in i_q."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="angle_rad", unit="rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6, neutral=0.0),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        angle_rad: float = amplitude("rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Turn the d axis to where it is."""
-        if values["angle_rad"] == 0.0:
-            return signals
-        return signals.model_copy(update={"theta_rad": signals.theta_rad + values["angle_rad"]})
+        return Correction(theta_rad=signals.theta_rad + p.angle_rad)
 
 
 class BrakeCompliance:
@@ -51,38 +46,23 @@ class BrakeCompliance:
     summary: ClassVar[str] = "The locked rotor twists with the torque."
     signature: ClassVar[str] = "A voltage with every change of torque, and an angle that follows the torque."
     layer: ClassVar[EffectLayer] = EffectLayer.FRAME
-    family: ClassVar[str] = "frame"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("sweep pure i_d, then i_q", "watch the shaft with an indicator")
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "Without the magnet's flux on the nameplate a compliance passes for q-axis inductance."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(
-            name="rad_per_nm", unit="rad/Nm", typical=0.005, prior_width=0.01, low=-0.1, high=0.1, neutral=0.0
-        ),
-        EffectParameter(
-            name="lag_s",
-            unit="s",
-            typical=1e-3,
-            prior_width=1.5,
-            low=1e-5,
-            high=0.1,
-            neutral=1e-3,
-            role=ParameterRole.SHAPE,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        rad_per_nm: float = amplitude("rad/Nm", typical=0.005, prior_width=0.01, low=-0.1, high=0.1)
+        lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Add the twist to the angle; without a flux in the signals there is no torque, and nothing changes."""
-        if values["rad_per_nm"] == 0.0 or signals.psi_ab is None:
-            return signals
-        pairs = signals.motor.pole_pairs if signals.motor is not None else 1
         # A torque with the readings' noise in it would turn the frame to and fro with every sample.
         psi, i = signals.psi_smooth_ab, signals.i_smooth_ab
         if psi is None or i is None:
             psi, i = signals.psi_ab, signals.i_ab
+        if psi is None:
+            return Correction()
+        pairs = signals.motor.pole_pairs if signals.motor is not None else 1
         torque = 1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0])
-        lag = values.get("lag_s", 0.0)
-        if lag > 0.0:
-            decay = math.exp(-1.0 / (lag * signals.sampling_frequency_hz))
-            torque = low_pass(np.ascontiguousarray(torque[:, None], dtype=np.float64), decay)[:, 0]
-        return signals.model_copy(update={"theta_rad": signals.theta_rad + values["rad_per_nm"] * torque})
+        decay = math.exp(-1.0 / (p.lag_s * signals.sampling_frequency_hz))
+        late = low_pass(np.ascontiguousarray(torque[:, None], dtype=np.float64), decay)[:, 0]
+        return Correction(theta_rad=signals.theta_rad + p.rad_per_nm * late)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from functools import lru_cache
 from typing import ClassVar
 
@@ -14,7 +13,7 @@ from orchestrator.numerics.frames import from_two_phases
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag
-from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
 _TABLE_STEP, _TABLE_END = 0.01, 40.0
 
@@ -77,50 +76,18 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, tabl
     return out
 
 
-def _corrected(signals: Signals, volts: Array, values: Mapping[str, float]) -> Signals:
-    table = _soft_sign(values.get("softness", 0.5), values.get("variance", 0.0))
+class Knee(EffectParameters):
+    """How the step at zero current is rounded, beside the current within which it happens."""
+
+    softness: float = refinement("1", neutral=0.5, prior_width=0.3, low=0.02, high=1.0)
+    variance: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=2.25)
+
+
+def _less_step(signals: Signals, volts: Array, threshold_a: float, knee: Knee) -> Correction:
+    """The voltage without `volts` (n,) against the sign of each phase current."""
     v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
     i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
-    return signals.model_copy(update={"v_ab": _without_sign(v_ab, i_ab, volts, values["threshold_a"], table)})
-
-
-def _softness() -> EffectParameter:
-    return EffectParameter(
-        name="softness",
-        unit="1",
-        typical=0.5,
-        prior_width=0.3,
-        low=0.02,
-        high=1.0,
-        neutral=0.5,
-        role=ParameterRole.REFINEMENT,
-    )
-
-
-def _variance() -> EffectParameter:
-    return EffectParameter(
-        name="variance",
-        unit="1",
-        typical=0.0,
-        prior_width=0.2,
-        low=0.0,
-        high=2.25,
-        neutral=0.0,
-        role=ParameterRole.REFINEMENT,
-    )
-
-
-def _threshold(typical_a: float) -> EffectParameter:
-    return EffectParameter(
-        name="threshold_a",
-        unit="A",
-        typical=typical_a,
-        prior_width=1.0,
-        low=1e-3,
-        high=1.0,
-        neutral=typical_a,
-        role=ParameterRole.SHAPE,
-    )
+    return Correction(v_ab=_without_sign(v_ab, i_ab, volts, threshold_a, _soft_sign(knee.softness, knee.variance)))
 
 
 class DeadTime:
@@ -138,25 +105,19 @@ class DeadTime:
     summary: ClassVar[str] = "The inverter's dead time takes voltage against the sign of each phase current."
     signature: ClassVar[str] = "An odd step in each phase current that grows with the PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
-    family: ClassVar[str] = "inverter_sign"
-    twins: ClassVar[tuple[str, ...]] = ("device_drop",)
-    experiments: ClassVar[tuple[str, ...]] = ("hold direct currents at a second PWM frequency",)
+    needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = ""
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="voltage_v", unit="V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0, neutral=0.0),
-        _threshold(0.1),
-        _softness(),
-        _variance(),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(Knee):
+        voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
+        threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=1.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
-        if not signals.bridge_on or values["voltage_v"] == 0.0:
-            return signals
         own = signals.drive.pwm_frequency_hz if signals.drive is not None else None
         bus = signals.drive.dc_bus_voltage_v if signals.drive is not None else float(np.mean(signals.v_dc))
-        volts = values["voltage_v"] * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz)
-        return _corrected(signals, np.asarray(volts / bus * signals.v_dc, dtype=np.float64), values)
+        volts = p.voltage_v * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz)
+        return _less_step(signals, np.asarray(volts / bus * signals.v_dc, dtype=np.float64), p.threshold_a, p)
 
 
 class DeviceDrop:
@@ -170,22 +131,16 @@ class DeviceDrop:
     summary: ClassVar[str] = "The switches' forward drop takes voltage against the sign of each phase current."
     signature: ClassVar[str] = "An odd step in each phase current, the same at every PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
-    family: ClassVar[str] = "inverter_sign"
-    twins: ClassVar[tuple[str, ...]] = ("dead_time",)
-    experiments: ClassVar[tuple[str, ...]] = ("hold direct currents at a second PWM frequency",)
+    needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
     gauge: ClassVar[str] = "The on-state resistance r_on equals R_s."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="voltage_v", unit="V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0, neutral=0.0),
-        _threshold(0.03),
-        _softness(),
-        _variance(),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(Knee):
+        voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0)
+        threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
-        if not signals.bridge_on or values["voltage_v"] == 0.0:
-            return signals
-        return _corrected(signals, np.full(len(signals.v_dc), values["voltage_v"]), values)
+        return _less_step(signals, np.full(len(signals.v_dc), p.voltage_v), p.threshold_a, p)
 
 
 class VoltageBias:
@@ -198,21 +153,16 @@ class VoltageBias:
     summary: ClassVar[str] = "The inverter impresses a constant voltage beside the commanded one."
     signature: ClassVar[str] = "A constant residual, the same at every current."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
-    family: ClassVar[str] = "constant"
-    twins: ClassVar[tuple[str, ...]] = ("current_offset",)
-    experiments: ClassVar[tuple[str, ...]] = ("read the sensors with all gates off",)
+    needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)
     gauge: ClassVar[str] = "Without a gates-off reading a bias of R_s o equals a current offset o."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="bias_a_v", unit="V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0, neutral=0.0),
-        EffectParameter(name="bias_b_v", unit="V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0, neutral=0.0),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)
+        bias_b_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the bias from the commanded voltage."""
-        bias = from_two_phases(values["bias_a_v"], values["bias_b_v"])
-        if not signals.bridge_on or not bias.any():
-            return signals
-        return signals.model_copy(update={"v_ab": signals.v_ab - bias})
+        return Correction(v_ab=signals.v_ab - from_two_phases(p.bias_a_v, p.bias_b_v))
 
 
 class BusSag:
@@ -226,33 +176,17 @@ class BusSag:
     summary: ClassVar[str] = "The bus voltage sags with the power drawn, and the drive does not know."
     signature: ClassVar[str] = "A residual along the voltage that grows with voltage times power."
     layer: ClassVar[EffectLayer] = EffectLayer.BUS
-    family: ClassVar[str] = "bus"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("log the bus voltage",)
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "A constant error of the bus voltage scales R_s and the flux together."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="per_watt", unit="1/W", typical=5e-5, prior_width=1e-4, low=-0.01, high=0.01, neutral=0.0),
-        EffectParameter(
-            name="lag_s",
-            unit="s",
-            typical=1e-3,
-            prior_width=1.5,
-            low=1e-5,
-            high=0.1,
-            neutral=1e-3,
-            role=ParameterRole.SHAPE,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        per_watt: float = amplitude("1/W", typical=5e-5, prior_width=1e-4, low=-0.01, high=0.01)
+        lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Scale the commanded voltage by what the bus has left."""
-        if values["per_watt"] == 0.0 or not signals.bridge_on:
-            return signals
         after = np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]])
         power = 0.75 * np.einsum("ij,ij->i", signals.v_ab, signals.i_ab + after)
-        lag = values.get("lag_s", 0.0)
-        if lag > 0.0:
-            decay = math.exp(-1.0 / (lag * signals.sampling_frequency_hz))
-            power = held_lag(np.ascontiguousarray(power[:, None], dtype=np.float64), decay)[:, 0]
-        left = 1.0 - values["per_watt"] * power
-        return signals.model_copy(update={"v_ab": signals.v_ab * left[:, None]})
+        decay = math.exp(-1.0 / (p.lag_s * signals.sampling_frequency_hz))
+        late = held_lag(np.ascontiguousarray(power[:, None], dtype=np.float64), decay)
+        return Correction(v_ab=signals.v_ab * (1.0 - p.per_watt * late))

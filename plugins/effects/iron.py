@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +11,7 @@ from numba import njit
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag, lagged_steps
-from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
 
 class EddyCurrents:
@@ -27,46 +26,25 @@ class EddyCurrents:
     summary: ClassVar[str] = "Eddy currents in the iron add a current in step with the voltage."
     signature: ClassVar[str] = "A square current in the ripple, linear in the injected amplitude."
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
-    family: ClassVar[str] = "core_loss"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("inject at a second amplitude", "inject at a second frequency")
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(
-            name="core_loss_ohm",
-            unit="ohm",
-            typical=1000.0,
-            prior_width=1000.0,
-            low=20.0,
-            high=1e7,
-            neutral=1e7,
-            strong_when_small=True,
-        ),
-        EffectParameter(
-            name="lag_s",
-            unit="s",
-            typical=1e-5,
-            prior_width=2e-5,
-            low=0.0,
-            high=1e-3,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        core_loss_ohm: float = amplitude(
+            "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
+        )
+        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=1e-3)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the eddy current from the magnetising current, and its steps from the resistive drop."""
-        core = values["core_loss_ohm"]
-        if core >= self.parameters[0].neutral or not signals.bridge_on:
-            return signals
         before = np.concatenate([signals.v_ab[:1], signals.v_ab[:-1]])
-        eddy = (before - signals.resistance_ohm[:, None] * signals.i_ab) / core
-        late = values.get("lag_s", 0.0) * signals.sampling_frequency_hz
+        eddy = (before - signals.resistance_ohm[:, None] * signals.i_ab) / p.core_loss_ohm
+        late = p.lag_s * signals.sampling_frequency_hz
         if late > 0.0:
             # Voltage held over an interval: at its end the current has come this much nearer to it.
             eddy = held_lag(np.ascontiguousarray(eddy), math.exp(-1.0 / late))
-        step = (0.5 - late) * signals.resistance_ohm[:, None] * (signals.v_ab - before) / core
-        return signals.model_copy(update={"i_m_ab": signals.i_m_ab - eddy, "v_ab": signals.v_ab - step})
+        step = (0.5 - late) * signals.resistance_ohm[:, None] * (signals.v_ab - before) / p.core_loss_ohm
+        return Correction(i_m_ab=signals.i_m_ab - eddy, v_ab=signals.v_ab - step)
 
 
 @njit(cache=True, nogil=True)
@@ -108,58 +86,25 @@ class Hysteresis:
     summary: ClassVar[str] = "The iron's hysteresis lags the flux behind the current, whatever the speed."
     signature: ClassVar[str] = "A loop that does not depend on rate; the inductance of small ripple is smaller."
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
-    family: ClassVar[str] = "hysteresis"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("inject at a second amplitude", "sweep minor loops")
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="half_width_a", unit="A", typical=0.03, prior_width=0.05, low=0.0, high=0.5, neutral=0.0),
-        EffectParameter(
-            name="reversible_ratio",
-            unit="1",
-            typical=0.93,
-            prior_width=1.0,
-            low=0.6,
-            high=0.999,
-            neutral=0.93,
-            role=ParameterRole.SHAPE,
-        ),
-        EffectParameter(
-            name="variance",
-            unit="1",
-            typical=0.0,
-            prior_width=0.25,
-            low=0.0,
-            high=0.9,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
-        ),
-        EffectParameter(
-            name="early_share",
-            unit="1",
-            typical=0.5,
-            prior_width=0.2,
-            low=0.05,
-            high=0.95,
-            neutral=0.5,
-            role=ParameterRole.REFINEMENT,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        half_width_a: float = amplitude("A", typical=0.03, prior_width=0.05, low=0.0, high=0.5)
+        reversible_ratio: float = shape("1", typical=0.93, prior_width=1.0, low=0.6, high=0.999)
+        variance: float = refinement("1", neutral=0.0, prior_width=0.25, low=0.0, high=0.9)
+        early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        width = values["half_width_a"]
-        if width == 0.0:
-            return signals
-        psi = _flux(signals)
-        stiffness = (1.0 / values["reversible_ratio"] - 1.0) / _inductance(signals)
-        early, spread = values.get("early_share", 0.5), math.sqrt(values.get("variance", 0.0))
+        stiffness = (1.0 / p.reversible_ratio - 1.0) / _inductance(signals)
+        spread = math.sqrt(p.variance)
         held = _stops(
-            psi,
-            stiffness * np.array([early, 1.0 - early]),
-            0.5 * width * np.array([1.0 - spread, 1.0 + spread]),
+            _flux(signals),
+            stiffness * np.array([p.early_share, 1.0 - p.early_share]),
+            0.5 * p.half_width_a * np.array([1.0 - spread, 1.0 + spread]),
         )
-        return signals.model_copy(update={"i_m_ab": signals.i_m_ab - held})
+        return Correction(i_m_ab=signals.i_m_ab - held)
 
 
 def _flux(signals: Signals) -> Array:
@@ -190,40 +135,25 @@ class MagnetHeating:
     summary: ClassVar[str] = "The magnets warm up and lose flux."
     signature: ClassVar[str] = "A map that slides along i_d as the experiment goes on."
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
-    family: ClassVar[str] = "heating"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("repeat one injection point at the end",)
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "The magnet's flux itself is invisible to a locked rotor; only its change shows."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(
-            name="flux_change_wb", unit="Wb", typical=0.005, prior_width=0.01, low=-0.1, high=0.1, neutral=0.0
-        ),
-        EffectParameter(
-            name="time_constant_s",
-            unit="s",
-            typical=300.0,
-            prior_width=1.0,
-            low=5.0,
-            high=20000.0,
-            neutral=300.0,
-            role=ParameterRole.SHAPE,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        flux_change_wb: float = amplitude("Wb", typical=0.005, prior_width=0.01, low=-0.1, high=0.1)
+        time_constant_s: float = shape("s", typical=300.0, prior_width=1.0, low=5.0, high=20000.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Slide the map along the d axis by the flux lost so far."""
-        if values["flux_change_wb"] == 0.0:
-            return signals
         now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
         if signals.losses is None:
             part = signals.heat_j / max(float(signals.heat_j[-1]), 1e-12)
         else:
-            warm = lagged_steps(signals.losses.time_s, signals.losses.power_w, values["time_constant_s"])
+            warm = lagged_steps(signals.losses.time_s, signals.losses.power_w, p.time_constant_s)
             part = np.interp(now, signals.losses.time_s, warm / max(float(warm[-1]), 1e-12))
         inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
-        slide = values["flux_change_wb"] / inductance * part
+        slide = p.flux_change_wb / inductance * part
         axis = np.stack([np.cos(signals.theta_rad), np.sin(signals.theta_rad)], axis=1)
-        return signals.model_copy(update={"i_m_ab": signals.i_m_ab + slide[:, None] * axis})
+        return Correction(i_m_ab=signals.i_m_ab + slide[:, None] * axis)
 
 
 class SlotHarmonics:
@@ -238,31 +168,18 @@ class SlotHarmonics:
     summary: ClassVar[str] = "The slots make the map depend on the angle at which the rotor is locked."
     signature: ClassVar[str] = "A fixed parity break at one angle, another one at the next."
     layer: ClassVar[EffectLayer] = EffectLayer.IRON
-    family: ClassVar[str] = "frame"
-    twins: ClassVar[tuple[str, ...]] = ("rotor_misalignment",)
-    experiments: ClassVar[tuple[str, ...]] = ("lock at several angles",)
+    needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_ANGLE,)
     gauge: ClassVar[str] = "A part that is even in the true i_q belongs to the map at this angle."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="relative", unit="1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3, neutral=0.0),
-        EffectParameter(
-            name="fading_per_a2",
-            unit="1/A^2",
-            typical=0.0,
-            prior_width=0.1,
-            low=-0.03,
-            high=10.0,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        relative: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
+        fading_per_a2: float = refinement("1/A^2", neutral=0.0, prior_width=0.1, low=-0.03, high=10.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the change of this flux from the voltage of each interval."""
-        if values["relative"] == 0.0:
-            return signals
-        psi = values["relative"] * _inductance(signals) * _crossed(signals, values.get("fading_per_a2", 0.0))
+        psi = p.relative * _inductance(signals) * _crossed(signals, p.fading_per_a2)
         induced = np.diff(psi, axis=0, append=psi[-1:]) * signals.sampling_frequency_hz
-        return signals.model_copy(update={"v_ab": signals.v_ab - induced})
+        return Correction(v_ab=signals.v_ab - induced)
 
 
 def _crossed(signals: Signals, fading: float) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -12,7 +11,7 @@ from numba import njit
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import low_pass
-from protocols import EffectLayer, EffectParameter, ParameterRole, Signals
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
 
 class PhaseResistanceImbalance:
@@ -22,22 +21,18 @@ class PhaseResistanceImbalance:
     summary: ClassVar[str] = "The phases differ in resistance."
     signature: ClassVar[str] = "Anisotropic resistance while the inductance stays symmetric."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
-    family: ClassVar[str] = "phase_resistance"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("signal injection: the inductance stays isotropic",)
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = "Extra resistance common to all phases is R_s."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="extra_a_ohm", unit="ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0, neutral=0.0),
-        EffectParameter(name="extra_b_ohm", unit="ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0, neutral=0.0),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        extra_a_ohm: float = amplitude("ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0)
+        extra_b_ohm: float = amplitude("ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract what the extra resistances drop, at the mean current of each interval."""
-        extra = np.array([values["extra_a_ohm"], values["extra_b_ohm"], 0.0])
-        if not extra.any() or not signals.bridge_on:
-            return signals
         mean = 0.5 * (signals.i_ab + np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]]))
-        return signals.model_copy(update={"v_ab": signals.v_ab - from_phases(to_phases(mean) * extra)})
+        extra = np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0])
+        return Correction(v_ab=signals.v_ab - from_phases(to_phases(mean) * extra))
 
 
 class WindingHeating:
@@ -54,67 +49,32 @@ class WindingHeating:
         "A residual along the current that grows with the loss so far, and is absent from the ripple."
     )
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
-    family: ClassVar[str] = "heating"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("repeat an anchor point at the end", "let it cool down and repeat")
-    gauge: ClassVar[str] = "R_0 is the resistance at the temperature of the experiment's start."
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(
-            name="rise_per_watt", unit="1/W", typical=0.003, prior_width=0.005, low=-0.05, high=0.1, neutral=0.0
-        ),
-        EffectParameter(
-            name="time_constant_s",
-            unit="s",
-            typical=200.0,
-            prior_width=1.0,
-            low=5.0,
-            high=20000.0,
-            neutral=200.0,
-            role=ParameterRole.SHAPE,
-        ),
-        EffectParameter(
-            name="slow_share",
-            unit="1",
-            typical=0.0,
-            prior_width=0.4,
-            low=0.0,
-            high=0.95,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
-        ),
-        EffectParameter(
-            name="slow_ratio",
-            unit="1",
-            typical=6.0,
-            prior_width=4.0,
-            low=3.0,
-            high=40.0,
-            neutral=6.0,
-            role=ParameterRole.REFINEMENT,
-        ),
-    )
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = "R_s is the resistance at the temperature of the experiment's start."
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        rise_per_watt: float = amplitude("1/W", typical=0.003, prior_width=0.005, low=-0.05, high=0.1)
+        time_constant_s: float = shape("s", typical=200.0, prior_width=1.0, low=5.0, high=20000.0)
+        slow_share: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.95)
+        slow_ratio: float = refinement("1", neutral=6.0, prior_width=4.0, low=3.0, high=40.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Raise the resistance by what the loss so far has warmed."""
-        if values["rise_per_watt"] == 0.0:
-            return signals
-        tau = values["time_constant_s"]
         if signals.losses is None:
             # No history: as if nothing had been lost to the surroundings.
-            warm = signals.heat_j / tau
+            warm = signals.heat_j / p.time_constant_s
         else:
             warm = _warmth(
                 np.ascontiguousarray(signals.losses.time_s, dtype=np.float64),
                 np.ascontiguousarray(signals.losses.power_w, dtype=np.float64),
-                values["rise_per_watt"],
-                np.array([tau, values.get("slow_ratio", 6.0) * tau]),
-                values.get("slow_share", 0.0),
+                p.rise_per_watt,
+                p.time_constant_s * np.array([1.0, p.slow_ratio]),
+                p.slow_share,
                 signals.start_s,
                 1.0 / signals.sampling_frequency_hz,
                 len(signals.v_dc),
             )
-        factor = 1.0 + values["rise_per_watt"] * warm
-        return signals.model_copy(update={"resistance_ohm": signals.resistance_ohm * factor})
+        return Correction(resistance_ohm=signals.resistance_ohm * (1.0 + p.rise_per_watt * warm))
 
 
 @njit(cache=True, nogil=True)
@@ -161,45 +121,20 @@ class SkinEffect:
     summary: ClassVar[str] = "The ripple sees more resistance than the direct current."
     signature: ClassVar[str] = "Ripple in phase with the ripple current."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
-    family: ClassVar[str] = "ripple_loss"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ("inject at a second frequency",)
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="extra_ohm", unit="ohm", typical=1.0, prior_width=1.5, low=-10.0, high=20.0, neutral=0.0),
-        EffectParameter(
-            name="corner_hz",
-            unit="Hz",
-            typical=60.0,
-            prior_width=1.0,
-            low=5.0,
-            high=1000.0,
-            neutral=60.0,
-            role=ParameterRole.SHAPE,
-        ),
-        EffectParameter(
-            name="variance",
-            unit="1",
-            typical=0.0,
-            prior_width=0.4,
-            low=0.0,
-            high=4.0,
-            neutral=0.0,
-            role=ParameterRole.REFINEMENT,
-        ),
-    )
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
+    class Parameters(EffectParameters):
+        extra_ohm: float = amplitude("ohm", typical=1.0, prior_width=1.5, low=-10.0, high=20.0)
+        corner_hz: float = shape("Hz", typical=60.0, prior_width=1.0, low=5.0, high=1000.0)
+        variance: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=4.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract what the extra resistance drops, at the mean current of each interval."""
-        if values["extra_ohm"] == 0.0 or not signals.bridge_on:
-            return signals
-        rate = 2.0 * math.pi * values["corner_hz"] / signals.sampling_frequency_hz
-        spread = math.sqrt(values.get("variance", 0.0))
+        rate = 2.0 * math.pi * p.corner_hz / signals.sampling_frequency_hz
+        spread = math.sqrt(p.variance)
         i = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
-        if spread > 0.0:
-            parts = [low_pass(i, math.exp(-rate * math.exp(side * spread))) for side in (-1.0, 1.0)]
-            fast = i - 0.5 * (parts[0] + parts[1])
-        else:
-            fast = i - low_pass(i, math.exp(-rate))
+        slow = [low_pass(i, math.exp(-rate * factor)) for factor in {math.exp(-spread), math.exp(spread)}]
+        fast = i - sum(slow) / len(slow)
         mean = 0.5 * (fast + np.concatenate([fast[1:], fast[-1:]]))
-        return signals.model_copy(update={"v_ab": signals.v_ab - values["extra_ohm"] * mean})
+        return Correction(v_ab=signals.v_ab - p.extra_ohm * mean)

@@ -1,8 +1,4 @@
-"""Candidate effects as the fit sees them: scaled to the machine, each parameter on a line without bounds.
-
-Sizes in the effects' metadata are those of a 400 W machine (1.66 A rms, 540 V, 4.25 ohm); for another
-machine they scale with its nameplate. Fits nothing.
-"""
+"""Candidate effects as the fit sees them: scaled to the machine, each parameter on a line without bounds."""
 
 from __future__ import annotations
 
@@ -10,17 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
-import numpy as np
-
-from orchestrator.diagnosis.fitting.guarded import CHANGEABLE, require_effect
-from protocols import Effect, EffectParameter, FluxbenchError, Manifest, ParameterRole, PluginError, Signals
+from orchestrator.diagnosis.fitting.guarded import require_effect
+from orchestrator.diagnosis.fitting.machine_scale import MachineScale
+from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
 MAGNETIC = (SATURATION, CROSS_SATURATION)
 """Rungs of the ladder that are no plugins: they free the map itself."""
-
-_REFERENCE_A, _REFERENCE_V, _REFERENCE_OHM = 1.66, 540.0, 4.25
 
 
 @dataclass(frozen=True)
@@ -73,6 +66,11 @@ class Active:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))
 
     @property
+    def parameters(self) -> EffectParameters:
+        """The values as the effect reads them."""
+        return self.candidate.effect.Parameters(**self.values)
+
+    @property
     def is_absent(self) -> bool:
         """Whether all amplitudes are neutral."""
         return all(self.values[n] == self.candidate.named(n).neutral for n in self.candidate.amplitudes)
@@ -92,34 +90,12 @@ def scaled_library(effects: Sequence[Effect], manifest: Manifest, without: Seque
     """Candidates for one machine, in the effects' order; raises `PluginError` where one cannot be fitted."""
     for effect in effects:
         require_effect(effect)
-    motor, drive = manifest.motor, manifest.drive
-    amps = (motor.rated_current_rms_a or _REFERENCE_A) / _REFERENCE_A
-    volts = drive.dc_bus_voltage_v / _REFERENCE_V
-    ohms = (motor.stator_resistance_ohm or _REFERENCE_OHM * volts / amps) / _REFERENCE_OHM
-    watts = ohms * amps**2
-    webers = ohms * amps if motor.d_inductance_h is None else motor.d_inductance_h / 0.04325 * amps
-    factors = {
-        "A": amps,
-        "V": volts,
-        "ohm": ohms,
-        "Wb": webers,
-        "1/W": 1.0 / watts,
-        "1/A^2": amps**-2,
-        "rad/Nm": 1.0 / (webers * amps),
-    }
+    scale = MachineScale.of(manifest)
     return tuple(
-        Candidate(effect, tuple(_scaled(p, factors.get(p.unit, 1.0)) for p in effect.parameters))
+        Candidate(effect, tuple(scale.scaled(p) for p in effect.Parameters.declared()))
         for effect in effects
         if effect.name not in without
     )
-
-
-def _scaled(p: EffectParameter, factor: float) -> EffectParameter:
-    if factor == 1.0:
-        return p
-    width = p.prior_width if p.role is ParameterRole.SHAPE else p.prior_width * factor
-    names = ("typical", "low", "high", "neutral")
-    return p.model_copy(update={"prior_width": width, **{n: getattr(p, n) * factor for n in names}})
 
 
 def coordinate_of(p: EffectParameter, value: float) -> float:
@@ -150,41 +126,3 @@ def typical_coordinate(p: EffectParameter) -> float:
 def _logit(p: EffectParameter, value: float) -> float:
     part = min(max((value - p.low) / (p.high - p.low), 1e-6), 1.0 - 1e-6)
     return math.log(part / (1.0 - part))
-
-
-def apply_effects(signals: Signals, active: Sequence[Active]) -> Signals:
-    """The signals with all effects accounted for, from the sensors inwards.
-
-    Raises
-    ------
-    PluginError
-        Where an effect raises, or returns what signals cannot be.
-    """
-    for item in sorted(active, key=lambda a: a.candidate.effect.layer):
-        before = signals
-        try:
-            signals = item.candidate.effect.correct(before, item.values)
-        except FluxbenchError:
-            raise
-        except (Exception, SystemExit) as error:  # somebody else's code may raise anything
-            raise PluginError("effects", item.name, f"correct: {type(error).__name__}: {error}") from error
-        _require_signals(item.name, before, signals)
-    return signals
-
-
-def _require_signals(name: str, before: Signals, after: object) -> None:
-    if not isinstance(after, Signals):
-        raise PluginError("effects", name, f"correct: returned {type(after).__name__} instead of Signals")
-    for field in CHANGEABLE:
-        was, now = getattr(before, field), getattr(after, field)
-        if now is was:
-            continue
-        if getattr(now, "shape", None) != was.shape:
-            found = getattr(now, "shape", None)
-            raise PluginError("effects", name, f"correct: {field} has shape {found}, not {was.shape}")
-        if now.dtype.kind != "f":
-            raise PluginError("effects", name, f"correct: {field} is of type {now.dtype}, not float64")
-        with np.errstate(over="ignore", invalid="ignore"):
-            total = float(now.sum())
-        if not math.isfinite(total):
-            raise PluginError("effects", name, f"correct: {field} is not finite")

@@ -17,7 +17,8 @@ from typing import TypeVar
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate, apply_effects, typical_coordinate
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate, typical_coordinate
+from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
 from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, PieceFrame, PieceRows
 from orchestrator.diagnosis.weak_form.equations import (
@@ -190,8 +191,8 @@ class Fitter:
         flux, seen = self._flux(piece, base, model)
         base = base.model_copy(update=flux)
         corrected = apply_effects(base, model.active)
-        same = corrected.i_m_ab is s.i_m_ab and corrected.theta_rad is s.theta_rad
-        here = seen if same else local_map(piece, corrected, model.magnetics)
+        same = not corrected.changed & {"i_m_ab", "theta_rad"}
+        here = seen if same else local_map(piece, corrected.signals, model.magnetics)
         mean = here.inductance.mean(axis=0)
         slopes = self._slopes(piece, base, model)
         alike = old is not None and not old.shaped_noise and slopes is None
@@ -199,7 +200,7 @@ class Fitter:
         if old is not None and alike and np.abs(mean - old.mean_inductance).max() < bearable:
             whitener, mean = old.whitener, old.mean_inductance
         else:
-            factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
+            factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
             whitener = Whitener(banded_covariance(piece, here, factor, self.noise, model.r_s, slopes))
         raw = self._untouched_basis(piece, here, model) if same else basis(piece, here, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
@@ -218,7 +219,7 @@ class Fitter:
     def _flux(self, piece: Piece, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
         """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from."""
         outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
-        inner = apply_effects(base, outer) if outer else base
+        inner = apply_effects(base, outer).signals
         here = local_map(piece, inner, model.magnetics)
         psi_ab, smooth, i_smooth = smooth_flux(
             here.psi,
@@ -244,8 +245,10 @@ class Fitter:
         for axis in range(2):
             shift = np.zeros(2)
             shift[axis] = math.sqrt(sensor[axis, axis])
-            ahead = apply_effects(base.model_copy(update={"i_ab": base.i_ab + shift}), inverter)
-            behind = apply_effects(base.model_copy(update={"i_ab": base.i_ab - shift}), inverter)
+            ahead, behind = (
+                apply_effects(base.model_copy(update={"i_ab": base.i_ab + side * shift}), inverter).signals
+                for side in (1.0, -1.0)
+            )
             voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])
         return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ voltage @ turn.T))
 
@@ -253,10 +256,10 @@ class Fitter:
         self, model: Model, piece: Piece, kept: PieceFrame, parameters: Sequence[tuple[Active, str]]
     ) -> PieceRows:
         base, ordered = kept.base, sorted(model.active, key=lambda a: a.candidate.effect.layer)
-        chain = [base]
+        chain = [Corrected(base)]
         for active in ordered:
-            chain.append(apply_effects(chain[-1], [active]))
-        corrected = chain[-1]
+            chain.append(apply_effects(chain[-1].signals, [active]))
+        corrected = chain[-1].signals
         here = local_map(piece, corrected, model.magnetics)
         known, resistance = voltage_and_resistance(
             piece,
@@ -273,7 +276,7 @@ class Fitter:
     def _column(
         self,
         piece: Piece,
-        chain: Sequence[Signals],
+        chain: Sequence[Corrected],
         ordered: Sequence[Active],
         here: LocalMap,
         active: Active,
@@ -281,8 +284,8 @@ class Fitter:
     ) -> Array:
         """Derivative of y by one parameter's coordinate, summed over samples; to typical size where it is absent.
 
-        `chain` has the signals before each of the `ordered` effects and after the last: those outside of the one that
-        changes need not be applied again.
+        `chain` has the signals before each of the `ordered` effects and after the last, each with what the effect
+        before it changed: those outside of the one that is moved need not be applied again.
         """
         p = active.candidate.named(name)
         x = active.coordinate(name)
@@ -300,8 +303,9 @@ class Fitter:
             inner = ordered[at:]
         else:
             inner = ordered[at + 1 :]
-        other = apply_effects(chain[at], [active.moved(name, x + step), *inner])
-        return difference(piece, chain[-1], other, here, self.pm_flux_wb) / step
+        other = apply_effects(chain[at].signals, [active.moved(name, x + step), *inner])
+        changed = other.changed.union(*(c.changed for c in chain[at + 1 :]))
+        return difference(piece, chain[-1].signals, other.signals, changed, here, self.pm_flux_wb) / step
 
     def _solve(self, model: Model, frame: Frame, rows: Sequence[PieceRows]) -> Fit:
         space, pieces = model.space, self.prepared.pieces

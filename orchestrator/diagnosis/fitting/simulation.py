@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from orchestrator.diagnosis.fitting.candidates import apply_effects
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.segments import Piece
@@ -24,17 +24,15 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     and angle taken from the record. Both currents are without what the iron adds.
     """
     piece = fit.prepared.pieces[index]
-    corrected = apply_effects(fit.frame.pieces[index].base, fit.model.active)
+    corrected = apply_effects(fit.frame.pieces[index].base, fit.model.active).signals
     i_dq, _ = true_frame(piece, corrected)
     n = min(len(i_dq), samples or len(i_dq))
     angle = np.asarray(corrected.theta_rad, dtype=np.float64)[:n]
-    other = corrected.i_m_ab is not corrected.i_ab
-    extra = (corrected.i_ab - corrected.i_m_ab)[:n] if other else np.zeros((0, 2))
     grid = fit.model.magnetics.grid
     numbers, _ = grid.layout
     predicted = _simulate(
         np.ascontiguousarray(corrected.v_ab[:n]),
-        np.ascontiguousarray(extra),
+        np.ascontiguousarray((corrected.i_ab - corrected.i_m_ab)[:n]),
         np.ascontiguousarray(corrected.resistance_ohm[:n])
         * (fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]),
         np.ascontiguousarray(angle),
@@ -116,13 +114,10 @@ def _simulate(
             break
         co = math.cos(angle[k])
         si = math.sin(angle[k])
-        xa = 0.0
-        xb = 0.0
-        if extra_ab.shape[0] > 0:
-            xa = extra_ab[k, 0]
-            xb = extra_ab[k, 1]
-        vd = co * (v_ab[k, 0] - resistance[k] * xa) + si * (v_ab[k, 1] - resistance[k] * xb)
-        vq = -si * (v_ab[k, 0] - resistance[k] * xa) + co * (v_ab[k, 1] - resistance[k] * xb)
+        va = v_ab[k, 0] - resistance[k] * extra_ab[k, 0]
+        vb = v_ab[k, 1] - resistance[k] * extra_ab[k, 1]
+        vd = co * va + si * vb
+        vq = -si * va + co * vb
         ed = vd - resistance[k] * i_d
         eq = vq - resistance[k] * i_q
         gd = ts * (lqq * ed - ldq * eq) / det

@@ -12,7 +12,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
-from orchestrator.diagnosis.fitting.candidates import apply_effects
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.weak_form.equations import true_frame
@@ -137,7 +137,7 @@ def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
     """
     piece = fit.prepared.pieces[index]
     predicted, corrected = simulated_current(fit, index, samples)
-    signals = apply_effects(fit.frame.pieces[index].base, fit.model.active)
+    signals = apply_effects(fit.frame.pieces[index].base, fit.model.active).signals
     _, delta = true_frame(piece, signals)
     measured = to_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
     return measured + _believed(predicted - corrected, delta), measured
@@ -152,7 +152,7 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     """Flux over one period in the believed frame: int (v - R i) dt with the effects' corrections, and psi(i)."""
     piece = fit.prepared.pieces[index]
     kept = fit.frame.pieces[index]
-    corrected = apply_effects(kept.base, fit.model.active)
+    corrected = apply_effects(kept.base, fit.model.active).signals
     ts = 1.0 / piece.signals.sampling_frequency_hz
     i_true, delta = true_frame(piece, corrected)
     last = slice(len(i_true) - _period(piece), len(i_true))

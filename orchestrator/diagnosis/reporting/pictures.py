@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.baseline import Start
-from orchestrator.diagnosis.fitting.candidates import apply_effects
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
@@ -161,7 +161,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         if square < (fit.criteria.pictures.least_dwell_current * largest) ** 2 or square == 0.0:
             continue
         base = fit.frame.pieces[row.index].base
-        corrected = apply_effects(base, fit.model.active)
+        corrected = apply_effects(base, fit.model.active).signals
         model = float(corrected.resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
         asked = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
         found.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))

@@ -15,7 +15,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.identifiability import separable
+from orchestrator.diagnosis.selection.identifiability import parted_by, separable
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
@@ -185,7 +185,7 @@ def _stands_in(before: Fit, best: Fit, other: Fit, name: str, rival: str) -> boo
 
 
 def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
-    """The best few by linear gain, with the declared twins of the best; none where even the best explains little."""
+    """The best few by linear gain, with what may look like the best; none where even the best explains little."""
     if not scores:
         return []
     best, limits = scores[0], fit.criteria.selection
@@ -193,8 +193,11 @@ def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
     # A refit with the shape free does better than the linear estimate, but not without limit.
     if best.gain < least or best.gain < 0.5 * limits.least_share * (fit.chi2 - fit.dof):
         return []
-    twins = best.candidate.effect.twins
-    hopeful = [s for s in scores if s.gain > limits.hopeful * best.gain or s.candidate.name in twins]
+
+    def alike(s: Score) -> bool:
+        return bool(parted_by(s.candidate.effect, best.candidate.effect))
+
+    hopeful = [s for s in scores if s.gain > limits.hopeful * best.gain or alike(s)]
     return [s for s in hopeful if s.gain > least][: limits.most_trials]
 
 

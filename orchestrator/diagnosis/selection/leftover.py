@@ -5,21 +5,41 @@ Shapes are attributed greedily, the one that explains most of what is still left
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import get_args
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
-from protocols import EffectLayer, EffectParameter, ShapeGroup, Signals
+from protocols import Correction, EffectLayer, EffectParameters, ShapeGroup, Signals, amplitude
 
 Field = Callable[[Signals, float], Array]
 """Signals and the typical current [A] -> a signal of unit size."""
+
+
+@dataclass(frozen=True)
+class _Addition:
+    """A signal of `size` that may be added to one quantity, in a free amount: an effect in all but its metadata."""
+
+    name: str
+    quantity: str
+    field: Field
+    current_a: float
+    size: float
+    layer: EffectLayer
+
+    class Parameters(EffectParameters):
+        amount: float = amplitude("1", typical=1.0, prior_width=100.0, low=-1e9, high=1e9)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        """Add the signal in its amount."""
+        added = p.amount * self.size * self.field(signals, self.current_a)
+        return Correction(**{self.quantity: getattr(signals, self.quantity) + added})
 
 
 @dataclass(frozen=True)
@@ -31,35 +51,17 @@ class _Shape:
     fields: tuple[Field, ...]
     current_a: float
     size: float
-    signature: str = ""
-    twins: tuple[str, ...] = ()
     layer: EffectLayer = EffectLayer.INVERTER
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
-        """Add the signals in their amounts."""
-        if not signals.bridge_on:
-            return signals
-        total = getattr(signals, self.quantity)
-        for k, field in enumerate(self.fields):
-            amount = values[f"x{k}"]
-            if amount != 0.0:
-                total = total + amount * field(signals, self.current_a)
-        return signals.model_copy(update={self.quantity: total})
-
-    def candidate(self) -> Candidate:
-        parameters = tuple(
-            EffectParameter(
-                name=f"x{k}",
-                unit="1",
-                typical=self.size,
-                prior_width=100.0 * self.size,
-                low=-1e9,
-                high=1e9,
-                neutral=0.0,
-            )
-            for k in range(len(self.fields))
-        )
-        return Candidate(self, parameters)  # type: ignore[arg-type]  # an effect in all but its metadata
+    @property
+    def columns(self) -> list[tuple[Active, str]]:
+        """Each signal's amount, as `Fitter.evaluate` takes it."""
+        parameters = _Addition.Parameters.declared()
+        additions = [
+            _Addition(self.name, self.quantity, field, self.current_a, self.size, self.layer) for field in self.fields
+        ]
+        # The fit reads no more of an effect than an addition has.
+        return absent_columns([Candidate(addition, parameters) for addition in additions])  # type: ignore[arg-type]
 
 
 def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[ShapeGroup, float]]:
@@ -77,10 +79,8 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
     wanted: list[tuple[Active, str]] = []
     index: dict[str, list[int]] = {}
     for shape in shapes:
-        candidate = shape.candidate()
-        absent = candidate.absent()
-        index[shape.name] = list(range(len(wanted), len(wanted) + len(candidate.parameters)))
-        wanted += [(absent, p.name) for p in candidate.parameters]
+        index[shape.name] = list(range(len(wanted), len(wanted) + len(shape.fields)))
+        wanted += shape.columns
     normal, right = fitter.evaluate(fit.model, fit.frame, wanted).projected()
     kept = len(fit.model.free)
     chosen = list(range(kept))
@@ -260,14 +260,11 @@ def map_breaks(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float,
     """
     layer = EffectLayer.IRON
     shape = _Shape("breaks", "i_m_ab", (_mixed(1.0), _mixed(-1.0)), current_a, 0.01 * current_a, layer=layer)
-    candidate = shape.candidate()
-    absent = candidate.absent()
-    wanted = [(absent, p.name) for p in candidate.parameters]
-    normal, right = fitter.evaluate(fit.model, fit.frame, wanted).projected()
+    normal, right = fitter.evaluate(fit.model, fit.frame, shape.columns).projected()
     own = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
     kept = len(fit.model.free)
     own[:kept, :kept] += np.eye(kept)
-    x = -np.linalg.solve(own, right)[kept:] * 100.0 * shape.size
+    x = -np.linalg.solve(own, right)[kept:] * _Addition.Parameters.declared()[0].prior_width * shape.size
     inductance = fit.model.magnetics.flux_and_inductance(np.zeros((1, 2)))[1][0]
     mean = 0.5 * (inductance[0] + inductance[2])
     even, odd = abs(float(x[0])), abs(float(x[1])) / current_a

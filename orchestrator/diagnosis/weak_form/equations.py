@@ -9,6 +9,7 @@ Ts^2/12 (i'_start - i'_end): where saturation curves the ripple, the plain rule 
 from __future__ import annotations
 
 import math
+from collections.abc import Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,20 +98,29 @@ def flux_terms(piece: Piece, here: LocalMap) -> Array:
     return _summed(piece, -np.diff(psi, axis=0))
 
 
-def difference(piece: Piece, base: Signals, other: Signals, here: LocalMap, pm_flux_wb: float) -> Array:
+def difference(
+    piece: Piece, base: Signals, other: Signals, changed: Set[str], here: LocalMap, pm_flux_wb: float
+) -> Array:
     """Change of y, to first order in the magnetics, when the signals change from `base` to `other`.
 
-    Summed over samples, for `Windows.combine`: shape (hats, n_bins, 2).
+    Summed over samples, for `Windows.combine`: shape (hats, n_bins, 2). `changed` names the arrays that may differ.
     """
+
+    def change(name: str) -> Array:
+        before: RealArray = getattr(base, name)
+        if name not in changed:
+            return np.zeros((0, 2)[: before.ndim])
+        return np.ascontiguousarray(getattr(other, name) - before, dtype=np.float64)
+
     believed = float(piece.segment.rotor_angle_rad)
     x = _interval_difference(
-        _change(other.v_ab, base.v_ab, _NONE2),
+        change("v_ab"),
         np.ascontiguousarray(base.i_ab),
-        _change(other.i_ab, base.i_ab, _NONE2),
+        change("i_ab"),
         np.ascontiguousarray(base.resistance_ohm),
-        _change(other.resistance_ohm, base.resistance_ohm, _NONE),
-        _change(other.i_m_ab, base.i_m_ab, _NONE2),
-        _change(other.theta_rad, base.theta_rad, _NONE),
+        change("resistance_ohm"),
+        change("i_m_ab"),
+        change("theta_rad"),
         here.i_dq,
         here.turn,
         here.psi,
@@ -121,15 +131,6 @@ def difference(piece: Piece, base: Signals, other: Signals, here: LocalMap, pm_f
     )
     w = piece.windows
     return sum_intervals(x, w.step, w.hats, w.bins, w.n_bins)
-
-
-_NONE = np.zeros(0)
-_NONE2 = np.zeros((0, 2))
-
-
-def _change(now: RealArray, before: RealArray, none: Array) -> Array:
-    """What changed; nothing where both are one and the same array."""
-    return np.ascontiguousarray(now - before, dtype=np.float64) if now is not before else none
 
 
 def _summed(piece: Piece, x: Array) -> Array:

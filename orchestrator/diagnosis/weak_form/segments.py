@@ -144,7 +144,6 @@ def _part(piece: Piece, criteria: WeakFormCriteria) -> Piece:
     if stop >= n or count < criteria.coarse_least_samples:
         return piece
     cut = {name: getattr(s, name)[:stop] for name in _SAMPLED}
-    # Without effects both are one and the same array, and the fit looks for that.
     signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"]})
     windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
     return piece if windows is None else replace(piece, signals=signals, windows=windows)

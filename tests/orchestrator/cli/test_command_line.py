@@ -152,9 +152,7 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
 def test_an_effect_in_a_file_of_one_s_own_is_held_against_the_contract(tmp_path: Path) -> None:
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     mine = tmp_path / "mine.py"
-    mine.write_text(
-        "class Half:\n    name = 'half'\n\n    def correct(self, signals, values):\n        return signals\n"
-    )
+    mine.write_text("class Half:\n    name = 'half'\n\n    def correct(self, signals, p):\n        return signals\n")
     assert_one_line(fluxbench("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "summary")
     mine.write_text("raise SystemExit('boom')\n")
     assert_one_line(fluxbench("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "boom")

@@ -13,20 +13,19 @@ from orchestrator.cli._tables import amount
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
 EFFECT = """
-from protocols import EffectLayer, EffectParameter
+from protocols import Correction, EffectLayer, EffectParameters, amplitude
 
 class Mine:
     name = "mine"
     summary = signature = "mine"
     layer = EffectLayer.INVERTER
-    family = "mine"
-    twins = experiments = ()
+    needs = ()
     gauge = ""
-    parameters = (
-        EffectParameter(name="offset_v", unit="V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0, neutral=0.0),
-    )
 
-    def correct(self, signals, values):
+    class Parameters(EffectParameters):
+        offset_v: float = amplitude("V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0)
+
+    def correct(self, signals, p):
         {body}
 """
 
@@ -122,7 +121,7 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = tmp_path / "mine.py"
-    mine.write_text(EFFECT.format(body="signals.v_ab[:] = 0.0\n        return signals"))
+    mine.write_text(EFFECT.format(body="signals.v_ab[:] = 0.0\n        return Correction(v_ab=signals.v_ab)"))
     told = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
     assert "mine: correct: writes into the signals" in told
     assert not (tmp_path / "out").exists()
@@ -133,13 +132,14 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
     [
         ("raise SystemExit(7)", "correct: SystemExit: 7"),
         ("return None", "returned NoneType"),
-        ("return signals.model_copy(update={'v_ab': signals.v_ab[:5]})", "v_ab has shape (5, 2)"),
-        ("return signals.model_copy(update={'v_ab': signals.v_ab * float('nan')})", "v_ab is not finite"),
-        ("return signals.model_copy(update={'v_ab': signals.v_ab * 1j})", "v_ab is of type complex128"),
-        ("return signals.model_copy(update={'v_ab': signals.v_ab.tolist()})", "v_ab has shape None"),
+        ("return signals", "returned Signals"),
+        ("return Correction(v_ab=signals.v_ab[:5])", "v_ab has shape (5, 2)"),
+        ("return Correction(v_ab=signals.v_ab * float('nan'))", "v_ab is not finite"),
+        ("return Correction(v_ab=signals.v_ab * 1j)", "v_ab is of type complex128"),
+        ("return Correction(v_ab=signals.v_ab.tolist())", "v_ab has shape None"),
     ],
 )
-def test_an_effect_that_returns_no_signals_is_named(
+def test_an_effect_that_returns_no_correction_is_named(
     body: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = tmp_path / "mine.py"
@@ -152,7 +152,8 @@ def test_an_effect_that_returns_no_signals_is_named(
     [
         (('name = "mine"', 'name = "dead_time"'), "dead_time: there is an effect of that name already"),
         (('name = "mine"', 'name = "saturation"'), "saturation: there is an effect of that name already"),
-        (("typical=0.15", "typical=0.0"), "offset_v: typical 0"),
+        (("typical=0.15", "typical=0.0"), "Mine.Parameters.offset_v: typical 0"),
+        (('"V"', '"kV"'), "Mine.Parameters.offset_v: unit 'kV' cannot be scaled to a machine; expected a product"),
         (
             ("gauge = ", "def __init__(self):\n        raise OSError(5, 'no')\n\n    gauge = "),
             "cannot be made: OSError",
@@ -163,7 +164,7 @@ def test_an_effect_that_makes_no_candidate_is_named(
     change: tuple[str, str], told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mine = tmp_path / "mine.py"
-    mine.write_text(EFFECT.format(body="return signals").replace(*change))
+    mine.write_text(EFFECT.format(body="return Correction()").replace(*change))
     assert told in refused(capsys, 2, "compare", DATA, "--effects", mine)
 
 

@@ -19,23 +19,22 @@ DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
 EFFECT = """
 import time
 from pathlib import Path
-from protocols import EffectLayer, EffectParameter
+from protocols import Correction, EffectLayer, EffectParameters, amplitude
 
 class Mine:
     name = "mine"
     summary = signature = "mine"
     layer = EffectLayer.INVERTER
-    family = "mine"
-    twins = experiments = ()
+    needs = ()
     gauge = ""
-    parameters = (
-        EffectParameter(name="offset_v", unit="V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0, neutral=0.0),
-    )
 
-    def correct(self, signals, values):
+    class Parameters(EffectParameters):
+        offset_v: float = amplitude("V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0)
+
+    def correct(self, signals, p):
         Path({marker!r}).touch()
         time.sleep({seconds})
-        return signals
+        return Correction()
 """
 
 

@@ -14,7 +14,7 @@ from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset
 from plugins.effects.timing import CurrentFilter, VoltageDelay
-from protocols import DriveRecord, LossHistory, Motor, RealArray, Signals
+from protocols import DriveRecord, Effect, LossHistory, Motor, RealArray, Signals
 from tests.support.close import assert_close
 
 FS = 10_000.0
@@ -40,6 +40,10 @@ def _signals(n: int = 400, pwm_hz: float = FS) -> Signals:
     )
 
 
+def _corrected(effect: Effect, signals: Signals, **values: float) -> Signals:
+    return signals.corrected(effect.correct(signals, effect.Parameters(**values)))
+
+
 def _two(i_ab: RealArray) -> Array:
     """Phases a and b."""
     return np.stack([i_ab[:, 0], -0.5 * i_ab[:, 0] + math.sqrt(0.75) * i_ab[:, 1]], axis=1)
@@ -54,35 +58,29 @@ def _reads(signals: Signals, i_ab: Array) -> Signals:
 
 
 def test_dead_time_opposes_the_current_and_grows_with_the_pwm_frequency() -> None:
-    effect, values = DeadTime(), {"voltage_v": 8.0, "threshold_a": 0.01, "softness": 0.5}
     for pwm_hz, volts in ((FS, 8.0), (2 * FS, 16.0)):
         signals = _signals(pwm_hz=pwm_hz)
-        lost = signals.v_ab - effect.correct(signals, values).v_ab
+        lost = signals.v_ab - _corrected(DeadTime(), signals, voltage_v=8.0, threshold_a=0.01).v_ab
         # At the start i_a > 0 > i_b = i_c: the vector is 4/3 V along a.
         assert lost[0, 0] == pytest.approx(4.0 / 3.0 * volts, rel=0.01)
 
 
-def test_dead_time_is_silent_while_the_bridge_is_off() -> None:
-    signals = _signals().model_copy(update={"bridge_on": False})
-    assert DeadTime().correct(signals, {"voltage_v": 8.0, "threshold_a": 0.1}).v_ab is signals.v_ab
-
-
 def test_voltage_bias_is_subtracted() -> None:
     signals = _signals()
-    out = VoltageBias().correct(signals, {"bias_a_v": 0.3, "bias_b_v": -0.15})
+    out = _corrected(VoltageBias(), signals, bias_a_v=0.3, bias_b_v=-0.15)
     assert_close(signals.v_ab - out.v_ab, np.tile([0.3, 0.0], (400, 1)), 1e-15, of=signals.v_ab)
 
 
 def test_bus_sag_lowers_the_voltage_by_the_power() -> None:
     signals = _signals()
-    out = BusSag().correct(signals, {"per_watt": 1e-3})
+    out = _corrected(BusSag(), signals, per_watt=1e-3)
     power = 1.5 * np.sum(signals.v_ab[0] * 0.5 * (signals.i_ab[0] + signals.i_ab[1]))
     np.testing.assert_allclose(out.v_ab[0], signals.v_ab[0] * (1 - 1e-3 * power))
 
 
 def test_delay_mixes_in_the_voltage_of_the_interval_before() -> None:
     signals = _signals()
-    out = VoltageDelay().correct(signals, {"delay_s": 25e-6})
+    out = _corrected(VoltageDelay(), signals, delay_s=25e-6)
     np.testing.assert_allclose(out.v_ab[10], 0.75 * signals.v_ab[10] + 0.25 * signals.v_ab[9])
 
 
@@ -90,12 +88,12 @@ def test_sensor_errors_are_undone() -> None:
     signals = _signals()
     true = _two(signals.i_ab)
     gained = _reads(signals, _from_two(true * np.array([1.01, 0.99])))
-    assert_close(CurrentGainMismatch().correct(gained, {"gain_a_minus_b": 0.02}).i_ab, signals.i_ab, 1e-14)
+    assert_close(_corrected(CurrentGainMismatch(), gained, gain_a_minus_b=0.02).i_ab, signals.i_ab, 1e-14)
     offset = _reads(signals, _from_two(true + np.array([0.02, -0.01])))
-    read = CurrentOffset().correct(offset, {"offset_a_a": 0.02, "offset_b_a": -0.01})
+    read = _corrected(CurrentOffset(), offset, offset_a_a=0.02, offset_b_a=-0.01)
     assert_close(read.i_m_ab, signals.i_ab, 1e-14)
     bent = _reads(signals, _from_two(true + 3e-4 * true**3))
-    assert_close(CurrentNonlinearity().correct(bent, {"cubic_per_a2": 3e-4}).i_ab, signals.i_ab, 1e-7)
+    assert_close(_corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4).i_ab, signals.i_ab, 1e-7)
 
 
 def test_sensor_lag_is_undone_on_a_triangle() -> None:
@@ -103,13 +101,13 @@ def test_sensor_lag_is_undone_on_a_triangle() -> None:
     true = np.stack([0.5 * np.abs(np.arange(400) % 20 - 10.0), np.zeros(400)], axis=1)
     tau = 8e-6
     slope = np.diff(true, axis=0, prepend=true[:1] - (true[1:2] - true[:1])) * FS
-    out = CurrentFilter().correct(_reads(signals, true - tau * slope), {"time_constant_s": tau})
+    out = _corrected(CurrentFilter(), _reads(signals, true - tau * slope), time_constant_s=tau)
     assert np.abs(out.i_ab - true)[1:].max() < 0.1 * tau * np.abs(slope).max() * 2
 
 
 def test_extra_resistance_drops_in_its_own_phase() -> None:
     signals = _signals()
-    out = PhaseResistanceImbalance().correct(signals, {"extra_a_ohm": 0.3, "extra_b_ohm": 0.0})
+    out = _corrected(PhaseResistanceImbalance(), signals, extra_a_ohm=0.3, extra_b_ohm=0.0)
     mean = 0.5 * (signals.i_ab[0] + signals.i_ab[1])
     assert_close(signals.v_ab[0] - out.v_ab[0], [0.3 * mean[0] * 2.0 / 3.0, 0.0], 1e-15, of=signals.v_ab)
 
@@ -117,13 +115,13 @@ def test_extra_resistance_drops_in_its_own_phase() -> None:
 def test_heating_reaches_its_steady_rise() -> None:
     losses = LossHistory(time_s=np.linspace(0.0, 5000.0, 2001), power_w=np.full(2001, 20.0), captured=np.ones(2001))
     signals = _signals().model_copy(update={"losses": losses, "start_s": 4900.0})
-    out = WindingHeating().correct(signals, {"rise_per_watt": 0.003, "time_constant_s": 150.0})
+    out = _corrected(WindingHeating(), signals, rise_per_watt=0.003, time_constant_s=150.0)
     # 20 W warm it by 6 %, and the warmer winding loses more: y = 0.06 (1 + y).
     assert out.resistance_ohm[0] / 4.0 == pytest.approx(1.0 + 0.06 / (1.0 - 0.06), abs=2e-5)
 
 
 def test_misalignment_is_true_minus_believed() -> None:
-    out = RotorMisalignment().correct(_signals(), {"angle_rad": -0.03})
+    out = _corrected(RotorMisalignment(), _signals(), angle_rad=-0.03)
     assert out.theta_rad[0] == pytest.approx(0.17)
 
 
@@ -131,14 +129,14 @@ def test_brake_twists_with_the_torque() -> None:
     signals = _signals()
     axis = np.array([math.cos(0.2), math.sin(0.2)])
     psi = np.tile(0.3 * axis, (400, 1))
-    out = BrakeCompliance().correct(signals.model_copy(update={"psi_ab": psi}), {"rad_per_nm": 0.005})
+    out = _corrected(BrakeCompliance(), signals.model_copy(update={"psi_ab": psi}), rad_per_nm=0.005)
     i_q = -math.sin(0.2) * signals.i_ab[0, 0] + math.cos(0.2) * signals.i_ab[0, 1]
     assert out.theta_rad[0] - 0.2 == pytest.approx(0.005 * 1.5 * 2 * 0.3 * i_q)
 
 
 def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
     signals = _signals()
-    out = EddyCurrents().correct(signals, {"core_loss_ohm": 1000.0})
+    out = _corrected(EddyCurrents(), signals, core_loss_ohm=1000.0)
     eddy = (signals.v_ab[9] - 4.0 * signals.i_ab[10]) / 1000.0
     np.testing.assert_allclose(signals.i_m_ab[10] - out.i_m_ab[10], eddy)
 
@@ -147,7 +145,7 @@ def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:
     k = np.arange(4000)
     psi = np.stack([swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
     signals = _signals(4000).model_copy(update={"psi_smooth_ab": psi})
-    held = signals.i_m_ab - Hysteresis().correct(signals, values).i_m_ab
+    held = signals.i_m_ab - _corrected(Hysteresis(), signals, **values).i_m_ab
     return psi[:, 0], held[:, 0]
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any, ClassVar
 
 import numpy as np
@@ -11,10 +11,16 @@ import pytest
 from orchestrator.diagnosis import guarded
 from orchestrator.testing._signals import exciting_signals
 from plugins.effects.inverter import VoltageBias
-from protocols import EffectLayer, EffectParameter, ParameterRole, PluginError, Signals
-
-VALUES = {"offset_v": 0.2}
-Correct = Callable[[Signals, Mapping[str, float]], Any]
+from protocols import (
+    Contrast,
+    Correction,
+    EffectLayer,
+    EffectParameters,
+    PluginError,
+    Signals,
+    amplitude,
+    refinement,
+)
 
 
 class Brought:
@@ -24,121 +30,110 @@ class Brought:
     summary: ClassVar[str] = "A constant."
     signature: ClassVar[str] = "A constant."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
-    family: ClassVar[str] = "constant"
-    twins: ClassVar[tuple[str, ...]] = ()
-    experiments: ClassVar[tuple[str, ...]] = ()
+    needs: ClassVar[tuple[Contrast, ...]] = ()
     gauge: ClassVar[str] = ""
-    parameters: ClassVar[tuple[EffectParameter, ...]] = (
-        EffectParameter(name="offset_v", unit="V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0, neutral=0.0),
-    )
 
-    def __init__(self, correct: Correct | None = None) -> None:
-        self._correct = correct or (lambda s, v: s.model_copy(update={"v_ab": s.v_ab - v["offset_v"]}))
+    class Parameters(EffectParameters):
+        offset_v: float = amplitude("V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0)
 
-    def correct(self, signals: Signals, values: Mapping[str, float]) -> Signals:
-        found: Signals = self._correct(signals, values)
+    def __init__(self, correct: Callable[[Signals], Any] | None = None) -> None:
+        self._correct = correct
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        if self._correct is None:
+            return Correction(v_ab=signals.v_ab - p.offset_v)
+        found: Correction = self._correct(signals)
         return found
 
 
-def _zero(signals: Signals) -> Signals:
+VALUES = Brought.Parameters(offset_v=0.2)
+
+
+def _zero(signals: Signals) -> Correction:
     signals.v_ab[:] = 0.0
-    return signals
+    return Correction(v_ab=signals.v_ab)
 
 
-def _shift(signals: Signals) -> Signals:
+def _shift(signals: Signals) -> Correction:
     np.add(signals.i_ab, 1.0, out=signals.i_ab)
-    return signals
+    return Correction(i_ab=signals.i_ab)
 
 
-def _sorted(signals: Signals) -> Signals:
+def _sorted(signals: Signals) -> Correction:
     signals.heat_j.sort()
-    return signals
+    return Correction()
 
 
-@pytest.mark.parametrize("write", [_zero, _shift, _sorted])
-def test_writing_into_the_signals_is_refused_and_changes_nothing(write: Callable[[Signals], Signals]) -> None:
+def _forgotten(signals: Signals) -> Correction:
+    assert signals.losses is not None
+    signals.losses.power_w[:] = 0.0
+    return Correction()
+
+
+@pytest.mark.parametrize("write", [_zero, _shift, _sorted, _forgotten])
+def test_writing_into_the_signals_is_refused_and_changes_nothing(write: Callable[[Signals], Correction]) -> None:
     signals = exciting_signals()
     before = {n: np.array(getattr(signals, n)) for n in ("v_ab", "i_ab", "heat_j")}
     with pytest.raises(PluginError, match="brought: correct: writes into the signals"):
-        guarded(Brought(lambda s, _: write(s))).correct(signals, VALUES)
+        guarded(Brought(write)).correct(signals, VALUES)
     for name, was in before.items():
         np.testing.assert_array_equal(getattr(signals, name), was)
         assert getattr(signals, name).flags.writeable
 
 
-def test_values_cannot_be_changed_either() -> None:
-    def tamper(signals: Signals, values: Mapping[str, float]) -> Signals:
-        values["offset_v"] = 1.0  # type: ignore[index]
-        return signals
-
-    values = dict(VALUES)
-    with pytest.raises(TypeError):
-        guarded(Brought(tamper)).correct(exciting_signals(), values)
-    assert values == VALUES
-
-
 def test_an_effect_that_keeps_to_it_gives_what_it_would_unguarded() -> None:
     signals = exciting_signals()
-    values = {"bias_a_v": 0.2, "bias_b_v": -0.1}
-    np.testing.assert_array_equal(
-        guarded(VoltageBias()).correct(signals, values).v_ab, VoltageBias().correct(signals, values).v_ab
-    )
+    values = VoltageBias.Parameters(bias_a_v=0.2, bias_b_v=-0.1)
+    behind, plain = (effect.correct(signals, values).v_ab for effect in (guarded(VoltageBias()), VoltageBias()))
+    assert behind is not None
+    assert plain is not None
+    np.testing.assert_array_equal(behind, plain)
+    assert behind.flags.writeable
 
 
-def test_what_is_not_changed_stays_the_same_array() -> None:
-    signals = exciting_signals()
-    after = guarded(Brought()).correct(signals, VALUES)
-    assert after.i_ab is signals.i_ab
-    assert after.i_m_ab is signals.i_m_ab
-    assert after.v_ab.flags.writeable
-    assert guarded(Brought(lambda s, _: s)).correct(signals, VALUES) is signals
-
-
-def test_what_an_effect_may_not_change_is_not_taken_from_it() -> None:
-    signals = exciting_signals()
-    changed = {"heat_j": np.zeros_like(signals.heat_j), "start_s": 7.0, "sampling_frequency_hz": 1.0}
-    after = guarded(Brought(lambda s, _: s.model_copy(update=changed))).correct(signals, VALUES)
-    assert after.heat_j is signals.heat_j
-    assert (after.start_s, after.sampling_frequency_hz) == (signals.start_s, signals.sampling_frequency_hz)
+def test_what_is_not_changed_is_left_out() -> None:
+    assert set(guarded(Brought()).correct(exciting_signals(), VALUES).arrays) == {"v_ab"}
+    assert guarded(Brought(lambda s: Correction())).correct(exciting_signals(), VALUES).arrays == {}
 
 
 def test_a_part_of_the_signals_handed_back_is_a_copy_that_can_be_written_to() -> None:
     signals = exciting_signals()
-    after = guarded(Brought(lambda s, _: s.model_copy(update={"v_ab": s.i_ab[::-1]}))).correct(signals, VALUES)
-    assert after.v_ab.flags.writeable
-    assert after.v_ab.flags.c_contiguous
-    assert not np.shares_memory(after.v_ab, signals.i_ab)
+    v_ab = guarded(Brought(lambda s: Correction(v_ab=s.i_ab[::-1]))).correct(signals, VALUES).v_ab
+    assert v_ab is not None
+    assert v_ab.flags.writeable
+    assert v_ab.flags.c_contiguous
+    assert not np.shares_memory(v_ab, signals.i_ab)
 
 
-def test_no_signals_is_said() -> None:
-    with pytest.raises(PluginError, match="returned NoneType"):
-        guarded(Brought(lambda s, v: None)).correct(exciting_signals(), VALUES)
+def test_no_correction_is_said() -> None:
+    with pytest.raises(PluginError, match="returned NoneType, no Correction"):
+        guarded(Brought(lambda s: None)).correct(exciting_signals(), VALUES)
+    with pytest.raises(PluginError, match="returned Signals, no Correction"):
+        guarded(Brought(lambda s: s)).correct(exciting_signals(), VALUES)
 
 
-PLAIN = Brought.parameters[0]
+class WithoutAmplitude(Brought):
+    class Parameters(EffectParameters):
+        offset_v: float = refinement("V", neutral=0.0, prior_width=0.3, low=-5.0, high=5.0)
+
+
+class LayerByNumber(Brought):
+    layer = 4  # type: ignore[assignment]
+
+
+class NeedsByName(Brought):
+    needs = ("gates off",)  # type: ignore[assignment]
 
 
 @pytest.mark.parametrize(
-    ("parameters", "told"),
+    ("effect", "told"),
     [
-        ((), "nothing to fit"),
-        ((PLAIN.model_copy(update={"role": ParameterRole.REFINEMENT}),), "nothing to fit"),
-        ((PLAIN, PLAIN), "names repeat"),
-        (({"name": "offset_v"},), "expected EffectParameter, got dict"),
-        ((PLAIN.model_copy(update={"typical": 0.0}),), "typical 0"),
-        ((PLAIN.model_copy(update={"low": 6.0}),), "low 6 is not below high 5"),
-        ((PLAIN.model_copy(update={"prior_width": 0.0}),), "prior_width 0 is not positive"),
-        ((PLAIN.model_copy(update={"typical": 7.0}),), "typical 7 is not between"),
-        ((PLAIN.model_copy(update={"high": float("inf")}),), "high is inf"),
-        ((PLAIN, PLAIN.model_copy(update={"name": "s", "role": ParameterRole.SHAPE})), "low -5 of a shape"),
+        (WithoutAmplitude, "Parameters: none has the role of an amplitude: there is nothing to fit"),
+        (LayerByNumber, "layer: expected an EffectLayer, got 4"),
+        (NeedsByName, "needs: expected a Contrast, got 'gates off'"),
     ],
 )
-def test_metadata_that_cannot_be_fitted_is_named(parameters: tuple[Any, ...], told: str) -> None:
-    class Wrong(Brought):
-        pass
-
-    Wrong.parameters = parameters
+def test_metadata_that_cannot_be_fitted_is_named(effect: type[Brought], told: str) -> None:
     with pytest.raises(PluginError) as caught:
-        guarded(Wrong())
-    assert told in str(caught.value)
-    assert str(caught.value).startswith("effects: brought: parameters")
+        guarded(effect())
+    assert str(caught.value) == f"effects: brought: {told}"

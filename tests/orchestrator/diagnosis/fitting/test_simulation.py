@@ -18,7 +18,7 @@ def predicted(v_d: float, v_q: float, samples: int) -> np.ndarray:
     numbers, _ = GRID.layout
     return _simulate(
         np.tile([v_d, v_q], (samples, 1)),
-        np.zeros((0, 2)),
+        np.zeros((samples, 2)),
         np.full(samples, R_S),
         np.zeros(samples),
         np.zeros((samples, 2)),
