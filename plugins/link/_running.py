@@ -5,8 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator
 
-import numpy as np
-
+from orchestrator.driving import sign_of_life
 from plugins.link._clock import AttentiveClock
 from plugins.link._demodulated import RippleRead, ripple_periods
 from plugins.link._host import Host
@@ -83,23 +82,13 @@ class Program:
                 yield self._source.block(given, stop, start_s + given / self._fs)
                 given, told_s = stop, time.monotonic()
             if time.monotonic() - told_s > PATIENCE.quiet_s:
-                yield self._nothing(seconds_of_tick)
+                tick = self._host.link.news.tick
+                yield sign_of_life(seconds_of_tick(tick.tick) if tick else 0.0, self._fs)
                 told_s = time.monotonic()
 
     def _due(self, given: int, finished: bool) -> bool:
         ready = self._source.ready - given
         return ready > 0 and (finished or ready >= round(SHORTEST_S * self._fs))
-
-    def _nothing(self, seconds_of_tick: SecondsOfTick) -> Capture:
-        none, empty = np.zeros((0, 2)), np.zeros(0)
-        tick = self._host.link.news.tick
-        return Capture(
-            start_s=seconds_of_tick(tick.tick) if tick else 0.0,
-            sampling_frequency_hz=self._fs,
-            i_ab=none,
-            v_ab=none,
-            v_dc=empty,
-        )
 
     def _start_tick(self) -> int:
         return int(self._host.read("capture_start_low")) + 65536 * int(self._host.read("capture_start_high"))

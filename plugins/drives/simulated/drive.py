@@ -9,34 +9,27 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import ClassVar
 
 from pydantic import BaseModel
 
 from orchestrator.driving import DriveShell
-from plugins.drives.simulated import _memory
-from plugins.drives.simulated._bench import Bench
-from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
 from plugins.drives.simulated._faults import FaultPlan, corrupted
-from plugins.drives.simulated._permission import Permission
-from plugins.drives.simulated._program import DRAIN_S, Planner, Program, Stretch, tune
-from plugins.drives.simulated._run import OFF, ControlParameters, Piece
+from plugins.drives.simulated._program import DRAIN_S, Program, Stretch
+from plugins.drives.simulated._run import OFF, Piece
 from plugins.drives.simulated._simulator import Simulator, Tripped
 from plugins.drives.simulated.options import Fault, SimulatedOptions
+from plugins.drives.simulated.rig import Rig
 from plugins.drives.simulated.truth import describe, write_json
 from protocols import (
     Capabilities,
     Capture,
-    CurrentControl,
     DriveFault,
     DriveRefused,
     DriveSetup,
     DriveState,
     Excitation,
     FaultCause,
-    GatesOff,
-    Hold,
     Limits,
     Telemetry,
 )
@@ -54,32 +47,22 @@ class SimulatedDrive(DriveShell):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: SimulatedOptions = setup.options
-        self._number = 0
-        self._bench = Bench(self._options.plant, setup.seed)
-        self._control = CurrentControl()
         self._faults = FaultPlan(self._options.faults)
         self._link_lost = False
         self._last_beat = 0.0
-        self._simulator: Simulator | None = None
+        self._made: Rig | None = None
 
     # Link
 
     def open(self) -> Capabilities:
         """Make the plant, compile its loop, seal the truth; raises `InputError` where the options make no motor."""
-        options, setup = self._options, self.setup
-        nameplate = read_nameplate(setup.motor)
-        bus_v = bus_voltage(options, nameplate)
-        plant = derive(options, nameplate, bus_v)
-        self._nameplate: Nameplate = nameplate
-        self._permission = Permission.of(options, nameplate, plant, bus_v)
-        self._simulator = Simulator(plant, options.sampling_frequency_hz, setup.seed, self._bench.rest_angle())
-        self._planner = Planner(options.sampling_frequency_hz, nameplate, self._permission.capabilities.max_voltage_v)
-        self._simulator.hold_rotor(self._bench.mechanics(self._simulator))
+        setup = self.setup
+        self._made = rig = Rig(self._options, setup.motor, setup.seed)
         if setup.private_directory is not None:
-            truth = describe(options, nameplate, plant, setup.seed)
+            truth = describe(self._options, rig.nameplate, self._plant.plant, setup.seed)
             write_json(setup.private_directory / TRUTH, truth)
-        self._warm_up()
-        return self._permission.capabilities
+        rig.warm_up()
+        return rig.capabilities
 
     def heartbeat(self) -> None:
         """Feed the watchdog."""
@@ -89,11 +72,12 @@ class SimulatedDrive(DriveShell):
 
     def energise(self, limits: Limits) -> None:
         """The watchdog's time runs from here."""
+        self._rig.limit(limits)
         self.heartbeat()
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Check what this plant does not allow, then run it as the iterator is drawn from."""
-        self._permission.check(excitation)
+        self._rig.permission.check(excitation)
         return self._run(excitation)
 
     def telemetry(self) -> Telemetry:
@@ -108,12 +92,12 @@ class SimulatedDrive(DriveShell):
         """Current to zero under control, then held there."""
         self._check_link()
         if not self._watch():
-            self._bring_to_zero()
+            self._controlled(self._rig.down(), 1)
 
     def switch_off(self) -> None:
         """Bridge off; what current there still is drains through the diodes."""
         self._check_link()
-        off = Piece(OFF, max(1, self._planner.samples(DRAIN_S)))
+        off = Piece(OFF, max(1, self._rig.planner.samples(DRAIN_S)))
         self._drain(Program((Stretch(off),)), 3)
 
     def forget_fault(self) -> None:
@@ -125,23 +109,14 @@ class SimulatedDrive(DriveShell):
         self.attend()
         if not self._options.has_brake:
             raise DriveRefused("this drive has no brake")
-        self._bench.set_brake(engaged, self._plant)
+        self._rig.set_brake(engaged)
 
     # Memory
 
     def checkpoint(self, point_id: str) -> None:
         """Save plant, control, clock and brake; nothing without a private directory."""
-        if self.setup.private_directory is None:
-            return
-        saved = _memory.Saved(
-            self._plant.memory,
-            self._number,
-            self._bench.braked,
-            self._control.bandwidth_hz,
-            self._control.damping,
-            tuple(sorted(self._faults.fired)),
-        )
-        _memory.save(self.setup.private_directory, point_id, saved)
+        if self.setup.private_directory is not None:
+            self._rig.save(self.setup.private_directory, point_id, self._faults.fired)
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Go on after a point as if nothing had happened; the clock stands at `start_s`."""
@@ -150,30 +125,23 @@ class SimulatedDrive(DriveShell):
             raise DriveRefused("no private directory, so no state to take up again")
         if self.state is not DriveState.DISARMED:
             raise DriveRefused(f"a state can be taken up while disarmed only ({self.state.value})")
-        saved = _memory.load(self.setup.private_directory, point_id)
-        self._plant.memory = saved.memory
-        self._number, self._bench.braked = saved.number, saved.braked
-        self._control = CurrentControl(bandwidth_hz=saved.bandwidth_hz, damping=saved.damping)
-        self._faults.fired = set(saved.fired)
-        self._plant.parameters = self._bench.mechanics(self._plant)
+        self._faults.fired = set(self._rig.take_up(self.setup.private_directory, point_id))
         if abs(start_s - self._plant.time_s) > 0.5 / self._options.sampling_frequency_hz:
-            saved.memory.base_s += start_s - self._plant.time_s
+            self._plant.memory.base_s += start_s - self._plant.time_s
 
     # How an excitation runs
 
     def _run(self, excitation: Excitation) -> Iterator[Capture]:
-        simulator, fs = self._plant, self._options.sampling_frequency_hz
-        self._number += 1
-        if self._number > 1 and self._options.gap_s > 0:
-            self._let_pass(self._options.gap_s)
-        self._control = excitation.control
-        simulator.believe(excitation.rotor_angle_rad)
-        program = self._planner.program(excitation, simulator.set_point)
-        due = self._faults.due(self._number, simulator.time_s, fs, program.samples)
-        noise = simulator.noise(0, self._number)
+        rig, simulator, fs = self._rig, self._plant, self._options.sampling_frequency_hz
+        rig.number += 1
+        if rig.number > 1 and self._options.gap_s > 0:
+            self._controlled(rig.planner.wait(simulator.set_point, self._options.gap_s), 2)
+        program = rig.program(excitation)
+        due = self._faults.due(rig.number, simulator.time_s, fs, program.samples)
+        noise = simulator.noise(0, rig.number)
         pace = _Pace(self._options.realtime_factor)
         spoil: Fault | None = None
-        blocks = simulator.run(program, self._tuning(), self._pwm_ratio(excitation.pwm_frequency_hz), noise, tuple(due))
+        blocks = simulator.run(program, rig.tuning(), rig.pwm_ratio, noise, tuple(due))
         while True:
             try:
                 block = next(blocks, None)
@@ -211,46 +179,20 @@ class SimulatedDrive(DriveShell):
         return None
 
     def _trip_of(self, trip: Tripped) -> DriveFault:
-        limit = self._options.trip_ratio * (self.limits.current_a if self.limits else 0.0)
         if trip.overload:
             return self.trip(DriveFault(FaultCause.OVERTEMPERATURE, "overload protection"))
-        return self.trip(DriveFault(FaultCause.OVERCURRENT, f"current above {limit:.4g} A"))
+        return self.trip(DriveFault(FaultCause.OVERCURRENT, f"current above {self._rig.trip_a:.4g} A"))
 
-    def _bring_to_zero(self) -> None:
-        program = self._planner.to_zero(self._control, self._plant.set_point)
+    def _controlled(self, program: Program, kind: int) -> None:
         try:
-            self._drain(program, 1)
-        except Tripped as trip:
-            raise self._trip_of(trip) from None
-
-    def _let_pass(self, seconds: float) -> None:
-        try:
-            self._drain(self._planner.wait(self._plant.set_point, seconds), 2)
+            self._drain(program, kind)
         except Tripped as trip:
             raise self._trip_of(trip) from None
 
     def _drain(self, program: Program, kind: int) -> None:
-        noise = self._plant.noise(kind, self._number)
-        for _ in self._plant.run(program, self._tuning(), 1.0, noise, ()):
+        noise = self._plant.noise(kind, self._rig.number)
+        for _ in self._plant.run(program, self._rig.tuning(), 1.0, noise, ()):
             pass
-
-    def _tuning(self) -> ControlParameters:
-        limits, capabilities = self.limits, self._permission.capabilities
-        max_v = capabilities.max_voltage_v if limits is None else limits.voltage_v
-        max_a = capabilities.max_current_a if limits is None else limits.current_a
-        return tune(
-            self._nameplate,
-            self._control,
-            self._plant.memory.angle_rad,
-            self._options.sampling_frequency_hz,
-            max_v=max_v,
-            trip_a=self._options.trip_ratio * max_a,
-            overload_s=self._options.overload_s,
-        )
-
-    def _pwm_ratio(self, frequency_hz: float | None) -> float:
-        own = self._permission.capabilities.pwm_frequency_hz
-        return 1.0 if frequency_hz is None else frequency_hz / own
 
     # Watchdog and link
 
@@ -271,29 +213,21 @@ class SimulatedDrive(DriveShell):
             return False
         if time.monotonic() - self._last_beat <= watchdog:
             return False
-        self._bring_to_zero()
+        self._controlled(self._rig.down(), 1)
         self.trip(DriveFault(FaultCause.HEARTBEAT_LOST, "no heartbeat; current ramped down, bridge off"))
         return True
 
     # Plant
 
     @property
-    def _plant(self) -> Simulator:
-        if self._simulator is None:
+    def _rig(self) -> Rig:
+        if self._made is None:
             raise DriveRefused("not connected")
-        return self._simulator
+        return self._made
 
-    def _warm_up(self) -> None:
-        """Compile, and fill the caches: on a copy of the memory, so that nothing moves."""
-        simulator = self._plant
-        memory = simulator.memory
-        simulator.memory = replace(memory, state=memory.state.copy())
-        kinds = (Hold(current_d_a=0.0, current_q_a=0.0, settle_s=0.0, duration_s=2e-3), GatesOff(duration_s=2e-3))
-        for excitation in kinds:
-            program = self._planner.program(excitation, (0.0, 0.0))
-            for _ in simulator.run(program, self._tuning(), 1.0, simulator.noise(5), ()):
-                pass
-        simulator.memory = memory
+    @property
+    def _plant(self) -> Simulator:
+        return self._rig.simulator
 
 
 class _Pace:

@@ -7,7 +7,7 @@ not known here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import ClassVar
@@ -65,13 +65,13 @@ class Rig:
         self.own_nameplate = self.nameplate = read_nameplate(motor)
         bus_v = bus_voltage(options, self.nameplate)
         plant = derive(options, self.nameplate, bus_v)
-        self._permission = Permission.of(options, self.nameplate, plant, bus_v)
-        self._bench = Bench(options.plant, seed)
-        self._simulator = Simulator(plant, options.sampling_frequency_hz, seed, self._bench.rest_angle())
-        self._simulator.hold_rotor(self._bench.mechanics(self._simulator))
-        own = self._permission.capabilities
+        self.permission = Permission.of(options, self.nameplate, plant, bus_v)
+        self.bench = Bench(options.plant, seed)
+        self.simulator = Simulator(plant, options.sampling_frequency_hz, seed, self.bench.rest_angle())
+        self.simulator.hold_rotor(self.bench.mechanics(self.simulator))
+        own = self.permission.capabilities
         self._power = _Power(CurrentControl(), own.max_current_a, own.max_voltage_v)
-        self._pwm_ratio = 1.0
+        self.pwm_ratio = 1.0
         self.number = 0
         """Programs so far: the noise of each is its own."""
         self._draws = 0
@@ -81,7 +81,7 @@ class Rig:
     @property
     def capabilities(self) -> Capabilities:
         """What the options make of the drive."""
-        return self._permission.capabilities
+        return self.permission.capabilities
 
     @property
     def trip_a(self) -> float:
@@ -91,28 +91,28 @@ class Rig:
     @property
     def ticks(self) -> int:
         """Samples since the plant was made."""
-        memory = self._simulator.memory
+        memory = self.simulator.memory
         return memory.ticks + round(memory.base_s * self.options.sampling_frequency_hz)
 
     @property
     def shown(self) -> tuple[float, float, float]:
         """(i_d, i_q, v_dc), low-passed, in the believed dq frame."""
-        return self._simulator.shown
+        return self.simulator.shown
 
     @property
     def reading_a(self) -> float:
         """Length of the current vector as the sensors see it now, without noise."""
-        x = self._simulator.memory.state
+        x = self.simulator.memory.state
         return math.hypot(x[READING_A], (x[READING_A] + 2.0 * x[READING_B]) / SQRT3)
 
     @property
     def base_voltage_v(self) -> tuple[float, float]:
         """Frozen voltage of the last injection, believed dq frame."""
-        return self._simulator.memory.base_v
+        return self.simulator.memory.base_v
 
     @property
     def braked(self) -> bool:
-        return self._bench.braked
+        return self.bench.braked
 
     # What it is told
 
@@ -126,38 +126,42 @@ class Rig:
 
     def set_brake(self, engaged: bool) -> None:
         """Move the brake; as it engages it turns the shaft by the plant's misalignment."""
-        self._bench.set_brake(engaged, self._simulator)
+        self.bench.set_brake(engaged, self.simulator)
 
     def check(self, excitation: Excitation, limits: Limits) -> None:
         """Raises `DriveRefused` for what these limits, or this drive, do not allow."""
         refuse_excitation(excitation, limits, self.capabilities, self.own_nameplate.resistance_ohm)
-        self._permission.check(excitation)
+        self.permission.check(excitation)
 
     # What it does
 
     def excite(self, excitation: Excitation, samples: int) -> Iterator[Step]:
         """A program, from the present operating point on; its end is held by `hold`."""
         self.number += 1
+        program = self.program(excitation)
+        noise = self.simulator.noise(0, self.number)
+        return self.simulator.stepwise(program, self.tuning(), self.pwm_ratio, noise, samples)
+
+    def program(self, excitation: Excitation) -> Program:
+        """Take over an excitation's control, frame and PWM frequency; its program from the present operating point."""
         self._power = replace(self._power, control=excitation.control)
         pwm = excitation.pwm_frequency_hz
-        self._pwm_ratio = 1.0 if pwm is None else pwm / self.capabilities.pwm_frequency_hz
-        self._simulator.believe(excitation.rotor_angle_rad)
-        program = self._planner.program(excitation, self._simulator.set_point)
-        noise = self._simulator.noise(0, self.number)
-        return self._simulator.stepwise(program, self._tuning(), self._pwm_ratio, noise, samples)
+        self.pwm_ratio = 1.0 if pwm is None else pwm / self.capabilities.pwm_frequency_hz
+        self.simulator.believe(excitation.rotor_angle_rad)
+        return self.planner.program(excitation, self.simulator.set_point)
 
     def length(self, excitation: Excitation) -> int:
         """Samples of a program, settling included; nothing moves."""
-        return self._planner.program(excitation, self._simulator.set_point).samples
+        return self.planner.program(excitation, self.simulator.set_point).samples
 
     def hold(self, samples: int) -> Iterator[Step]:
         """The present operating point, without end."""
-        still = Piece(CONTROL, ENDLESS, *self._simulator.set_point)
+        still = Piece(CONTROL, ENDLESS, *self.simulator.set_point)
         return self._run(Program((Stretch(still),)), samples)
 
     def record(self, rows: int, off: bool, samples: int) -> Iterator[Step]:
         """Capture so many rows of what is being held (of the gates' being off)."""
-        still = Piece(OFF, rows) if off else Piece(CONTROL, rows, *self._simulator.set_point)
+        still = Piece(OFF, rows) if off else Piece(CONTROL, rows, *self.simulator.set_point)
         return self._run(Program((Stretch(still, captured=True),)), samples)
 
     def off(self, samples: int) -> Iterator[Step]:
@@ -166,18 +170,22 @@ class Rig:
 
     def drain(self) -> None:
         """Gates off at once, until the diodes have brought the current to zero."""
-        for _ in self._run(Program((Stretch(Piece(OFF, max(1, self._planner.samples(DRAIN_S)))),)), ENDLESS):
+        for _ in self._run(Program((Stretch(Piece(OFF, max(1, self.planner.samples(DRAIN_S)))),)), ENDLESS):
             pass
 
     def to_zero(self, samples: int) -> Iterator[Step]:
         """Current to zero at the pace of the control's bandwidth."""
-        return self._run(self._planner.to_zero(self._power.control, self._simulator.set_point), samples)
+        return self._run(self.down(), samples)
+
+    def down(self) -> Program:
+        """From the present set-point to zero."""
+        return self.planner.to_zero(self._power.control, self.simulator.set_point)
 
     def to_safety(self, samples: int) -> Iterator[Step]:
         """Current to zero as fast as voltage and sampling allow without a jerk: about 10 ms."""
-        fs, (d, q) = self.options.sampling_frequency_hz, self._simulator.set_point
+        fs, (d, q) = self.options.sampling_frequency_hz, self.simulator.set_point
         reach_s = max(self.nameplate.l_d_h, self.nameplate.l_q_h) * math.hypot(d, q) / (0.5 * self._power.max_voltage_v)
-        ramp = max(1, self._planner.samples(max(Rig.safe_ramp_s, reach_s)))
+        ramp = max(1, self.planner.samples(max(Rig.safe_ramp_s, reach_s)))
         fast = CurrentControl(bandwidth_hz=max(self._power.control.bandwidth_hz, min(Rig.safe_bandwidth_hz, fs / 20)))
         stretches = (
             Stretch(Piece(CONTROL, ramp, d, q, -d / ramp, -q / ramp)),
@@ -187,7 +195,7 @@ class Rig:
 
     def warm_up(self) -> None:
         """Compile everything; nothing moves."""
-        simulator, number = self._simulator, self.number
+        simulator, number = self.simulator, self.number
         memory = simulator.memory
         simulator.memory = replace(memory, state=memory.state.copy())
         for excitation in (
@@ -200,18 +208,20 @@ class Rig:
 
     def _run(self, program: Program, samples: int, control: CurrentControl | None = None) -> Iterator[Step]:
         self._draws += 1
-        noise = self._simulator.noise(7, self._draws)
-        return self._simulator.stepwise(program, self._tuning(control), self._pwm_ratio, noise, samples)
+        noise = self.simulator.noise(7, self._draws)
+        return self.simulator.stepwise(program, self.tuning(control), self.pwm_ratio, noise, samples)
 
     @property
-    def _planner(self) -> Planner:
+    def planner(self) -> Planner:
+        """Makes programs by the present nameplate."""
         return Planner(self.options.sampling_frequency_hz, self.nameplate, self.capabilities.max_voltage_v)
 
-    def _tuning(self, control: CurrentControl | None = None) -> ControlParameters:
+    def tuning(self, control: CurrentControl | None = None) -> ControlParameters:
+        """The control as it is tuned now."""
         return tune(
             self.nameplate,
             control or self._power.control,
-            self._simulator.memory.angle_rad,
+            self.simulator.memory.angle_rad,
             self.options.sampling_frequency_hz,
             max_v=self._power.max_voltage_v,
             trip_a=self.trip_a,
@@ -220,24 +230,28 @@ class Rig:
 
     # Memory
 
-    def save(self, directory: Path) -> None:
-        """Write the plant's state; raises `StorageError`."""
-        power = self._power.control
-        _memory.save(
-            directory,
-            _LATEST,
-            _memory.Saved(self._simulator.memory, self.number, self.braked, power.bandwidth_hz, power.damping, ()),
-        )
+    def save(self, directory: Path, point_id: str = _LATEST, fired: Iterable[int] = ()) -> None:
+        """Write the plant's state, and which faults have struck; raises `StorageError`."""
+        memory, power = self.simulator.memory, self._power.control
+        saved = _memory.Saved(memory, self.number, self.braked, power.bandwidth_hz, power.damping, tuple(sorted(fired)))
+        _memory.save(directory, point_id, saved)
+
+    def take_up(self, directory: Path, point_id: str) -> tuple[int, ...]:
+        """Go on from a state that was saved; which faults had struck. Raises `DriveRefused` where there is none."""
+        saved = _memory.load(directory, point_id)
+        self.simulator.memory = saved.memory
+        self.number, self.bench.braked = saved.number, saved.braked
+        control = CurrentControl(bandwidth_hz=saved.bandwidth_hz, damping=saved.damping)
+        self._power = replace(self._power, control=control)
+        self.simulator.parameters = self.bench.mechanics(self.simulator)
+        return saved.fired
 
     def load(self, directory: Path) -> bool:
         """Take up the latest state that was saved, gates off; whether there was one."""
         try:
-            saved = _memory.load(directory, _LATEST)
+            self.take_up(directory, _LATEST)
         except DriveRefused:
             return False
-        self._simulator.memory = saved.memory
-        self.number, self._bench.braked = saved.number, saved.braked
-        self._simulator.parameters = self._bench.mechanics(self._simulator)
         self.drain()
         return True
 
