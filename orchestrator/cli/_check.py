@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.cli._tables import amount, duration, print_table
-from orchestrator.config import PlanSummary, check_plan, make_plan, read_procedure
+from orchestrator.cli._output import say, say_notes, say_table
+from orchestrator.config import PlanSummary, StageRow, check_plan, make_plan, read_procedure
 from orchestrator.engine import chosen_effects, chosen_estimators, connected_drive
+from orchestrator.presentation.quantities import duration, number, quantity
 
 
 def check(source: str, drive: str | None, motor: Path | None, overrides: Sequence[str], as_json: bool) -> int:
@@ -27,33 +28,21 @@ def check(source: str, drive: str | None, motor: Path | None, overrides: Sequenc
 
 def _print_summary(summary: PlanSummary) -> None:
     headings = ("stage", "written as", "points", "duration", "captured", "peak current", "peak voltage", "heat")
-    rows = [
-        (
-            f"{row.index + 1} {row.stage}",
-            f"stages.{row.index}",
-            str(row.points),
-            duration(row.duration_s),
-            duration(row.captured_s),
-            amount(row.peak_current_a, "A"),
-            amount(row.peak_voltage_v, "V"),
-            amount(row.energy_j, "J"),
-        )
-        for row in summary.stages
-    ]
-    total = (
-        "all",
-        "",
-        str(summary.points),
-        duration(summary.duration_s),
-        duration(summary.captured_s),
-        amount(summary.peak_current_a, "A"),
-        amount(summary.peak_voltage_v, "V"),
-        amount(summary.energy_j, "J"),
-    )
-    print_table(headings, [*rows, total])
-    print(f"rms current {amount(summary.rms_current_a, 'A')} (length of the vector, over the whole duration)")
+    rows = [(f"{row.index + 1} {row.stage}", f"stages.{row.index}", *_amounts(row)) for row in summary.stages]
+    say_table(headings, [*rows, ("all", "", *_amounts(summary))])
+    say(f"rms current {quantity(summary.rms_current_a, 'A')} (length of the vector, over the whole duration)")
     if summary.rows is not None and summary.bytes is not None:
-        print(f"{summary.rows / 1e6:.3g} million rows, about {summary.bytes / 1e6:.3g} MB on disk")
-    for note in summary.notes:
-        print(f"note: {note}")
-    print("nothing was energised")
+        say(f"{number(summary.rows / 1e6, 3)} million rows, about {number(summary.bytes / 1e6, 3)} MB on disk")
+    say_notes(summary.notes)
+    say("nothing was energised")
+
+
+def _amounts(row: StageRow | PlanSummary) -> tuple[str, ...]:
+    return (
+        str(row.points),
+        duration(row.duration_s),
+        duration(row.captured_s),
+        quantity(row.peak_current_a, "A", 4),
+        quantity(row.peak_voltage_v, "V", 4),
+        quantity(row.energy_j, "J", 4),
+    )

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.cli._interrupting import prompt_interrupt
-from orchestrator.cli._tables import amount, print_table, stage_as_yaml
+from orchestrator.cli._output import say, say_notes, say_table, stage_as_yaml
 from orchestrator.diagnosis import (
     CROSS_SATURATION,
     SATURATION,
@@ -16,21 +16,15 @@ from orchestrator.diagnosis import (
     compare_recording,
     diagnose_and_keep,
     guarded,
-    in_volts,
     remove_effect,
 )
 from orchestrator.exporting import load_map
+from orchestrator.presentation.names import parameter_words, plain, rung_name, slots
+from orchestrator.presentation.quantities import measured, number, quantity
+from orchestrator.presentation.sentences import columns
 from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
 from orchestrator.runs import open_any, refuse_file
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, Effect, PluginError
-
-SLOTS = {
-    "where_it_fails": "where it fails",
-    "what_it_looks_like": "what it looks like",
-    "likely_cause": "likely cause",
-    "if_added": "if added",
-    "to_decide": "to decide",
-}
 
 
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
@@ -110,33 +104,27 @@ def _model(choice: str | None) -> ModelChoice | None:
 
 
 def _print_comparison(report: CompareReport) -> None:
-    print(f"{report.recording}: the model {report.model}")
+    say(f"{report.recording}: the model {report.model}")
     rows = [
-        (stage.stage, in_volts(stage.rms_v), _number(stage.chi2), amount(stage.current_rms_a, "A"))
+        (stage.stage, quantity(stage.rms_v, "V"), number(stage.chi2), quantity(stage.current_rms_a, "A"))
         for stage in report.stages
     ]
-    print_table(("stage", "rms error", "chi2", "current error"), rows)
-    print(f"noise floor {in_volts(report.noise_floor.rms_v)}, chi2 over all {_number(report.chi2)}")
-    print_table(
-        ("worst", "i_d", "i_q", "rms error"),
-        [(w.segment, amount(w.i_d_a, "A"), amount(w.i_q_a, "A"), in_volts(w.rms_v)) for w in report.worst],
-    )
-    _print_notes(report.notes)
+    say_table(("stage", "rms error", "chi2", "current error"), rows)
+    say(f"noise floor {quantity(report.noise_floor.rms_v, 'V')}, chi2 over all {number(report.chi2)}")
+    worst = [(w.segment, quantity(w.i_d_a, "A"), quantity(w.i_q_a, "A"), quantity(w.rms_v, "V")) for w in report.worst]
+    say_table(("worst", "i_d", "i_q", "rms error"), worst)
+    say_notes(report.notes)
 
 
 def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
-    print(f"{report.recording}: {report.verdict.replace('_', ' ')}")
-    print()
-    for field, title in SLOTS.items():
-        print(f"{title:<19} {getattr(words, field)}")
-    print()
+    say(f"{report.recording}: {plain(report.verdict)}", "", *columns(list(slots(words))), "")
     _print_ladder(report)
     if report.traces:
-        print(f"traces, below what deserves a name: {', '.join(report.traces)}")
-    _print_notes(report.notes)
+        say(f"traces, below what deserves a name: {', '.join(report.traces)}")
+    say_notes(report.notes)
     if report.next_experiment is not None:
-        print("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")
-        print(stage_as_yaml(report.next_experiment.stage))
+        say("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")
+        say(stage_as_yaml(report.next_experiment.stage))
 
 
 def _say_added(report: AddReport, as_json: bool) -> None:
@@ -144,34 +132,22 @@ def _say_added(report: AddReport, as_json: bool) -> None:
         print(report.model_dump_json(indent=2))
         return
     _print_ladder(report)
-    _print_notes(report.notes)
+    say_notes(report.notes)
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
     rows = [
         (
-            rung.added or "(the map alone)",
-            _number(rung.chi2),
-            in_volts(rung.rms_v),
-            in_volts(rung.heldout_rms_v),
-            amount(rung.current_rms_a, "A"),
+            rung_name(rung.added, k),
+            number(rung.chi2),
+            quantity(rung.rms_v, "V"),
+            quantity(rung.heldout_rms_v, "V"),
+            quantity(rung.current_rms_a, "A"),
         )
-        for rung in report.ladder
+        for k, rung in enumerate(report.ladder)
     ]
-    print_table(("added", "chi2", "rms error", "held out", "current error"), rows)
+    say_table(("added", "chi2", "rms error", "held out", "current error"), rows)
     for effect in report.effects:
         for name, found in effect.parameters.items():
-            interval = "" if found.low is None or found.high is None else f", 95 % {found.low:.4g} to {found.high:.4g}"
-            print(f"{effect.name}: {name} = {_number(found.value)} {found.unit}{interval}")
-
-
-def _print_notes(notes: Sequence[str]) -> None:
-    for note in notes:
-        print(f"note: {note}")
-
-
-def _number(value: float | None) -> str:
-    """Four digits, no exponent for what is large."""
-    if value is None:
-        return "-"
-    return f"{value + 0.0:.4g}" if abs(value) < 9999.5 else f"{value:.0f}"
+            told = measured(found.value, found.low, found.high, found.unit)
+            say(f"{effect.name}: {parameter_words(name)} {told}")

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from orchestrator.cli._output import say, say_notes
 from orchestrator.config import load_motor
 from orchestrator.exporting import FORMATS, export_map, load_map
 from orchestrator.importing import import_files
+from orchestrator.presentation.quantities import percent
 from orchestrator.runs import open_any
 from protocols import InputError, Motor
 
@@ -22,9 +24,8 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
         return 0
     for file in report.files:
         print(f"{file.format}: {file.path}")
-    print(f"{report.measured_percent:.3g} % of the grid was measured")
-    for note in report.notes:
-        print(f"note: {note}")
+    say(f"{percent(report.measured_percent, 3)} of the grid was measured")
+    say_notes(report.notes)
     return 0
 
 
@@ -43,6 +44,5 @@ def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> i
         print(report.model_dump_json(indent=2))
         return 0
     print(f"{report.recording}: {report.segments} segments, {report.samples} samples")
-    for note in report.notes:
-        print(f"note: {note}")
+    say_notes(report.notes)
     return 0

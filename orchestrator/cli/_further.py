@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.cli._tables import stage_as_yaml
+from orchestrator.cli._output import stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.engine import following_stages, installed_effects
+from orchestrator.presentation.names import plain
 from orchestrator.runs import RunDirectory, is_run, open_any
 from protocols import (
     Diagnosed,
@@ -41,7 +42,7 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[Stage, 
     path = source.parent.parent if source.is_file() and source.name == DIAGNOSIS.name else source
     report = _newest_report(path)
     if report.next_experiment is None:
-        verdict = report.verdict.replace("_", " ")
+        verdict = plain(report.verdict)
         raise InputError(str(path), "", f"nothing to decide: {verdict}, and no experiment is proposed")
     experiment = report.next_experiment.stage
     if not is_run(path):

@@ -1,10 +1,38 @@
-"""Standard output that can no longer be written: a full disk behind it, or a reader that has gone."""
+"""Standard output: text as its encoding can take it, and what to do when it can no longer be written."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from typing import Any
+
+from orchestrator.presentation.sentences import for_output, text_table
+
+
+def say(*lines: str) -> None:
+    """Print lines, one each."""
+    for line in lines:
+        print(for_output(line, sys.stdout))
+
+
+def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table of numbers: columns as wide as they need to be, the first to the left, the others to the right."""
+    say(text_table(head, rows))
+
+
+def say_notes(notes: Iterable[str]) -> None:
+    """Print what a result says beside its numbers."""
+    say(*(f"note: {note}" for note in notes))
+
+
+def stage_as_yaml(stage: Mapping[str, Any]) -> str:
+    """A stage as it stands in a procedure's `stages`, ready to paste."""
+    import yaml
+
+    lines = yaml.safe_dump([dict(stage)], sort_keys=False, default_flow_style=None, width=100).splitlines()
+    return "\n".join(f"  {line}" for line in lines)
 
 
 def give_up_broken_output() -> None:

@@ -5,15 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.cli._tables import print_table
+from orchestrator.cli._output import say, say_notes, say_table
 from orchestrator.engine import installed_estimators
 from orchestrator.estimation import estimate_recording
+from orchestrator.presentation.names import PAPER_CROSSINGS, symbol_of
+from orchestrator.presentation.quantities import (
+    UNKNOWN,
+    Scale,
+    axes_percent,
+    measured,
+    percent,
+    value_and_error,
+)
 from orchestrator.registry import PluginKind, load_plugin
 from orchestrator.runs import open_any, refuse_file
-from protocols import AxisPercent, EstimationReport
-
-PAPER = {"crossings": "1.3 % d, 2.9 % q"}
-"""What the paper prints of its own measurement."""
+from protocols import EstimationReport
 
 
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
@@ -33,37 +39,22 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
 def _print_report(report: EstimationReport) -> None:
     if report.resistance is not None:
         found = report.resistance
-        print(
-            f"R_s {found.value_ohm:.4g} ohm, 95 % {found.low:.4g} to {found.high:.4g}; "
-            f"{found.first_ohm:.4g} at the start, {found.last_ohm:.4g} at the end"
-        )
+        scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
+        course = f"{scale.quantity(found.first_ohm)} at the start, {scale.quantity(found.last_ohm)} at the end"
+        say(f"R_s {measured(found.value_ohm, found.low, found.high, 'ohm')}; {course}")
     if report.method is not None:
-        print(f"flux map by {report.method}: {'usable' if report.usable else 'NOT TO BE RELIED ON'}")
+        say(f"flux map by {report.method}: {'usable' if report.usable else 'NOT TO BE RELIED ON'}")
     rows = [
-        ("crossings of paths", _axes(report.crossings), PAPER["crossings"]),
-        ("parity in i_q", _axes(report.parity), "-"),
-        ("reciprocity", _percent(report.reciprocity_percent), "-"),
-        ("classical against injection", _percent(report.classical_against_injection_percent), "-"),
+        ("crossings of paths", axes_percent(report.crossings), axes_percent(PAPER_CROSSINGS)),
+        ("parity in i_q", axes_percent(report.parity), UNKNOWN),
+        ("reciprocity", percent(report.reciprocity_percent), UNKNOWN),
+        ("classical against injection", percent(report.classical_against_injection_percent), UNKNOWN),
     ]
-    print_table(("check", "here", "in the paper"), rows)
+    say_table(("check", "here", "in the paper"), rows)
     for method, made in report.maps.items():
         if made.form is not None:
-            print(f"{method}: {made.form.formula}")
-            print_table(
-                ("coefficient", "value", "std", "unit"),
-                [(c.name, f"{c.value:.5g}", f"{c.std:.2g}", c.unit) for c in made.form.coefficients],
-            )
-    for reason in report.reasons:
-        print(f"note: {reason}")
-    for name, file in report.files.items():
-        print(f"{name}: {file}")
-
-
-def _axes(value: AxisPercent | None) -> str:
-    if value is None:
-        return "-"
-    return f"{_percent(value.d_percent)} d, {_percent(value.q_percent)} q"
-
-
-def _percent(value: float | None) -> str:
-    return "-" if value is None else f"{value:.2g} %"
+            say(f"{method}: {made.form.formula}")
+            rows = [(symbol_of(c.name), *value_and_error(c.value, c.std, c.unit)) for c in made.form.coefficients]
+            say_table(("coefficient", "value", "standard deviation"), rows)
+    say_notes(report.reasons)
+    say(*(f"{name}: {file}" for name, file in report.files.items()))

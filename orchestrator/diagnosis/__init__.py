@@ -14,7 +14,6 @@ from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
 from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, SavedModel, read_model
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
-from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
@@ -35,12 +34,9 @@ __all__ = [
     "diagnose_recording",
     "diagnosis_step",
     "guarded",
-    "in_its_unit",
-    "in_volts",
     "in_words",
     "linear_magnetics",
     "load_diagnosis",
-    "parameter_words",
     "read_model",
     "remove_effect",
     "save_diagnosis",

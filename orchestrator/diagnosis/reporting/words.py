@@ -10,8 +10,10 @@ import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.reporting.quantities import in_its_unit, in_volts, parameter_words
 from orchestrator.numerics.frames import to_dq
+from orchestrator.presentation.names import parameter_words
+from orchestrator.presentation.quantities import duration, percent, quantity, value_and_interval
+from orchestrator.presentation.sentences import listed
 from protocols import DiagnosisWords, FoundEffect, SegmentStage
 
 _LOOKS = {
@@ -55,9 +57,10 @@ def _where(diagnosis: Diagnosis) -> str:
     rms, piece = max(rows, key=lambda row: row[0])
     floor = noise_rms_v(fit, partial(is_, piece))
     i_d, i_q = np.abs(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)).max(axis=0)
+    reach = f"|i_d| to {quantity(i_d, 'A', 2)}, |i_q| to {quantity(i_q, 'A', 2)}"
     return (
-        f"worst in {piece.segment.id} (|i_d| to {i_d:.2g} A, |i_q| to {i_q:.2g} A): {in_volts(rms)} rms "
-        f"where noise alone makes {in_volts(floor)}"
+        f"worst in {piece.segment.id} ({reach}): {quantity(rms, 'V')} rms "
+        f"where noise alone makes {quantity(floor, 'V')}"
     )
 
 
@@ -70,14 +73,14 @@ def _looks(diagnosis: Diagnosis) -> str:
             return " ".join(told)
     if not report.unexplained.shape:
         return "what is left has no shape above the noise"
-    parts = [f"{100 * (s.share or 0.0):.0f} % {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
+    parts = [f"{percent(100.0 * (s.share or 0.0))} {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
     return "; ".join(parts)
 
 
 def _signature(signature: str, effect: FoundEffect) -> str:
     if not effect.twins:
         return signature
-    return f"{signature} What would tell it from {_listed(effect.twins)} was not measured."
+    return f"{signature} What would tell it from {listed(effect.twins)} was not measured."
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -87,11 +90,11 @@ def _cause(diagnosis: Diagnosis) -> str:
     amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
     named = [_named(e, amplitudes.get(e.name, ())) for e in report.effects]
     if report.verdict == "unknown_remains":
-        start = f"{_listed(named)}, and " if named else ""
+        start = f"{listed(named)}, and " if named else ""
         return f"{start}something that no effect of the library explains"
     left = report.unexplained.fraction or 0.0
-    rest = f"; {100 * left:.0f} % of the error remains" if report.verdict == "mostly_explained" else ""
-    return _listed(named) + rest
+    rest = f"; {percent(100.0 * left)} of the error remains" if report.verdict == "mostly_explained" else ""
+    return listed(named) + rest
 
 
 def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
@@ -100,11 +103,9 @@ def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
     told = []
     for name in sizes:
         found = effect.parameters[name]
-        size = f"{parameter_words(name)} {in_its_unit(found.value or 0.0, found.unit)}"
-        if found.low is not None and found.high is not None:
-            size += f", 95 % {found.low:.4g} to {found.high:.4g}"
-        told.append(size)
-    twins = f", cannot be told from {_listed(effect.twins)} here" if effect.twins else ""
+        size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
+        told.append(f"{parameter_words(name)} {size}" + (f", 95 %: {interval}" if interval else ""))
+    twins = f", cannot be told from {listed(effect.twins)} here" if effect.twins else ""
     return f"{effect.name} ({'; '.join(told)}){twins}"
 
 
@@ -115,27 +116,23 @@ def _gain(diagnosis: Diagnosis) -> str:
     before, after = ladder[0], ladder[-1]
     fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
     if before.heldout_rms_v is None or after.heldout_rms_v is None:
-        told = f"error {in_volts(before.rms_v)} -> {in_volts(after.rms_v)}"
+        told = f"error {quantity(before.rms_v, 'V')} -> {quantity(after.rms_v, 'V')}"
         floor = noise_rms_v(fits[1])
     else:
-        told = f"held-out error {in_volts(before.heldout_rms_v)} -> {in_volts(after.heldout_rms_v)}"
+        told = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
         floor = noise_rms_v(fits[1], held_out)
-    first, last = (fit.model.r_s for fit in fits)
+    resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
     cold = ", at the start of the experiment" if "winding_heating" in fits[1].model.names else ""
-    return f"{told} (noise {in_volts(floor)}); the model's R_s {first:.4g} -> {last:.4g} Ω{cold}"
+    return f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}{cold}"
 
 
 def _next(diagnosis: Diagnosis) -> str:
     proposal = diagnosis.report.next_experiment
     if proposal is not None:
-        told = f"{proposal.stage['kind']} stage of {proposal.minutes:.2g} min"
+        told = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
         return f"{told}, tells {proposal.separates[0]} from {proposal.separates[1]}"
     if diagnosis.report.verdict == "unknown_remains":
         return "no experiment of the catalogue; look at the leftover's shape"
     if diagnosis.report.verdict == "mostly_explained":
         return "a part of the error remains that nothing in the library fits better; look at its shape"
     return "nothing left to decide"
-
-
-def _listed(names: Sequence[str]) -> str:
-    return " and ".join(names) if len(names) < 3 else ", ".join(names[:-1]) + " and " + names[-1]

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from orchestrator.presentation.names import parameter_words
+from orchestrator.presentation.quantities import number, percent
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -142,7 +144,8 @@ def _print_verdict(verdict: Verdict) -> None:
     sizes = {size.name: size for size in verdict.sizes}
     for name in verdict.right:
         size = sizes.get(name)
-        print(f"{name}: right" + (f"; {size.parameter} {size.guessed:.4g} is {_off(size.ratio)}" if size else ""))
+        told = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_off(size.ratio)}" if size else ""
+        print(f"{name}: right{told}")
     for name in verdict.wrong:
         print(f"{name}: not in this motor")
     if verdict.complete:
@@ -157,8 +160,8 @@ def _off(ratio: float | None) -> str:
     if abs(ratio - 1.0) < 0.0005:
         return "right to three digits"
     if 0.5 <= ratio <= 2.0:
-        return f"{abs(ratio - 1.0):.1%} too {'large' if ratio > 1.0 else 'small'}"
-    return f"{max(ratio, 1.0 / ratio):.3g} times too {'large' if ratio > 1.0 else 'small'}"
+        return f"{percent(100.0 * abs(ratio - 1.0))} too {'large' if ratio > 1.0 else 'small'}"
+    return f"{number(max(ratio, 1.0 / ratio), 3)} times too {'large' if ratio > 1.0 else 'small'}"
 
 
 def _fitted(path: Path) -> dict[str, dict[str, float]]:
@@ -179,7 +182,7 @@ def _print_hidden(hidden: Effects) -> None:
     if not hidden:
         print("Nothing was hidden.")
     for name, parameters in hidden.items():
-        print(f"{name}: " + ", ".join(f"{key} = {value:.4g}" for key, value in parameters.items()))
+        print(f"{name}: " + ", ".join(f"{key} = {number(value)}" for key, value in parameters.items()))
 
 
 def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:

@@ -9,17 +9,27 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orchestrator.numerics.types import Array
+from orchestrator.presentation.colours import BLUE, GREEN, VERMILION
+from orchestrator.presentation.drawing import (
+    CURRENT_LABELS,
+    METHOD_LINES,
+    STYLE,
+    bare,
+    current_plane,
+    empty_figure,
+    name_axes,
+    signed_scale,
+)
 from plugins.commands.reproduction._material import Loop, Material
 from protocols import FluxMap, FluxMapEstimate
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 
-# Okabe and Ito's colours: blue and green as in the paper, vermilion for its red.
-D_COLOUR, Q_COLOUR, ZERO_COLOUR = "#0072B2", "#009E73", "#D55E00"
-DPI = 110
+# The paper's own blue, green and red.
+D_COLOUR, Q_COLOUR, ZERO_COLOUR = BLUE, GREEN, VERMILION
+FLUX_LABELS = {"d": r"$\psi_d - \psi_M$ [mWb]", "q": r"$\psi_q$ [mWb]"}
 
 
 def draw_all(material: Material, folder: Path) -> tuple[str, ...]:
@@ -34,36 +44,23 @@ def draw_all(material: Material, folder: Path) -> tuple[str, ...]:
         "comparison.png": _comparison,
     }
     for name, make in figures.items():
-        make(material).savefig(folder / name, dpi=DPI, metadata={"Software": None})
+        make(material).savefig(folder / name, dpi=STYLE.dpi, metadata={"Software": None})
     return tuple(figures)
 
 
-def _figure(width: float, height: float) -> Figure:
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width, height), layout="constrained")
-
-
-def _plain(axes: Axes, x: str, y: str) -> None:
-    axes.set_xlabel(x)
-    axes.set_ylabel(y)
-    axes.grid(alpha=0.25, lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
-
-
 def _trajectories(material: Material) -> Figure:
-    figure = _figure(6.4, 5.6)
+    figure = empty_figure(6.4, 5.6)
     for axes, trajectory in zip(figure.subplots(3, 1, sharex=True), material.trajectories, strict=True):
         axes.plot(trajectory[:, 0], trajectory[:, 1], color=D_COLOUR, label="$i_d$")
         axes.plot(trajectory[:, 0], trajectory[:, 2], color=Q_COLOUR, label="$i_q$")
-        _plain(axes, "", "current [A]")
+        name_axes(bare(axes), "", "current [A]")
     axes.set_xlabel("time [s]")
     figure.axes[0].legend(frameon=False, ncols=2, loc="upper right")
     return figure
 
 
 def _processing(material: Material) -> Figure:
-    figure = _figure(9.0, 4.0)
+    figure = empty_figure(9.0, 4.0)
     left, right = figure.subplots(1, 2)
     for loop, colour in zip(material.loops, (D_COLOUR, Q_COLOUR), strict=True):
         name = _flux_name(loop)
@@ -72,12 +69,12 @@ def _processing(material: Material) -> Figure:
         right.plot(loop.mean_current, 1e3 * loop.mean, color="black", lw=1.0, ls=":")
         right.plot([], [], "--", color=colour, label=name)
     right.plot([], [], ":", color="black", label="averaged")
-    left.set_title("voltage drops not compensated", fontsize=10)
-    right.set_title("compensated, and averaged", fontsize=10)
-    _plain(left, "current on the axis [A]", "flux [Wb]")
-    _plain(right, "current on the axis [A]", "flux [mWb]")
+    left.set_title("voltage drops not compensated", fontsize=STYLE.small_pt)
+    right.set_title("compensated, and averaged", fontsize=STYLE.small_pt)
+    name_axes(bare(left), "current on the axis [A]", "flux [Wb]")
+    name_axes(bare(right), "current on the axis [A]", "flux [mWb]")
     for axes in (left, right):
-        axes.legend(frameon=False, fontsize=9)
+        axes.legend(frameon=False, fontsize=STYLE.small_pt)
     return figure
 
 
@@ -112,29 +109,28 @@ def _relative(found: FluxMapEstimate) -> tuple[Array, Array]:
 
 def _space(parts: list[tuple[Array, Array]], *, lines: bool) -> Figure:
     """psi_d and psi_q over the current plane."""
-    figure = _figure(9.4, 4.4)
-    for k, (name, colour) in enumerate((("$\\psi_d - \\psi_M$", D_COLOUR), ("$\\psi_q$", Q_COLOUR))):
+    figure = empty_figure(9.4, 4.4)
+    for k, (name, colour) in enumerate((("d", D_COLOUR), ("q", Q_COLOUR))):
         axes: Any = figure.add_subplot(1, 2, k + 1, projection="3d")
         for current, flux in parts:
             if lines:
                 axes.plot(current[:, 0], current[:, 1], 1e3 * flux[:, k], color=colour, lw=1.2)
             else:
                 axes.scatter(current[:, 0], current[:, 1], 1e3 * flux[:, k], color=colour, s=3, linewidths=0)
-        axes.set_xlabel("$i_d$ [A]")
-        axes.set_ylabel("$i_q$ [A]")
-        axes.set_title(f"{name} [mWb]", fontsize=10)
+        axes.set_xlabel(CURRENT_LABELS["d"])
+        axes.set_ylabel(CURRENT_LABELS["q"])
+        axes.set_title(FLUX_LABELS[name], fontsize=STYLE.small_pt)
         axes.view_init(elev=22, azim=-125 if k == 0 else -60)  # psi_d is flat along i_q, and psi_q along i_d
         axes.set_box_aspect((1, 1, 0.8), zoom=0.92)
     return figure
 
 
 def _paths(material: Material) -> Figure:
-    figure = _figure(4.8, 4.6)
+    figure = empty_figure(4.8, 4.6)
     axes = figure.add_subplot()
     reached = material.estimates["injection"].points.i_dq
     axes.plot(reached[:, 0], reached[:, 1], ".", color=D_COLOUR, ms=3)
-    axes.set_aspect("equal")
-    _plain(axes, "$i_d$ [A]", "$i_q$ [A]")
+    current_plane(bare(axes))
     return figure
 
 
@@ -142,35 +138,31 @@ def _inductances(material: Material) -> Figure:
     """L_dd, L_qq and L_dq over the flux plane, as the paper's."""
     found = material.estimates["injection"].map
     psi_d, psi_q = 1e3 * (found.psi_d - _at_zero(found, "psi_d")), 1e3 * (found.psi_q - _at_zero(found, "psi_q"))
-    figure = _figure(11.0, 3.6)
+    figure = empty_figure(11.0, 3.6)
     for axes, (key, name) in zip(
         figure.subplots(1, 3), {"l_dd": "L_{dd}", "l_qq": "L_{qq}", "l_dq": "L_{dq}"}.items(), strict=True
     ):
         values = 1e3 * np.asarray(getattr(found, key))
         there = np.isfinite(values) & np.isfinite(psi_d) & np.isfinite(psi_q)
-        largest = float(np.abs(values[there]).max())
-        scale: dict[str, Any] = (
-            {"cmap": "PuOr", "vmin": -largest, "vmax": largest} if key == "l_dq" else {"cmap": "YlGnBu"}
-        )
+        scale = signed_scale(values[there]) if key == "l_dq" else {"cmap": "YlGnBu"}
         drawn = axes.tricontourf(psi_d[there], psi_q[there], values[there], levels=14, **scale)
         figure.colorbar(drawn, ax=axes).set_label("mH")
-        axes.set_title(f"${name}$", fontsize=10)
-        _plain(axes, r"$\psi_d - \psi_M$ [mWb]", r"$\psi_q$ [mWb]")
+        axes.set_title(f"${name}$", fontsize=STYLE.small_pt)
+        name_axes(bare(axes), *FLUX_LABELS.values())
     return figure
 
 
 def _comparison(material: Material) -> Figure:
-    figure = _figure(9.4, 4.0)
+    figure = empty_figure(9.4, 4.0)
     for axes, axis in zip(figure.subplots(1, 2), "dq", strict=True):
         other = "q" if axis == "d" else "d"
         for held, colour in ((0.0, ZERO_COLOUR), (-2.0, D_COLOUR), (2.0, Q_COLOUR)):
-            for method, line in (("classical", "--"), ("injection", "-")):
+            for method, line in METHOD_LINES.items():
                 current, flux = _profile(material.estimates[method].map, axis, held)
                 axes.plot(current, 1e3 * flux, line, color=colour, lw=1.3)
             axes.plot([], [], color=colour, label=f"$i_{other}$ = {held:+.0f} A" if held else f"$i_{other}$ = 0")
-        axes.legend(frameon=False, fontsize=9)
-        ordinate = r"$\psi_d - \psi_M$ [mWb]" if axis == "d" else r"$\psi_q$ [mWb]"
-        _plain(axes, f"$i_{axis}$ [A]", ordinate)
+        axes.legend(frameon=False, fontsize=STYLE.small_pt)
+        name_axes(bare(axes), CURRENT_LABELS[axis], FLUX_LABELS[axis])
     return figure
 
 

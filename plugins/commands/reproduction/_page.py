@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from pathlib import Path
 
+from orchestrator.presentation.names import PAPER_CROSSINGS
+from orchestrator.presentation.quantities import UNKNOWN, fixed, number, percent, quantity
+from orchestrator.presentation.sentences import markdown_table
 from orchestrator.recording import replace_file
 from plugins.commands.reproduction._figures import draw_all
 from plugins.commands.reproduction._material import Material
@@ -56,7 +58,7 @@ that they describe (uncompensated dead time, a winding that warms up) and sensor
 as such motors do; it is not theirs, so shapes and checks compare, and single fluxes do not.
 
 Written by `fluxbench reproduce` on {time.strftime("%Y-%m-%d", time.gmtime())} from
-{material.samples / 1e6:.1f} million samples.
+{number(material.samples / 1e6, 3)} million samples.
 
 ## The motor
 
@@ -67,7 +69,7 @@ Written by `fluxbench reproduce` on {time.strftime("%Y-%m-%d", time.gmtime())} f
 {_number_table(material)}
 
 What the paper could not know, the distance of each map from the motor's true one, in per cent of the rated flux
-(|psi(rated i_q) - psi(0, 0)| = {1e3 * material.rated_wb:.1f} mWb), over the whole map:
+(|psi(rated i_q) - psi(0, 0)| = {quantity(material.rated_wb, "Wb", 4)}), over the whole map:
 
 {_truth_table(material)}
 
@@ -80,34 +82,35 @@ What the paper could not know, the distance of each map from the motor's true on
 def _motor_table(material: Material) -> str:
     motor = material.motor
     rows = [
-        ("rated power", "400 W", _quantity(motor.rated_power_w, "W")),
-        ("rated voltage (rms)", "139.3 V", _quantity(motor.rated_voltage_rms_v, "V")),
-        ("rated current (rms)", "1.66 A", _quantity(motor.rated_current_rms_a, "A")),
-        ("rated frequency", "60 Hz", _quantity(motor.rated_frequency_hz, "Hz")),
-        ("rated speed", "1800 rpm", _quantity(motor.rated_speed_rpm, "rpm")),
-        ("rated torque", "2.12 Nm", _quantity(motor.rated_torque_nm, "Nm")),
+        ("rated power", "400 W", quantity(motor.rated_power_w, "W", 5)),
+        ("rated voltage (rms)", "139.3 V", quantity(motor.rated_voltage_rms_v, "V", 5)),
+        ("rated current (rms)", "1.66 A", quantity(motor.rated_current_rms_a, "A", 5)),
+        ("rated frequency", "60 Hz", quantity(motor.rated_frequency_hz, "Hz", 5)),
+        ("rated speed", "1800 rpm", quantity(motor.rated_speed_rpm, "rpm", 5)),
+        ("rated torque", "2.12 Nm", quantity(motor.rated_torque_nm, "Nm", 5)),
         ("pole pairs", "2", str(motor.pole_pairs)),
-        ("R_s", "4.25 ohm", _quantity(motor.stator_resistance_ohm, "ohm")),
-        ("L_d", "43.25 mH", _quantity(1e3 * (motor.d_inductance_h or 0.0), "mH")),
-        ("L_q", "69.05 mH", _quantity(1e3 * (motor.q_inductance_h or 0.0), "mH")),
+        ("R_s", "4.25 Ω", quantity(motor.stator_resistance_ohm, "ohm", 5)),
+        ("L_d", "43.25 mH", quantity(motor.d_inductance_h, "H", 5)),
+        ("L_q", "69.05 mH", quantity(motor.q_inductance_h, "H", 5)),
     ]
-    return _table(("", "paper, table 1", "nameplate of the run"), rows)
+    return markdown_table(("", "paper, table 1", "nameplate of the run"), rows)
 
 
 def _number_table(material: Material) -> str:
     injection, classical = (material.estimates[name].checks for name in ("injection", "classical"))
     first, last = material.resistance_ohm
-    rows = [("R_s over the classical sweep", "4.5 to 5.25 ohm", f"{first:.2f} to {last:.2f} ohm")]
-    for axis, printed in (("d", "1.3 %"), ("q", "2.9 %")):
+    rows = [("R_s over the classical sweep", "4.5 to 5.25 Ω", f"{fixed(first, 2)} to {fixed(last, 2)} Ω")]
+    for axis in "dq":
+        printed = percent(getattr(PAPER_CROSSINGS, f"{axis}_percent"))
         rows.append((f"psi_{axis} where paths cross, largest difference", printed, _percent(injection.crossings, axis)))
     for axis, word in (("d", "even"), ("q", "odd")):
         ours = f"{_percent(injection.parity, axis)} (classical: {_percent(classical.parity, axis)})"
         rows.append((f"psi_{axis} {word} in i_q, largest departure", '"satisfied"', ours))
     apart = material.difference_percent
-    rows.append(("injection against classical", "small differences", "-" if apart is None else f"{apart:.2f} % rms"))
+    rows.append(("injection against classical", "small differences", f"{_two_decimals(apart)} rms"))
     points = len(material.estimates["injection"].points.i_dq)
     rows.append(("operating points of the injection, 5 s each", "about 0.1 A apart", f"{points}"))
-    return _table(("", "paper", "here"), rows)
+    return markdown_table(("", "paper", "here"), rows)
 
 
 def _truth_table(material: Material) -> str:
@@ -119,19 +122,14 @@ def _truth_table(material: Material) -> str:
     rows = []
     for method, what in told.items():
         rms, worst = material.error_percent(method)
-        rows.append((method, what, f"{rms:.3f} %", f"{worst:.3f} %"))
-    return _table(("map", "how", "rms", "worst"), rows)
-
-
-def _table(head: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    lines = [head, tuple("---" for _ in head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+        rows.append((method, what, f"{fixed(rms, 3)} %", f"{fixed(worst, 3)} %"))
+    return markdown_table(("map", "how", "rms", "worst"), rows)
 
 
 def _percent(figures: AxisPercent | None, axis: str) -> str:
-    value = None if figures is None else getattr(figures, f"{axis}_percent")
-    return "-" if value is None else f"{value:.2f} %"
+    return _two_decimals(None if figures is None else getattr(figures, f"{axis}_percent"))
 
 
-def _quantity(value: float | None, unit: str) -> str:
-    return "-" if value is None else f"{value:g} {unit}"
+def _two_decimals(value: float | None) -> str:
+    """As the paper's own figures need to be compared with, whatever their size."""
+    return UNKNOWN if value is None else f"{fixed(value, 2)} %"

@@ -12,55 +12,35 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from plugins.streams.console._findings import (
-    BAR,
-    VERDICT_MARKS,
-    comparison_line,
-    proposal_line,
-    slot_rows,
-    step_bar,
-    step_figures,
-    step_name,
-    verdict,
-)
+from orchestrator.presentation.events import resistance, said
+from orchestrator.presentation.names import OUTCOME_MOODS, plain, slots
+from orchestrator.presentation.quantities import duration, plural, vector
+from orchestrator.presentation.sentences import one_line
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import (
-    duration,
-    plural,
-    printable,
-    resistance,
-    stage_title,
-    state_name,
-    summary_rows,
-    time_left,
-    vector,
-)
+from plugins.streams.console._words import stage_title, step_bar, step_line, summary_rows, time_left
 from protocols import (
-    Compared,
     Diagnosed,
     DiagnosisStep,
-    ExperimentProposed,
-    LockChecked,
-    MapEstimated,
     Message,
-    Note,
     OperatorAnswered,
     OperatorAsked,
-    ResistanceEstimated,
     RunEnded,
     RunStarted,
+    StagesAppended,
     StageStarted,
     StateChanged,
 )
 
-TICK_S = 0.125
 MARKS = {
     "good": ("✓ ", "green"),
     "bad": ("✗ ", "bold red"),
     "warning": ("! ", "yellow"),
     "info": ("· ", "dim"),
 }
-OUTCOME_MARKS = {"finished": "good", "aborted": "warning", "faulted": "bad"}
+
+
+IN_THE_DISPLAY = (StageStarted, StateChanged, StagesAppended, OperatorAsked, RunEnded)
+"""What has a place of its own below."""
 
 
 class TerminalConsole(Console):
@@ -96,35 +76,21 @@ class LiveView:
         self._stop()
 
     def _tell(self, message: Message) -> None:
+        told = said(message)
         if isinstance(message, RunStarted):
-            title = Text(printable(message.name), style="bold")
-            title.append(printable(f"  {message.motor.name} on the drive {message.drive}"), style="default not bold")
+            title = Text(one_line(message.name), style="bold")
+            title.append(one_line(f"  {message.motor.name} on the drive {message.drive}"), style="default not bold")
             self._console.print(title)
         elif isinstance(message, OperatorAnswered):
             prompt, self._prompt = self._prompt or "operator:", ""
             if message.by == "procedure":
                 self._say("info", f"{prompt} {message.answer}, says the procedure")
-        elif isinstance(message, LockChecked):
-            self._say("good" if message.locked else "bad", message.summary)
-        elif isinstance(message, ResistanceEstimated):
-            self._say("good", f"R_s = {resistance(message.estimate)}")
-        elif isinstance(message, MapEstimated):
-            grid = message.estimate.map
-            self._say("good", f"flux map by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents")
-        elif isinstance(message, Note):
-            self._say({"error": "bad"}.get(message.level, message.level), message.text)
-        else:
-            self._tell_findings(message)
-
-    def _tell_findings(self, message: Message) -> None:
-        if isinstance(message, Compared):
-            self._say("info", comparison_line(message))
         elif isinstance(message, DiagnosisStep):
             self._console.print(_rung(message))
         elif isinstance(message, Diagnosed):
             self._console.print(_diagnosis(message))
-        elif isinstance(message, ExperimentProposed):
-            self._say("info", proposal_line(message))
+        elif told is not None and not isinstance(message, IN_THE_DISPLAY):
+            self._say(told.mood, told.line)
 
     def _drive_display(self, message: Message) -> None:
         if isinstance(message, OperatorAsked):
@@ -145,7 +111,7 @@ class LiveView:
 
     def _say(self, mark: str, text: str) -> None:
         sign, style = MARKS[mark]
-        self._console.print(Text.assemble((sign, style), printable(text)))
+        self._console.print(Text.assemble((sign, style), one_line(text)))
 
     def _start(self) -> None:
         self._live = Live(
@@ -172,8 +138,8 @@ class LiveView:
 class _Ticker:
     """Redraws a live display until it is stopped, or the terminal is gone; owned by its view."""
 
-    def __init__(self, live: Live, lock: threading.Lock) -> None:
-        self._live, self._lock = live, lock
+    def __init__(self, live: Live, lock: threading.Lock, every_s: float = 0.125) -> None:
+        self._live, self._lock, self._every_s = live, lock, every_s
         self._stopped = threading.Event()
         self._thread = threading.Thread(target=self._tick, name="console display", daemon=True)
         self._thread.start()
@@ -183,7 +149,7 @@ class _Ticker:
         self._thread.join()
 
     def _tick(self) -> None:
-        while not self._stopped.wait(TICK_S):
+        while not self._stopped.wait(self._every_s):
             try:
                 with self._lock:
                     self._live.refresh()
@@ -203,7 +169,7 @@ class _Display:
         return Group("", self._heading(progress), _bar(progress), *_readings(progress))
 
     def _heading(self, progress: Progress) -> RenderableType:
-        text = Text(state_name(progress.state), style="bold")
+        text = Text(plain(progress.state), style="bold")
         if progress.stage is not None:
             text.append(f"  {stage_title(progress, progress.stage)}", style="default not bold")
             at = min(progress.stage.done + 1, progress.stage.points)
@@ -225,46 +191,51 @@ def _bar(progress: Progress) -> RenderableType:
 def _readings(progress: Progress) -> list[RenderableType]:
     rows = [("time", time_left(progress))]
     if progress.target is not None:
-        rows.append(("target", vector(progress.target)))
+        rows.append(("target", vector(*progress.target)))
     if progress.achieved is not None:
-        rows.append(("achieved", vector(progress.achieved)))
+        rows.append(("achieved", vector(*progress.achieved)))
     if progress.resistance is not None:
         rows.append(("R_s", resistance(progress.resistance)))
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim", width=8)
-    table.add_column()
+    table = _two_columns()
     for label, text in rows:
         table.add_row(label, Text(text))
     return [table]
 
 
-def _rung(step: DiagnosisStep) -> RenderableType:
+def _rung(step: DiagnosisStep, cells: int = 24) -> RenderableType:
     """A rung of the ladder: its name, a bar that shrinks with the error, and the figures."""
-    bar = step_bar(step)
-    colour = "red" if len(bar) > BAR // 3 else "yellow" if len(bar) > 2 else "green"
-    line = Text.assemble(("  " + printable(step_name(step)).ljust(24), "bold" if step.added else ""), " ")
-    line.append(bar.ljust(BAR), style=colour)
-    line.append("  " + step_figures(step), style="default")
+    name, figures = step_line(step)
+    bar = step_bar(step, cells)
+    colour = "red" if len(bar) > cells // 3 else "yellow" if len(bar) > 2 else "green"
+    line = Text.assemble(("  " + one_line(name), "bold" if step.added else ""), " ")
+    line.append(bar.ljust(cells), style=colour)
+    line.append("  " + figures, style="default")
     line.no_wrap, line.overflow = True, "ellipsis"
     return line
 
 
 def _diagnosis(message: Diagnosed) -> RenderableType:
-    sign, style = MARKS[VERDICT_MARKS[message.report.verdict]]
+    told = said(message)
+    assert told is not None
+    sign, style = MARKS[told.mood]
+    table = _two_columns()
+    table.add_row(Text(sign + told.subject, style=style), Text(one_line(told.text), style=style))
+    for title, text in slots(message.words):
+        table.add_row("  " + title, Text(one_line(text)))
+    return table
+
+
+def _two_columns() -> Table:
+    """Labels, and texts that are folded rather than cut."""
     table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim")
+    table.add_column(style="dim", min_width=8)
     table.add_column(overflow="fold")
-    table.add_row(Text(sign + "diagnosis", style=style), Text(verdict(message), style=style))
-    for title, text in slot_rows(message):
-        table.add_row("  " + title, Text(text))
     return table
 
 
 def _ending(message: RunEnded) -> RenderableType:
-    _, style = MARKS[OUTCOME_MARKS[message.outcome]]
-    table = Table.grid(padding=(0, 2))
-    table.add_column(style="dim")
-    table.add_column(overflow="fold")
+    _, style = MARKS[OUTCOME_MOODS[message.outcome]]
+    table = _two_columns()
     for label, text in summary_rows(message):
-        table.add_row(label, Text(printable(text), style=style if label == "outcome" else ""))
+        table.add_row(label, Text(one_line(text), style=style if label == "outcome" else ""))
     return Group("", table)

@@ -4,62 +4,46 @@ from __future__ import annotations
 
 from typing import TextIO
 
-from plugins.streams.console._findings import (
-    comparison_line,
-    proposal_line,
-    slot_rows,
-    step_figures,
-    step_name,
-    verdict,
-)
+from orchestrator.presentation.events import said
+from orchestrator.presentation.names import slots
+from orchestrator.presentation.quantities import duration, plural, vector
+from orchestrator.presentation.sentences import columns, for_output, one_line
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import (
-    ASCII,
-    can_draw,
-    duration,
-    plural,
-    printable,
-    resistance,
-    stage_title,
-    state_name,
-    summary_rows,
-    time_left,
-    typeset,
-    vector,
-)
+from plugins.streams.console._words import stage_title, step_line, summary_rows, time_left
 from protocols import (
-    Compared,
     Diagnosed,
     DiagnosisStep,
-    ExperimentProposed,
-    LockChecked,
-    MapEstimated,
     Message,
     Note,
     OperatorAnswered,
     OperatorAsked,
     PointDone,
-    ResistanceEstimated,
     RunEnded,
     RunStarted,
+    StagesAppended,
     StageStarted,
     StateChanged,
 )
 
-EVERY_PART = 0.1
-EVERY_S = 5.0
-"""A progress line comes when a tenth of all points, or this many seconds, have passed; never twice a second."""
-AT_LEAST_S = 0.5
-
 WORTH_A_LINE = ("paused", "stopping", "faulted", "aborted")
+"""States that are told beside the stages."""
 
 
 class PlainView:
-    """A line for each stage, for progress now and then, for states that matter, and for faults."""
+    """A line for each stage, for progress now and then, for states that matter, and for faults.
 
-    def __init__(self, output: TextIO) -> None:
+    Parameters
+    ----------
+    output : TextIO
+    every_part, every_s : float
+        A progress line comes when so much of all points, or so many seconds, have passed.
+    least_s : float
+        Between two of them.
+    """
+
+    def __init__(self, output: TextIO, *, every_part: float = 0.1, every_s: float = 5.0, least_s: float = 0.5) -> None:
         self._output = output
-        self._draws = can_draw(output)
+        self._every_part, self._every_s, self._least_s = every_part, every_s, least_s
         self._told_part = 0.0
         self._told_s = float("-inf")
         self._prompt = ""
@@ -76,51 +60,44 @@ class PlainView:
         """There is nothing to put back."""
 
     def _lines(self, message: Message, progress: Progress) -> list[str]:
-        if isinstance(message, RunStarted):
-            self._told_part = progress.fraction
-            return [_opening(message)]
-        if isinstance(message, StageStarted) and progress.stage is not None:
-            return [f"{stage_title(progress, progress.stage)}: begins, {plural(message.points, 'point')}"]
-        if isinstance(message, StateChanged) and message.target in WORTH_A_LINE:
-            return [f"{state_name(message.target)}{': ' + message.reason if message.reason else ''}"]
-        if isinstance(message, PointDone):
-            return self._progress_lines(progress)
-        return self._words(message) or _findings(message)
+        match message:
+            case RunStarted():
+                self._told_part = progress.fraction
+            case StageStarted() if progress.stage is not None:
+                return [f"{stage_title(progress, progress.stage)}: begins, {plural(message.points, 'point')}"]
+            case PointDone():
+                return self._progress_lines(progress)
+            case OperatorAsked():
+                self._prompt = message.prompt
+                return []
+            case OperatorAnswered():
+                prompt, self._prompt = self._prompt or "operator", ""
+                return [f"{prompt} {message.answer}{', says the procedure' if message.by == 'procedure' else ''}"]
+            case DiagnosisStep():
+                return ["  ".join(step_line(message))]
+            case RunEnded():
+                return ["", *columns(list(summary_rows(message)))]
+            case StagesAppended():
+                return []
+            case StateChanged() if message.target not in WORTH_A_LINE:
+                return []
+        told = said(message)
+        slot_lines = columns(list(slots(message.words))) if isinstance(message, Diagnosed) and message.words else []
+        return [] if told is None else [told.line, *slot_lines]
 
     def _progress_lines(self, progress: Progress) -> list[str]:
         now = progress.clock()
         waited = now - self._told_s
         part = progress.fraction - self._told_part
-        if waited < AT_LEAST_S or (part < EVERY_PART and waited < EVERY_S):
+        if waited < self._least_s or (part < self._every_part and waited < self._every_s):
             return []
         self._told_s, self._told_part = now, progress.fraction
-        reached = "" if progress.achieved is None else f", at {vector(progress.achieved)}"
+        reached = "" if progress.achieved is None else f", at {vector(*progress.achieved)}"
         counted = f"{progress.points_done} of {progress.points} points"
         return [f"{progress.fraction:4.0%}  {counted}, {time_left(progress)}{reached}"]
 
-    def _words(self, message: Message) -> list[str]:
-        if isinstance(message, OperatorAsked):
-            self._prompt = message.prompt
-            return []
-        if isinstance(message, OperatorAnswered):
-            prompt, self._prompt = self._prompt or "operator", ""
-            return [f"{prompt} {message.answer}{', says the procedure' if message.by == 'procedure' else ''}"]
-        if isinstance(message, LockChecked):
-            return [f"lock check: {typeset(message.summary)}"]
-        if isinstance(message, ResistanceEstimated):
-            return [f"R_s = {resistance(message.estimate)}"]
-        if isinstance(message, MapEstimated):
-            grid = message.estimate.map
-            return [f"flux map by {grid.method}: {len(grid.i_d)} x {len(grid.i_q)} currents"]
-        if isinstance(message, Note):
-            return [f"{'' if message.level == 'info' else message.level + ': '}{typeset(message.text)}"]
-        if isinstance(message, RunEnded):
-            return ["", *_table(message)]
-        return []
-
     def _line(self, text: str) -> None:
-        told = printable(text)
-        self._output.write((told if self._draws else _ascii(told)) + "\n")
+        self._output.write(for_output(one_line(text), self._output) + "\n")
         self._output.flush()
 
 
@@ -128,40 +105,7 @@ class QuietView(PlainView):
     """Warnings, errors, and how it ended."""
 
     def show(self, message: Message, progress: Progress) -> None:
-        if isinstance(message, Note) and message.level != "info":
-            self._line(f"{message.level}: {message.text}")
-        elif isinstance(message, RunEnded) and message.outcome != "finished":
-            self._line(f"{message.outcome}: {message.reason}")
-
-
-def _findings(message: Message) -> list[str]:
-    if isinstance(message, Compared):
-        return [comparison_line(message)]
-    if isinstance(message, DiagnosisStep):
-        return [f"{step_name(message):<24}  {step_figures(message)}"]
-    if isinstance(message, Diagnosed):
-        return [f"diagnosis: {verdict(message)}", *_aligned(list(slot_rows(message)))]
-    if isinstance(message, ExperimentProposed):
-        return [proposal_line(message)]
-    return []
-
-
-def _ascii(text: str) -> str:
-    return text.translate(ASCII).encode("ascii", "replace").decode("ascii")
-
-
-def _opening(message: RunStarted) -> str:
-    done = f", {message.points_done} of them done before" if message.points_done else ""
-    return (
-        f"{message.name}: {message.motor.name} on the drive {message.drive}, "
-        f"{plural(message.points, 'point')}{done}, {duration(message.seconds)} on the drive's clock"
-    )
-
-
-def _table(message: RunEnded) -> list[str]:
-    return _aligned(list(summary_rows(message)))
-
-
-def _aligned(rows: list[tuple[str, str]]) -> list[str]:
-    width = max((len(label) for label, _ in rows), default=0)
-    return [f"{label:<{width}}  {text}" for label, text in rows]
+        told = said(message)
+        is_bad = isinstance(message, RunEnded) and message.outcome != "finished"
+        if told is not None and (is_bad or (isinstance(message, Note) and message.level != "info")):
+            self._line(told.line)

@@ -9,9 +9,9 @@ from typing import ClassVar, Literal, Protocol, TextIO
 
 from pydantic import BaseModel
 
+from orchestrator.presentation.sentences import can_print
 from plugins.streams.console._plain import PlainView, QuietView
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import can_draw
 from protocols import Message, StreamSetup, Strict
 
 
@@ -83,7 +83,7 @@ def _view(mode: str, output: TextIO) -> View:
         return JsonView(output)
     if mode == "quiet":
         return QuietView(output)
-    if mode == "live" or (mode == "auto" and output.isatty() and can_draw(output)):
+    if mode == "live" or (mode == "auto" and output.isatty() and can_print(output)):
         from plugins.streams.console._live import LiveView
 
         return LiveView(output)

@@ -9,34 +9,28 @@ from datetime import UTC, datetime
 import numpy as np
 
 from orchestrator.analysis import check_map, rated_flux_wb
+from orchestrator.presentation.events import said
+from orchestrator.presentation.names import ENERGY_METHODS, MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, symbol_of
+from orchestrator.presentation.quantities import (
+    Scale,
+    duration,
+    fixed,
+    percent,
+    plural,
+    quantity,
+    value_and_error,
+    with_error,
+)
+from orchestrator.presentation.sentences import typographic
 from plugins.streams.report._collect import Material
-from plugins.streams.report._text import NOT_MEASURED, borne, fixed, number, percent, plain, typographic
 from protocols import (
     AxisPercent,
-    Coefficient,
     EstimationReport,
     FluxMap,
-    LockChecked,
-    Message,
     Motor,
-    Note,
-    OperatorAnswered,
-    OperatorAsked,
-    ResistanceEstimated,
-    RunEnded,
-    RunStarted,
-    StageStarted,
-    StateChanged,
 )
 
-PAPER = AxisPercent(d_percent=1.3, q_percent=2.9)
-"""Largest flux difference where current paths cross, as the paper prints it."""
-MOST_EVENTS = 200
-QUANTITIES = (("psi_d", "mWb"), ("psi_q", "mWb"), ("l_dd", "mH"), ("l_dq", "mH"), ("l_qq", "mH"))
-
-
-ENERGIES = ("energy", "polynomial")
-"""Methods whose maps are symmetric and reciprocal whatever was measured."""
+NOT_MEASURED = "not measured"
 
 
 @dataclass(frozen=True)
@@ -46,7 +40,7 @@ class Line:
     label: str
     text: str
     mood: str = ""
-    """"good", "bad" or nothing."""
+    """"good", "warning", "bad" or nothing."""
 
 
 @dataclass(frozen=True)
@@ -89,14 +83,14 @@ def motor_of(material: Material) -> Motor | None:
 def nameplate(motor: Motor) -> str:
     """The rated values on one line, as far as they are known."""
     rated = (
-        (motor.rated_power_w, "{:g} W"),
-        (motor.rated_voltage_rms_v, "{:g} V rms"),
-        (motor.rated_current_rms_a, "{:g} A rms"),
-        (motor.rated_speed_rpm, "{:g} rpm"),
-        (motor.rated_torque_nm, "{:g} Nm"),
+        (motor.rated_power_w, "W", ""),
+        (motor.rated_voltage_rms_v, "V", " rms"),
+        (motor.rated_current_rms_a, "A", " rms"),
+        (motor.rated_speed_rpm, "rpm", ""),
+        (motor.rated_torque_nm, "Nm", ""),
     )
-    told = [text.format(value) for value, text in rated if value is not None]
-    return ", ".join([*told, f"{motor.pole_pairs} pole {'pair' if motor.pole_pairs == 1 else 'pairs'}"])
+    told = [quantity(value, unit, 5) + kind for value, unit, kind in rated if value is not None]
+    return ", ".join([*told, plural(motor.pole_pairs, "pole pair")])
 
 
 def summary(material: Material) -> Iterator[Line]:
@@ -119,24 +113,19 @@ def remarks(material: Material) -> list[str]:
 
 @dataclass(frozen=True)
 class Formula:
-    """A map that is a formula: its coefficients as rows of name, value, standard deviation, unit."""
+    """A map that is a formula: its coefficients as rows of name, value, standard deviation."""
 
     method: str
     text: str
-    rows: tuple[tuple[str, str, str, str], ...]
+    rows: tuple[tuple[str, str, str], ...]
 
 
 def formulas(material: Material) -> Iterator[Formula]:
     """The maps that are formulas."""
     for method, made in material.estimates.maps.items() if material.estimates is not None else ():
         if made.form is not None:
-            yield Formula(method, made.form.formula, tuple(map(_coefficient, made.form.coefficients)))
-
-
-def _coefficient(found: Coefficient) -> tuple[str, str, str, str]:
-    factor, unit = (1e3, "mH") if found.unit == "H" else (1.0, found.unit)
-    name = found.name.replace("alpha", "α")
-    return name, number(factor * found.value, 5), number(factor * found.std, 2), unit
+            rows = [(symbol_of(c.name), *value_and_error(c.value, c.std, c.unit)) for c in made.form.coefficients]
+            yield Formula(method, made.form.formula, tuple(rows))
 
 
 def checks(material: Material) -> Iterator[Check]:
@@ -145,7 +134,7 @@ def checks(material: Material) -> Iterator[Check]:
     if found is None:
         return
     parity, reciprocity, whose = _symmetry(material, found)
-    both = f"the paper’s: {percent(PAPER.d_percent)} on d, {percent(PAPER.q_percent)} on q"
+    both = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
     for name, meaning, value, told in (
         ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", found.crossings, both),
         (
@@ -174,7 +163,7 @@ def checks(material: Material) -> Iterator[Check]:
 
 def _symmetry(material: Material, found: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
     """Parity and reciprocity, and whose: an energy's map has both by construction, so injection's are shown."""
-    if found.method not in ENERGIES:
+    if found.method not in ENERGY_METHODS:
         return found.parity, found.reciprocity_percent, ""
     injection, motor = material.maps.get("injection"), motor_of(material)
     if injection is None or motor is None:
@@ -184,9 +173,10 @@ def _symmetry(material: Material, found: EstimationReport) -> tuple[AxisPercent 
 
 
 def _bar(axis: str, value: float | None) -> Bar:
-    paper = (PAPER.q_percent if axis == "q" else PAPER.d_percent) or 1.0
+    paper = (PAPER_CROSSINGS.q_percent if axis == "q" else PAPER_CROSSINGS.d_percent) or 1.0
     full = max(1.15 * (value or 0.0), 1.5 * paper)
-    return Bar(axis, percent(value), round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
+    told = NOT_MEASURED if value is None else percent(value)
+    return Bar(axis, told, round(100.0 * (value or 0.0) / full, 1), round(100.0 * paper / full, 1))
 
 
 def map_rows(found: FluxMap, motor: Motor | None) -> list[list[str]]:
@@ -199,7 +189,7 @@ def map_rows(found: FluxMap, motor: Motor | None) -> list[list[str]]:
         for i_q in (-size, 0.0, size):
             d, q = int(np.abs(found.i_d - i_d).argmin()), int(np.abs(found.i_q - i_q).argmin())
             point = [fixed(float(found.i_d[d]), 2), fixed(float(found.i_q[q]), 2)]
-            row = point + [_with_error(found, name, d, q) for name, _ in QUANTITIES]
+            row = point + [_with_error(found, name, d, q) for name in MAP_QUANTITIES]
             if row not in rows:
                 rows.append(row)
     return rows
@@ -229,12 +219,8 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
 
 def events(material: Material) -> list[Event]:
     """What the journal says beside single points, the oldest first."""
-    found: list[Event] = []
-    for entry in material.journal:
-        kind, text, mood = _event(entry.message)
-        if kind:
-            found.append(Event(_clock(entry.t), kind, text, mood))
-    return found
+    told = ((entry.t, said(entry.message)) for entry in material.journal)
+    return [Event(_clock(t), say.subject, say.text, say.mood) for t, say in told if say is not None]
 
 
 def _outcome(material: Material) -> Line:
@@ -243,7 +229,7 @@ def _outcome(material: Material) -> Line:
     ended = material.ended
     if ended is None:
         return Line("Run", "not ended: interrupted from outside, or still under way", "bad")
-    return Line("Run", f"{ended.outcome}: {ended.reason}", "good" if ended.outcome == "finished" else "bad")
+    return Line("Run", f"{ended.outcome}: {ended.reason}", OUTCOME_MOODS[ended.outcome])
 
 
 def _resistance(material: Material) -> Line:
@@ -252,12 +238,11 @@ def _resistance(material: Material) -> Line:
         return Line("R_s", NOT_MEASURED)
     motor = motor_of(material)
     nameplate = motor.stator_resistance_ohm if motor is not None else None
-    beside = "" if nameplate is None else f"; nameplate {nameplate:.4g} Ω"
-    digits = min(4, borne(0.5 * (found.high - found.low)))
-    value, low, high, first, last = (
-        fixed(x, digits) for x in (found.value_ohm, found.low, found.high, found.first_ohm, found.last_ohm)
-    )
-    return Line("R_s", f"{value} Ω (95 %: {low} to {high}); {first} Ω at the start, {last} Ω at the end{beside}")
+    beside = "" if nameplate is None else f"; nameplate {quantity(nameplate, 'ohm', 4)}"
+    scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
+    interval = f"{scale.number(found.low)} to {scale.number(found.high)}"
+    course = f"{scale.quantity(found.first_ohm)} at the start, {scale.quantity(found.last_ohm)} at the end"
+    return Line("R_s", f"{scale.quantity(found.value_ohm)} (95 %: {interval}); {course}{beside}")
 
 
 def _map_lines(material: Material) -> Iterator[Line]:
@@ -285,12 +270,13 @@ def _inductance_line(material: Material) -> Iterator[Line]:
         ("l_dd", "L_dd", motor.d_inductance_h if motor else None),
         ("l_qq", "L_qq", motor.q_inductance_h if motor else None),
     ):
-        values = 1e3 * np.asarray(getattr(found, name))
+        values = np.asarray(getattr(found, name))
         if np.isfinite(values).any():
-            beside = "" if nameplate is None else f" (nameplate {1e3 * nameplate:.4g})"
-            told.append(f"{symbol} {np.nanmin(values):.4g} to {np.nanmax(values):.4g} mH{beside}")
+            beside = "" if nameplate is None else f" (nameplate {quantity(nameplate, 'H', 4)})"
+            least, most = (quantity(float(v), "H", 4) for v in (np.nanmin(values), np.nanmax(values)))
+            told.append(f"{symbol} {least} to {most}{beside}")
     if np.isfinite(found.l_dq).any():
-        told.append(f"L_dq up to {1e3 * float(np.nanmax(np.abs(found.l_dq))):.3g} mH in size")
+        told.append(f"L_dq up to {quantity(float(np.nanmax(np.abs(found.l_dq))), 'H')} in size")
     if told:
         yield Line("Inductances", "; ".join(told))
 
@@ -300,44 +286,13 @@ def _amount(material: Material) -> Line:
         return Line("Measured", NOT_MEASURED)
     segments = material.manifest.segments
     seconds = sum(s.samples for s in segments) / material.manifest.drive.sampling_frequency_hz
-    return Line("Measured", f"{len(segments)} segments, {seconds:.0f} s of waveforms")
-
-
-def _event(message: Message) -> tuple[str, str, str]:
-    if isinstance(message, RunStarted):
-        return "start", f"{message.points} points, {message.points_done} of them done before", ""
-    if isinstance(message, StageStarted):
-        return "stage", f"{plain(message.stage)}, {message.points} points", ""
-    if isinstance(message, StateChanged):
-        mood = "bad" if message.target in ("faulted", "aborted") else ""
-        reason = f": {message.reason}" if message.reason else ""
-        return "state", f"{plain(message.target)}{reason}", mood
-    if isinstance(message, OperatorAsked):
-        return "operator", message.prompt, ""
-    if isinstance(message, OperatorAnswered):
-        return "operator", f"{message.answer} (by {message.by})", ""
-    if isinstance(message, LockChecked):
-        return "lock check", typographic(message.summary), "good" if message.locked else "bad"
-    if isinstance(message, ResistanceEstimated):
-        return "R_s", f"{message.estimate.value_ohm:.4g} Ω", ""
-    if isinstance(message, Note):
-        return message.level, typographic(message.text), "bad" if message.level == "error" else ""
-    if isinstance(message, RunEnded):
-        return "end", f"{message.outcome}: {message.reason}", "good" if message.outcome == "finished" else "bad"
-    return "", "", ""
+    return Line("Measured", f"{plural(len(segments), 'segment')}, {duration(seconds)} of waveforms")
 
 
 def _with_error(found: FluxMap, name: str, d: int, q: int) -> str:
-    """Value and 95 % uncertainty in thousandths of the unit, as many digits as the uncertainty bears."""
-    value = 1e3 * float(getattr(found, name)[d, q])
-    error = 1.96e3 * float(getattr(found, f"{name}_std")[d, q])
-    if not np.isfinite(value):
-        return NOT_MEASURED
-    if not np.isfinite(error) or error <= 0.0:
-        return f"{value:.4g}".replace("-", "−")
-    digits = min(3, borne(error))
-    beside = f" ± {error:.{digits}f}" if round(error, digits) > 0.0 else ""
-    return fixed(value, digits) + beside
+    """Value and 95 % uncertainty in thousandths of the unit."""
+    value, std = (float(getattr(found, key)[d, q]) for key in (name, f"{name}_std"))
+    return with_error(value, 1.96 * std, -3) if np.isfinite(value) else NOT_MEASURED
 
 
 def date(text: str) -> str:

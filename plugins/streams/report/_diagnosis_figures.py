@@ -11,32 +11,28 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from plugins.streams._colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
-from plugins.streams.report._canvas import (
+from orchestrator.presentation.colours import BLACK, BLUE, D_AXIS, GUIDE, MODEL, Q_AXIS
+from orchestrator.presentation.drawing import (
     BEFORE_COLOUR,
-    HEIGHT_IN,
+    CURRENT_LABELS,
     PHASES_ON_PAPER,
-    SMALL,
-    WIDTH_IN,
+    STYLE,
     bare,
+    current_plane,
     empty_figure,
     legend_above,
     name_axes,
     new_figure,
     uri,
 )
-from plugins.streams.report._text import number, plain
+from orchestrator.presentation.names import plain, rung_name
+from orchestrator.presentation.quantities import number
 from protocols import CurrentExcerpt, DiagnosisStep, FluxLoop, JointEntry, RealArray, ResistanceCourse, Rung
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-CELLS = 13
-"""Cells along the longer side of the current plane."""
-PHASE_BINS = 25
-ARROW_IN = 0.30
-"""Length of the longest arrow."""
 _TIGHT: dict[str, Any] = {"handletextpad": 0.1, "columnspacing": 0.8, "markerscale": 1.4}
 
 
@@ -46,7 +42,7 @@ def ladder_figure(ladder: Sequence[Rung], floor_v: float) -> str:
     Reads downwards, so that names have room on a phone.
     """
     height = max(1.7, 1.15 + 0.42 * len(ladder))
-    figure, axes = new_figure(WIDTH_IN, height)
+    figure, axes = new_figure(STYLE.width_in, height)
     places = np.arange(len(ladder))
     for volts, colour, mark, name, shift in (
         ([rung.rms_v for rung in ladder], BLACK, "o", "fitted", -0.09),
@@ -69,13 +65,6 @@ def ladder_figure(ladder: Sequence[Rung], floor_v: float) -> str:
     return uri(figure)
 
 
-def rung_name(added: str | None, index: int) -> str:
-    """A rung by what was added to the one before."""
-    if added is None:
-        return "the model alone" if index == 0 else "the same, refitted"
-    return f"+ {plain(added)}"
-
-
 @dataclass(frozen=True)
 class _Plane:
     """The current plane in cells: edges [A], rms residual (d, q) and mean residual (2, d, q) [V]; NaN where empty."""
@@ -95,11 +84,12 @@ def plane_figures(before: DiagnosisStep, after: DiagnosisStep) -> tuple[str, str
     return first, last
 
 
-def _cells(step: DiagnosisStep) -> _Plane:
+def _cells(step: DiagnosisStep, along: int = 13) -> _Plane:
+    """The residual by cells, so many along the longer side."""
     used = np.array([stage != "gates_off" for stage in step.stage])
     i, residual = step.i_dq[used], step.residual_dq_v[used]
     low, high = (i.min(axis=0), i.max(axis=0)) if len(i) else (-np.ones(2), np.ones(2))
-    side = max(float((high - low).max()), 1e-9) / CELLS
+    side = max(float((high - low).max()), 1e-9) / along
     edges = []
     for axis in range(2):
         # Cells lie centred about zero, so that a sweep along an axis is one row of them.
@@ -118,7 +108,7 @@ def _cells(step: DiagnosisStep) -> _Plane:
 
 
 def _plane(cells: _Plane, top_v: float) -> str:
-    figure, axes = new_figure(WIDTH_IN, WIDTH_IN * 0.78)
+    figure, axes = new_figure(STYLE.width_in, STYLE.width_in * 0.78)
     size = 1e3 * cells.rms.T
     mesh = axes.pcolormesh(
         cells.edges_d, cells.edges_q, size, cmap="YlGnBu", vmin=0.0, vmax=1.15e3 * top_v, rasterized=True
@@ -132,17 +122,16 @@ def _plane(cells: _Plane, top_v: float) -> str:
         cells.mean[0][shown],
         cells.mean[1][shown],
         color=BLACK,
-        scale=top_v / ARROW_IN,
+        scale=top_v / 0.3,  # the longest arrow is so many inches long
         scale_units="inches",
         width=0.006,
         headwidth=4,
         pivot="mid",
     )
     bar = figure.colorbar(mesh, ax=axes, shrink=0.95)
-    bar.set_label("rms residual [mV]", fontsize=SMALL)
-    bar.ax.tick_params(labelsize=SMALL)
-    axes.set_aspect("equal", adjustable="box")
-    name_axes(axes, "$i_d$ [A]", "$i_q$ [A]")
+    bar.set_label("rms residual [mV]", fontsize=STYLE.small_pt)
+    bar.ax.tick_params(labelsize=STYLE.small_pt)
+    current_plane(axes)
     return uri(figure)
 
 
@@ -186,16 +175,17 @@ def with_zero_sequence(i_abc: RealArray, residual_abc: RealArray) -> RealArray:
     return np.asarray(residual_abc + (hats @ curve).mean(axis=1, keepdims=True))
 
 
-def _bins(x: RealArray) -> RealArray:
+def _bins(x: RealArray, count: int = 25) -> RealArray:
     """Edges over the range of x, finer towards zero, where inverters act."""
-    even = np.linspace(-1.0, 1.0, PHASE_BINS + 1)
+    even = np.linspace(-1.0, 1.0, count + 1)
     return np.asarray((float(np.abs(x).max(initial=0.0)) or 1.0) * np.sign(even) * even**2)
 
 
 def _medians(x: RealArray, y: RealArray) -> tuple[RealArray, RealArray]:
     """Median of y in bins of x that hold enough of it."""
-    place = np.digitize(x, _bins(x)[1:-1])
-    full = [k for k in range(PHASE_BINS) if (place == k).sum() >= 5]
+    edges = _bins(x)
+    place = np.digitize(x, edges[1:-1])
+    full = [k for k in range(len(edges) - 1) if (place == k).sum() >= 5]
     return (
         np.array([np.median(x[place == k]) for k in full]),
         np.array([np.median(y[place == k]) for k in full]),
@@ -222,9 +212,9 @@ def loop_figure(before: FluxLoop | None, after: FluxLoop) -> str:
         apart = apart - apart.mean()
         below.plot(current[rising], apart[rising], ".", color=colour, ms=3.5, label=f"{name}: up")
         below.plot(current[~rising], apart[~rising], "o", color=colour, ms=3.0, mfc="none", mew=0.7, label="down")
-    name_axes(below, f"$i_{axis}$ [A]", "difference [mWb]")
+    name_axes(below, CURRENT_LABELS[axis], "difference [mWb]")
     handles, names = below.get_legend_handles_labels()
-    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=SMALL, **_TIGHT)
+    figure.legend(handles, names, loc="outside lower center", ncols=4, frameon=False, fontsize=STYLE.small_pt, **_TIGHT)
     return uri(figure)
 
 
@@ -271,7 +261,7 @@ def _ripples(excerpt: CurrentExcerpt) -> tuple[RealArray, RealArray]:
 
 def _two_panels() -> tuple[Figure, Axes, Axes]:
     """What there is above, what is wrong with it below, on one abscissa."""
-    figure = empty_figure(WIDTH_IN, 1.25 * HEIGHT_IN)
+    figure = empty_figure(STYLE.width_in, 1.25 * STYLE.height_in)
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 2))
     return figure, bare(above), bare(below)
 
@@ -313,12 +303,12 @@ def heat_figure(course: ResistanceCourse, before: ResistanceCourse | None) -> st
 
 def joint_figure(joint: Sequence[JointEntry]) -> str:
     """The whole library fitted at once: sizes relative to typical, those that chance could have made hollow."""
-    figure, axes = new_figure(WIDTH_IN, max(1.8, 0.9 + 0.32 * len(joint)))
+    figure, axes = new_figure(STYLE.width_in, max(1.8, 0.9 + 0.32 * len(joint)))
     for place, entry in enumerate(joint):
         size, z = entry.relative_size or 0.0, entry.z or 0.0
         sure = abs(z) >= 4.0
         axes.barh(place, size, height=0.62, color=MODEL if sure else "none", edgecolor=MODEL if sure else GUIDE)
-        axes.text(size, place, f"  z = {number(z, 3)}", va="center", fontsize=SMALL - 1)
+        axes.text(size, place, f"  z = {number(z, 3)}", va="center", fontsize=STYLE.small_pt - 1)
     axes.set_yticks(range(len(joint)), [plain(entry.name) for entry in joint])
     axes.set_ylim(len(joint) - 0.4, -0.6)
     largest = max((e.relative_size or 0.0 for e in joint), default=1.0) or 1.0

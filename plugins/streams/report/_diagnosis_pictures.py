@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
+from orchestrator.presentation.events import step_error_v
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.quantities import quantity, vector
+from orchestrator.presentation.sentences import listed
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _diagnosis_figures as figures
 from plugins.streams.report._picture import Picture
-from plugins.streams.report._text import plain, scaled, typographic
 from protocols import CurrentExcerpt, DiagnosisStep
 
 if TYPE_CHECKING:
@@ -20,7 +23,7 @@ def diagnosis_pictures(found: SavedDiagnosis) -> Iterator[Picture]:
     ladder, floor = found.report.ladder, found.report.noise_floor.rms_v
     if ladder and floor:
         caption = (
-            f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {scaled(floor, 'V')}."
+            f"Downwards: the error after each effect. Held out: stages no fit has seen. Noise {quantity(floor, 'V')}."
         )
         yield Picture("The error ladder", caption, figures.ladder_figure(ladder, floor))
     yield from _joint(found)
@@ -79,14 +82,14 @@ def _waveforms(before: DiagnosisStep, after: DiagnosisStep) -> Iterator[Picture]
 
 
 def _ripple(shown: Sequence[CurrentExcerpt]) -> str:
-    at = typographic(f"({shown[0].i_d_a:.2f}, {shown[0].i_q_a:.2f}) A")
+    at = vector(shown[0].i_d_a, shown[0].i_q_a)
     told = "One amplitude was injected." if len(shown) == 1 else "Two amplitudes part where the iron has memory."
     return f"Injected along d at (i_d, i_q) = {at}, per volt injected. {told} Below: measured less model."
 
 
 def _effects(step: DiagnosisStep) -> str:
-    return " and ".join(map(plain, step.effects)) or "the free map"
+    return listed([plain(name) for name in step.effects]) or "the free map"
 
 
 def _error(step: DiagnosisStep) -> str:
-    return scaled(step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v, "V")
+    return quantity(step_error_v(step), "V")

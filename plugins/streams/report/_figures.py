@@ -11,10 +11,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from plugins.streams._colours import BLACK, BLUE, GUIDE, METHODS, ORANGE, SKY, VERMILION
-from plugins.streams.report._canvas import SMALL, legend_above, name_axes, new_figure, uri
+from orchestrator.presentation.colours import BLACK, BLUE, GUIDE, METHODS, ORANGE, SKY, VERMILION
+from orchestrator.presentation.drawing import (
+    CURRENT_LABELS,
+    METHOD_LINES,
+    STYLE,
+    current_plane,
+    legend_above,
+    name_axes,
+    new_figure,
+    signed_scale,
+    uri,
+)
+from orchestrator.presentation.quantities import number
 from plugins.streams.report._collect import Paths
-from plugins.streams.report._text import number
 from protocols import FluxMap, RealArray, ResistanceReading
 
 if TYPE_CHECKING:
@@ -22,7 +32,6 @@ if TYPE_CHECKING:
 
 HELD_COLOURS = (BLUE, SKY, BLACK, ORANGE, VERMILION)
 """From the most negative held current to the most positive one; black is zero."""
-LINES = {"classical": "--", "injection": "-"}
 
 
 def paths_figure(paths: Paths) -> str:
@@ -34,8 +43,7 @@ def paths_figure(paths: Paths) -> str:
     if len(paths.injection):
         i_d, i_q = paths.injection.T
         axes.plot(i_d, i_q, ".", color=METHODS["injection"], ms=5, label="injection, mean")
-    axes.set_aspect("equal", adjustable="box")
-    name_axes(axes, "$i_d$ [A]", "$i_q$ [A]")
+    current_plane(axes)
     legend_above(axes, 2)
     return uri(figure)
 
@@ -52,12 +60,12 @@ def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
         for method, found in maps.items():
             current, flux, std = profile(found, f"psi_{axis}", axis, value)
             flux = (flux - _at_zero(found, axis)) * 1e3
-            axes.plot(current, flux, LINES.get(method, ":"), color=colour, lw=1.5)
+            axes.plot(current, flux, METHOD_LINES.get(method, ":"), color=colour, lw=1.5)
             if method != "classical":
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
         axes.plot([], [], "-", color=colour, label=_amperes(value))
-    name_axes(axes, f"$i_{axis}$ [A]", rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
-    axes.legend(title=f"held $i_{other}$", frameon=False, fontsize=SMALL, title_fontsize=SMALL, loc="upper left")
+    name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
+    axes.legend(title=f"held $i_{other}$", frameon=False, fontsize=STYLE.small_pt, title_fontsize=STYLE.small_pt)
     return uri(figure)
 
 
@@ -73,7 +81,7 @@ def difference_figure(classical: FluxMap, injection: FluxMap) -> str:
         axes.plot(current, 1e3 * apart, line, color=BLACK, lw=1.5, label=rf"$\psi_{axis}(i_{axis})$, $i_{other} = 0$")
     axes.axhline(0.0, color=GUIDE, lw=0.8)
     name_axes(axes, "current on the axis [A]", "classical − injection [mWb]")
-    axes.legend(frameon=False, fontsize=SMALL)
+    axes.legend(frameon=False, fontsize=STYLE.small_pt)
     return uri(figure)
 
 
@@ -89,8 +97,7 @@ def inductance_figure(found: FluxMap, name: str) -> str:
     if high - low > 1e-9 * max(abs(low), abs(high)):
         _contours(axes, found, values)
         bar.ax.set_ylim(low, high)
-    axes.set_aspect("equal", adjustable="box")
-    name_axes(axes, "$i_d$ [A]", "$i_q$ [A]")
+    current_plane(axes)
     return uri(figure)
 
 
@@ -150,10 +157,9 @@ def _amperes(value: float) -> str:
 
 def _scale(values: RealArray, about_zero: bool) -> dict[str, Any]:
     """Colour map and its limits, the dark ends left out so that black contours stay readable."""
-    low, high = float(np.nanmin(values)), float(np.nanmax(values))
     if about_zero:
-        largest = 1.4 * max(-low, high) or 1.0
-        return {"cmap": "PuOr", "vmin": -largest, "vmax": largest}
+        return signed_scale(values[np.isfinite(values)], 1.4)
+    low, high = float(np.nanmin(values)), float(np.nanmax(values))
     return {"cmap": "YlGnBu", "vmin": low, "vmax": high + 0.6 * (high - low)}
 
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.presentation.drawing import METHOD_LINES
+from orchestrator.presentation.names import MAP_QUANTITIES
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings
@@ -56,8 +58,8 @@ def write_report(directory: Path, out: Path | None = None, *, draws: bool = True
     return target
 
 
-def render(material: Material, *, draws: bool = True) -> str:
-    """The page as text."""
+def render(material: Material, *, draws: bool = True, most_events: int = 200) -> str:
+    """The page as text, with so many rows of the journal."""
     from jinja2 import Environment, StrictUndefined
 
     environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
@@ -77,12 +79,12 @@ def render(material: Material, *, draws: bool = True) -> str:
         remarks=content.remarks(material),
         formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [_undrawn(material)],
-        quantities=content.QUANTITIES,
+        quantities=list(MAP_QUANTITIES.values()),
         map_method=main.method if main is not None else "",
         map_rows=content.map_rows(main, motor) if main is not None else [],
         provenance=list(content.provenance(material)),
-        events=told[: content.MOST_EVENTS],
-        more_events=max(0, len(told) - content.MOST_EVENTS),
+        events=told[:most_events],
+        more_events=max(0, len(told) - most_events),
         problems=material.problems,
         files=_files(material),
     )
@@ -95,7 +97,7 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         return None
     return {
         "verdict": findings.verdict(found),
-        "slots": list(findings.slots(found)),
+        "slots": list(findings.filled_slots(found)),
         "pictures": list(diagnosis_pictures(found)) if draws else [],
         "ladder": findings.ladder_rows(found),
         "effects": findings.effect_rows(found),
@@ -162,7 +164,7 @@ def _difference_picture(material: Material) -> Picture:
 
 def _methods_in_words(maps: dict[str, FluxMap]) -> str:
     if {"classical", "injection"} <= maps.keys():
-        others = [name for name in maps if name not in figures.LINES]
+        others = [name for name in maps if name not in METHOD_LINES]
         dotted = f" Dotted: {', '.join(others)}." if others else ""
         return f"Dashed: classical, solid: injection, with its 95 % band.{dotted} Counted from zero current."
     return f"By {', '.join(maps)} alone. Counted from zero current."

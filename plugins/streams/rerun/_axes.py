@@ -15,7 +15,8 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from plugins.streams._colours import GRID, GUIDE, TEXT, packed, packed_all
+from orchestrator.presentation.colours import GRID, GUIDE, TEXT, packed, packed_all
+from orchestrator.presentation.quantities import number
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry
 from protocols import RealArray
 
@@ -40,12 +41,6 @@ def ticks(low: float, high: float, wanted: int = 5) -> list[float]:
     return [k * step for k in range(first, math.floor(high / step + 1e-9) + 1)]
 
 
-def told(value: float) -> str:
-    """A tick's number, as short as may be."""
-    text = f"{value + 0.0:.3g}" if abs(value) < 1000 else f"{value:.0f}"
-    return text.replace("-", "−")
-
-
 @dataclass(frozen=True)
 class Chart:
     """A pair of axes at `path`; a logarithmic x axis where `log_x`."""
@@ -68,8 +63,8 @@ class Chart:
         lines = [self.place([v, v], self.y) for v in at_x] + [self.place(self.x, [v, v]) for v in at_y]
         frame = self.place([self.x[0], self.x[1], self.x[1], self.x[0], self.x[0]], [*np.repeat(self.y, 2), self.y[0]])
         below, left = HEIGHT + 2.0, -8.0
-        words = [(float(self.place([v], [self.y[0]])[0, 0]), below, told(v)) for v in at_x]
-        words += [(left, float(self.place([self.x[0]], [v])[0, 1]) - _LIFT, told(v)) for v in at_y]
+        words = [(float(self.place([v], [self.y[0]])[0, 0]), below, number(v, 3)) for v in at_x]
+        words += [(left, float(self.place([self.x[0]], [v])[0, 1]) - _LIFT, number(v, 3)) for v in at_y]
         words += [(WIDTH / 2, HEIGHT + 9.5, self.x_label), (WIDTH * 0.12, -11.0, self.y_label)]
         if title:
             words.append((WIDTH / 2, -20.0, title))
@@ -111,8 +106,8 @@ def plane(path: str, reach_a: float, limit_a: float | None = None, when: When = 
         np.array([[-reach_a, v], [reach_a, v]]) for v in at
     ]
     cross = [np.array([[0.0, -reach_a], [0.0, reach_a]]), np.array([[-reach_a, 0.0], [reach_a, 0.0]])]
-    words = [(v, -1.03 * reach_a, told(v)) for v in at]
-    words += [(-1.1 * reach_a, v + 0.04 * reach_a, told(v)) for v in at]
+    words = [(v, -1.03 * reach_a, number(v, 3)) for v in at]
+    words += [(-1.1 * reach_a, v + 0.04 * reach_a, number(v, 3)) for v in at]
     words += [(0.0, -1.12 * reach_a, "i_d [A]"), (-1.0 * reach_a, 1.13 * reach_a, "i_q [A]")]
     out = [
         entry(path, when, rr.Transform3D(scale=[1.0 / reach_a, -1.0 / reach_a, 1.0])),
@@ -141,7 +136,7 @@ def colour_bar(
     height = 1.8 * reach_a
     at = ticks(low, high, 4)
     words = [
-        (1.48 * reach_a, -0.86 * reach_a + height * (v - low) / (high - low), told(v)) for v in at if high > low
+        (1.48 * reach_a, -0.86 * reach_a + height * (v - low) / (high - low), number(v, 3)) for v in at if high > low
     ] + [(1.3 * reach_a, 1.1 * reach_a, unit)]
     return [
         picture(f"{path}/bar", when, image, (1.2 * reach_a, -0.9 * reach_a), (0.15 * reach_a, height)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import rerun as rr
 import rerun.blueprint as rrb
 
-from plugins.streams._colours import SCREEN, packed
+from orchestrator.presentation.colours import SCREEN, packed
 from plugins.streams.rerun._axes import chart_bounds, plane_bounds
 from plugins.streams.rerun._diagnosis import Contents
 from plugins.streams.rerun._maps import INDUCTANCES

@@ -8,6 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from orchestrator.presentation.quantities import UNKNOWN, number
+from orchestrator.presentation.sentences import text_table
 from orchestrator.runs import RunDirectory
 from plugins.streams.rerun._live import HOST
 from plugins.streams.rerun._tape import FILE_NAME, is_whole
@@ -63,18 +65,15 @@ def _view_of(path: Path) -> str:
 
 def as_text(rows: Sequence[dict[str, Any]]) -> str:
     """The table for a person."""
-    lines = [COLUMNS, *(tuple(_cell(r[c]) for c in COLUMNS) for r in rows)]
-    widths = [max(len(line[k]) for line in lines) for k in range(len(COLUMNS))]
-    lines.insert(1, tuple("-" * width for width in widths))
-    return "\n".join("  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True)).rstrip() for line in lines)
+    return text_table(COLUMNS, [[_cell(row[column]) for column in COLUMNS] for row in rows], numbers=False)
 
 
 def _cell(value: object) -> str:
     if value is None:
-        return "-"
+        return UNKNOWN
     if isinstance(value, bool):
         return "yes" if value else "no"
-    return f"{value:.4g}" if isinstance(value, float) else str(value)
+    return number(value) if isinstance(value, float) else str(value)
 
 
 @contextmanager

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from plugins.streams._colours import (
+from orchestrator.presentation.colours import (
     AT_REST,
     COMPUTING,
     D_AXIS,
@@ -23,6 +23,9 @@ from plugins.streams._colours import (
     Q_AXIS,
     packed_all,
 )
+from orchestrator.presentation.events import said
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.quantities import vector
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach
 from plugins.streams.rerun._clock import Clock
 from plugins.streams.rerun._maps import (
@@ -38,7 +41,7 @@ from plugins.streams.rerun._ripple import FluxTree, RippleFit, fit_ripple
 from plugins.streams.rerun._status import Status
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry, properties, scalars, titled
 from plugins.streams.rerun._waveforms import Thinner
-from plugins.streams.rerun._words import page, plain, resistance_page, trust_page, vector
+from plugins.streams.rerun._words import page, resistance_page, trust_page
 from protocols import (
     FluxMapEstimate,
     LockChecked,
@@ -70,7 +73,7 @@ STATES = {
 }
 REACH_A = 1.0
 """Of the current plane until the limits are known."""
-_LEVELS = {"info": "INFO", "warning": "WARN", "error": "ERROR"}
+_LEVELS = {"good": "INFO", "info": "INFO", "warning": "WARN", "bad": "ERROR"}
 _PERIODS_SHOWN = 4
 
 
@@ -107,13 +110,13 @@ class Commissioning:
             PointStarted: self._point_started,
             PointDone: self._point_done,
             SamplesCaptured: self._samples,
-            OperatorAsked: lambda m: self._said("INFO", f"asked: {m.prompt}"),
-            OperatorAnswered: lambda m: self._said("INFO", f"{m.by} answered: {m.answer}"),
+            OperatorAsked: self._said,
+            OperatorAnswered: self._said,
             LockChecked: self._lock_checked,
             ResistanceEstimated: self._resistance,
             MapEstimated: self._map,
-            StagesAppended: lambda m: self._said("INFO", f"{len(m.stages)} more stages to do"),
-            Note: lambda m: self._said(_LEVELS[m.level], m.text),
+            StagesAppended: self._said,
+            Note: self._said,
             RunEnded: self._run_ended,
         }
 
@@ -157,8 +160,9 @@ class Commissioning:
     def _planes(self) -> list[Entry]:
         return plane("plane/amperes", self._reach_a, None if self._limits is None else self._limits[0])
 
-    def _said(self, level: str, text: str) -> list[Entry]:
-        return [entry("log", self.when, rr.TextLog(text, level=level))]
+    def _said(self, message: Message) -> list[Entry]:
+        told = said(message)
+        return [] if told is None else [entry("log", self.when, rr.TextLog(told.line, level=_LEVELS[told.mood]))]
 
     def _page(self) -> Entry:
         return page("status", self.when, self._status.page())
@@ -174,23 +178,18 @@ class Commissioning:
             properties("run", {"name": message.name, "drive": message.drive, "points": message.points}),
             properties("motor", facts),
             *self._planes(),
-            *self._said("INFO", f"run {message.name}: {message.motor.name} on {message.drive}"),
+            *self._said(message),
             self._page(),
         ]
 
     def _state_changed(self, message: StateChanged) -> list[Entry]:
         self._status.state = message.target
         out = [*self.waveforms(), entry("state/machine", self.when, rr.StateChange(state=message.target)), self._page()]
-        if message.target in ("faulted", "aborted"):
-            out += self._said("ERROR", f"{message.target}: {message.reason}")
-        elif message.reason:
-            out += self._said("DEBUG", f"{plain(message.target)}: {message.reason}")
-        return out
+        return out + (self._said(message) if message.reason else [])
 
     def _stage_started(self, message: StageStarted) -> list[Entry]:
         self._status.stage = message
-        text = f"stage {message.index + 1}: {plain(message.stage)}, {message.points} points"
-        return [*self._said("INFO", text), self._page()]
+        return [*self._said(message), self._page()]
 
     def _point_started(self, message: PointStarted) -> list[Entry]:
         self._latest = None
@@ -269,8 +268,7 @@ class Commissioning:
 
     def _lock_checked(self, message: LockChecked) -> list[Entry]:
         self._lock = self._status.lock = message
-        level = "INFO" if message.locked else "ERROR"
-        return [*self._said(level, message.summary), page("trust", self.when, trust_page(self._maps, self._lock))]
+        return [*self._said(message), page("trust", self.when, trust_page(self._maps, self._lock))]
 
     def _resistance(self, message: ResistanceEstimated) -> list[Entry]:
         found = message.estimate
@@ -313,13 +311,7 @@ class Commissioning:
             facts |= {"method": str(method), "usable": str(message.estimates.usable)}
             if method in self._maps and method != self._shown_map:
                 out += self._show_map(self._maps[method])
-        level = "INFO" if message.outcome == "finished" else "ERROR"
-        return [
-            *out,
-            properties("outcome", facts),
-            *self._said(level, f"{message.outcome}: {message.reason}"),
-            self._page(),
-        ]
+        return [*out, properties("outcome", facts), *self._said(message), self._page()]
 
 
 def _ripple_chart(when: When, fit: RippleFit, seconds: float) -> list[Entry]:

@@ -8,10 +8,13 @@ from typing import Any
 import numpy as np
 import rerun as rr
 
-from plugins.streams._colours import GUIDE, MEASURED_ON_SCREEN, MODEL, PHASES, packed_all, sequential
+from orchestrator.presentation.colours import GUIDE, MEASURED_ON_SCREEN, MODEL, PHASES, packed_all, sequential
+from orchestrator.presentation.names import plain, rung_name
+from orchestrator.presentation.quantities import duration, number, quantity, vector
+from orchestrator.presentation.sentences import markdown_table
 from plugins.streams.rerun._axes import Chart, colour_bar, dotted, lined, plane, reach, worded
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry, properties
-from plugins.streams.rerun._words import amperes, page, plain, table, vector, volts, words_page
+from plugins.streams.rerun._words import page, words_page
 from protocols import (
     Compared,
     CurrentExcerpt,
@@ -89,10 +92,10 @@ class Diagnosis:
         self._rungs.append(_without_arrays(step))
         when = When(step=self._step)
         out += [*self._ladder(when), *_residual(when, step, self._scales)]
-        for number, excerpt in enumerate(step.excerpts[:MOST_EXCERPTS]):
-            out += _excerpt(when, f"excerpts/{number}", excerpt)
-        for number, loop in enumerate(step.loops[:MOST_LOOPS]):
-            out += _loop(when, f"loops/{number}", loop, self._scales.loops_wb.get(loop.segment, _openness(loop)))
+        for k, excerpt in enumerate(step.excerpts[:MOST_EXCERPTS]):
+            out += _excerpt(when, f"excerpts/{k}", excerpt)
+        for k, loop in enumerate(step.loops[:MOST_LOOPS]):
+            out += _loop(when, f"loops/{k}", loop, self._scales.loops_wb.get(loop.segment, _openness(loop)))
         if step.resistance is not None:
             out += _course(when, step.resistance)
         return out
@@ -120,7 +123,7 @@ class Diagnosis:
             if step.heldout_rms_v is not None:
                 held.append(chart.place([1e3 * step.heldout_rms_v], [y])[0])
             x, height = chart.place([np.sqrt(chart.x[0] * chart.x[1])], [y])[0]
-            words.append((float(x), float(height) - 7.0, f"{rung_name(step)}: {volts(step.rms_v)}"))
+            words.append((float(x), float(height) - 7.0, f"{_name(step)}: {quantity(step.rms_v, 'V')}"))
         out.append(lined("ladder/chart/fitted", when, bars, MODEL, -4.0))
         out.append(dotted("ladder/chart/heldout", when, np.array(held).reshape(-1, 2), MEASURED_ON_SCREEN, -4.0))
         out.append(chart.line("floor", when, np.full(2, 1e3 * floor), np.array([0.0, 1.0]), GUIDE))
@@ -140,13 +143,15 @@ class Diagnosis:
         rows = [(plain(str(k)), str(v)) for k, v in message.stage.items() if v is not None]
         apart = f"**{plain(message.separates[0])}** from **{plain(message.separates[1])}**"
         follows = "it follows now" if message.accepted else "it is not done here"
-        text = f"## The next experiment\n\nIt tells {apart} and takes {message.minutes:.1f} min; {follows}.\n\n"
-        return self._told("next", text + table(("setting", "value"), rows))
+        text = (
+            f"## The next experiment\n\nIt tells {apart} and takes {duration(60.0 * message.minutes)}; {follows}.\n\n"
+        )
+        return self._told("next", text + markdown_table(("setting", "value"), rows))
 
     def _compared(self, message: Compared) -> list[Entry]:
-        rows = [(plain(s.stage), _told_volts(s.rms_v), _told(s.chi2)) for s in message.report.stages]
+        rows = [(plain(s.stage), quantity(s.rms_v, "V"), number(s.chi2, 3)) for s in message.report.stages]
         head = ("stage", "residual, rms", "χ² per degree of freedom")
-        return self._told("compared", "## The model against the measurements\n\n" + table(head, rows))
+        return self._told("compared", "## The model against the measurements\n\n" + markdown_table(head, rows))
 
     def _told(self, part: str, text: str) -> list[Entry]:
         """The page of the diagnosis, which always stands as it was last."""
@@ -155,9 +160,8 @@ class Diagnosis:
         return [page("diagnosis", ALWAYS, "\n\n".join(parts))]
 
 
-def rung_name(step: DiagnosisStep) -> str:
-    """What a rung added."""
-    return f"+ {plain(step.added)}" if step.added else "the model alone"
+def _name(step: DiagnosisStep) -> str:
+    return rung_name(step.added, step.index)
 
 
 def furniture() -> list[Entry]:
@@ -219,7 +223,7 @@ def _residual(when: When, step: DiagnosisStep, scales: _Scales) -> list[Entry]:
     scale, unit = _in_volts(scales.phase_v[1])
     span = (scale * scales.phase_v[0], scale * scales.phase_v[1])
     chart = Chart("residual/phases", scales.phase_reach_a, span, "current of the phase [A]", f"residual of it [{unit}]")
-    out += chart.furniture(when, rung_name(step))
+    out += chart.furniture(when, _name(step))
     for phase, (name, colour) in enumerate(zip("abc", PHASES, strict=True)):
         x, y = step.i_abc[some, phase], scale * step.residual_abc_v[some, phase]
         out.append(chart.points(name, when, x, y, colour, -1.8))
@@ -237,8 +241,8 @@ def _excerpt(when: When, path: str, found: CurrentExcerpt) -> list[Entry]:
     chart = Chart(
         path, (0.0, 1e3 * seconds), (scale * span[0], scale * span[1]), "time [ms]", f"Δi_{'dq'[axis]} [{unit}]"
     )
-    volts_told = "" if found.amplitude_v is None else f", {found.amplitude_v:.3g} V"
-    title = f"{plain(found.stage)} at {vector(found.i_d_a, found.i_q_a)}{volts_told}"
+    injected = "" if found.amplitude_v is None else f", {quantity(found.amplitude_v, 'V')}"
+    title = f"{plain(found.stage)} at {vector(found.i_d_a, found.i_q_a)}{injected}"
     return [
         *chart.furniture(when, title),
         chart.line("measured", when, 1e3 * found.time_s, scale * measured, MEASURED_ON_SCREEN, -1.6),
@@ -295,11 +299,11 @@ def _around(values: RealArray) -> tuple[float, float]:
 def _ladder_page(steps: list[DiagnosisStep]) -> str:
     rows = [
         (
-            rung_name(s),
-            volts(s.rms_v),
-            "–" if s.heldout_rms_v is None else volts(s.heldout_rms_v),
-            "–" if s.current_rms_a is None else amperes(s.current_rms_a),
-            f"{s.chi2:.3g}",
+            _name(s),
+            quantity(s.rms_v, "V"),
+            quantity(s.heldout_rms_v, "V"),
+            quantity(s.current_rms_a, "A"),
+            number(s.chi2, 3),
         )
         for s in steps
     ]
@@ -307,17 +311,9 @@ def _ladder_page(steps: list[DiagnosisStep]) -> str:
     head = ("model", "fitted, rms", "held out, rms", "current", "χ² per dof")
     return "\n\n".join(
         [
-            f"# {rung_name(last)}",
-            f"The residual is {volts(last.rms_v)}; noise alone would leave {volts(last.noise_rms_v)}.",
-            table(head, rows),
+            f"# {_name(last)}",
+            f"The residual is {quantity(last.rms_v, 'V')}; noise alone would leave {quantity(last.noise_rms_v, 'V')}.",
+            markdown_table(head, rows),
             f"The model holds: {', '.join(map(plain, last.effects)) or 'no effect yet'}.",
         ]
     )
-
-
-def _told_volts(value: float | None) -> str:
-    return "–" if value is None else volts(value)
-
-
-def _told(value: float | None) -> str:
-    return "–" if value is None else f"{value:.3g}"

@@ -9,7 +9,7 @@ import numpy as np
 import rerun as rr
 from numpy.typing import NDArray
 
-from plugins.streams._colours import (
+from orchestrator.presentation.colours import (
     D_AXIS,
     GRID,
     GUIDE,
@@ -23,12 +23,13 @@ from plugins.streams._colours import (
     packed,
     sequential,
 )
-from plugins.streams.rerun._axes import WIDTH, Chart, colour_bar, lined, picture, plane, ticks, told, worded
+from orchestrator.presentation.names import MAP_QUANTITIES, PAPER_CROSSINGS
+from orchestrator.presentation.quantities import number, percent
+from plugins.streams.rerun._axes import WIDTH, Chart, colour_bar, lined, picture, plane, ticks, worded
 from plugins.streams.rerun._tape import Entry, When, entry
-from plugins.streams.rerun._words import PAPER, percent
 from protocols import FluxMap, FluxMapEstimate, RealArray
 
-INDUCTANCES = {"l_dd": "L_dd [mH]", "l_dq": "L_dq [mH]", "l_qq": "L_qq [mH]"}
+INDUCTANCES = {name: f"{symbol} [{unit}]" for name, (symbol, unit) in MAP_QUANTITIES.items() if unit == "mH"}
 _PIXELS = 96
 _SURFACE = 61
 _HALF_HEIGHT = 0.7
@@ -61,9 +62,9 @@ class FluxBox:
         words: list[tuple[list[float], str]] = []
         for value in ticks(-self.reach_a, self.reach_a, 4):
             at = value / self.reach_a
-            words += [([at, -1.1, -h], told(value)), ([-1.1, at, -h], told(value))]
+            words += [([at, -1.1, -h], number(value, 3)), ([-1.1, at, -h], number(value, 3))]
         top = 1e3 * self.height_wb
-        words += [([-1.05, 1.12, h * v / top], told(v)) for v in ticks(-top, top, 4)]
+        words += [([-1.05, 1.12, h * v / top], number(v, 3)) for v in ticks(-top, top, 4)]
         words += [([0, -1.35, -h], "i_d [A]"), ([-1.35, 0, -h], "i_q [A]"), ([-1, 1.1, 1.25 * h], f"ψ_{axis} [mWb]")]
         return [at for at, _ in words], [text for _, text in words]
 
@@ -184,7 +185,7 @@ def check_entries(when: When, maps: Mapping[str, FluxMapEstimate]) -> list[Entry
                 figure = None if value is None else getattr(value, f"{axis}_percent")
                 if figure is not None:
                     bars.append((f"{name}: {what} {axis}", figure, METHODS.get(name, MODEL)))
-    bars += [(f"the paper: crossings {axis}", getattr(PAPER, f"{axis}_percent"), GUIDE) for axis in "dq"]
+    bars += [(f"the paper: crossings {axis}", getattr(PAPER_CROSSINGS, f"{axis}_percent"), GUIDE) for axis in "dq"]
     out: list[Entry] = []
     at = 1.0 - (np.arange(len(bars)) + 0.5) / len(bars)
     words: list[tuple[float, float, str]] = []

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from plugins.streams.rerun._words import duration, plain, table
+from orchestrator.presentation.events import resistance
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.quantities import duration
+from orchestrator.presentation.sentences import markdown_table
 from protocols import (
     LockChecked,
     PointDone,
@@ -33,7 +36,7 @@ class Status:
     def page(self) -> str:
         """The page."""
         title = "Commissioning" if self.started is None else self.started.motor.name
-        return "\n\n".join([f"# {title}", table(("", ""), self._rows())])
+        return "\n\n".join([f"# {title}", markdown_table(("", ""), self._rows())])
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("state", plain(self.state))]
@@ -46,8 +49,7 @@ class Status:
         if self.lock is not None:
             rows.append(("rotor", "locked" if self.lock.locked else "NOT LOCKED"))
         if self.resistance is not None:
-            found = self.resistance
-            rows.append(("R_s", f"{found.value_ohm:.4g} Ω (95 %: {found.low:.4g} to {found.high:.4g})"))
+            rows.append(("R_s", resistance(self.resistance)))
         if self.map_method is not None:
             rows.append(("flux map by", self.map_method))
         if self.ended is not None:

@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 
 import rerun as rr
 
+from orchestrator.presentation.events import resistance
+from orchestrator.presentation.names import PAPER_CROSSINGS, slots
+from orchestrator.presentation.quantities import UNKNOWN, Scale, percent
+from orchestrator.presentation.sentences import markdown_table, one_line
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate
-
-PAPER = AxisPercent(d_percent=1.3, q_percent=2.9)
-"""Crossings that Combes, Malrait, Martin and Rouchon print of their own measurement."""
-SLOTS = {
-    "where_it_fails": "Where it fails",
-    "what_it_looks_like": "What it looks like",
-    "likely_cause": "Likely cause",
-    "if_added": "If added",
-    "to_decide": "To decide",
-}
 
 
 def page(path: str, when: When, text: str) -> Entry:
@@ -25,59 +19,17 @@ def page(path: str, when: When, text: str) -> Entry:
     return entry(path, when, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), size=len(text) + 600)
 
 
-def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    """A Markdown table."""
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(_cell(c) for c in line) + " |" for line in lines)
-
-
-def _cell(text: str) -> str:
-    return one_line(text.replace("|", "/"))
-
-
-def one_line(text: str) -> str:
-    """Text from outside without its line breaks."""
-    return " ".join(text.split())
-
-
-def plain(name: str) -> str:
-    """A state, stage or effect as words."""
-    return name.replace("_", " ")
-
-
-def duration(seconds: float) -> str:
-    """Seconds as a person reads them."""
-    whole = max(0, round(seconds))
-    return f"{whole} s" if whole < 100 else f"{whole // 60} min {whole % 60} s"
-
-
-def volts(value: float) -> str:
-    """A small voltage with a fitting unit."""
-    return f"{1e3 * value:.3g} mV" if abs(value) < 1.0 else f"{value:.3g} V"
-
-
-def amperes(value: float) -> str:
-    """A current with a fitting unit."""
-    return f"{1e3 * value:.3g} mA" if abs(value) < 1.0 else f"{value:.3g} A"
-
-
-def vector(i_d_a: float, i_q_a: float) -> str:
-    """(i_d, i_q) in amperes; a zero has no minus."""
-    d, q = round(float(i_d_a), 2) + 0.0, round(float(i_q_a), 2) + 0.0
-    return f"({d:+.2f}, {q:+.2f}) A".replace("-", "−")
-
-
 def resistance_page(found: ResistanceEstimate) -> str:
     """R_s, its course and its notes."""
+    scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
     rows = [
-        ("R_s", f"{found.value_ohm:.4g} Ω"),
-        ("95 %", f"{found.low:.4g} to {found.high:.4g} Ω"),
-        ("first reading", f"{found.first_ohm:.4g} Ω"),
-        ("last reading", f"{found.last_ohm:.4g} Ω"),
+        ("R_s", resistance(found)),
+        ("first reading", scale.quantity(found.first_ohm)),
+        ("last reading", scale.quantity(found.last_ohm)),
         ("readings", str(len(found.readings))),
     ]
-    told = [f"- {one_line(remark.text)}" for remark in found.remarks]
-    return "\n\n".join(["# Stator resistance", table(("", ""), rows), *told])
+    told = (f"- {one_line(remark.text)}" for remark in found.remarks)
+    return "\n\n".join(["# Stator resistance", markdown_table(("", ""), rows), *told])
 
 
 def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) -> str:
@@ -87,12 +39,12 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
         (name, *_axes(found.checks.crossings), *_axes(found.checks.parity), percent(found.checks.reciprocity_percent))
         for name, found in maps.items()
     ]
-    rows.append(("the paper's", *_axes(PAPER), "", "", ""))
+    rows.append(("the paper's", *_axes(PAPER_CROSSINGS), "", "", ""))
     parts = [
         "# Can the map be trusted?",
         "In per cent of the rated flux. Crossings: what two current paths say where they meet. Parity: how far the "
         "map is from the symmetry in i_q that every such motor has. Small is good.",
-        table(head, rows),
+        markdown_table(head, rows),
     ]
     if lock is not None:
         parts.append(f"**Rotor:** {one_line(lock.summary)}")
@@ -103,16 +55,9 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
 
 def words_page(words: DiagnosisWords) -> str:
     """A diagnosis in its five slots."""
-    told = ((title, getattr(words, slot)) for slot, title in SLOTS.items())
-    return "\n\n".join(["# The diagnosis", *(f"## {title}\n\n{one_line(text)}" for title, text in told if text)])
-
-
-def percent(value: float | None) -> str:
-    """Two figures; what is below a hundred-thousandth is nothing."""
-    if value is None:
-        return "–"
-    return f"{value:.2g} %" if value >= 1e-5 else "0 %"
+    told = (f"## {title.capitalize()}\n\n{one_line(text)}" for title, text in slots(words))
+    return "\n\n".join(["# The diagnosis", *told])
 
 
 def _axes(value: AxisPercent | None) -> tuple[str, str]:
-    return ("–", "–") if value is None else (percent(value.d_percent), percent(value.q_percent))
+    return (UNKNOWN, UNKNOWN) if value is None else (percent(value.d_percent), percent(value.q_percent))

@@ -9,7 +9,6 @@ from pathlib import Path
 import pytest
 
 from orchestrator.cli._app import run_app
-from orchestrator.cli._tables import amount
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
 EFFECT = """
@@ -180,8 +179,3 @@ def test_a_recording_that_cannot_be_a_motor_s_is_refused(
     assert "times the rated current" in refused(capsys, 2, command, copy)
     assert not (copy / "results").exists()
     assert not (copy / "model.json").exists()
-
-
-def test_zero_has_no_sign() -> None:
-    assert amount(-0.0, "A") == "0 A"
-    assert amount(-0.25, "A") == "-0.25 A"

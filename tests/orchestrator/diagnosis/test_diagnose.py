@@ -112,7 +112,7 @@ def test_report_is_the_contract_and_all_its_numbers_are_finite(diagnosed: Diagno
 
 def test_words_name_cause_size_and_what_to_do(diagnosed: Diagnosis) -> None:
     words = in_words(diagnosed)
-    assert "(voltage 0.8" in words.likely_cause
+    assert "(voltage 8" in words.likely_cause
     assert "mV" in words.where_it_fails
     assert "resistance stage" in words.to_decide
 

@@ -112,8 +112,8 @@ def test_one_rung_is_drawn_without_a_before() -> None:
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     assert findings.effect_rows(saved()) == [
-        ["dead time", "voltage_v", "0.4 V", "0.399 to 0.401", "0.05", "device drop"],
-        ["", "sharpness", "−1.5·10⁷", "", "", ""],
+        ["dead time", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "device drop"],
+        ["", "sharpness", "−15·10⁶", "", "", ""],
     ]
     assert findings.ladder_rows(saved()) == [
         ["the model alone", "5489", "300 mV", "350 mV", "60 mA"],
@@ -134,14 +134,14 @@ def test_the_next_experiment_is_a_procedure_s_own_text() -> None:
     proposal = findings.experiment(saved())
     assert proposal is not None
     assert yaml.safe_load(proposal.yaml) == {"stages": [a_diagnosis().model_dump()["next_experiment"]["stage"]]}
-    assert proposal.reason == "Tells dead time from device drop, 0.27 min."
+    assert proposal.reason == "Tells dead time from device drop, 16 s."
     assert findings.experiment(saved(next_experiment=None)) is None
 
 
 def test_numbers_that_are_missing_are_said_to_be() -> None:
     rungs = [{"added": None, "chi2": None, "rms_v": None, "heldout_rms_v": None, "current_rms_a": None}]
     found = saved(ladder=rungs, unexplained={"fraction": None, "shape": []}, joint=[])
-    assert findings.ladder_rows(found)[0] == ["the model alone", *["not measured"] * 4]
+    assert findings.ladder_rows(found)[0] == ["the model alone", *["–"] * 4]
     assert findings.leftover_told(found) == ""
 
 
