@@ -108,7 +108,7 @@ def test_nothing_is_played_before_arming_and_after_disarming(original: Recording
     drive.connect()
     with pytest.raises(DriveRefused, match="not armed"):
         list(drive.execute(some_hold(original)))
-    drive.arm(Limits(current_a=9.0, voltage_v=300.0))
+    drive.arm(Limits(current_a=9.0, voltage_v=200.0))
     list(drive.execute(some_hold(original)))
     assert abs(drive.telemetry().i_d_a) > 0.0
     drive.disarm()
