@@ -37,7 +37,7 @@ def sum_basis(
     delta : array, shape (n,) or (0,)
         True minus believed angle; the flux is turned back into the believed frame by its mean. Empty: zero.
     overlap : float
-        How far beyond its cell a polynomial is still used, in cells: splines part with its fifth power, 3e-6.
+        How far beyond its cell a polynomial is still used, in cells: slopes part with its fourth power, 9e-5.
     """
     n = i_dq.shape[0]
     nq = (counts.shape[0] - 2 + 1) // 2

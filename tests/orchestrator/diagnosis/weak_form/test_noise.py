@@ -1,0 +1,111 @@
+"""The sensors' noise: as large as it was made, and white with unit variance once it is whitened."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.criteria import WeakFormCriteria
+from orchestrator.diagnosis.weak_form.equations import flux_terms, local_map, voltage_and_resistance
+from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance, sensor_noise
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.pieces import (
+    FS,
+    L_D,
+    L_Q,
+    NOISE_A,
+    PM_WB,
+    R_S,
+    TRUE_MAP,
+    Array,
+    Plan,
+    hold,
+    piece,
+    ripple,
+    sweep,
+)
+
+HOLD = Plan(SegmentStage.RESISTANCE, hold(1.0, -0.5))
+SWEEP = Plan(SegmentStage.CLASSICAL, sweep(0, 2.0, 0.5, 1200))
+RIPPLE = Plan(
+    SegmentStage.INJECTION,
+    ripple(0.0, 1.0, 40.0, 1500, 12),
+    settings={"frequency_hz": FS / 12, "rotation_hz": FS / 1500},
+)
+COVARIANCE = NOISE_A**2 * np.array([[1.0, 0.6], [0.6, 1.6]])
+
+
+def _rows(asked: Plan, noise: Array) -> Array:
+    one = piece(asked, noise=noise)
+    at = local_map(one, one.signals, TRUE_MAP)
+    known, resistance = voltage_and_resistance(one, one.signals, at, PM_WB)
+    return known + R_S * resistance + flux_terms(one, at)
+
+
+def _whitener(asked: Plan, slopes: Slopes | None = None) -> Whitener:
+    one = piece(asked)
+    at = local_map(one, one.signals, TRUE_MAP)
+    noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
+    return Whitener(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
+
+
+@pytest.mark.parametrize("asked", [HOLD, SWEEP, RIPPLE])
+def test_whitened_noise_has_unit_covariance(asked: Plan) -> None:
+    rng, draws = np.random.default_rng(1), 400
+    root = np.linalg.cholesky(COVARIANCE)
+    rows = np.stack([_rows(asked, rng.normal(size=asked.v_dq.shape) @ root.T) for _ in range(draws)], axis=1)
+    white = _whitener(asked)(rows)
+    count = len(white)
+    found = white @ white.T / draws
+    # Of so many draws a variance is known to sqrt(2 / n), a covariance to sqrt(1 / n); five of these.
+    assert float(np.mean(white**2)) == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / (draws * count)))
+    assert np.abs(found - np.eye(count)).max() < 5.0 * np.sqrt(2.0 / draws)
+
+
+def test_variance_and_determinant_are_the_covariances_own() -> None:
+    one = piece(SWEEP)
+    at = local_map(one, one.signals, TRUE_MAP)
+    noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
+    banded = banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, None)
+    n = banded.shape[1]
+    dense = np.diag(banded[0])
+    for k in range(1, len(banded)):
+        dense = dense + np.diag(banded[k, : n - k], -k) + np.diag(banded[k, : n - k], k)
+    whitener = Whitener(banded)
+    np.testing.assert_array_equal(whitener.variance, np.diag(dense))
+    assert whitener.log_det == pytest.approx(float(np.linalg.slogdet(dense)[1]), rel=1e-6)
+    np.testing.assert_allclose(whitener(whitener(dense).T), np.eye(n), atol=1e-6)
+
+
+def test_an_inverters_slope_multiplies_the_noise() -> None:
+    ohm = 50.0
+    n = len(HOLD.v_dq)
+    slopes = Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(np.broadcast_to(ohm * np.eye(2), (n, 2, 2))))
+    plain, steep = _whitener(HOLD).variance, _whitener(HOLD, slopes).variance
+    # A reading counts by L (w_k - w_k-1) and by Ts (slope - R) w_k; the mean square of a hat is a third.
+    step = piece(HOLD).windows.step
+    flux = np.array([L_D, L_Q]) / step
+    expected = (flux**2 + ((ohm - R_S) / FS) ** 2 / 3.0) / (flux**2 + (R_S / FS) ** 2 / 3.0)
+    np.testing.assert_allclose(steep / plain, expected, rtol=0.02)
+
+
+@pytest.mark.parametrize("correlation", [0.0, 0.6, -0.4])
+def test_covariance_and_correlation_of_the_readings_are_found(correlation: float) -> None:
+    rng = np.random.default_rng(2)
+    root = np.linalg.cholesky(COVARIANCE)
+    holds = []
+    for _ in range(12):
+        noise = rng.normal(size=HOLD.v_dq.shape) @ root.T
+        for k in range(1, len(noise)):
+            noise[k] = correlation * noise[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
+        holds.append(piece(HOLD, noise=noise))
+    found = sensor_noise(holds, WeakFormCriteria())
+    assert found.correlation == pytest.approx(correlation, abs=0.05)
+    np.testing.assert_allclose(found.covariance, COVARIANCE, rtol=0.12)
+
+
+def test_ripple_does_not_pass_for_noise() -> None:
+    rng = np.random.default_rng(3)
+    pieces = [piece(plan, noise=rng.normal(0.0, NOISE_A, plan.v_dq.shape)) for plan in (HOLD, RIPPLE)]
+    found = sensor_noise(pieces, WeakFormCriteria())
+    assert np.trace(found.ripple) == pytest.approx(2.0 * NOISE_A**2, rel=0.15)

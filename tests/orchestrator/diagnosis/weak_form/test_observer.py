@@ -1,0 +1,48 @@
+"""The flux without noise: exact on an exact signal, quieter than the map's, and held against drift."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orchestrator.diagnosis.weak_form.observer import smooth_flux
+from orchestrator.numerics.frames import to_ab, to_dq
+from tests.orchestrator.diagnosis.pieces import FS, L_D, L_Q, NOISE_A, PM_WB, R_S, TRUE_MAP, Array, response, ripple
+
+ANGLE = 0.7
+V_DQ = ripple(1.0, -0.5, 40.0, 5000)
+TAU_S = 0.005
+
+
+def _observed(noise: Array | float = 0.0, bias_v: float = 0.0) -> tuple[Array, Array, Array]:
+    i_dq = response(V_DQ, V_DQ.mean(axis=0) / R_S) + noise
+    psi, inductance = TRUE_MAP.flux_and_inductance(i_dq)
+    i_ab, v_ab = to_ab(i_dq, ANGLE), to_ab(V_DQ, ANGLE) + bias_v
+    ohm = np.full(len(i_ab), R_S)
+    return smooth_flux(psi, inductance, v_ab, i_ab, ohm, ANGLE, PM_WB, 1.0 / FS, TAU_S)
+
+
+def test_exact_signals_come_back_as_they_are() -> None:
+    psi, smooth, current = _observed()
+    i_dq = response(V_DQ, V_DQ.mean(axis=0) / R_S)
+    magnet = np.array([PM_WB, 0.0])
+    np.testing.assert_allclose(to_dq(psi, ANGLE), TRUE_MAP.flux_and_inductance(i_dq)[0] + magnet, atol=1e-12)
+    # The trapezoidal rule is not exact on an exponential; the difference is far below the ripple's flux.
+    np.testing.assert_allclose(smooth, psi, atol=1e-4 * np.ptp(psi))
+    np.testing.assert_allclose(to_dq(current, ANGLE), i_dq, atol=1e-4 * np.ptp(i_dq))
+
+
+def test_noise_is_less_by_the_readings_in_a_time_constant() -> None:
+    noise = np.random.default_rng(1).normal(0.0, NOISE_A, V_DQ.shape)
+    true = _observed()[0]
+    psi, smooth, _ = _observed(noise)
+    left, was = (np.std(to_dq(x - true, ANGLE)[500:], axis=0) for x in (smooth, psi))
+    # The map's noise L n / tau and the drop's -R n pass the same lag.
+    passed = np.abs(1.0 - R_S * TAU_S / np.array([L_D, L_Q]))
+    np.testing.assert_allclose(left / was, passed * math.sqrt(0.5 / (TAU_S * FS)), rtol=0.3)
+
+
+def test_a_wrong_voltage_does_not_run_away() -> None:
+    true, drawn = _observed()[0], _observed(bias_v=2.0)[1]
+    np.testing.assert_allclose((drawn - true)[500:].mean(axis=0), 2.0 * TAU_S, rtol=0.02)

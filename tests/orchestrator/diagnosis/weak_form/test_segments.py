@@ -1,0 +1,77 @@
+"""A recording as the diagnosis works on it: what is averaged, held out, thinned and cut."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
+from orchestrator.diagnosis.weak_form.segments import _averaged, _delayed, coarse, injection_period, prepare, swept_axis
+from orchestrator.recording import Recording
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Plan, piece, plan, prepared, ripple, sweep
+
+CUTTING = CRITERIA.weak_form
+
+
+def test_flux_changes_between_means_by_what_the_averaged_voltage_does() -> None:
+    rng = np.random.default_rng(1)
+    v = rng.normal(size=(1000, 2))
+    psi = np.concatenate([np.zeros((1, 2)), np.cumsum(v, axis=0)])[:-1]
+    means, voltage, _ = _averaged(psi, v, np.zeros(1000), 10)
+    np.testing.assert_allclose(np.diff(means, axis=0), 10.0 * voltage[:-1], atol=1e-9)
+
+
+def test_a_late_voltage_is_a_part_of_each_of_two_commands() -> None:
+    v = np.random.default_rng(2).normal(size=(50, 2))
+    assert _delayed(v, 0.0) is v
+    np.testing.assert_array_equal(_delayed(v, 1.0)[1:], v[:-1])
+    np.testing.assert_allclose(_delayed(v, 1.25)[2:], 0.75 * v[1:-1] + 0.25 * v[:-2])
+
+
+@pytest.mark.parametrize(("axis", "number"), [("d", 0), ("q", 1)])
+def test_a_sweep_says_which_axis_it_moves(axis: str, number: int) -> None:
+    one = piece(Plan(SegmentStage.CLASSICAL, sweep(number, 2.0, 1.0)), angle=0.4)
+    assert swept_axis(one.segment, one.signals.i_ab, CUTTING) == axis
+    both = piece(Plan(SegmentStage.CLASSICAL, sweep(0, 1.5, 0.0) + sweep(1, 1.5, 0.0)))
+    assert swept_axis(both.segment, both.signals.i_ab, CUTTING) == "dq"
+    said = both.segment.model_copy(update={"settings": {"swept_axis": axis}})
+    assert swept_axis(said, both.signals.i_ab, CUTTING) == axis
+
+
+def test_an_injection_that_does_not_say_its_frequency_is_asked_for_it() -> None:
+    silent = piece(Plan(SegmentStage.INJECTION, ripple(0.0, 0.0, 40.0)))
+    assert injection_period(silent.segment, FS, silent.signals.v_ab, CUTTING) == pytest.approx(20.0, rel=0.01)
+
+
+def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out(clean: Recording) -> None:
+    made = prepare(clean, Criteria())
+    held = [p for p in made.pieces if p.held_out]
+    injections = [p for p in made.pieces if p.stage is SegmentStage.INJECTION]
+    assert [p in held for p in injections] == [k % 5 == 2 for k in range(len(injections))]
+    sweeps = [p for p in made.pieces if p.stage is SegmentStage.CLASSICAL]
+    assert [p in held for p in sweeps] == [p.segment.settings["swept_axis"] == "dq" for p in sweeps]
+    few = Criteria(weak_form=WeakFormCriteria(held_out_from=len(injections) + 1))
+    assert not any(p.held_out for p in prepare(clean, few).pieces if p.stage is SegmentStage.INJECTION)
+
+
+def test_a_part_to_search_in_keeps_points_evenly_spread_and_their_beginnings() -> None:
+    made = prepared(plan())
+    cutting = WeakFormCriteria(coarse_points=2, coarse_turn=0.5)
+    part = coarse(replace(made, criteria=Criteria(weak_form=cutting)))
+    injections = [p.segment.id for p in made.pieces if p.stage is SegmentStage.INJECTION]
+    kept = [p for p in part.pieces if p.stage is SegmentStage.INJECTION]
+    assert [p.segment.id for p in kept] == [injections[0], injections[-1]]
+    whole = made.pieces[-1].signals
+    assert len(kept[-1].signals.v_dc) == len(whole.v_dc) // 2 + 1
+    np.testing.assert_array_equal(kept[-1].signals.i_ab, whole.i_ab[: len(whole.v_dc) // 2 + 1])
+    assert kept[-1].signals.i_m_ab is kept[-1].signals.i_ab
+
+
+def test_range_of_currents_is_the_believed_frames_with_gates_off_aside() -> None:
+    low, high, q = prepared(plan(), noise_a=0.0, angle=0.8).current_range
+    assert low == pytest.approx(-2.5, rel=0.05)
+    assert high == pytest.approx(2.5, rel=0.1)
+    assert q == pytest.approx(2.5, rel=0.1)

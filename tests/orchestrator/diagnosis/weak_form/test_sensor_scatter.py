@@ -1,0 +1,44 @@
+"""What differences of readings say of the noise, whatever the current does meanwhile."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
+
+COVARIANCE = 1e-5 * np.array([[1.0, -0.3], [-0.3, 0.5]])
+
+
+def _noise(n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    drawn = np.random.default_rng(1).normal(size=(n, 2)) @ np.linalg.cholesky(COVARIANCE).T
+    return np.asarray(drawn, dtype=np.float64).reshape(n, 2)
+
+
+@pytest.mark.parametrize("ramp", [0.0, 50.0])
+def test_covariance_of_a_ramp_is_the_noises_alone(ramp: float) -> None:
+    n = 20_000
+    i_ab = _noise(n) + ramp * np.linspace(0.0, 1.0, n)[:, None]
+    scatter = scatter_of(i_ab, None)
+    np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.1)
+    # Second differences of independent readings: (-1)(-2) + (-2)(1) ... over 6.
+    assert scatter.lag == pytest.approx(-2.0 / 3.0, abs=0.02)
+
+
+def test_a_ripple_that_repeats_cancels_between_its_periods() -> None:
+    n, period = 8000, 20
+    k = np.arange(n)
+    wave = np.where(k % period < period // 2, 0.5, -0.5)
+    turn = 2.0 * np.pi * k / n
+    i_ab = _noise(n) + wave[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    np.testing.assert_allclose(scatter_of(i_ab, float(period)).covariance, COVARIANCE, rtol=0.15)
+
+
+@pytest.mark.parametrize(("n", "period"), [(8000, 20.4), (100, 20.0)])
+def test_periods_that_do_not_repeat_whole_or_often_enough_say_nothing(n: int, period: float) -> None:
+    scatter = scatter_of(_noise(n), period)
+    assert np.isnan(scatter.covariance).all()
+    assert math.isnan(scatter.lag)
+    assert scatter.spectrum.size == 0
