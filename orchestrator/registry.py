@@ -191,7 +191,7 @@ def _attribute_problem(plugin: type[Any], attribute: str, wanted: Any) -> str | 
     if origin is type:
         base = get_args(wanted)[0]
         fits = isinstance(value, type) and issubclass(value, base)
-        return None if fits else f"has to be a sub-class of {base.__name__}, is {value!r}"
+        return None if fits else f"has to be a sub-class of {getattr(base, '__name__', base)}, is {value!r}"
     if origin is Literal:
         return None if value in get_args(wanted) else f"has to be one of {get_args(wanted)}, is {value!r}"
     expected = origin or wanted

@@ -1,14 +1,14 @@
-"""What estimators hand back: resistance, flux maps, and the checks that need no truth."""
+"""Estimators: what they declare, and the typed products that they hand back. Orders and judges nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import Annotated, Any, ClassVar, Literal, Protocol, runtime_checkable
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Annotated, Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from protocols._base import ArrayModel, Shape, Strict, Vectors
+from protocols._base import ArrayModel, Lenient, Shape, Strict, Vectors
 from protocols._recording import RecordingReader
 from protocols._remarks import Number, Remarks
 
@@ -34,7 +34,16 @@ class ResistanceReading(Strict):
     std_ohm: float
 
 
-class ResistanceEstimate(Strict):
+class InverterLoss(Lenient):
+    """What an inverter keeps from each phase once its current is well away from zero: dead time and device drops."""
+
+    pwm_frequency_hz: float
+    """0 where nobody knows it."""
+    phase_v: float
+    std_v: float
+
+
+class ResistanceEstimate(Lenient):
     """Stator resistance over a recording."""
 
     value_ohm: float
@@ -43,9 +52,24 @@ class ResistanceEstimate(Strict):
     """95 % interval of `value_ohm`."""
     first_ohm: float
     last_ohm: float
-    readings: tuple[ResistanceReading, ...]
+    readings: tuple[ResistanceReading, ...] = ()
     """In order of time."""
+    temperature_rise_k: Interval | None = None
+    """Of a copper winding that started at 20 C, from the first reading to the last."""
+    inverter: tuple[InverterLoss, ...] = ()
+    """Taken out of the voltage, one for each PWM frequency; empty where nothing tells it."""
     remarks: Remarks = ()
+
+
+class Basis(StrEnum):
+    """What a flux map rests on."""
+
+    INTEGRATION = "integration"
+    """The voltage of swept currents, integrated over time; R_s and the inverter enter."""
+    INJECTION = "injection"
+    """Inductances by demodulated ripple, integrated over currents; R_s does not enter."""
+    ENERGY = "energy"
+    """One energy, fitted to either or both: parity and reciprocity hold by construction, and check nothing."""
 
 
 class FluxMap(ArrayModel):
@@ -55,6 +79,8 @@ class FluxMap(ArrayModel):
     """
 
     method: str
+    basis: Basis | None = None
+    """None: something else, or nobody knows."""
     i_d: AxisD
     """[A], increasing, shape (d,)."""
     i_q: AxisQ
@@ -129,12 +155,27 @@ class FluxMapEstimate(ArrayModel):
 Estimate = ResistanceEstimate | FluxMapEstimate
 
 
+Product = TypeVar("Product", bound=ResistanceEstimate | FluxMapEstimate)
+
+
 @dataclass(frozen=True)
 class EstimationContext:
-    """What earlier estimators of the same pass found out."""
+    """What earlier estimators of the same pass found, in their order."""
 
-    resistance: ResistanceEstimate | None = None
-    maps: Mapping[str, FluxMapEstimate] = field(default_factory=dict)
+    estimates: tuple[Estimate, ...] = ()
+
+    def of(self, kind: type[Product]) -> list[Product]:
+        """All estimates of one kind, sub-classes included."""
+        return [estimate for estimate in self.estimates if isinstance(estimate, kind)]
+
+    def latest(self, kind: type[Product]) -> Product | None:
+        """The last one of a kind; None where there is none."""
+        return next(reversed(self.of(kind)), None)
+
+    @property
+    def resistance(self) -> ResistanceEstimate | None:
+        """The one with the narrowest interval."""
+        return min(self.of(ResistanceEstimate), key=lambda found: found.high - found.low, default=None)
 
 
 @runtime_checkable
@@ -146,7 +187,13 @@ class Estimator(Protocol):
 
     name: ClassVar[str]
     summary: ClassVar[str]
-    produces: ClassVar[Literal["resistance", "flux_map"]]
+    requires: ClassVar[tuple[type[Estimate], ...]]
+    """Kinds of estimate that it builds on: whatever of the same pass produces one of them runs before it. A kind may
+    be a sub-class of the maker's own, with more in it. Where none was made it does without, or says so."""
+    produces: ClassVar[type[Estimate]]
+    rank: ClassVar[int]
+    """Of the maps that can be relied on, that of the highest rank is recommended: an energy's is 30, injection's 20,
+    integration's 10; 0 claims nothing. Of resistances the one with the narrowest interval is taken."""
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
         """Estimate from what the recording holds.

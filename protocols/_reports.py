@@ -10,7 +10,7 @@ from typing import Any, Literal, Self
 from pydantic import Field, computed_field
 
 from protocols._base import Lenient
-from protocols._estimates import AxisPercent, ClosedForm, Interval, MapChecks, ResistanceReading
+from protocols._estimates import AxisPercent, Basis, ClosedForm, MapChecks, ResistanceEstimate
 from protocols._remarks import Number, Remark, Remarks
 
 Verdict = Literal["clean", "explained", "mostly_explained", "unknown_remains"]
@@ -185,26 +185,41 @@ class DiagnosisWords(Lenient):
     to_decide: str
 
 
-class ResistanceReport(Lenient):
-    """Stator resistance over the recording."""
+class InductanceRange(Lenient):
+    """Incremental inductances over a map."""
 
-    value_ohm: float
-    low: float
-    high: float
-    """95 % interval of `value_ohm`."""
-    first_ohm: float
-    last_ohm: float
-    temperature_rise_k: Interval | None = None
-    """Of a copper winding that started at 20 C, from the first reading to the last."""
-    readings: tuple[ResistanceReading, ...] = ()
-    """In order of time."""
+    l_dd_low_h: float
+    l_dd_high_h: float
+    l_qq_low_h: float
+    l_qq_high_h: float
+    l_dq_largest_h: float
+    """In size."""
 
 
 class MapReport(Lenient):
     """What is told of one flux map beside its file."""
 
+    basis: Basis | None = None
     checks: MapChecks
+    inductances: InductanceRange | None = None
     form: ClosedForm | None = None
+
+
+class MapCriteria(Lenient):
+    """What a flux map has to keep to be relied on; per cent of the rated flux unless a line says otherwise."""
+
+    crossings_percent: float = 5.0
+    """Largest difference where current paths cross: two to four times what the paper prints of its own measurement."""
+    parity_percent: float = 5.0
+    """Largest break of the symmetry in i_q, which a wrong rotor angle makes; as large as what crossings may be."""
+    energy_percent: float = 2.0
+    """rms by which an energy may be off the map by a method that errs; one that is off all of them is wrong itself."""
+    difference_percent: float = 10.0
+    """rms between injection and integration that is worth a remark: one of them is wrong then, no matter which."""
+    least_flux_ratio: float = 0.01
+    """Injection's flux is so much larger or smaller than integration's, as a ratio less 1, where that is worth one."""
+    flux_ratio_stds: float = 2.0
+    """And by so many standard deviations of the ratio."""
 
 
 class EstimationReport(Lenient):
@@ -213,20 +228,22 @@ class EstimationReport(Lenient):
     The checks are the recommended map's.
     """
 
-    resistance: ResistanceReport | None
+    resistance: ResistanceEstimate | None
     method: str | None
     """Of the recommended map."""
     crossings: AxisPercent | None
     parity: AxisPercent | None
     reciprocity_percent: float | None
     classical_against_injection_percent: float | None
-    """rms of the flux difference over the injection map's grid, in per cent of the rated flux."""
+    """rms of the flux difference between integration and injection over the latter's grid, of the rated flux."""
     usable: bool
     """Whether the recommended map can be relied on."""
     remarks: Remarks = ()
     """What speaks against it, and what could not be estimated and why."""
     maps: dict[str, MapReport] = Field(default_factory=dict)
-    """Every map that was made, by method."""
+    """Every map that was made, by method, the best first."""
+    criteria: MapCriteria = MapCriteria()
+    """By which the maps were judged."""
     files: dict[str, str] = Field(default_factory=dict)
     """Path of each file written, by name."""
 
@@ -235,3 +252,13 @@ class EstimationReport(Lenient):
     def reasons(self) -> tuple[str, ...]:
         """The remarks' sentences."""
         return tuple(remark.text for remark in self.remarks)
+
+    @property
+    def recommended(self) -> MapReport | None:
+        """The recommended map's; None where there is none."""
+        return None if self.method is None else self.maps.get(self.method)
+
+    @property
+    def measured_symmetry(self) -> str | None:
+        """The best method whose map has parity and reciprocity not by construction; None where all have."""
+        return next((method for method, made in self.maps.items() if made.basis is not Basis.ENERGY), None)

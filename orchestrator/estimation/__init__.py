@@ -1,6 +1,6 @@
 """One pass of the estimators over a recording, and its results as files."""
 
-from orchestrator.estimation._estimation import estimate_recording
-from orchestrator.estimation._flux_map_file import load_flux_map, save_flux_map
+from orchestrator.estimation.estimation import estimate_recording
+from orchestrator.estimation.flux_map_file import load_flux_map, save_flux_map
 
 __all__ = ["estimate_recording", "load_flux_map", "save_flux_map"]

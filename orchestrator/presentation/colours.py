@@ -11,6 +11,8 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
+from protocols import Basis
+
 BLACK = "#000000"
 ORANGE = "#E69F00"
 SKY = "#56B4E9"
@@ -24,8 +26,8 @@ D_AXIS, Q_AXIS = SKY, ORANGE
 MODEL = VERMILION
 """What a model says: fits, predictions."""
 MEASURED_ON_PAPER, MEASURED_ON_SCREEN = BLACK, "#F2F2F2"
-METHODS = {"injection": PURPLE, "classical": GREEN, "energy": VERMILION}
-"""The energy map is the model itself."""
+METHODS: dict[Basis | None, str] = {Basis.INJECTION: PURPLE, Basis.INTEGRATION: GREEN, Basis.ENERGY: VERMILION}
+"""By what a map rests on; an energy is the model itself."""
 PHASES = (BLUE, YELLOW, "#BDBDBD")
 """a, b, c."""
 GUIDE, GRID, TEXT, SCREEN = "#8C8C8C", "#3A3F44", "#B4BAC0", "#14171A"

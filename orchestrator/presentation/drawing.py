@@ -11,6 +11,8 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from protocols import Basis
+
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
@@ -43,8 +45,8 @@ BEFORE_COLOUR = "#9AA0A6"
 PHASES_ON_PAPER = ("#0072B2", "#A89600", "#6E6E6E")
 """a, b, c: the hues of the viewer's phases, dark enough for white paper."""
 CURRENT_LABELS = {"d": "$i_d$ [A]", "q": "$i_q$ [A]"}
-METHOD_LINES = {"classical": "--", "injection": "-"}
-"""Dashed is classical, solid is injection, dotted is any other method."""
+BASIS_LINES: dict[Basis | None, str] = {Basis.INTEGRATION: "--", Basis.INJECTION: "-"}
+"""By what a map rests on: dashed is integration, solid is injection, dotted is anything else."""
 
 
 def new_figure(width: float = STYLE.width_in, height: float = STYLE.height_in) -> tuple[Figure, Axes]:

@@ -9,8 +9,6 @@ from protocols import AxisPercent, DiagnosisWords
 
 PAPER_CROSSINGS = AxisPercent(d_percent=1.3, q_percent=2.9)
 """Largest flux difference where current paths cross, as Combes, Malrait, Martin and Rouchon print it."""
-ENERGY_METHODS = ("energy", "polynomial")
-"""Methods whose maps are symmetric and reciprocal whatever was measured."""
 MAP_QUANTITIES = {
     "psi_d": ("ψ_d", "mWb"),
     "psi_q": ("ψ_q", "mWb"),

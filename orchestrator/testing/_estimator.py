@@ -9,7 +9,7 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from orchestrator.testing._kit import Kit, bounded
+from orchestrator.testing._kit import PLUGIN_NAME, Kit, bounded
 from orchestrator.testing._recordings import Disguised, Empty, digest, turned
 from protocols import (
     Estimate,
@@ -35,7 +35,7 @@ class EstimatorConformance(Kit, ABC):
     - ``make_estimator()`` returns the estimator;
     - ``recording()`` returns a recording that holds all it needs (a small one: it is read some ten times).
 
-    Where it needs what another estimator found out, override ``context()``.
+    Where it builds on what another estimator found, override ``context()``.
     """
 
     frame_tolerance: ClassVar[float] = 1e-3
@@ -50,7 +50,7 @@ class EstimatorConformance(Kit, ABC):
         """A recording with all that the estimator needs."""
 
     def context(self) -> EstimationContext:
-        """What earlier estimators of the same pass found out."""
+        """What earlier estimators of the same pass found."""
         return EstimationContext()
 
     def _estimate(self, recording: RecordingReader) -> Estimate:
@@ -67,10 +67,18 @@ class EstimatorConformance(Kit, ABC):
 
     def test_returns_what_it_says_it_produces(self) -> None:
         produces = self.make_estimator().produces
-        expected = {"resistance": ResistanceEstimate, "flux_map": FluxMapEstimate}
-        assert produces in expected, f"produces is {produces!r}; expected one of {sorted(expected)}"
+        assert _is_estimate(produces), f"produces is {produces!r}; expected ResistanceEstimate or FluxMapEstimate"
         found = self._estimate(self.recording())
-        assert isinstance(found, expected[produces]), f"produces {produces}, but returned {type(found).__name__}"
+        assert isinstance(found, produces), f"produces {produces.__name__}, but returned {type(found).__name__}"
+
+    def test_requirements_are_kinds_of_estimate(self) -> None:
+        estimator = self.make_estimator()
+        for kind in estimator.requires:
+            assert _is_estimate(kind), f"requires {kind!r}; expected ResistanceEstimate, FluxMapEstimate or a sub-class"
+
+    def test_remarks_have_codes_of_their_own(self) -> None:
+        for remark in self._estimate(self.recording()).remarks:
+            assert PLUGIN_NAME.match(remark.code), f"the code {remark.code!r} is not in snake_case: {remark.text}"
 
     def test_same_recording_gives_the_same_estimate(self) -> None:
         recording = self.recording()
@@ -105,6 +113,10 @@ class EstimatorConformance(Kit, ABC):
         for name in straight:
             allowed = bounded("frame_tolerance", self.frame_tolerance, 0.01) * (50.0 if "std" in name else 1.0)
             _require_close(name, straight[name], askew[name], allowed)
+
+
+def _is_estimate(kind: object) -> bool:
+    return isinstance(kind, type) and issubclass(kind, ResistanceEstimate | FluxMapEstimate)
 
 
 def _numbers(found: Estimate) -> dict[str, RealArray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +13,7 @@ from orchestrator.numerics.types import Array
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator
-from protocols import EstimationContext, FluxMap, FluxMapEstimate, NotMeasuredError, RecordingReader
+from protocols import Basis, EstimationContext, FluxMap, FluxMapEstimate, NotMeasuredError, RecordingReader
 
 
 class Energy(Protocol):
@@ -83,20 +83,18 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
     NotMeasuredError
         Where neither injection nor sweeps span an area of currents with zero in it.
     """
-    injected, swept = context.maps.get("injection"), context.maps.get("classical")
+    injected, swept = context.latest(InjectedFlux), context.latest(SweptFlux)
     problems = []
-    if not isinstance(swept, SweptFlux):
+    if swept is None:
         try:
             swept = ClassicalEstimator().estimate(recording, context)
-            context = replace(context, maps={**context.maps, "classical": swept})
+            context = EstimationContext((*context.estimates, swept))
         except NotMeasuredError as error:
-            swept = None
             problems.append(str(error))
-    if not isinstance(injected, InjectedFlux):
+    if injected is None:
         try:
             injected = InjectionEstimator().estimate(recording, context)
         except NotMeasuredError as error:
-            injected = None
             problems.append(str(error))
     sources = [source for source in (injected, swept) if source is not None]
     where = recording.manifest.name
@@ -107,14 +105,14 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
     if not inside_hull(current, np.zeros((1, 2)), where)[0]:
         raise NotMeasuredError(where, "segments", "zero current lies outside the measured points")
     angle = {segment.id: segment.rotor_angle_rad for segment in recording.manifest.segments}
-    found = context.maps.get("energy")
+    fitted = context.latest(EnergyFlux)
     return Measurements(
         injected=injected,
         swept=swept,
         current=current,
         segments=tuple(name for source in sources for name in source.points.segment),
         angles=np.array([angle[name] for name in injected.points.segment] if injected else []),
-        energy=found.fit if isinstance(found, EnergyFlux) else None,
+        energy=None if fitted is None else fitted.fit,
     )
 
 
@@ -126,7 +124,7 @@ def gridded(method: str, recording: RecordingReader, energy: Energy, current: Ar
     flux, inductance = energy.flux(nodes[inside]), energy.inductance(nodes[inside])
     values[inside] = np.column_stack([flux[0], inductance[0]])
     stds[inside] = np.column_stack([flux[1], inductance[1]])
-    return as_map(method, recording.manifest.motor, axes, values, stds)
+    return as_map(method, Basis.ENERGY, recording.manifest.motor, axes, values, stds)
 
 
 def pm_flux(recording: RecordingReader) -> Array:

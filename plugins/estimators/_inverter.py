@@ -10,6 +10,7 @@ Nothing here knows what a recording is.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,6 +18,7 @@ import numpy as np
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 from orchestrator.numerics.types import Array
+from protocols import InverterLoss
 
 STRONG = 0.2
 """Of the largest current: what is held at less says little of R_s."""
@@ -85,6 +87,12 @@ class VoltageFit:
         volts, shape = self._volts(pwm_hz), (self.threshold_a, self.abruptness)
         out: Array = self.bias_v + (volts * step_ab(i_ab, *shape) if volts else np.zeros_like(i_ab))
         return out
+
+    def losses(self) -> Iterator[InverterLoss]:
+        """V_f of each PWM frequency, with its standard deviation."""
+        std = np.sqrt(np.maximum(np.diag(self.loss_covariance), 0.0))[2 if self.biased else 0 :].tolist()
+        for (pwm_hz, volts), spread in zip(self.error_v.items(), std, strict=False):
+            yield InverterLoss(pwm_frequency_hz=pwm_hz, phase_v=volts, std_v=spread)
 
     def lost_std(self, i_ab: Array, pwm_hz: float, along: Array) -> float:
         """Standard deviation of the mean of `lost` over some currents, along a direction."""

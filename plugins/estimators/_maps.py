@@ -7,7 +7,7 @@ import numpy as np
 from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss
 from orchestrator.numerics.surface import current_axes
 from orchestrator.numerics.types import Array
-from protocols import FluxMap, FluxMapEstimate, Motor, RecordingReader
+from protocols import Basis, FluxMap, FluxMapEstimate, Motor, RecordingReader
 
 QUANTITIES = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
 
@@ -31,13 +31,13 @@ def grid_of(points: Array) -> tuple[tuple[Array, Array], Array]:
     return axes, np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
-def as_map(method: str, motor: Motor, axes: tuple[Array, Array], values: Array, stds: Array) -> FluxMap:
+def as_map(method: str, basis: Basis, motor: Motor, axes: tuple[Array, Array], values: Array, stds: Array) -> FluxMap:
     """A map from columns psi_d, psi_q, l_dd, l_dq, l_qq at the nodes; psi without the magnet's flux."""
     shape = (len(axes[0]), len(axes[1]))
     fields = {name: values[:, k].reshape(shape) for k, name in enumerate(QUANTITIES)}
     fields["psi_d"] = fields["psi_d"] + (motor.pm_flux_wb or 0.0)
     spreads = {f"{name}_std": stds[:, k].reshape(shape) for k, name in enumerate(QUANTITIES)}
-    return FluxMap(method=method, i_d=axes[0], i_q=axes[1], **fields, **spreads)
+    return FluxMap(method=method, basis=basis, i_d=axes[0], i_q=axes[1], **fields, **spreads)
 
 
 def voltage_delay(recording: RecordingReader) -> float:

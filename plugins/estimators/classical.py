@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +32,8 @@ from orchestrator.numerics.surface import SmoothSurface, inside_hull, require_ar
 from orchestrator.numerics.types import Array
 from plugins.estimators._maps import SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (
+    Basis,
+    Estimate,
     EstimationContext,
     FluxMap,
     FluxPoints,
@@ -55,7 +57,9 @@ class ClassicalEstimator:
 
     name: ClassVar[str] = "classical"
     summary: ClassVar[str] = "flux map by time integration of the voltage over swept currents"
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+    requires: ClassVar[tuple[type[Estimate], ...]] = (ResistanceEstimate,)
+    produces: ClassVar[type[Estimate]] = SweptFlux
+    rank: ClassVar[int] = 10
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> SweptFlux:
         """Make the map; raises `NotMeasuredError` where the sweeps do not span an area of currents."""
@@ -175,7 +179,7 @@ def _gridded(recording: RecordingReader, network: Network) -> tuple[FluxMap, Arr
     columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
     drawn = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
     spreads[inside[:-1]] = np.sqrt(np.mean(np.square(drawn), axis=0))
-    return as_map("classical", recording.manifest.motor, axes, columns, spreads), level[0, :2]
+    return as_map("classical", Basis.INTEGRATION, recording.manifest.motor, axes, columns, spreads), level[0, :2]
 
 
 def _quantities(psi: Array, slope: Array) -> Array:

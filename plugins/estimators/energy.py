@@ -7,14 +7,15 @@ of electric motors", CDC 2014, doi:10.1109/CDC.2014.7040330, for the energy and 
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from orchestrator.analysis import EnergyFit, check_map, rated_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
-from protocols import EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader, Remark
+from plugins.estimators._maps import InjectedFlux, SweptFlux
+from protocols import Estimate, EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader, Remark
 
 _CORRELATED = 0.5
 
@@ -24,7 +25,9 @@ class EnergyEstimator:
 
     name: ClassVar[str] = "energy"
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux, InjectedFlux)
+    produces: ClassVar[type[Estimate]] = EnergyFlux
+    rank: ClassVar[int] = 30
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> EnergyFlux:
         """Make the map; raises `NotMeasuredError` where neither injection nor sweeps span an area of currents."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -34,7 +34,9 @@ from orchestrator.numerics.types import Array
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
 from protocols import (
+    Basis,
     Capture,
+    Estimate,
     EstimationContext,
     FluxMap,
     FluxPoints,
@@ -81,7 +83,9 @@ class InjectionEstimator:
 
     name: ClassVar[str] = "injection"
     summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux,)
+    produces: ClassVar[type[Estimate]] = InjectedFlux
+    rank: ClassVar[int] = 20
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> InjectedFlux:
         """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
@@ -107,8 +111,8 @@ class InjectionEstimator:
 
 def _known_loss(context: EstimationContext) -> PhaseLoss:
     """What the inverter keeps, where sweeps told it already."""
-    swept = context.maps.get("classical")
-    return swept.loss if isinstance(swept, SweptFlux) else NO_LOSS
+    swept = context.latest(SweptFlux)
+    return NO_LOSS if swept is None else swept.loss
 
 
 def _groups(recording: RecordingReader, loss: PhaseLoss) -> tuple[list[_Group], list[str]]:
@@ -181,7 +185,7 @@ def _gridded(recording: RecordingReader, points: Inductances, flux: IntegratedFl
         spread = np.hypot(spread, points.misfit)
     l_std = [np.hypot(surface(spread[:, k]), between[:, k]) for k in range(3)]
     values, stds = np.column_stack([*psi, inductance]), np.stack([*psi_std, *l_std], axis=1)
-    return as_map("injection", recording.manifest.motor, axes, values, stds)
+    return as_map("injection", Basis.INJECTION, recording.manifest.motor, axes, values, stds)
 
 
 def _inductance(points: Inductances, flux: IntegratedFlux, nodes: Array, surface: TaylorSurface) -> tuple[Array, Array]:

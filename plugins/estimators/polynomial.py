@@ -7,14 +7,24 @@ doi:10.1109/CDC.2014.7040330).
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
 from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, rated_flux_wb
 from orchestrator.numerics.types import Array
-from plugins.estimators._energies import energy_measurements, gridded, pm_flux
-from protocols import ClosedForm, Coefficient, EstimationContext, FluxMapEstimate, FluxPoints, RecordingReader, Remark
+from plugins.estimators._energies import EnergyFlux, energy_measurements, gridded, pm_flux
+from plugins.estimators._maps import InjectedFlux, SweptFlux
+from protocols import (
+    ClosedForm,
+    Coefficient,
+    Estimate,
+    EstimationContext,
+    FluxMapEstimate,
+    FluxPoints,
+    RecordingReader,
+    Remark,
+)
 
 _ENOUGH_PERCENT = 0.5  # of the rated flux, rms, off the flexible energy
 
@@ -24,7 +34,9 @@ class PolynomialEstimator:
 
     name: ClassVar[str] = "polynomial"
     summary: ClassVar[str] = "flux map of the paper's polynomial energy, with its coefficients"
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux, InjectedFlux, EnergyFlux)
+    produces: ClassVar[type[Estimate]] = FluxMapEstimate
+    rank: ClassVar[int] = 0
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
         """Make the map.

@@ -5,7 +5,7 @@ Heating is told as a drift of readings, not modelled; a common gain of both kind
 
 from __future__ import annotations
 
-from typing import ClassVar, Literal
+from typing import ClassVar
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from orchestrator.numerics.types import Array
 from plugins.estimators._inverter import STRONG, VoltageFit, fit_voltage
 from protocols import (
     Capture,
+    Estimate,
     EstimationContext,
     NotMeasuredError,
     RecordingReader,
@@ -45,7 +46,9 @@ class ResistanceEstimator:
 
     name: ClassVar[str] = "resistance"
     summary: ClassVar[str] = "R_s from held direct currents, and its drift over the recording"
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "resistance"
+    requires: ClassVar[tuple[type[Estimate], ...]] = ()
+    produces: ClassVar[type[Estimate]] = ResistanceEstimate
+    rank: ClassVar[int] = 0
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> ResistanceEstimate:
         """Estimate R_s; raises `NotMeasuredError` without a segment that rests at a current."""
@@ -74,6 +77,8 @@ class ResistanceEstimator:
             first_ohm=readings[0].value_ohm,
             last_ohm=readings[-1].value_ohm,
             readings=readings,
+            temperature_rise_k=temperature_rise(readings),
+            inverter=tuple(fit.losses()),
             remarks=_remarks(fit, [d for _, d in used], bool(holds), readings),
         )
 

@@ -10,9 +10,10 @@ from pathlib import Path
 
 from orchestrator.config import load_procedure
 from orchestrator.engine import AbsentOperator, Crew, Interrupts, installed_estimators, start_run
+from orchestrator.estimation.order import in_order
 from orchestrator.recording import open_recording
 from orchestrator.registry import PluginKind, load_plugin
-from protocols import EstimationContext, Estimator, FluxMapEstimate, RecordingReader, ResistanceEstimate, SegmentStage
+from protocols import Estimate, EstimationContext, RecordingReader, SegmentStage
 
 ROUNDS = 3
 NEEDED = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
@@ -26,26 +27,14 @@ def recorded(folder: Path) -> RecordingReader:
     return open_recording(folder)
 
 
-def estimators() -> list[Estimator]:
-    """All that are installed, in the order in which they see what the others found."""
-    found = [load_plugin(PluginKind.ESTIMATORS, name)() for name in installed_estimators()]
-    turns = ("injection", "energy", "polynomial")
-    return sorted(found, key=lambda e: (e.produces != "resistance", e.name in turns and turns.index(e.name) + 1))
-
-
 def seconds_of(recording: RecordingReader) -> dict[str, float]:
-    """Time that each estimator takes."""
-    resistance: ResistanceEstimate | None = None
-    maps: dict[str, FluxMapEstimate] = {}
+    """Time that each installed estimator takes, in the order in which they see what the others found."""
+    found: list[Estimate] = []
     spent = {}
-    for estimator in estimators():
+    for estimator in in_order([load_plugin(PluginKind.ESTIMATORS, name)() for name in installed_estimators()]):
         begun = time.perf_counter()
-        found = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=dict(maps)))
+        found.append(estimator.estimate(recording, EstimationContext(tuple(found))))
         spent[estimator.name] = time.perf_counter() - begun
-        if isinstance(found, ResistanceEstimate):
-            resistance = found
-        else:
-            maps[estimator.name] = found
     return spent
 
 

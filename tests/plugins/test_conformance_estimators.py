@@ -11,7 +11,7 @@ from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
 from plugins.estimators.resistance import ResistanceEstimator
-from protocols import EstimationContext, Estimator, RecordingReader, ResistanceEstimate
+from protocols import EstimationContext, Estimator, RecordingReader
 
 REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
 
@@ -23,9 +23,7 @@ def recording() -> RecordingReader:
 
 @cache
 def context() -> EstimationContext:
-    found = ResistanceEstimator().estimate(recording(), EstimationContext())
-    assert isinstance(found, ResistanceEstimate)
-    return EstimationContext(resistance=found)
+    return EstimationContext((ResistanceEstimator().estimate(recording(), EstimationContext()),))
 
 
 class TestResistance(EstimatorConformance):

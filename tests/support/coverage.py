@@ -145,7 +145,7 @@ def judged(measured: Measured) -> Coverage:
     resistance = ResistanceEstimator().estimate(recording, EstimationContext())
     maps: dict[str, FluxMapEstimate] = {}
     for estimator in (ClassicalEstimator(), InjectionEstimator(), EnergyEstimator()):
-        maps[estimator.name] = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=maps))
+        maps[estimator.name] = estimator.estimate(recording, EstimationContext((resistance, *maps.values())))
     off, std = _errors(maps["energy"].map, measured)
     half = 0.5 * (resistance.high - resistance.low)
     ohm = _held_ohm(measured)

@@ -11,8 +11,8 @@ import numpy as np
 from orchestrator.numerics.types import Array
 from orchestrator.presentation.colours import BLUE, GREEN, VERMILION
 from orchestrator.presentation.drawing import (
+    BASIS_LINES,
     CURRENT_LABELS,
-    METHOD_LINES,
     STYLE,
     bare,
     current_plane,
@@ -157,9 +157,9 @@ def _comparison(material: Material) -> Figure:
     for axes, axis in zip(figure.subplots(1, 2), "dq", strict=True):
         other = "q" if axis == "d" else "d"
         for held, colour in ((0.0, ZERO_COLOUR), (-2.0, D_COLOUR), (2.0, Q_COLOUR)):
-            for method, line in METHOD_LINES.items():
-                current, flux = _profile(material.estimates[method].map, axis, held)
-                axes.plot(current, 1e3 * flux, line, color=colour, lw=1.3)
+            for found in (material.estimates[name].map for name in ("classical", "injection")):
+                current, flux = _profile(found, axis, held)
+                axes.plot(current, 1e3 * flux, BASIS_LINES[found.basis], color=colour, lw=1.3)
             axes.plot([], [], color=colour, label=f"$i_{other}$ = {held:+.0f} A" if held else f"$i_{other}$ = 0")
         axes.legend(frameon=False, fontsize=STYLE.small_pt)
         name_axes(bare(axes), CURRENT_LABELS[axis], FLUX_LABELS[axis])

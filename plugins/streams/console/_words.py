@@ -6,11 +6,11 @@ import math
 from collections.abc import Iterator
 
 from orchestrator.presentation.events import step_error_v
-from orchestrator.presentation.names import ENERGY_METHODS, plain, rung_name
+from orchestrator.presentation.names import plain, rung_name
 from orchestrator.presentation.quantities import axes_percent, duration, measured, number, percent, quantity
 from orchestrator.presentation.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
-from protocols import DiagnosisStep, EstimationReport, RunEnded
+from protocols import Basis, DiagnosisStep, EstimationReport, RunEnded
 
 NAMES = {
     "gates_off": "sensors, gates off",
@@ -74,7 +74,8 @@ def _estimate_rows(found: EstimationReport, longest: int) -> Iterator[tuple[str,
     if found.method is not None:
         yield "map by", found.method
     yield "map usable", "yes" if found.usable else "no"
-    by = " (by construction)" if found.method in ENERGY_METHODS else ""
+    made = found.recommended
+    by = " (by construction)" if made is not None and made.basis is Basis.ENERGY else ""
     for label, checked, beside in (("crossings", found.crossings, ""), ("parity", found.parity, by)):
         if checked is not None:
             yield label, axes_percent(checked) + beside

@@ -8,9 +8,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from orchestrator.analysis import check_map, rated_flux_wb
 from orchestrator.presentation.events import said
-from orchestrator.presentation.names import ENERGY_METHODS, MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, symbol_of
+from orchestrator.presentation.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, symbol_of
 from orchestrator.presentation.quantities import (
     Scale,
     duration,
@@ -25,6 +24,7 @@ from orchestrator.presentation.sentences import typographic
 from plugins.streams.report._collect import Material
 from protocols import (
     AxisPercent,
+    Basis,
     EstimationReport,
     FluxMap,
     Motor,
@@ -133,7 +133,7 @@ def checks(material: Material) -> Iterator[Check]:
     found = material.estimates
     if found is None:
         return
-    parity, reciprocity, whose = _symmetry(material, found)
+    parity, reciprocity, whose = _symmetry(found)
     both = f"the paper’s: {percent(PAPER_CROSSINGS.d_percent)} on d, {percent(PAPER_CROSSINGS.q_percent)} on q"
     for name, meaning, value, told in (
         ("Crossings", "Largest flux difference where current paths cross, of the rated flux.", found.crossings, both),
@@ -161,15 +161,15 @@ def checks(material: Material) -> Iterator[Check]:
         yield Check(name, meaning, (_bar("", figure),), "tick: the paper’s crossings on d")
 
 
-def _symmetry(material: Material, found: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
-    """Parity and reciprocity, and whose: an energy's map has both by construction, so injection's are shown."""
-    if found.method not in ENERGY_METHODS:
+def _symmetry(found: EstimationReport) -> tuple[AxisPercent | None, float | None, str]:
+    """Parity and reciprocity, and whose: an energy's map has both by construction, so those of another are shown."""
+    made, other = found.recommended, found.measured_symmetry
+    if made is None or made.basis is not Basis.ENERGY:
         return found.parity, found.reciprocity_percent, ""
-    injection, motor = material.maps.get("injection"), motor_of(material)
-    if injection is None or motor is None:
+    if other is None:
         return found.parity, found.reciprocity_percent, " By construction: the map is an energy’s."
-    own = check_map(injection, rated_flux_wb(injection, motor.rated_current_a), None)
-    return own.parity, own.reciprocity_percent, f" Of the injection map; that by {found.method} has it by construction."
+    own = found.maps[other].checks
+    return own.parity, own.reciprocity_percent, f" Of the {other} map; that by {found.method} has it by construction."
 
 
 def _bar(axis: str, value: float | None) -> Bar:
@@ -261,24 +261,19 @@ def _map_lines(material: Material) -> Iterator[Line]:
 
 def _inductance_line(material: Material) -> Iterator[Line]:
     """The three inductances over the plane, on one line."""
-    if not material.maps:
+    made = material.estimates.recommended if material.estimates is not None else None
+    if made is None or made.inductances is None:
         return
-    found = next(iter(material.maps.values()))
-    motor = motor_of(material)
+    found, motor = made.inductances, motor_of(material)
     told = []
-    for name, symbol, nameplate in (
-        ("l_dd", "L_dd", motor.d_inductance_h if motor else None),
-        ("l_qq", "L_qq", motor.q_inductance_h if motor else None),
+    for symbol, low, high, nameplate in (
+        ("L_dd", found.l_dd_low_h, found.l_dd_high_h, motor.d_inductance_h if motor else None),
+        ("L_qq", found.l_qq_low_h, found.l_qq_high_h, motor.q_inductance_h if motor else None),
     ):
-        values = np.asarray(getattr(found, name))
-        if np.isfinite(values).any():
-            beside = "" if nameplate is None else f" (nameplate {quantity(nameplate, 'H', 4)})"
-            least, most = (quantity(float(v), "H", 4) for v in (np.nanmin(values), np.nanmax(values)))
-            told.append(f"{symbol} {least} to {most}{beside}")
-    if np.isfinite(found.l_dq).any():
-        told.append(f"L_dq up to {quantity(float(np.nanmax(np.abs(found.l_dq))), 'H')} in size")
-    if told:
-        yield Line("Inductances", "; ".join(told))
+        beside = "" if nameplate is None else f" (nameplate {quantity(nameplate, 'H', 4)})"
+        told.append(f"{symbol} {quantity(low, 'H', 4)} to {quantity(high, 'H', 4)}{beside}")
+    told.append(f"L_dq up to {quantity(found.l_dq_largest_h, 'H')} in size")
+    yield Line("Inductances", "; ".join(told))
 
 
 def _amount(material: Material) -> Line:

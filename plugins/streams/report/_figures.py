@@ -13,8 +13,8 @@ import numpy as np
 
 from orchestrator.presentation.colours import BLACK, BLUE, GUIDE, METHODS, ORANGE, SKY, VERMILION
 from orchestrator.presentation.drawing import (
+    BASIS_LINES,
     CURRENT_LABELS,
-    METHOD_LINES,
     STYLE,
     current_plane,
     legend_above,
@@ -25,7 +25,7 @@ from orchestrator.presentation.drawing import (
 )
 from orchestrator.presentation.quantities import number
 from plugins.streams.report._collect import Paths
-from protocols import FluxMap, RealArray, ResistanceReading
+from protocols import Basis, FluxMap, RealArray, ResistanceReading
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,10 +39,10 @@ def paths_figure(paths: Paths) -> str:
     figure, axes = new_figure()
     for k, path in enumerate(paths.classical):
         label = "classical sweep" if k == 0 else None
-        axes.plot(path[:, 0], path[:, 1], "--", color=METHODS["classical"], lw=1.2, label=label)
+        axes.plot(path[:, 0], path[:, 1], "--", color=METHODS[Basis.INTEGRATION], lw=1.2, label=label)
     if len(paths.injection):
         i_d, i_q = paths.injection.T
-        axes.plot(i_d, i_q, ".", color=METHODS["injection"], ms=5, label="injection, mean")
+        axes.plot(i_d, i_q, ".", color=METHODS[Basis.INJECTION], ms=5, label="injection, mean")
     current_plane(axes)
     legend_above(axes, 2)
     return uri(figure)
@@ -57,11 +57,11 @@ def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
     other = "q" if axis == "d" else "d"
     held = held_currents(maps.values(), other)
     for value, colour in zip(held, _colours_of(held), strict=True):
-        for method, found in maps.items():
+        for found in maps.values():
             current, flux, std = profile(found, f"psi_{axis}", axis, value)
             flux = (flux - _at_zero(found, axis)) * 1e3
-            axes.plot(current, flux, METHOD_LINES.get(method, ":"), color=colour, lw=1.5)
-            if method != "classical":
+            axes.plot(current, flux, BASIS_LINES.get(found.basis, ":"), color=colour, lw=1.5)
+            if found.basis is not Basis.INTEGRATION:
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
         axes.plot([], [], "-", color=colour, label=_amperes(value))
     name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")

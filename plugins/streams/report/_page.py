@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.presentation.drawing import METHOD_LINES
+from orchestrator.presentation.drawing import BASIS_LINES
 from orchestrator.presentation.names import MAP_QUANTITIES
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
@@ -18,7 +18,7 @@ from plugins.streams.report import _figures as figures
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
 from plugins.streams.report._picture import Picture
-from protocols import FluxMap
+from protocols import Basis, FluxMap
 
 FILE_NAME = "report.html"
 INDUCTANCES = {
@@ -155,16 +155,21 @@ def _resistance_picture(material: Material) -> Picture:
 
 
 def _difference_picture(material: Material) -> Picture:
-    title, maps = "Classical minus injection", material.maps
-    if not {"classical", "injection"} <= maps.keys():
+    title = "Classical minus injection"
+    classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
+    if classical is None or injection is None:
         return Picture(title, "Not drawn: it takes the maps by both methods.")
     caption = "Along the axes. The paper finds injection somewhat lower, and suspects hysteresis."
-    return Picture(title, caption, figures.difference_figure(maps["classical"], maps["injection"]))
+    return Picture(title, caption, figures.difference_figure(classical, injection))
+
+
+def _first_by(basis: Basis, maps: dict[str, FluxMap]) -> FluxMap | None:
+    return next((found for found in maps.values() if found.basis is basis), None)
 
 
 def _methods_in_words(maps: dict[str, FluxMap]) -> str:
-    if {"classical", "injection"} <= maps.keys():
-        others = [name for name in maps if name not in METHOD_LINES]
+    if _first_by(Basis.INTEGRATION, maps) is not None and _first_by(Basis.INJECTION, maps) is not None:
+        others = [name for name, found in maps.items() if found.basis not in BASIS_LINES]
         dotted = f" Dotted: {', '.join(others)}." if others else ""
         return f"Dashed: classical, solid: injection, with its 95 % band.{dotted} Counted from zero current."
     return f"By {', '.join(maps)} alone. Counted from zero current."

@@ -184,7 +184,7 @@ def check_entries(when: When, maps: Mapping[str, FluxMapEstimate]) -> list[Entry
             for axis in "dq":
                 figure = None if value is None else getattr(value, f"{axis}_percent")
                 if figure is not None:
-                    bars.append((f"{name}: {what} {axis}", figure, METHODS.get(name, MODEL)))
+                    bars.append((f"{name}: {what} {axis}", figure, METHODS.get(found.map.basis, MODEL)))
     bars += [(f"the paper: crossings {axis}", getattr(PAPER_CROSSINGS, f"{axis}_percent"), GUIDE) for axis in "dq"]
     out: list[Entry] = []
     at = 1.0 - (np.arange(len(bars)) + 0.5) / len(bars)

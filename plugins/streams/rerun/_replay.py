@@ -133,7 +133,7 @@ def _results(directory: Path) -> Iterator[Message]:
 
 
 def _maps(directory: Path) -> Iterator[Message]:
-    """The maps in results/, the recommended one last; the others' checks are kept in no file."""
+    """The maps in results/, the recommended one last, with what is said of all."""
     files = sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name == "flux_map.nc", f.name))
     report = _report(directory)
     for file in files:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -25,6 +25,7 @@ from protocols import (
     Motor,
     NotMeasuredError,
     RecordingReader,
+    Remark,
     ResistanceEstimate,
     ResistanceReading,
     Segment,
@@ -81,7 +82,9 @@ class ExampleEstimator:
 
     name: ClassVar[str] = "example"
     summary: ClassVar[str] = "Ratio of voltage and current at standstill."
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "resistance"
+    requires: ClassVar[tuple[type[Estimate], ...]] = ()
+    produces: ClassVar[type[Estimate]] = ResistanceEstimate
+    rank: ClassVar[int] = 0
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
         segments = recording.segments(SegmentStage.RESISTANCE)
@@ -132,7 +135,9 @@ class ExampleMap:
 
     name: ClassVar[str] = "example_map"
     summary: ClassVar[str] = "Constant inductances."
-    produces: ClassVar[Literal["resistance", "flux_map"]] = "flux_map"
+    requires: ClassVar[tuple[type[Estimate], ...]] = ()
+    produces: ClassVar[type[Estimate]] = FluxMapEstimate
+    rank: ClassVar[int] = 0
     changed: ClassVar[dict[str, Any]] = {}
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
@@ -172,11 +177,21 @@ class NothingKnownMap(ExampleMap):
 
 
 class SaysMapGivesResistance(ExampleEstimator):
-    produces = "flux_map"
+    produces = FluxMapEstimate
 
 
 class ProducesSomethingElse(ExampleEstimator):
-    produces = "torque"  # type: ignore[assignment]
+    produces = float  # type: ignore[assignment]
+
+
+class RequiresAName(ExampleEstimator):
+    requires = ("classical",)  # type: ignore[assignment]
+
+
+class TalksInSentences(ExampleEstimator):
+    def summed_up(self, readings: list[ResistanceReading]) -> Estimate:
+        said = Remark(code="R_s drifts!", text="R_s drifts!")
+        return super().summed_up(readings).model_copy(update={"remarks": (said,)})
 
 
 class NoSummary(ExampleEstimator):
@@ -246,6 +261,8 @@ class BackwardsInTime(ExampleEstimator):
 MUTATIONS: list[tuple[type, str]] = [
     (SaysMapGivesResistance, "says_it_produces"),
     (ProducesSomethingElse, "says_it_produces"),
+    (RequiresAName, "requirements"),
+    (TalksInSentences, "remarks"),
     (NoSummary, "class_keeps_the_contract"),
     (Throws, "same_recording"),
     (RemovesTheMeanInPlace, "not_modified"),

@@ -28,9 +28,8 @@ from tests.plugins.estimators.test_estimators import (
 
 @cache
 def energy_of(inverter: bool) -> FluxMapEstimate:
-    maps = {"injection": injection_of(inverter), "classical": classical_of(inverter)}
     recording = behind_dead_time() if inverter else clean()
-    return EnergyEstimator().estimate(recording, EstimationContext(maps=maps))
+    return EnergyEstimator().estimate(recording, EstimationContext((injection_of(inverter), classical_of(inverter))))
 
 
 def nodes_of(found: FluxMapEstimate) -> Array:
@@ -110,8 +109,8 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
 
 
 def test_the_polynomial_gives_its_coefficients_and_says_how_good_it_is() -> None:
-    maps = {"injection": injection_of(False), "classical": classical_of(False), "energy": energy_of(False)}
-    found = PolynomialEstimator().estimate(clean(), EstimationContext(maps=maps))
+    context = EstimationContext((injection_of(False), classical_of(False), energy_of(False)))
+    found = PolynomialEstimator().estimate(clean(), context)
     assert found.map.method == "polynomial"
     rms, worst = flux_error_percent(found.map)
     assert rms < 0.1

@@ -53,7 +53,7 @@ def resistance_of(recording: MemoryRecording) -> ResistanceEstimate:
 @cache
 def classical_of(inverter: bool) -> FluxMapEstimate:
     recording = behind_dead_time() if inverter else clean()
-    return ClassicalEstimator().estimate(recording, EstimationContext(resistance=resistance_of(recording)))
+    return ClassicalEstimator().estimate(recording, EstimationContext((resistance_of(recording),)))
 
 
 @cache

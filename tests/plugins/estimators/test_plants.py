@@ -39,7 +39,7 @@ def estimated(folder: Path) -> tuple[ResistanceEstimate, dict[str, FluxMapEstima
     resistance = ResistanceEstimator().estimate(recording, EstimationContext())
     maps: dict[str, FluxMapEstimate] = {}
     for estimator in (ClassicalEstimator(), InjectionEstimator(), EnergyEstimator()):
-        maps[estimator.name] = estimator.estimate(recording, EstimationContext(resistance=resistance, maps=maps))
+        maps[estimator.name] = estimator.estimate(recording, EstimationContext((resistance, *maps.values())))
     return resistance, maps
 
 

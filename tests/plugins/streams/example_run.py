@@ -11,12 +11,16 @@ from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import (
     AxisPercent,
+    Basis,
     Capabilities,
     Capture,
     EstimationReport,
     FluxMap,
+    InductanceRange,
     JournalledMessage,
     LockChecked,
+    MapChecks,
+    MapReport,
     Note,
     PointDone,
     Procedure,
@@ -24,7 +28,6 @@ from protocols import (
     ResistanceEstimate,
     ResistanceEstimated,
     ResistanceReading,
-    ResistanceReport,
     RunEnded,
     RunStarted,
     Segment,
@@ -35,6 +38,9 @@ from protocols import (
 
 FS = 1000.0
 MAGNET_WB = 0.3
+
+
+BASES = {"classical": Basis.INTEGRATION, "injection": Basis.INJECTION, "energy": Basis.ENERGY}
 
 
 def a_map(method: str, scale: float = 1.0, step_a: float = 0.5) -> FluxMap:
@@ -51,7 +57,7 @@ def a_map(method: str, scale: float = 1.0, step_a: float = 0.5) -> FluxMap:
     outside = np.hypot(d, q) > 3.6
     values = {name: np.where(outside, np.nan, grid) for name, grid in grids.items()}
     stds = {f"{name}_std": np.where(outside, np.nan, 4e-4 + 1e-4 * np.hypot(d, q)) for name in grids}
-    return FluxMap(method=method, i_d=axis, i_q=axis, **values, **stds)
+    return FluxMap(method=method, basis=BASES.get(method), i_d=axis, i_q=axis, **values, **stds)
 
 
 def a_resistance() -> ResistanceEstimate:
@@ -82,7 +88,7 @@ def a_run_directory(path: Path, motor: str = "400 W test PMSM", ended: bool = Tr
 
 def a_report() -> EstimationReport:
     return EstimationReport(
-        resistance=ResistanceReport(value_ohm=4.47, low=4.455, high=4.485, first_ohm=4.31, last_ohm=4.54),
+        resistance=ResistanceEstimate(value_ohm=4.47, low=4.455, high=4.485, first_ohm=4.31, last_ohm=4.54),
         method="injection",
         crossings=AxisPercent(d_percent=0.42, q_percent=1.17),
         parity=AxisPercent(d_percent=0.31, q_percent=0.88),
@@ -90,6 +96,20 @@ def a_report() -> EstimationReport:
         classical_against_injection_percent=2.4,
         usable=True,
         remarks=(Remark(code="classical.loop_open", text="classical: the loop is open by 1.1 mWb near zero current"),),
+        maps={
+            "injection": MapReport(
+                basis=Basis.INJECTION,
+                checks=MapChecks(
+                    crossings=AxisPercent(d_percent=0.42, q_percent=1.17),
+                    parity=AxisPercent(d_percent=0.31, q_percent=0.88),
+                    reciprocity_percent=0.66,
+                ),
+                inductances=InductanceRange(
+                    l_dd_low_h=0.025, l_dd_high_h=0.0442, l_qq_low_h=0.042, l_qq_high_h=0.0726, l_dq_largest_h=0.0036
+                ),
+            ),
+            "classical": MapReport(basis=Basis.INTEGRATION, checks=MapChecks()),
+        },
         files={"flux_map": "results/flux_map.nc"},
     )
 

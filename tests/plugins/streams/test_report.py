@@ -25,6 +25,7 @@ from plugins.streams.report._figures import (
 )
 from plugins.streams.report._page import render
 from protocols import (
+    Basis,
     ClosedForm,
     Coefficient,
     MapChecks,
@@ -36,7 +37,7 @@ from protocols import (
     StorageError,
     StreamSetup,
 )
-from tests.plugins.streams.example_run import a_map, a_run_directory
+from tests.plugins.streams.example_run import a_map, a_report, a_run_directory
 
 HOSTILE = "<script>alert(1)</script>\"><img src=x onerror=alert(2)> & 'motor' {{ 7*7 }}"
 VOID = {"meta", "img", "br", "hr", "link"}
@@ -351,10 +352,12 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(tmp_path:
 
 
 def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(tmp_path: Path) -> None:
-    run = estimated(a_run_directory(tmp_path / "run"), method="energy", parity=None, reciprocity_percent=None)
+    energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
+    given = {"method": "energy", "parity": None, "reciprocity_percent": None}
+    run = estimated(a_run_directory(tmp_path / "run"), **given, maps=energy | a_report().maps)
     shown = {check.name: check for check in checks(collect(run))}
-    for name in ("Parity", "Reciprocity"):
-        assert "Of the injection map" in shown[name].meaning
-        assert all(bar.text != "not measured" for bar in shown[name].bars)
-    (run / "results" / "flux_map.nc").unlink()
-    assert any("By construction" in check.meaning for check in checks(collect(run)))
+    assert "Of the injection map" in shown["Parity"].meaning
+    assert [bar.text for bar in shown["Parity"].bars] == ["0.31 %", "0.88 %"]
+    assert [bar.text for bar in shown["Reciprocity"].bars] == ["0.66 %"]
+    alone = checks(collect(estimated(run, **given, maps=energy)))
+    assert any("By construction" in check.meaning for check in alone)

@@ -14,6 +14,7 @@ from plugins.streams.console import ConsoleOptions, ConsoleStream
 from plugins.streams.console._lines import without_arrays
 from plugins.streams.console._words import step_bar, summary_rows
 from protocols import (
+    Basis,
     Compared,
     Diagnosed,
     DiagnosisWords,
@@ -22,6 +23,7 @@ from protocols import (
     FluxPoints,
     MapChecks,
     MapEstimated,
+    MapReport,
     Message,
     NoiseFloor,
     Remark,
@@ -126,7 +128,7 @@ def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytes
         "amplitude_v": 20.0,
     }
     assert step["resistance"] == {}
-    assert objects[-1]["estimate"]["map"] == {"method": "energy"}
+    assert objects[-1]["estimate"]["map"] == {"method": "energy", "basis": "energy"}
     assert objects[-1]["estimate"]["points"] == {}
     assert objects[-1]["estimate"]["remarks"] == [SAID.model_dump()]
     assert objects[-3]["words"] == WORDS.model_dump()
@@ -156,7 +158,9 @@ def test_a_bar_is_as_long_as_the_error_has_decades_above_the_noise() -> None:
 def test_a_long_remark_is_one_line_and_numbers_are_typeset() -> None:
     wall = "moved " + ", ".join(f"-{k} +- 0.1 deg" for k in range(30))
     remarks = [Remark(code="moved", text=text) for text in ("moved -0.2 +- 0.1 deg", wall)]
-    estimates = a_report().model_copy(update={"method": "energy", "reciprocity_percent": 0.002, "remarks": remarks})
+    changes = {"method": "energy", "reciprocity_percent": 0.002, "remarks": remarks}
+    energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
+    estimates = a_report().model_copy(update={**changes, "maps": energy})
     ended = RunEnded(outcome="finished", reason="", run="r", estimates=estimates)
     rows = list(summary_rows(ended))
     assert ("remarks", "moved −0.2 ± 0.1 deg") in rows

@@ -9,7 +9,7 @@ import numpy as np
 
 from orchestrator.numerics.types import Array
 from orchestrator.recording import replace_file
-from protocols import FluxMap, RecordingError
+from protocols import Basis, FluxMap, RecordingError
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -59,6 +59,7 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     attributes = {
         "title": "current-flux relations of a permanent-magnet synchronous motor, rotor locked",
         "method": flux_map.method,
+        "basis": flux_map.basis.value if flux_map.basis else "",
         "motor": motor,
         "recording": recording,
         "conventions": _CONVENTIONS,
@@ -102,7 +103,8 @@ def load_flux_map(path: Path) -> FluxMap:
     slopes = _slopes(axes["i_d"], axes["i_q"], grids["psi_d"], grids["psi_q"])
     grids.update({name: slope for name, slope in slopes.items() if name not in grids})
     grids.update({name: np.full(shape, np.nan) for name in names if name not in grids})
-    return FluxMap(method=str(held.attrs.get("method", "")), **axes, **grids)
+    basis = next((one for one in Basis if one.value == held.attrs.get("basis")), None)
+    return FluxMap(method=str(held.attrs.get("method", "")), basis=basis, **axes, **grids)
 
 
 def _axis(path: Path, held: xr.Dataset, name: str) -> Array:

@@ -1,0 +1,87 @@
+"""One pass of the estimators over a recording. No physics of its own, and no estimator by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from orchestrator.estimation.judgement import Found, judged
+from orchestrator.estimation.order import in_order
+from orchestrator.estimation.results import write_results
+from orchestrator.recording._recording_checks import SoundRecording
+from protocols import (
+    Estimate,
+    EstimationContext,
+    EstimationReport,
+    Estimator,
+    FluxMapEstimate,
+    MapCriteria,
+    NotMeasuredError,
+    PluginError,
+    RecordingReader,
+    Remark,
+    ResistanceEstimate,
+)
+
+
+def estimate_recording(
+    recording: RecordingReader,
+    estimators: Sequence[Estimator],
+    out: Path,
+    *,
+    criteria: MapCriteria | None = None,
+    on_estimate: Callable[[Estimate], None] | None = None,
+) -> EstimationReport:
+    """Run the estimators and write results/flux_map.nc, flux_map_<method>.nc and estimates.json below `out`.
+
+    These replace the maps and the report of an earlier pass as one set; other files there stay.
+
+    Parameters
+    ----------
+    recording : RecordingReader
+    estimators : sequence of Estimator
+        Each runs after those whose products it requires, and sees what those before it found. Of resistances the
+        narrowest interval is used; of maps that of the highest rank is recommended, unless it fails its checks.
+    out : Path
+        Directory that gets the folder ``results``.
+    criteria : MapCriteria, optional
+        By which the maps are judged.
+    on_estimate : callable, optional
+        Called with each estimate as soon as it is there.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where nothing at all can be estimated, or currents and voltages cannot be a motor's; no file is written then.
+    PluginError
+        Where an estimator returns something else than it says that it produces, or estimators require each other.
+    StorageError
+        Where a result cannot be written.
+    """
+    SoundRecording(recording).read_through()
+    made: list[tuple[Estimator, Estimate]] = []
+    missing: list[Remark] = []
+    for estimator in in_order(estimators):
+        context = EstimationContext(tuple(estimate for _, estimate in made))
+        try:
+            estimate = estimator.estimate(recording, context)
+        except NotMeasuredError as error:
+            missing.append(Remark(code="not_measured", text=str(error)).by(estimator.name))
+            continue
+        if not isinstance(estimate, estimator.produces):
+            problem = f"returned {type(estimate).__name__} instead of {estimator.produces.__name__}"
+            raise PluginError(estimator.name, "estimate", problem)
+        made.append((estimator, estimate))
+        if on_estimate is not None:
+            on_estimate(estimate)
+    if not made:
+        problem = "; ".join(remark.text for remark in missing) or "no estimator was asked"
+        raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
+    made.sort(key=lambda pair: -pair[0].rank)
+    maps = {estimate.map.method: estimate for _, estimate in made if isinstance(estimate, FluxMapEstimate)}
+    resistances = {e.name: estimate for e, estimate in made if isinstance(estimate, ResistanceEstimate)}
+    report = judged(
+        Found(resistances, maps, tuple(missing)), recording.manifest.motor.rated_current_a, criteria or MapCriteria()
+    )
+    about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
+    return write_results(report, {method: found.map for method, found in maps.items()}, out / "results", **about)

@@ -1,0 +1,182 @@
+"""Which of the maps is recommended, whether it can be relied on, and what is to be said. Estimates nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
+from protocols import (
+    Basis,
+    EstimationReport,
+    FluxMap,
+    FluxMapEstimate,
+    InductanceRange,
+    MapChecks,
+    MapCriteria,
+    MapReport,
+    Remark,
+    ResistanceEstimate,
+)
+
+
+@dataclass(frozen=True)
+class Found:
+    """What the estimators of a pass made.
+
+    Attributes
+    ----------
+    resistances : mapping of ResistanceEstimate
+        By the estimator's name.
+    maps : mapping of FluxMapEstimate
+        By method, those of the highest rank first.
+    missing : tuple of Remark
+        What could not be estimated, and why.
+    """
+
+    resistances: Mapping[str, ResistanceEstimate]
+    maps: Mapping[str, FluxMapEstimate]
+    missing: tuple[Remark, ...]
+
+
+def judged(found: Found, rated_a: float | None, criteria: MapCriteria) -> EstimationReport:
+    """The report, without files.
+
+    Parameters
+    ----------
+    rated_a : float or None
+        Rated current [A peak], to which the percentages' flux belongs.
+    """
+    maps = _preferred(found.maps, rated_a, criteria)
+    best = next(iter(maps.values()), None)
+    resistance = min(found.resistances.values(), key=lambda r: r.high - r.low, default=None)
+    checks = best.checks if best is not None else MapChecks()
+    pair = _independent(maps)
+    difference = None if pair is None else difference_percent(*pair, rated_flux_wb(pair[0], rated_a))
+    against = _objections(best, criteria)
+    return EstimationReport(
+        resistance=resistance,
+        method=best.map.method if best is not None else None,
+        crossings=checks.crossings,
+        parity=checks.parity,
+        reciprocity_percent=checks.reciprocity_percent,
+        classical_against_injection_percent=difference,
+        usable=best is not None and not against,
+        remarks=(
+            *against,
+            *_disagreements(difference, pair, criteria),
+            *found.missing,
+            *_other_resistances(resistance, found.resistances),
+            *(resistance.remarks if resistance is not None else ()),
+            *_unscaled(best, rated_a),
+            *(remark.by(method) for method, made in found.maps.items() for remark in made.remarks),
+        ),
+        maps={method: _map_report(made) for method, made in maps.items()},
+        criteria=criteria,
+    )
+
+
+def _preferred(
+    maps: Mapping[str, FluxMapEstimate], rated_a: float | None, criteria: MapCriteria
+) -> dict[str, FluxMapEstimate]:
+    """The best first: energies that do not explain the measurements come last."""
+    measured = [made.map for made in maps.values() if made.map.basis is not Basis.ENERGY]
+
+    def fails(made: FluxMapEstimate) -> bool:
+        """An energy has to agree with one of the others at least; one that does is better than any of them alone."""
+        if made.map.basis is not Basis.ENERGY:
+            return False
+        rated = rated_flux_wb(made.map, rated_a)
+        off = [apart for other in measured if (apart := difference_percent(made.map, other, rated)) is not None]
+        return bool(off) and min(off) > criteria.energy_percent
+
+    return dict(sorted(maps.items(), key=lambda item: fails(item[1])))
+
+
+def _independent(maps: Mapping[str, FluxMapEstimate]) -> tuple[FluxMap, FluxMap] | None:
+    """The best map by injection and the best by integration: neither knows of the other."""
+    by = {basis: [made.map for made in maps.values() if made.map.basis is basis] for basis in Basis}
+    if not by[Basis.INJECTION] or not by[Basis.INTEGRATION]:
+        return None
+    return by[Basis.INJECTION][0], by[Basis.INTEGRATION][0]
+
+
+def _objections(best: FluxMapEstimate | None, criteria: MapCriteria) -> list[Remark]:
+    """What makes the recommended map unusable."""
+    if best is None:
+        return [Remark.of("no_map", "no flux map could be made")]
+    checks, told = best.checks, []
+    for axis in ("d", "q"):
+        crossing = getattr(checks.crossings, f"{axis}_percent", None)
+        if crossing is not None and crossing > criteria.crossings_percent:
+            text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
+            told.append(Remark.of("bad_crossings", text, axis=axis, apart_percent=crossing))
+        parity = getattr(checks.parity, f"{axis}_percent", None)
+        if parity is not None and parity > criteria.parity_percent:
+            text = (
+                "psi_{axis} breaks its symmetry in i_q by {off_percent:.1f} % of the rated flux: "
+                "is the rotor angle right?"
+            )
+            told.append(Remark.of("bad_parity", text, axis=axis, off_percent=parity))
+    return told
+
+
+def _disagreements(
+    difference: float | None, pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria
+) -> list[Remark]:
+    """A difference between the methods speaks against one of them, and does not say which."""
+    told = []
+    if difference is not None and difference > criteria.difference_percent:
+        text = "the classical and the injection map differ by {apart_percent:.1f} % of the rated flux (rms)"
+        told.append(Remark.of("methods_differ", text, apart_percent=difference))
+    ratio = None if pair is None else flux_ratio(*pair)
+    if ratio is None:
+        return told
+    value, std = ratio
+    if abs(value - 1.0) > max(criteria.flux_ratio_stds * std, criteria.least_flux_ratio):
+        less = value < 1.0
+        cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
+        text = (
+            "injection gives {apart_percent:.1f} % {size} flux than the classical method, more than their errors "
+            "explain: {cause}"
+        )
+        values = {"apart_percent": 100 * abs(value - 1.0), "std_percent": 100 * std}
+        told.append(Remark.of("flux_ratio", text, size="less" if less else "more", cause=cause, **values))
+    return told
+
+
+def _other_resistances(
+    chosen: ResistanceEstimate | None, resistances: Mapping[str, ResistanceEstimate]
+) -> list[Remark]:
+    """The one with the narrowest interval is chosen; what the others say is told."""
+    text = "R_s = {value_ohm:.4g} ohm (95 %: {low:.4g} to {high:.4g}), a wider interval: not used"
+    return [
+        Remark.of("wider_interval", text, value_ohm=r.value_ohm, low=r.low, high=r.high).by(name)
+        for name, r in resistances.items()
+        if r is not chosen
+    ]
+
+
+def _unscaled(best: FluxMapEstimate | None, rated_a: float | None) -> list[Remark]:
+    if best is None or rated_flux_wb(best.map, rated_a) is not None:
+        return []
+    return [Remark.of("rated_current_not_reached", "the map does not reach the rated current: no percentages")]
+
+
+def _map_report(made: FluxMapEstimate) -> MapReport:
+    return MapReport(basis=made.map.basis, checks=made.checks, inductances=_inductances(made.map), form=made.form)
+
+
+def _inductances(flux_map: FluxMap) -> InductanceRange | None:
+    l_dd, l_qq, l_dq = (values[np.isfinite(values)] for values in (flux_map.l_dd, flux_map.l_qq, flux_map.l_dq))
+    if not len(l_dd) or not len(l_qq) or not len(l_dq):
+        return None
+    return InductanceRange(
+        l_dd_low_h=float(l_dd.min()),
+        l_dd_high_h=float(l_dd.max()),
+        l_qq_low_h=float(l_qq.min()),
+        l_qq_high_h=float(l_qq.max()),
+        l_dq_largest_h=float(np.abs(l_dq).max()),
+    )

@@ -1,0 +1,50 @@
+"""A pass's results as one set of files: a kill leaves the old one, the new one, or no report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from orchestrator.estimation.flux_map_file import save_flux_map
+from orchestrator.recording import replace_file
+from protocols import EstimationReport, FluxMap, StorageError
+
+REPORT_NAME = "estimates.json"
+
+
+def write_results(
+    report: EstimationReport, maps: Mapping[str, FluxMap], folder: Path, *, motor: str, recording: str
+) -> EstimationReport:
+    """Replace the maps and the report in `folder`; the report with the files that it has.
+
+    Parameters
+    ----------
+    maps : mapping of FluxMap
+        By method; the recommended one becomes ``flux_map.nc``, the others ``flux_map_<method>.nc``.
+    motor, recording : str
+        Names, kept in the maps' attributes.
+
+    Raises
+    ------
+    StorageError
+        Where a result cannot be written.
+    """
+    named = {"flux_map" if m == report.method else f"flux_map_{m}": found for m, found in maps.items()}
+    files = {**{name: str(folder / f"{name}.nc") for name in named}, "estimates": str(folder / REPORT_NAME)}
+    report = report.model_copy(update={"files": files})
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with TemporaryDirectory(prefix=".estimating-", dir=folder) as staging:
+            for name, flux_map in named.items():
+                save_flux_map(Path(staging) / f"{name}.nc", flux_map, motor=motor, recording=recording)
+            # The report goes first and comes last: where it is, all maps are those that it speaks of.
+            (folder / REPORT_NAME).unlink(missing_ok=True)
+            for old in folder.glob("flux_map*.nc"):
+                old.unlink()
+            for new in Path(staging).iterdir():
+                new.replace(folder / new.name)
+    except OSError as error:
+        raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error
+    replace_file(folder / REPORT_NAME, (report.model_dump_json(indent=2) + "\n").encode())
+    return report

@@ -1,0 +1,123 @@
+"""Which map is recommended, whether it can be relied on, and what is said of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from orchestrator.estimation import estimate_recording
+from protocols import AxisPercent, Basis, Estimate, EstimationReport, Estimator, MapChecks, MapCriteria, Remark
+from tests.orchestrator.estimation.made_up import (
+    R_S,
+    RECORDING,
+    Injected,
+    Mapper,
+    OneEnergy,
+    Resistance,
+    Ripples,
+    Sweeps,
+)
+
+
+def judged(folder: Path, *estimators: Estimator, **criteria: float) -> EstimationReport:
+    return estimate_recording(RECORDING, estimators, folder, criteria=MapCriteria(**criteria))
+
+
+def said(report: EstimationReport, code: str) -> Remark:
+    (found,) = (remark for remark in report.remarks if remark.code == code)
+    return found
+
+
+def test_the_map_of_the_highest_rank_is_recommended(tmp_path: Path) -> None:
+    report = judged(tmp_path, Mapper("other"), Sweeps(), Ripples(), OneEnergy())
+    assert list(report.maps) == ["one_energy", "ripples", "sweeps", "other"]
+    assert report.method == "one_energy"
+
+
+@pytest.mark.parametrize(("factor", "method"), [(0.99, "one_energy"), (0.9, "ripples")])
+def test_an_energy_is_recommended_where_it_explains_the_measurements(
+    factor: float, method: str, tmp_path: Path
+) -> None:
+    energy = OneEnergy(factor=factor)
+    report = judged(tmp_path, energy, Ripples())
+    assert report.method == method
+    assert energy.saw is not None
+    assert [made.map.method for made in energy.saw.of(Injected)] == ["ripples"]
+    assert judged(tmp_path, energy, Ripples(), energy_percent=20.0).method == "one_energy"
+
+
+def test_an_energy_beside_nothing_is_recommended(tmp_path: Path) -> None:
+    assert judged(tmp_path, OneEnergy(factor=0.5)).method == "one_energy"
+
+
+def test_symmetry_is_told_of_a_map_that_does_not_have_it_by_construction(tmp_path: Path) -> None:
+    checks = MapChecks(parity=AxisPercent(d_percent=0.7, q_percent=0.8), reciprocity_percent=0.4)
+    report = judged(tmp_path, OneEnergy(), Sweeps(), Ripples(checks=checks))
+    assert report.recommended is not None
+    assert report.recommended.basis is Basis.ENERGY
+    assert report.measured_symmetry == "ripples"
+    assert report.maps["ripples"].checks == checks
+    assert judged(tmp_path, OneEnergy()).measured_symmetry is None
+
+
+@pytest.mark.parametrize(("factor", "percent"), [(0.95, 5.0), (1.03, 3.0), (0.995, None)])
+def test_a_difference_of_the_methods_is_put_in_words(factor: float, percent: float | None, tmp_path: Path) -> None:
+    report = judged(tmp_path, Sweeps(), Ripples(factor=factor))
+    assert report.usable
+    assert ("flux_ratio" in {remark.code for remark in report.remarks}) == (percent is not None)
+    if percent is not None:
+        told = said(report, "flux_ratio")
+        assert told.values["apart_percent"] == pytest.approx(percent)
+        assert ("hysteresis" in str(told.values["cause"])) == (factor < 1.0)
+
+
+def test_methods_that_differ_much_are_told_so(tmp_path: Path) -> None:
+    report = judged(tmp_path, Sweeps(), Ripples(factor=0.8))
+    difference = report.classical_against_injection_percent
+    assert difference is not None
+    assert said(report, "methods_differ").values["apart_percent"] == difference
+    assert judged(tmp_path, Sweeps(), Mapper("other", factor=0.8)).classical_against_injection_percent is None
+
+
+@pytest.mark.parametrize(
+    ("checks", "code"),
+    [
+        (MapChecks(crossings=AxisPercent(d_percent=1.0, q_percent=12.0)), "bad_crossings"),
+        (MapChecks(parity=AxisPercent(d_percent=1.0, q_percent=12.0)), "bad_parity"),
+    ],
+)
+def test_a_map_that_contradicts_itself_is_not_usable(checks: MapChecks, code: str, tmp_path: Path) -> None:
+    report = judged(tmp_path, Ripples(checks=checks))
+    assert not report.usable
+    assert report.remarks[0].code == code
+    assert report.remarks[0].values["axis"] == "q"
+    assert "12.0 %" in report.reasons[0]
+    tolerant = judged(tmp_path, Ripples(checks=checks), crossings_percent=20.0, parity_percent=20.0)
+    assert tolerant.usable
+    assert tolerant.criteria.parity_percent == 20.0
+
+
+def test_without_a_map_nothing_is_usable(tmp_path: Path) -> None:
+    report = judged(tmp_path, Resistance())
+    assert not report.usable
+    assert said(report, "no_map")
+    assert report.recommended is None
+
+
+def test_of_two_resistances_the_narrower_interval_is_used_and_the_other_told(tmp_path: Path) -> None:
+    class Rough(Resistance):
+        def estimate(self, recording: object, context: object) -> Estimate:
+            return R_S.model_copy(update={"value_ohm": 4.5, "low": 4.0, "high": 5.0})
+
+    Rough.name = "rough"
+    report = judged(tmp_path, Rough(), Resistance())
+    assert report.resistance == R_S
+    assert said(report, "rough.wider_interval").values == {"value_ohm": 4.5, "low": 4.0, "high": 5.0}
+
+
+def test_inductances_are_summed_up_where_they_are_known(tmp_path: Path) -> None:
+    made = judged(tmp_path, Sweeps()).maps["sweeps"].inductances
+    assert made is not None
+    assert 0.0 < made.l_dd_low_h < made.l_dd_high_h
+    assert 0.0 < made.l_dq_largest_h < made.l_qq_high_h

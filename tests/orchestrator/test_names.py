@@ -1,0 +1,33 @@
+"""The orchestrator knows kinds of plugins, and none of them by its name."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import orchestrator
+from orchestrator.registry import PluginKind, installed
+from protocols import SegmentStage
+
+ROOT = Path(orchestrator.__file__).parent
+STAGES = {stage.value for stage in SegmentStage}
+"""Kinds of stage that estimators are named after: outside the rooms of estimators these words mean the stage."""
+
+
+def strings(file: Path) -> Iterator[str]:
+    """Every string in a module that is neither a docstring nor in one."""
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.value
+
+
+@pytest.mark.parametrize("file", sorted(ROOT.rglob("*.py")), ids=lambda file: str(file.relative_to(ROOT)))
+def test_no_estimator_is_spelt_out(file: Path) -> None:
+    names = {info.name for info in installed(PluginKind.ESTIMATORS)}
+    if file.parent.name != "estimation":
+        names -= STAGES
+    assert names
+    assert not names & set(strings(file))
