@@ -156,7 +156,8 @@ def estimate_command(
 
 
 ModelOption = Annotated[
-    str | None, typer.Option(help="linear (the nameplate), saturated (the free energy map), or a flux map file.")
+    str | None,
+    typer.Option(help="linear (the nameplate), saturated (the free energy map), a flux map file, or a model.json."),
 ]
 EffectsOption = Annotated[Path | None, typer.Option("--effects", help="Python file with candidates of your own.")]
 OutOption = Annotated[Path | None, typer.Option(help="Keep model.json there instead of in the recording.")]
@@ -172,7 +173,7 @@ def compare_command(
 ) -> int:
     """Where the model fails.
 
-    The model is that of model.json, where there is one, else the saturated map alone.
+    The model is that of model.json as it stands, where there is one, else the saturated map alone.
     """
     from orchestrator.cli._diagnosis import compare
 
@@ -231,7 +232,7 @@ def remove_command(
 
 @app.command("export")
 def export_command(
-    path: Annotated[Path, typer.Argument(help="A run, a recording, or a map file.", metavar="RUN")],
+    path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
     formats: Annotated[list[str] | None, typer.Option("--format", help="Only this format (may be repeated).")] = None,
     motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder to write to; by default export/ in RUN.")] = None,

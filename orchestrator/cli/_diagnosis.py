@@ -22,6 +22,7 @@ from orchestrator.exporting import load_map
 from orchestrator.presentation.names import parameter_words, plain, rung_name, slots
 from orchestrator.presentation.quantities import measured, number, quantity
 from orchestrator.presentation.sentences import columns
+from orchestrator.recording import read_model
 from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
 from orchestrator.runs import open_any, refuse_file
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, Effect, PluginError
@@ -100,7 +101,10 @@ def _made(kind: type[Any], file: Path | None) -> Effect:
 
 
 def _model(choice: str | None) -> ModelChoice | None:
-    return choice if choice in (None, "linear", "saturated") else load_map(Path(str(choice)))
+    if choice in (None, "linear", "saturated"):
+        return choice
+    path = Path(str(choice))
+    return read_model(path) if path.suffix == ".json" else load_map(path)
 
 
 def _print_comparison(report: CompareReport) -> None:

@@ -10,6 +10,7 @@ from orchestrator.config import load_motor
 from orchestrator.exporting import FORMATS, export_map, load_map
 from orchestrator.importing import import_files
 from orchestrator.presentation.quantities import percent
+from orchestrator.recording import read_model
 from orchestrator.runs import open_any
 from protocols import InputError, Motor
 
@@ -32,6 +33,8 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
 def _motor_of(path: Path, motor: Path | None) -> Motor:
     if motor is not None:
         return load_motor(motor)
+    if path.suffix == ".json":
+        return read_model(path).motor
     if not path.is_dir():
         raise InputError(str(path), "--motor", "a map file does not say its motor: name a YAML file that does")
     return open_any(path).manifest.motor

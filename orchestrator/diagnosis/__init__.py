@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
-from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, SavedModel, read_model
+from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
@@ -20,24 +20,22 @@ from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magneti
 
 __all__ = [
     "CROSS_SATURATION",
-    "MODEL_NAME",
     "SATURATION",
     "Criteria",
     "Diagnosis",
     "Magnetics",
     "ModelChoice",
     "SavedDiagnosis",
-    "SavedModel",
     "add_effects",
     "compare_recording",
     "diagnose_and_keep",
     "diagnose_recording",
     "diagnosis_step",
+    "flux_map_of",
     "guarded",
     "in_words",
     "linear_magnetics",
     "load_diagnosis",
-    "read_model",
     "remove_effect",
     "save_diagnosis",
     "simulated_current",

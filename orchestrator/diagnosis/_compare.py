@@ -11,19 +11,28 @@ import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import Start
-from orchestrator.diagnosis.fitting.candidates import MAGNETIC, scaled_library
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.reporting.model_file import MODEL_NAME, read_model
-from orchestrator.diagnosis.selection.forward_search import with_effect
+from orchestrator.diagnosis.reporting.motor_model import flux_of, restored
 from orchestrator.diagnosis.selection.leftover import map_breaks
 from orchestrator.diagnosis.selection.sufficiency import solvable
-from orchestrator.diagnosis.selection.workflow import ModelChoice, first_steps, name_of
+from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
 from orchestrator.diagnosis.weak_form.segments import Piece
 from orchestrator.numerics.frames import to_dq
-from orchestrator.recording import Recording
-from protocols import AxisPercent, CompareReport, Effect, NoiseFloor, Remark, SegmentStage, StageError, WorstSegment
+from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model
+from protocols import (
+    AxisPercent,
+    CompareReport,
+    Effect,
+    MotorModel,
+    NoiseFloor,
+    Remark,
+    SegmentStage,
+    StageError,
+    WorstSegment,
+)
 
 
 @solvable
@@ -35,10 +44,10 @@ def compare_recording(
     Parameters
     ----------
     effects : sequence of Effect
-        The library, for the effects that `model.json` has.
-    model : {"saturated", "linear"} or FluxMap, optional
-        A bare baseline to compare; by default the model of `model.json` with its effects, where there is one,
-        else ``saturated``.
+        The library, for the effects that the model has.
+    model : {"saturated", "linear"}, FluxMap or MotorModel, optional
+        A baseline, of which R_s and what is free in the map are fitted, or a whole model, of which nothing is; by
+        default the model of `model.json`, where there is one, else ``saturated``.
     out : Path, optional
         Directory whose `model.json` is taken; the recording's own by default.
 
@@ -47,26 +56,23 @@ def compare_recording(
     RecordingError, NotMeasuredError
         As `diagnose_recording`.
     """
-    start = open_for_diagnosis(recording)
-    kept = read_model(out or recording.path) if model is None else None
-    names: list[str] = [e.name for e in kept.effects] if kept is not None else []
+    if model is None and has_model(out or recording.path):
+        model = read_model(out or recording.path)
+    start = open_for_diagnosis(recording, pm_flux_wb=flux_of(model))
     remarks = list(start.remarks)
-    if model is None and kept is None and out is not None:
+    if model is None and out is not None:
         remarks.append(
             Remark.of("no_model", "no {file} in {folder}: the bare map is compared", file=MODEL_NAME, folder=str(out))
         )
-    if model is None:
-        model = kept.baseline if kept is not None and kept.baseline in ("linear", "saturated") else "saturated"
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
-    fit = first_steps(start, model, [n for n in names if n in MAGNETIC])[-1].fit
-    for name in names:
-        if name in library:
-            fit = with_effect(start.fitter, fit, library[name])
-        elif name not in MAGNETIC:
-            remarks.append(
-                Remark.of("not_installed", "{effect}: in model.json, but not among the installed effects", effect=name)
-            )
-    title = " + ".join([name_of(model), *names])
+    if isinstance(model, MotorModel):
+        title, fit = model.title, start.fitter.hold(restored(start, model, model.baseline, library))
+        if model.recording != recording.manifest.name:
+            text = "the model was fitted to {fitted_to}, and is held against this recording as it is"
+            remarks.append(Remark.of("model_of_another", text, fitted_to=model.recording))
+    else:
+        title = baseline_of(model or "saturated").title
+        fit = first_steps(start, model or "saturated", library)[-1].fit
     pieces = [p for p in start.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(start, fit)
     parity, reciprocity = map_breaks(start.fitter, fit, start.current_a)

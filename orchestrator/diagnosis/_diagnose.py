@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +14,9 @@ from orchestrator._validation import suggestion
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.experiment_design.proposal import next_experiment
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import Start, freed_further
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
-from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.ladder import (
     found_effects,
     left_fraction,
@@ -23,7 +24,7 @@ from orchestrator.diagnosis.reporting.ladder import (
     rung,
     verdict_of,
 )
-from orchestrator.diagnosis.reporting.model_file import SavedModel, read_model, saved_map, write_model
+from orchestrator.diagnosis.reporting.motor_model import flux_of, freed_by, kept_model, reduced, restored
 from orchestrator.diagnosis.selection.forward_search import (
     Search,
     Step,
@@ -34,28 +35,33 @@ from orchestrator.diagnosis.selection.leftover import leftover_shape
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import (
     ModelChoice,
+    baseline_of,
     converged,
     first_steps,
     map_steps,
-    name_of,
     on_a_finer_map,
     pruned,
     search_effects,
+    with_map_step,
     without_doubtful,
 )
-from orchestrator.recording import Recording
+from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
 from protocols import (
     AddReport,
+    Baseline,
     DiagnosisReport,
     DiagnosisStep,
     Effect,
     FoundEffect,
+    MotorModel,
+    Nameplate,
     NextExperiment,
     NoiseFloor,
     ParameterValue,
     PluginError,
     Remark,
     Rung,
+    Saturated,
     ShapeShare,
     StorageError,
     Unexplained,
@@ -98,7 +104,7 @@ def diagnose_recording(
     ----------
     effects : sequence of Effect
         The library of candidates.
-    model : {"saturated", "linear"} or FluxMap
+    model : {"saturated", "linear"}, FluxMap or MotorModel
         Where the ladder starts.
     without : sequence of str
         Names taken out of the library.
@@ -122,9 +128,11 @@ def diagnose_recording(
     """
     began = time.monotonic()
     _known(without, effects)
-    start = open_for_diagnosis(recording, poll, criteria)
+    start = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model))
     library = scaled_library(effects, start.prepared.manifest, without)
-    search = search_effects(start, map_steps(start, model, without), library)
+    if isinstance(model, MotorModel):
+        model = reduced(model, without)
+    search = search_effects(start, map_steps(start, model, {c.name: c for c in library}, without), library)
     search = on_a_finer_map(start, search, library)
     search, spared = pruned(start, converged(start, search))
     search, doubtful = without_doubtful(start, search)
@@ -132,10 +140,12 @@ def diagnose_recording(
     limits = last.criteria.selection
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks = [*start.remarks, *(Remark.of("unsteady", unsteady, effect=n) for n in doubtful)]
-    found = _magnetic_rungs(search) + found_effects(start.fitter, last, search.steps, search.rivals)
+    evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
+    freed = {name: gain for name, gain in evidence.items() if name in MAGNETIC}
+    found = _magnetic_effects(last, freed) + found_effects(start.fitter, last, evidence, search.rivals)
     periodic = any(not line.switching for line in start.fitter.noise.lines)
     verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
-    left = _unexplained(start, first, last)
+    left = _unexplained(start, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > limits.noteworthy_chi2 and left.shape:
@@ -148,7 +158,7 @@ def diagnose_recording(
         remarks.append(Remark.of("too_quiet", text, chi2=last.chi2_per_dof))
     joint = joint_fit(start.fitter, search, library)
     remarks += other_opinion(joint, found, limits)
-    ladder = tuple(rung(step) for step in search.steps)
+    ladder = (*(rung(step) for step in search.steps[:-1]), *_as_kept(start, search.steps[-1:]))
     if on_step is not None:
         _show(start, search, ladder, on_step)
     report = DiagnosisReport(
@@ -165,9 +175,13 @@ def diagnose_recording(
         seconds=time.monotonic() - began,
         criteria=start.prepared.criteria.model_dump(mode="json"),
     )
-    problem = _save(recording, start, search, name_of(model), found, ladder, out)
-    if problem is not None:
-        report = report.with_remark(Remark.of("not_written", "{problem}", problem=problem))
+    baseline = baseline_of(model)
+    if isinstance(baseline, Nameplate):
+        baseline = Nameplate.model_validate({"freed": tuple(freed)})
+    try:
+        write_model(out or recording.path, kept_model(start, last, baseline, found, ladder))
+    except StorageError as error:
+        report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
     return Diagnosis(report, start, search)
 
 
@@ -179,12 +193,12 @@ def add_effects(
     model: ModelChoice | None = None,
     out: Path | None = None,
 ) -> AddReport:
-    """Refit with these effects beside those that `model.json` has already; the ladder grows.
+    """Refit with these effects beside those that the model has already; the ladder grows.
 
     Parameters
     ----------
     model : optional
-        Where the ladder starts; what `model.json` says by default, else ``saturated``.
+        Where the ladder starts; by default the model of `model.json` as it stands, else ``saturated``.
 
     Raises
     ------
@@ -192,53 +206,120 @@ def add_effects(
         Where a name is not in the library.
     """
     _known([n for n in names if n not in MAGNETIC], effects)
-    kept = read_model(out or recording.path)
-    before = [] if kept is None else [e.name for e in kept.effects]
-    if model is None:
-        model = kept.baseline if kept is not None and kept.baseline in ("linear", "saturated") else "saturated"
-    return _refitted(recording, list(dict.fromkeys([*before, *names])), effects, model, out)
+    kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
+    return _added(recording, names, effects, kept, model or "saturated", out)
+
+
+@solvable
+def _added(
+    recording: Recording,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    kept: MotorModel | None,
+    model: ModelChoice,
+    out: Path | None,
+) -> AddReport:
+    start = open_for_diagnosis(recording, pm_flux_wb=flux_of(kept or model))
+    library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
+    baseline = kept.baseline if kept is not None else baseline_of(model)
+    if kept is None:
+        steps = first_steps(start, model, library)
+    else:
+        fit = start.fitter.fit(restored(start, kept, baseline, library))
+        steps = [Step(kept.ladder[-1].added, fit)]
+    remarks = list(start.remarks)
+    for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAGNETIC):
+        fit = steps[-1].fit
+        if name in fit.model.names:
+            remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
+        elif name in library:
+            steps.append(Step(name, with_effect(start.fitter, fit, library[name])))
+        elif isinstance(baseline, Nameplate) and name not in baseline.freed:
+            baseline = freed_by(baseline, name)
+            steps.append(Step(name, with_map_step(start, fit, baseline)))
+        else:
+            text = "{effect}: in the map {map} already"
+            remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
+    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *_as_kept(start, steps))
+    return _keep_refit(recording, start, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
 
 def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *, out: Path | None = None) -> AddReport:
-    """Refit without one of the effects that `model.json` has.
+    """Refit without one of the effects that `model.json` has; what was added before it stays as it was.
 
     Raises
     ------
     PluginError
         Where the model has no such effect.
     """
-    kept = read_model(out or recording.path)
-    have = [] if kept is None else [e.name for e in kept.effects]
+    directory = out or recording.path
+    kept = read_model(directory) if has_model(directory) else None
+    have = [] if kept is None else [r.added for r in kept.ladder if r.added is not None]
     if kept is None or name not in have:
-        raise PluginError("model.json", name, f"not in the model; it has {', '.join(have) or 'no effects'}")
-    model = kept.baseline if kept.baseline in ("linear", "saturated") else "saturated"
-    return _refitted(recording, [n for n in have if n != name], effects, model, out)
+        raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
+    return _removed(recording, name, effects, kept, out)
 
 
 @solvable
-def _refitted(
-    recording: Recording, names: Sequence[str], effects: Sequence[Effect], model: ModelChoice, out: Path | None
+def _removed(
+    recording: Recording, name: str, effects: Sequence[Effect], kept: MotorModel, out: Path | None
 ) -> AddReport:
-    start = open_for_diagnosis(recording)
+    start = open_for_diagnosis(recording, pm_flux_wb=kept.pm_flux_wb)
     library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
-    steps = first_steps(start, model, [n for n in names if n in MAGNETIC])
-    remarks = list(start.remarks)
-    for name in names:
-        if name in library:
-            steps.append(Step(name, with_effect(start.fitter, steps[-1].fit, library[name])))
-        elif name in MAGNETIC and model != "linear":
-            remarks.append(Remark.of("in_map", "{effect}: in the map {map} already", effect=name, map=name_of(model)))
-        elif name not in MAGNETIC:
-            text = "{effect}: in model.json, but not among the installed effects: left out"
-            remarks.append(Remark.of("not_installed", text, effect=name))
-    search = Search(steps)
-    found = _magnetic_rungs(search) + found_effects(start.fitter, search.fit, steps, {})
-    ladder = tuple(rung(step) for step in steps)
-    problem = _save(recording, start, search, name_of(model), found, ladder, out)
-    if problem is not None:
-        raise StorageError(problem)
-    left = _unexplained(start, steps[0].fit, search.fit)
-    return AddReport(effects=found, ladder=ladder, unexplained=left, remarks=tuple(remarks))
+    at = next(k for k, r in enumerate(kept.ladder) if r.added == name)
+    left = [r.added for r in kept.ladder if r.added not in (None, name)]
+    steps = []
+    # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
+    for count in range(at - 1, len(left) + 1):
+        baseline, model = _as_of(start, reduced(kept, [name]), left[:count], library)
+        if count == 0 and isinstance(baseline, Saturated):
+            steps += first_steps(start, "saturated", library)
+        else:
+            steps.append(Step(left[count - 1] if count else None, start.fitter.fit(model)))
+    ladder = (*kept.ladder[: at - 1], *_as_kept(start, steps))
+    return _keep_refit(recording, start, steps[-1].fit, baseline, kept, ladder, start.remarks, out)
+
+
+def _as_of(
+    start: Start, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, Candidate]
+) -> tuple[Baseline, Model]:
+    """The model with no more than these rungs, as free as its map was then."""
+    baseline = kept.baseline
+    if isinstance(baseline, Nameplate):
+        baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
+    model = restored(start, kept, baseline, library)
+    if isinstance(baseline, Nameplate):
+        model = freed_further(start, model, baseline)
+    return baseline, model.with_active([a for a in model.active if a.name in names])
+
+
+def _keep_refit(
+    recording: Recording,
+    start: Start,
+    fit: Fit,
+    baseline: Baseline,
+    before: MotorModel | None,
+    ladder: Sequence[Rung],
+    remarks: Sequence[Remark],
+    out: Path | None,
+) -> AddReport:
+    """The model written to `model.json`, and what there is to say of it; raises `StorageError`."""
+    evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
+    twins = {e.name: e.twins for e in before.effects} if before is not None else {}
+    found = found_effects(start.fitter, fit, evidence, twins)
+    write_model(out or recording.path, kept_model(start, fit, baseline, found, ladder))
+    freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
+    return AddReport(
+        effects=_magnetic_effects(fit, dict.fromkeys(freed, 0.0)) + found,
+        ladder=tuple(ladder),
+        unexplained=_unexplained(start, ladder[0].chi2 or math.inf, fit),
+        remarks=tuple(remarks),
+    )
+
+
+def _as_kept(start: Start, steps: Sequence[Step]) -> tuple[Rung, ...]:
+    """The rungs of some steps with their models as they would be kept, so that a comparison finds them again."""
+    return tuple(rung(Step(step.added, start.fitter.hold(step.fit.model))) for step in steps)
 
 
 def _show(start: Start, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]) -> None:
@@ -255,40 +336,35 @@ def _known(names: Sequence[str], effects: Sequence[Effect]) -> None:
             raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}")
 
 
-def _magnetic_rungs(search: Search) -> tuple[FoundEffect, ...]:
-    """Saturation and cross-saturation as effects: by how much the inductances vary."""
-    found = []
-    grid = search.fit.model.space.grid
+def _magnetic_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, ...]:
+    """Saturation and cross-saturation as effects, where the map was let go: by how much the inductances vary."""
+    grid = fit.model.space.grid
     d = np.linspace(grid.low, grid.high, 25)
     q = np.linspace(-grid.reach, grid.reach, 25)
-    here = np.stack([g.ravel() for g in np.meshgrid(d, q)], axis=1)
-    inductance = search.fit.model.magnetics.flux_and_inductance(here)[1]
+    nodes = np.stack([g.ravel() for g in np.meshgrid(d, q)], axis=1)
+    inductance = fit.model.magnetics.flux_and_inductance(nodes)[1]
     mean = inductance[:, [0, 2]].mean()
     sizes = {
         SATURATION: (float(np.ptp(inductance[:, [0, 2]], axis=0).max() / mean), 0.4),
         CROSS_SATURATION: (float(np.abs(inductance[:, 1]).max() / mean), 0.1),
     }
-    for step in search.steps:
-        if step.added in MAGNETIC:
-            size, typical = sizes[step.added]
-            value = ParameterValue(value=size, low=None, high=None, unit="1")
-            found.append(
-                FoundEffect(
-                    name=step.added,
-                    parameters={"relative_change": value},
-                    twins=(),
-                    relative_size=size / typical,
-                    log_evidence=step.log_evidence,
-                )
-            )
-    return tuple(found)
+    return tuple(
+        FoundEffect(
+            name=name,
+            parameters={"relative_change": ParameterValue(value=sizes[name][0], low=None, high=None, unit="1")},
+            twins=(),
+            relative_size=sizes[name][0] / sizes[name][1],
+            log_evidence=gain,
+        )
+        for name, gain in evidence.items()
+    )
 
 
-def _unexplained(start: Start, first: Fit, last: Fit) -> Unexplained:
+def _unexplained(start: Start, first_chi2: float, last: Fit) -> Unexplained:
     detected = last.chi2_per_dof > last.criteria.selection.detected_chi2
     shape = leftover_shape(start.fitter, last, start.current_a) if detected else []
     return Unexplained(
-        fraction=left_fraction(first, last),
+        fraction=left_fraction(first_chi2, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
     )
 
@@ -307,24 +383,3 @@ def _proposal(
     if verdict == "unknown_remains" and len(suspects) >= 2:
         return next_experiment(start, suspects[0], suspects[1])
     return None
-
-
-def _save(
-    recording: Recording,
-    start: Start,
-    search: Search,
-    baseline: str,
-    found: Sequence[FoundEffect],
-    ladder: Sequence[Rung],
-    out: Path | None,
-) -> str | None:
-    saved = SavedModel(
-        recording=recording.manifest.name,
-        baseline=baseline,
-        r_s_ohm=search.fit.model.r_s,
-        pm_flux_wb=start.fitter.pm_flux_wb,
-        magnetics=saved_map(search.fit.model),
-        effects=tuple(found),
-        ladder=tuple(ladder),
-    )
-    return write_model(out or recording.path, saved)

@@ -18,9 +18,18 @@ from protocols import RecordingReader, Remark
 
 
 def open_for_diagnosis(
-    recording: RecordingReader, poll: Callable[[], None] = lambda: None, criteria: Criteria | None = None
+    recording: RecordingReader,
+    poll: Callable[[], None] = lambda: None,
+    criteria: Criteria | None = None,
+    *,
+    pm_flux_wb: float | None = None,
 ) -> Start:
     """Read a recording and find its noise; what `poll` raises ends any fit of it.
+
+    Parameters
+    ----------
+    pm_flux_wb : float, optional
+        Of the model that the recording is held against; the nameplate's by default.
 
     Raises
     ------
@@ -45,7 +54,8 @@ def open_for_diagnosis(
     l_q = motor.q_inductance_h or l_d
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
     effort = Effort(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
-    fitter = Fitter(prepared, noise, motor.pm_flux_wb or 0.0, effort=effort, poll=poll)
+    flux = (motor.pm_flux_wb or 0.0) if pm_flux_wb is None else pm_flux_wb
+    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll)
     search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
     return Start(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 

@@ -1,4 +1,4 @@
-"""Flux maps from files: NetCDF, CSV, NPZ and SyR-e's .mat; what a file lacks is differentiated or NaN, not guessed."""
+"""Flux maps from files: NetCDF, CSV, NPZ, SyR-e's .mat and models; what a file lacks is differentiated or NaN."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from orchestrator.estimation import load_flux_map
 from orchestrator.exporting._numeric_files import CSV_UNITS
 from orchestrator.exporting._surface import MapSurface, require_usable
 from orchestrator.numerics.types import Array
+from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
 RUN_MAP = Path("results") / "flux_map.nc"
@@ -30,12 +31,14 @@ _OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]
 
 
 def load_map(path: Path) -> FluxMap:
-    """Read a flux map: a run or recording that was estimated, or a .nc, .csv, .npz or .mat file.
+    """Read a flux map: a run or recording that was estimated, a .nc, .csv, .npz or .mat file, or a `model.json`.
 
     CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
     motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
     axes turned to PM axes. Points may come in any order but must lie on a rectangular grid, of which some may be
-    missing. Inductances that a file lacks are derivatives of its flux; standard deviations that it lacks are NaN.
+    missing. A model's map is without its effects.
+
+    Inductances that a file lacks are derivatives of its flux; standard deviations that it lacks are NaN.
 
     Raises
     ------
@@ -46,9 +49,13 @@ def load_map(path: Path) -> FluxMap:
         if not (path / RUN_MAP).is_file():
             raise InputError(str(path), str(RUN_MAP), "no such file; `fluxbench estimate` makes it")
         return _read_netcdf(path / RUN_MAP)
+    if path.suffix == ".json":
+        from orchestrator.diagnosis import flux_map_of  # not before it is needed: it compiles
+
+        return flux_map_of(read_model(path))
     readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
     if path.suffix not in readers and path.suffix != ".nc":
-        raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz or .mat file")
+        raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz, .mat or .json file")
     if not path.is_file():
         raise InputError(str(path), "", "no such file")
     if path.suffix == ".nc":

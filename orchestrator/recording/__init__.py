@@ -2,18 +2,23 @@
 
 from orchestrator.recording._files import remove_partial_files, replace_file
 from orchestrator.recording._manifest import MANIFEST_NAME, capture_path, read_manifest, write_manifest
+from orchestrator.recording._model_file import MODEL_NAME, has_model, read_model, write_model
 from orchestrator.recording._reader import Recording, open_recording
 from orchestrator.recording._writer import SegmentWriter, WrittenSegment
 
 __all__ = [
     "MANIFEST_NAME",
+    "MODEL_NAME",
     "Recording",
     "SegmentWriter",
     "WrittenSegment",
     "capture_path",
+    "has_model",
     "open_recording",
     "read_manifest",
+    "read_model",
     "remove_partial_files",
     "replace_file",
     "write_manifest",
+    "write_model",
 ]

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
@@ -18,9 +17,7 @@ from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import FluxMap, NotMeasuredError, Remark, SegmentStage
-
-Baseline = Literal["linear", "saturated"]
+from protocols import Baseline, FluxMap, GivenMap, Nameplate, NotMeasuredError, Remark, Saturated, SegmentStage
 
 
 @dataclass(frozen=True)
@@ -42,48 +39,59 @@ class Start:
         return self.prepared.criteria.fitting
 
 
-def saturated_model(start: Start, intervals: int) -> Model:
-    """A free map with this many spline intervals on each axis."""
-    grid = _grid(start, intervals)
-    prior = smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, start.criteria.roughness)
-    space = MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
-    return Model(space, linear_magnetics(grid, start.l_d_h, start.l_q_h), _resistance(start))
+def map_space(start: Start, baseline: Baseline, grid: EvenSpline, coefficients: Array) -> MapSpace:
+    """The maps in which a fit from this baseline may look.
+
+    Parameters
+    ----------
+    coefficients : array, shape (grid.size,)
+        Of the map as it stands: a given one is held there.
+    """
+    if isinstance(baseline, GivenMap):
+        return _held(grid, coefficients)
+    if isinstance(baseline, Saturated) or CROSS_SATURATION in baseline.freed:
+        return _free(start, grid)
+    return _separable(start, grid) if SATURATION in baseline.freed else _linear(start, grid)
 
 
-def linear_model(start: Start) -> Model:
+def _held(grid: EvenSpline, coefficients: Array) -> MapSpace:
+    return MapSpace(grid, coefficients, np.zeros((grid.size, 0)), np.zeros((0, 0)))
+
+
+def _linear(start: Start, grid: EvenSpline) -> MapSpace:
     """Constant inductances: the nameplate's, or free ones where it has none."""
-    grid = _grid(start, start.criteria.intervals[0])
     motor = start.prepared.manifest.motor
-    known = motor.d_inductance_h is not None and motor.q_inductance_h is not None
-    linear = linear_magnetics(grid, start.l_d_h, start.l_q_h)
-    if known:
-        directions = np.zeros((grid.size, 0))
-        space = MapSpace(grid, linear.coefficients, directions, np.zeros((0, 0)))
-    else:
-        d, q = linear_magnetics(grid, 1.0, 0.0).coefficients, linear_magnetics(grid, 0.0, 1.0).coefficients
-        space = MapSpace(grid, np.zeros(grid.size), np.stack([d, q], axis=1), np.zeros((1, 2)))
-    return Model(space, linear, _resistance(start))
+    if motor.d_inductance_h is not None and motor.q_inductance_h is not None:
+        return _held(grid, linear_magnetics(grid, start.l_d_h, start.l_q_h).coefficients)
+    d, q = linear_magnetics(grid, 1.0, 0.0).coefficients, linear_magnetics(grid, 0.0, 1.0).coefficients
+    return MapSpace(grid, np.zeros(grid.size), np.stack([d, q], axis=1), np.zeros((1, 2)))
 
 
-def with_saturation(start: Start, model: Model) -> Model:
-    """The map W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
-    free = saturated_model(start, start.criteria.intervals[0]).space
-    nd, nq = free.grid.functions
+def _separable(start: Start, grid: EvenSpline) -> MapSpace:
+    """W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
+    nd, nq = grid.functions
     directions = np.concatenate([np.kron(np.eye(nd), np.ones((nq, 1))), np.kron(np.ones((nd, 1)), np.eye(nq))], axis=1)
     # The constant is in both; the prior decides.
-    prior = np.concatenate([free.prior @ directions, 1e-6 * np.eye(nd + nq)])
-    space = MapSpace(free.grid, np.zeros(free.grid.size), directions, prior)
-    magnetics = linear_magnetics(free.grid, start.l_d_h, start.l_q_h)
-    return Model(space, magnetics, model.r_s, model.active)
+    prior = np.concatenate([_free(start, grid).prior @ directions, 1e-6 * np.eye(nd + nq)])
+    return MapSpace(grid, np.zeros(grid.size), directions, prior)
 
 
-def with_cross_saturation(start: Start, model: Model) -> Model:
-    """The free map."""
-    free = saturated_model(start, start.criteria.intervals[0])
-    return Model(free.space, free.magnetics, model.r_s, model.active)
+def _free(start: Start, grid: EvenSpline) -> MapSpace:
+    prior = smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, start.criteria.roughness)
+    return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
 
 
-MAP_STEPS = {SATURATION: with_saturation, CROSS_SATURATION: with_cross_saturation}
+def baseline_model(start: Start, baseline: Nameplate | Saturated) -> Model:
+    """Where a fit from this baseline starts: the nameplate's inductances on the coarsest grid."""
+    grid = _grid(start, start.criteria.intervals[0])
+    linear = linear_magnetics(grid, start.l_d_h, start.l_q_h)
+    return Model(map_space(start, baseline, grid, linear.coefficients), linear, _resistance(start))
+
+
+def freed_further(start: Start, model: Model, baseline: Nameplate) -> Model:
+    """The same R_s and effects, with the map as free as this baseline says."""
+    bare = baseline_model(start, baseline)
+    return replace(bare, r_s=model.r_s, active=model.active)
 
 
 def given_model(start: Start, flux_map: FluxMap) -> Model:
@@ -104,8 +112,7 @@ def given_model(start: Start, flux_map: FluxMap) -> Model:
     design = np.concatenate([rows * scale, prior])
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
-    space = MapSpace(grid, coefficients, np.zeros((grid.size, 0)), np.zeros((0, 0)))
-    return Model(space, Magnetics(grid, coefficients), _resistance(start))
+    return Model(_held(grid, coefficients), Magnetics(grid, coefficients), _resistance(start))
 
 
 def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
@@ -119,8 +126,7 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
 
 def fitted_baseline(start: Start) -> Fit:
     """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
-    first = start.coarse.fit(saturated_model(start, start.criteria.intervals[0]), renewals=1)
-    part = with_detail(start, start.coarse, first)
+    part = with_detail(start, start.coarse, start.coarse.fit(baseline_model(start, Saturated()), renewals=1))
     fit = start.fitter.fit(part.model, renewals=0)
     # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
     worth_it = start.criteria.finer_above_chi2 < fit.chi2_per_dof < start.criteria.finer_below_chi2
@@ -143,7 +149,7 @@ def finer_map(start: Start, fitter: Fitter, fit: Fit, intervals: int) -> Fit | N
     """The same model on a finer map, where that is worth its freedom; None where it is not."""
     if intervals <= fit.model.space.grid.cells[0]:
         return None
-    space = saturated_model(start, intervals).space
+    space = _free(start, _grid(start, intervals))
     model = replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
     trial = fitter.fit(model, steps=2, renewals=0)
     freed = fit.dof - trial.dof

@@ -165,15 +165,27 @@ class Fitter:
                 gram += kept.white_basis.T @ kept.white_basis
         return Frame(model.space, pieces, gram)
 
-    def evaluate(self, model: Model, frame: Frame, extra: Sequence[tuple[Active, str]] = ()) -> Fit:
-        """Solve for R_s and the map with the effects where they are; `extra` asks for more columns."""
+    def evaluate(
+        self, model: Model, frame: Frame, extra: Sequence[tuple[Active, str]] = (), *, held: bool = False
+    ) -> Fit:
+        """Solve for R_s and the map with the effects where they are; `extra` asks for more columns.
+
+        With `held` nothing is solved for: R_s and the map stay the model's too.
+        """
         self.poll()
         wanted = [*model.free, *extra]
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * (len(wanted) + self.criteria.evaluation_columns)
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
         rows = self._map(lambda job: self._piece_rows(model, job[0], job[1], wanted), jobs)
-        return self._solve(model, frame, rows)
+        return self._solve(model, frame, rows, held)
+
+    def hold(self, model: Model) -> Fit:
+        """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.
+
+        chi2 is per degree of freedom as in a fit of the same freedom.
+        """
+        return self.evaluate(model, self.frame(model), held=True)
 
     def _map(self, work: Callable[[_Job], _Result], jobs: Sequence[_Job]) -> list[_Result]:
         if self.threads < 2:
@@ -307,7 +319,7 @@ class Fitter:
         changed = other.changed.union(*(c.changed for c in chain[at + 1 :]))
         return difference(piece, chain[-1].signals, other.signals, changed, here, self.pm_flux_wb) / step
 
-    def _solve(self, model: Model, frame: Frame, rows: Sequence[PieceRows]) -> Fit:
+    def _solve(self, model: Model, frame: Frame, rows: Sequence[PieceRows], held: bool) -> Fit:
         space, pieces = model.space, self.prepared.pieces
         width = 1 + space.directions.shape[1]
         normal, right = np.zeros((width, width)), np.zeros(width)
@@ -326,7 +338,7 @@ class Fitter:
         # Equations are written around the model's own coefficients; the prior is around the space's origin.
         start = _free_numbers(space, model.magnetics.coefficients)
         right[1:] += space.prior.T @ (space.prior @ start)
-        solution = -np.linalg.solve(total, right)
+        solution = np.append(model.r_s, np.zeros(width - 1)) if held else -np.linalg.solve(total, right)
         effective = float(np.trace(np.linalg.solve(total, normal)))
         r_s, change = float(solution[0]), solution[1:]
         moved = space.directions @ change

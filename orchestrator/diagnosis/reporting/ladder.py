@@ -58,11 +58,11 @@ def rung(step: Step) -> Rung:
     )
 
 
-def left_fraction(before: Fit, after: Fit) -> float:
+def left_fraction(before_chi2: float, after: Fit) -> float:
     """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    if before.chi2_per_dof <= before.criteria.selection.detected_chi2:
+    if before_chi2 <= after.criteria.selection.detected_chi2:
         return 0.0
-    return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before.chi2_per_dof - 1.0))
+    return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before_chi2 - 1.0))
 
 
 def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
@@ -74,7 +74,7 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     limits = after.criteria.selection
     if after.chi2_per_dof <= limits.detected_chi2:
         return "explained" if effects else "clean"
-    fraction = left_fraction(before, after)
+    fraction = left_fraction(before.chi2_per_dof, after)
     if not effects or fraction > limits.mostly_explained or not small_remainder(before, after):
         return "unknown_remains"
     return "explained" if fraction <= limits.explained else "mostly_explained"
@@ -87,13 +87,12 @@ def small_remainder(before: Fit, after: Fit) -> bool:
 
 
 def found_effects(
-    fitter: Fitter, fit: Fit, steps: Sequence[Step], rivals: Mapping[str, Sequence[str]]
+    fitter: Fitter, fit: Fit, evidence: Mapping[str, float | None], rivals: Mapping[str, Sequence[str]]
 ) -> tuple[FoundEffect, ...]:
     """The active effects with 95 % intervals; see `coordinate_spread`."""
     if not fit.model.active:
         return ()
     half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
-    evidence = {s.added: s.log_evidence for s in steps}
     found, k = [], 0
     for active in fit.model.active:
         widths = dict(zip(active.free, half[k : k + len(active.free)], strict=True))

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from orchestrator.diagnosis.fitting.baseline import (
-    MAP_STEPS,
     Start,
+    baseline_model,
     fitted_baseline,
+    freed_further,
     given_model,
-    linear_model,
     with_detail,
 )
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import verdict_of
+from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import (
     Search,
     Step,
@@ -26,38 +27,64 @@ from orchestrator.diagnosis.selection.forward_search import (
     settled,
 )
 from orchestrator.diagnosis.uncertainty.trust import certainty, foretold, inconstancy
-from protocols import FluxMap, PluginError
+from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
-ModelChoice = str | FluxMap
-"""``saturated`` (the free energy map), ``linear`` (the nameplate), or a map of one's own."""
+ModelChoice = str | FluxMap | MotorModel
+"""``saturated`` (the free energy map), ``linear`` (the nameplate), a map of one's own, or a whole model.
+
+A whole model's map is held, and its effects are fitted anew to the recording at hand.
+"""
 
 
-def first_steps(start: Start, model: ModelChoice, magnetic: Sequence[str]) -> list[Step]:
+def baseline_of(model: ModelChoice) -> Baseline:
+    """The baseline that a choice stands for; raises `PluginError` where it is none."""
+    if isinstance(model, FluxMap):
+        return GivenMap(method=model.method)
+    if isinstance(model, MotorModel):
+        return held_baseline(model)
+    if model not in ("linear", "saturated"):
+        raise PluginError("--model", model, "expected linear, saturated, or the path of a flux map or model")
+    return Nameplate() if model == "linear" else Saturated()
+
+
+def first_steps(start: Start, model: ModelChoice, library: Mapping[str, Candidate]) -> list[Step]:
+    """The ladder's first rungs: the baseline's, and one for each effect of a whole model."""
+    baseline = baseline_of(model)
     if isinstance(model, FluxMap):
         return [Step(None, start.fitter.fit(given_model(start, model)))]
-    if model == "saturated":
-        return [Step(None, fitted_baseline(start))]
-    if model != "linear":
-        raise PluginError("--model", str(model), "expected linear, saturated, or the path of a flux map")
-    steps = [Step(None, start.fitter.fit(linear_model(start)))]
-    for name in magnetic:
-        steps.append(Step(name, start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))))
-    return steps
+    if isinstance(model, MotorModel):
+        whole = restored(start, model, baseline, library)
+        steps = [Step(None, start.fitter.fit(whole.with_active([])))]
+        for active in whole.active:
+            before = steps[-1].fit.model
+            steps.append(Step(active.name, start.fitter.fit(before.with_active([*before.active, active]))))
+        return steps
+    if isinstance(baseline, Nameplate):
+        return [Step(None, start.fitter.fit(baseline_model(start, baseline)))]
+    return [Step(None, fitted_baseline(start))]
 
 
-def map_steps(start: Start, model: ModelChoice, without: Sequence[str]) -> list[Step]:
-    """The ladder's first rungs: the baseline, and from a linear one the map's own, as far as the data ask for them."""
-    steps = first_steps(start, model, [])
+def with_map_step(start: Start, fit: Fit, baseline: Nameplate) -> Fit:
+    """The nameplate's model refitted with its map so far let go."""
+    return start.fitter.fit(freed_further(start, fit.model, baseline))
+
+
+def map_steps(start: Start, model: ModelChoice, library: Mapping[str, Candidate], without: Sequence[str]) -> list[Step]:
+    """`first_steps`, and from a linear baseline the map's own, as far as the data ask for them."""
+    steps = first_steps(start, model, library)
     if model != "linear":
         return steps
+    baseline = Nameplate()
     for name in (SATURATION, CROSS_SATURATION):
         if name in without:
             break
-        fit = start.fitter.fit(MAP_STEPS[name](start, steps[-1].fit.model))
+        freed = freed_by(baseline, name)
+        fit = with_map_step(start, steps[-1].fit, freed)
         gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
         gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
         if gain > start.prepared.criteria.selection.log_evidence:
             steps.append(Step(name, fit, gain))
+            baseline = freed
     return steps
 
 
@@ -194,8 +221,3 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     if len(full.model.active) < 2:
         return False
     return without.chi2_per_dof - 1.0 < _spare(first)
-
-
-def name_of(model: ModelChoice) -> str:
-    """The baseline, as it is called in reports."""
-    return model if isinstance(model, str) else f"map:{model.method}"

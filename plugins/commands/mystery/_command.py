@@ -166,14 +166,11 @@ def _off(ratio: float | None) -> str:
 
 def _fitted(path: Path) -> dict[str, dict[str, float]]:
     """Sizes of the recording's own model, where it has one."""
-    from orchestrator.diagnosis import MODEL_NAME, read_model
+    from orchestrator.recording import has_model, read_model
 
-    if not (path / MODEL_NAME).is_file():
-        return {}
-    model = read_model(path)
-    effects = model.effects if model is not None else ()
+    effects = read_model(path).effects if has_model(path) else ()
     return {
-        effect.name: {name: found.value for name, found in effect.parameters.items() if found.value is not None}
+        effect.name: {name: found.value for name, found in effect.parameters.items() if found.fitted}
         for effect in effects
     }
 

@@ -43,10 +43,11 @@ def refused(capsys: pytest.CaptureFixture[str], code: int, *words: str | Path) -
 def kept(tmp_path: Path) -> Path:
     """A directory with a `model.json` that could be right."""
     model = {
-        "format": "fluxbench-model", "version": 1, "recording": "r", "baseline": "saturated", "r_s_ohm": 4.0,
-        "pm_flux_wb": 0.3, "effects": [], "ladder": [],
-        "magnetics": {"d_low_a": -3.0, "d_high_a": 3.0, "q_high_a": 3.0, "d_intervals": 6, "q_intervals": 6,
-                      "coefficients_j": [0.0]},
+        "format": "fluxbench-model", "version": 2, "recording": "r", "baseline": {"kind": "saturated"}, "r_s_ohm": 4.0,
+        "motor": {"name": "m", "pole_pairs": 2}, "pm_flux_wb": 0.3, "effects": [],
+        "ladder": [{"added": None, "chi2": 1.0, "rms_v": 1.0, "heldout_rms_v": 1.0, "current_rms_a": 1.0}],
+        "magnetics": {"d_low_a": -3.0, "d_high_a": 3.0, "q_high_a": 3.0, "d_intervals": 1, "q_intervals": 1,
+                      "coefficients_j": [0.0] * 18},
     }  # fmt: skip
     (tmp_path / "model.json").write_text(json.dumps(model))
     return tmp_path
@@ -80,11 +81,14 @@ def test_an_empty_directory_is_no_recording(tmp_path: Path, capsys: pytest.Captu
     ("change", "told"),
     [
         ({"r_s_ohm": "four"}, "model.json: r_s_ohm: expected a number"),
-        ({"r_s_ohm": float("nan")}, "model.json: r_s_ohm"),
+        ({"r_s_ohm": float("nan")}, "model.json: broken JSON: NaN is not a number here"),
+        ({"baseline": "saturated"}, "model.json: baseline"),
+        ({"baseline": {"kind": "saturatd"}}, "model.json: baseline.kind: unknown kind 'saturatd'; did you mean"),
+        ({"ladder": []}, "model.json: ladder"),
         ({"magnetics": {}}, "model.json: magnetics.d_low_a: missing"),
         ({"ladder": [{"added": 1}]}, "model.json: ladder.0"),
         ({"colour": "red"}, "model.json: colour: unknown key"),
-        ({"version": 2}, "model.json: version"),
+        ({"version": 1}, "model.json: version: version 2 can be read, got 1; `fluxbench diagnose` writes it anew"),
     ],
 )
 def test_a_field_of_model_json_is_named(
@@ -97,7 +101,7 @@ def test_a_field_of_model_json_is_named(
 
 @pytest.mark.parametrize(
     ("text", "told"),
-    [("{", "model.json:1: broken JSON"), ("[1]", "expected a JSON object, got list"), ("\xff", "broken JSON")],
+    [("{", "model.json:1: broken JSON"), ("[1]", "expected a JSON object, got list"), ("\xff", "not UTF-8 at byte 0")],
 )
 def test_a_model_json_that_is_none_is_said(
     text: str, told: str, kept: Path, capsys: pytest.CaptureFixture[str]

@@ -168,7 +168,7 @@ def record(directory: Path, flaws: Flaws, seed: int = 1) -> Recording:
         Manifest(
             format="fluxbench-recording",
             version=1,
-            name="on-paper",
+            name=directory.name,
             created="2026-01-01T00:00:00Z",
             motor=motor,
             drive=drive,

@@ -17,10 +17,9 @@ from orchestrator.diagnosis import (
     compare_recording,
     diagnose_recording,
     in_words,
-    read_model,
     remove_effect,
 )
-from orchestrator.recording import Recording, SegmentWriter, open_recording, write_manifest
+from orchestrator.recording import Recording, SegmentWriter, open_recording, read_model, write_manifest
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
@@ -152,7 +151,6 @@ def test_effects_are_added_and_removed_by_name(misaligned: Recording, tmp_path: 
     assert [r.added for r in added.ladder] == [None, "rotor_misalignment"]
     assert (added.ladder[1].chi2 or 99.0) < 1.05
     kept = read_model(tmp_path)
-    assert kept is not None
     assert [e.name for e in kept.effects] == ["rotor_misalignment"]
     removed = remove_effect(misaligned, "rotor_misalignment", LIBRARY, out=tmp_path)
     assert not removed.effects

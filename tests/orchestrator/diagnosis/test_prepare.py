@@ -124,5 +124,5 @@ def test_equations_without_a_solution_are_one_line(clean: Recording) -> None:
     def singular(recording: Recording) -> None:
         np.linalg.inv(np.zeros((2, 2)))
 
-    with pytest.raises(NotMeasuredError, match="on-paper: its equations have no solution"):
+    with pytest.raises(NotMeasuredError, match="clean: its equations have no solution"):
         singular(clean)

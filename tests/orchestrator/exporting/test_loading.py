@@ -101,7 +101,7 @@ def test_a_csv_that_is_no_map_is_one_line_that_names_the_column(tmp_path: Path, 
     ("name", "message"),
     [
         ("missing.csv", "missing.csv: no such file"),
-        ("missing.xlsx", "expected a run, a recording, or a .nc, .csv, .npz or .mat file"),
+        ("missing.xlsx", "expected a run, a recording, or a .nc, .csv, .npz, .mat or .json file"),
         (".", "results/flux_map.nc: no such file; `fluxbench estimate` makes it"),
     ],
 )

@@ -37,7 +37,7 @@ def library(start: Start) -> dict[str, Candidate]:
 
 @pytest.fixture(scope="module")
 def fit(start: Start, library: dict[str, Candidate]) -> Fit:
-    return with_effect(start.fitter, first_steps(start, "saturated", [])[-1].fit, library["dead_time"])
+    return with_effect(start.fitter, first_steps(start, "saturated", library)[-1].fit, library["dead_time"])
 
 
 def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]:

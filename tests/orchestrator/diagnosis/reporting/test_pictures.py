@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import Start, saturated_model
+from orchestrator.diagnosis.fitting.baseline import Start, baseline_model
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.diagnosis_file import REPORT_NAME, STEPS_NAME, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
@@ -27,6 +27,7 @@ from protocols import (
     DiagnosisWords,
     NoiseFloor,
     RecordingError,
+    Saturated,
     StorageError,
     Unexplained,
 )
@@ -41,7 +42,7 @@ RATIO = Criteria().selection.amplitudes_apart
 def ladder(with_dead_time: Recording) -> Ladder:
     """The map alone, then with the dead time that is really there."""
     start = open_for_diagnosis(with_dead_time)
-    bare = start.fitter.fit(saturated_model(start, start.criteria.intervals[0]), renewals=1)
+    bare = start.fitter.fit(baseline_model(start, Saturated()), renewals=1)
     candidate = scaled_library([DeadTime()], start.prepared.manifest)[0]
     steps = (Step(None, bare), Step("dead_time", with_effect(start.fitter, bare, candidate)))
     return steps, start, tuple(diagnosis_step(k, step, start) for k, step in enumerate(steps))

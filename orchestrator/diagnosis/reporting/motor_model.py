@@ -1,0 +1,180 @@
+"""Between a fit and `model.json`: what is kept of a model, and the model back from it. Fits nothing, reads no file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import Start, map_space
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
+from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.tensor_spline import EvenSpline
+from orchestrator.numerics.types import Array, Mask
+from protocols import (
+    Baseline,
+    CoEnergySpline,
+    FluxMap,
+    FoundEffect,
+    GivenMap,
+    ModelEffect,
+    ModelParameter,
+    MotorModel,
+    Nameplate,
+    PluginError,
+    Rung,
+    SegmentStage,
+)
+
+
+def kept_model(
+    start: Start, fit: Fit, baseline: Baseline, found: Sequence[FoundEffect], ladder: Sequence[Rung]
+) -> MotorModel:
+    """A fit's model as it is kept, with the intervals of the effects that were found."""
+    reports = {effect.name: effect for effect in found}
+    grid, manifest = fit.model.space.grid, start.prepared.manifest
+    return MotorModel(
+        recording=manifest.name,
+        motor=manifest.motor,
+        baseline=baseline,
+        r_s_ohm=fit.model.r_s,
+        pm_flux_wb=start.fitter.pm_flux_wb,
+        magnetics=CoEnergySpline(
+            d_low_a=grid.low,
+            d_high_a=grid.high,
+            q_high_a=grid.reach,
+            d_intervals=grid.cells[0],
+            q_intervals=grid.cells[1],
+            coefficients_j=tuple(float(c) for c in fit.model.magnetics.coefficients),
+            measured_hull_a=measured_hull(fit.prepared.pieces),
+        ),
+        effects=tuple(_kept_effect(active, reports[active.name]) for active in fit.model.active),
+        ladder=tuple(ladder),
+    )
+
+
+def _kept_effect(active: Active, found: FoundEffect) -> ModelEffect:
+    parameters = {}
+    for p in active.candidate.parameters:
+        interval = found.parameters.get(p.name)
+        low, high = (interval.low, interval.high) if interval is not None else (None, None)
+        parameters[p.name] = ModelParameter(
+            value=active.values[p.name], low=low, high=high, unit=p.unit, fitted=p.name in active.free
+        )
+    return ModelEffect(
+        name=active.name,
+        parameters=parameters,
+        twins=found.twins,
+        relative_size=found.relative_size,
+        log_evidence=found.log_evidence,
+    )
+
+
+def measured_hull(pieces: Sequence[Piece], samples: int = 200) -> tuple[tuple[float, float], ...]:
+    """Convex hull of the currents that were measured and of their mirror images in i_q [A], counterclockwise.
+
+    Some 200 `samples` of each segment show how far it went: a sweep or a turn of the injection has fewer corners.
+    """
+    from scipy.spatial import ConvexHull
+
+    currents = []
+    for piece in pieces:
+        if piece.stage is not SegmentStage.GATES_OFF:
+            i_dq = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad)
+            currents.append(i_dq[:: max(1, len(i_dq) // samples)])
+    points = np.concatenate(currents)
+    points = np.concatenate([points, points * np.array([1.0, -1.0])])
+    corners = points[ConvexHull(points, qhull_options="QJ").vertices]  # joggled: points on one line have a hull too
+    return tuple((float(d), float(q)) for d, q in corners)
+
+
+def restored(start: Start, kept: MotorModel, baseline: Baseline, library: Mapping[str, Candidate]) -> Model:
+    """The model of a `model.json`, to be evaluated or fitted further.
+
+    Parameters
+    ----------
+    baseline : Baseline
+        Says how free the map is: the model's own, or `GivenMap` where it is to be held.
+    library : mapping of str to Candidate
+        The installed effects.
+
+    Raises
+    ------
+    PluginError
+        Where an effect of the model is not installed, or has other parameters.
+    """
+    magnetics = magnetics_of(kept.magnetics)
+    space = map_space(start, baseline, magnetics.grid, magnetics.coefficients)
+    return Model(space, magnetics, kept.r_s_ohm, tuple(_active(effect, library) for effect in kept.effects))
+
+
+def _active(effect: ModelEffect, library: Mapping[str, Candidate]) -> Active:
+    candidate = library.get(effect.name)
+    if candidate is None:
+        raise PluginError("effects", effect.name, "in the model, but not installed; `--effects` names a file with it")
+    names = [p.name for p in candidate.parameters]
+    if sorted(names) != sorted(effect.parameters):
+        told = f"has {', '.join(names)}, but the model gives {', '.join(effect.parameters) or 'none'}"
+        raise PluginError("effects", effect.name, f"parameters: the installed effect {told}")
+    values = {name: effect.parameters[name].value for name in names}
+    return Active(candidate, values, tuple(n for n in names if effect.parameters[n].fitted))
+
+
+def magnetics_of(spline: CoEnergySpline) -> Magnetics:
+    """The co-energy of a `model.json`, ready to be evaluated."""
+    s = spline
+    grid = EvenSpline(s.d_low_a, s.d_high_a, s.q_high_a, (s.d_intervals, s.q_intervals))
+    return Magnetics(grid, np.array(s.coefficients_j, dtype=np.float64))
+
+
+def flux_map_of(kept: MotorModel, nodes_per_interval: int = 4) -> FluxMap:
+    """A model's map on a grid, effects out; NaN beyond what was measured, and for standard deviations.
+
+    The splines are smooth on the scale of an interval: four nodes in it are enough to interpolate between.
+    """
+    magnetics = magnetics_of(kept.magnetics)
+    grid = magnetics.grid
+    i_d = np.linspace(grid.low, grid.high, nodes_per_interval * grid.cells[0] + 1)
+    i_q = np.linspace(-grid.reach, grid.reach, nodes_per_interval * grid.cells[1] + 1)
+    nodes = np.stack([axis.ravel() for axis in np.meshgrid(i_d, i_q, indexing="ij")], axis=1)
+    psi, inductance = magnetics.flux_and_inductance(nodes)
+    at_rest, _ = magnetics.flux_and_inductance(np.zeros((1, 2)))
+    psi = psi - at_rest + np.array([kept.pm_flux_wb, 0.0])
+    table = np.column_stack([psi, inductance])
+    table[~_inside(nodes, np.array(kept.magnetics.measured_hull_a).reshape(-1, 2))] = np.nan
+    names = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
+    fields = {name: column.reshape(len(i_d), len(i_q)) for name, column in zip(names, table.T, strict=True)}
+    unknown = {f"{name}_std": np.full((len(i_d), len(i_q)), np.nan) for name in names}
+    return FluxMap(method=f"model of {kept.recording}", i_d=i_d, i_q=i_q, **fields, **unknown)
+
+
+def held_baseline(kept: MotorModel) -> GivenMap:
+    """The baseline of a fit that holds this model's map."""
+    return GivenMap(method=f"model of {kept.recording}")
+
+
+def freed_by(baseline: Nameplate, name: str) -> Nameplate:
+    """The baseline with its map let go by one more step, `SATURATION` or `CROSS_SATURATION`."""
+    return Nameplate.model_validate({"freed": (*baseline.freed, name)})
+
+
+def reduced(kept: MotorModel, names: Sequence[str]) -> MotorModel:
+    """The model with some of its effects left out; R_s and map as they are."""
+    return kept.model_copy(update={"effects": tuple(e for e in kept.effects if e.name not in names)})
+
+
+def flux_of(model: object) -> float | None:
+    """The magnet's flux that a whole model was fitted with [Wb]; None for everything else."""
+    return model.pm_flux_wb if isinstance(model, MotorModel) else None
+
+
+def _inside(points: Array, corners: Array) -> Mask:
+    """Which points lie in a convex polygon with counterclockwise corners; all where it has none."""
+    inside = np.ones(len(points), dtype=bool)
+    for here, there in zip(corners, np.roll(corners, -1, axis=0), strict=True):
+        along, out = there - here, points - here
+        inside &= along[0] * out[:, 1] - along[1] * out[:, 0] >= -1e-9 * np.abs(along).max() * np.abs(corners).max()
+    return inside

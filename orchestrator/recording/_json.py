@@ -1,0 +1,70 @@
+"""The JSON files of a recording, read with every complaint in one line: which file, which field, what was expected."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any, TypeVar, get_args
+
+from pydantic import BaseModel, ValidationError
+
+from orchestrator._validation import first_problem
+from protocols import RecordingError
+
+_Model = TypeVar("_Model", bound=BaseModel)
+
+
+def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:
+    """The validated content of a file whose model has a `format` and a `version`, each of one literal value.
+
+    Parameters
+    ----------
+    older : str
+        What to do with a file of another version.
+
+    Raises
+    ------
+    RecordingError
+        Where the file cannot be read or is something else: file and field.
+    """
+    raw = _parsed(path)
+    if not isinstance(raw, dict):
+        raise RecordingError(str(path), "", f"expected a JSON object, got {type(raw).__name__}")
+    name, version = (get_args(model.model_fields[field].annotation)[0] for field in ("format", "version"))
+    if raw.get("format") != name:
+        raise RecordingError(str(path), "format", f"expected {name!r}, got {raw.get('format')!r}"[:120])
+    if raw.get("version") != version:
+        told = f"version {version} can be read, got {raw.get('version')!r}"[:120]
+        raise RecordingError(str(path), "version", f"{told}{older and '; '}{older}")
+    try:
+        return model.model_validate(raw)
+    except ValidationError as error:
+        problem = first_problem(error, model, raw)
+        raise RecordingError(str(path), problem.field, problem.text) from None
+
+
+def _parsed(path: Path) -> Any:
+    try:
+        text = path.read_text(encoding="utf-8")
+    except OSError as error:
+        raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
+    except UnicodeDecodeError as error:
+        raise RecordingError(str(path), "", f"not UTF-8 at byte {error.start}") from None
+    try:
+        return json.loads(text, parse_constant=_refuse, parse_float=_finite)
+    except json.JSONDecodeError as error:
+        raise RecordingError(f"{path}:{error.lineno}", "", f"broken JSON: {error.msg}") from None
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(str(path), "", f"broken JSON: {error}") from None
+
+
+def _refuse(constant: str) -> float:
+    raise ValueError(f"{constant} is not a number here")
+
+
+def _finite(text: str) -> float:
+    value = float(text)
+    if not math.isfinite(value):
+        raise ValueError(f"{text[:40]} is too large a number")
+    return value

@@ -1,0 +1,126 @@
+"""`model.json`: a motor's model, whole, so that it can be evaluated, refitted, exported or simulated from the file.
+
+SI units, peak-valued vectors; docs/model.md says how the spline is evaluated. Nothing is computed here.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field, model_validator
+
+from protocols._base import Strict
+from protocols._motor import Motor, Positive
+from protocols._remarks import Number
+from protocols._reports import Rung
+
+SPLINE_DEGREE = 5
+"""Of the co-energy's B-splines: inductances are then three times differentiable."""
+
+MapStep = Literal["saturation", "cross_saturation"]
+
+
+class Nameplate(Strict):
+    """The ladder started from constant inductances; `freed` says how far the map was let go since, in order."""
+
+    kind: Literal["nameplate"] = "nameplate"
+    freed: tuple[MapStep, ...] = ()
+
+    @property
+    def title(self) -> str:
+        return " + ".join(["linear", *self.freed])
+
+
+class Saturated(Strict):
+    """The map is free."""
+
+    kind: Literal["saturated"] = "saturated"
+
+    @property
+    def title(self) -> str:
+        return "saturated"
+
+
+class GivenMap(Strict):
+    """Somebody's own map, kept as it is: only R_s and effects are fitted."""
+
+    kind: Literal["map"] = "map"
+    method: str
+    """What the map calls itself."""
+
+    @property
+    def title(self) -> str:
+        return f"map:{self.method}"
+
+
+Baseline = Annotated[Nameplate | Saturated | GivenMap, Field(discriminator="kind")]
+
+
+class CoEnergySpline(Strict):
+    """Co-energy W(i) without the magnet's share: quintic B-splines on uniform knots, even in i_q."""
+
+    d_low_a: float
+    d_high_a: float
+    q_high_a: Positive
+    """The rectangle: d_low_a..d_high_a by -q_high_a..q_high_a; beyond it the flux goes on linearly."""
+    d_intervals: Annotated[int, Field(ge=1)]
+    q_intervals: Annotated[int, Field(ge=1)]
+    coefficients_j: tuple[float, ...]
+    """Row by row along i_d; of the mirror images along i_q the first is kept."""
+    measured_hull_a: tuple[tuple[float, float], ...] = ()
+    """Corners (i_d, i_q) of what was measured, counterclockwise; elsewhere the map is a continuation."""
+
+    @model_validator(mode="after")
+    def _sizes_agree(self) -> CoEnergySpline:
+        if self.d_high_a <= self.d_low_a:
+            raise ValueError(f"d_high_a {self.d_high_a:g} is not above d_low_a {self.d_low_a:g}")
+        wanted = (self.d_intervals + SPLINE_DEGREE) * ((self.q_intervals + SPLINE_DEGREE + 1) // 2)
+        if len(self.coefficients_j) != wanted:
+            raise ValueError(f"expected {wanted} coefficients_j, got {len(self.coefficients_j)}")
+        return self
+
+
+class ModelParameter(Strict):
+    """One parameter of an effect in the model."""
+
+    value: float
+    low: Number
+    high: Number
+    """95 % interval; null where the parameter was not fitted."""
+    unit: str
+    fitted: bool
+
+
+class ModelEffect(Strict):
+    """An effect in the model, with every one of its parameters."""
+
+    name: str
+    parameters: dict[str, ModelParameter]
+    twins: tuple[str, ...] = ()
+    relative_size: Number
+    log_evidence: Number
+
+
+class MotorModel(Strict):
+    """The model of a recording: what `fluxbench diagnose`, `add` and `remove` keep as `model.json`."""
+
+    format: Literal["fluxbench-model"] = "fluxbench-model"
+    version: Literal[2] = 2
+    recording: str
+    """Name of the recording that it was fitted to."""
+    motor: Motor
+    """The nameplate."""
+    baseline: Baseline
+    r_s_ohm: float
+    """At the start of the experiment."""
+    pm_flux_wb: float
+    magnetics: CoEnergySpline
+    effects: tuple[ModelEffect, ...]
+    """In the order in which they were added."""
+    ladder: Annotated[tuple[Rung, ...], Field(min_length=1)]
+    """The last rung is this model's."""
+
+    @property
+    def title(self) -> str:
+        """The model in one line: where the ladder started, and what was added."""
+        return " + ".join([self.baseline.title, *(e.name for e in self.effects)])
