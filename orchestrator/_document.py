@@ -43,6 +43,14 @@ class Document:
                 return self.places[path[:length]]
         return self.name
 
+    def place_of(self, field: str) -> str:
+        """`place` of a dotted key."""
+        path: KeyPath = ()
+        for key in field.split("."):
+            # A number may be the place in a list, or a key that somebody wrote.
+            path = (*path, int(key) if key.isdecimal() and (*path, key) not in self.places else key)
+        return self.place(path)
+
     def replace(self, path: KeyPath, value: object, places: dict[KeyPath, str]) -> None:
         """Put `value` at `path` instead of all that was there; the keys on the way to it exist."""
         parent: Any = self.data

@@ -7,14 +7,14 @@ as bad as they like, and whether a measurement is good is not judged here.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols import Procedure
+from protocols import Procedure, Stage
 
 Numbers = NDArray[np.floating[Any]]
 Range = tuple[float, float]
@@ -100,13 +100,15 @@ def outside(values: Mapping[str, Any], ranges: Mapping[str, Range], why: str) ->
             yield name, f"{value:g} is not between {low:g} and {high:g}: {why}"
 
 
-def implausible(procedure: Procedure, longest_s: float = 86_400.0) -> Iterator[tuple[tuple[str | int, ...], str]]:
+def implausible(
+    procedure: Procedure, stages: Sequence[Stage], longest_s: float = 86_400.0
+) -> Iterator[tuple[tuple[str | int, ...], str]]:
     """Key path and problem of every number in a procedure that cannot be meant; no time of a stage is above a day."""
     for name, problem in outside(procedure.motor.model_dump(), MOTOR_RANGES, "no motor has that"):
         yield ("motor", name), problem
     for name, problem in outside(procedure.drive.options, DRIVE_RANGES, "no drive does that"):
         yield ("drive", name), problem
-    for index, stage in enumerate(procedure.stages):
+    for index, stage in enumerate(stages):
         for name, value in stage:
             if name.endswith("_s") and isinstance(value, float) and value > longest_s:
                 yield ("stages", index, name), f"{value:g} s is more than a day"

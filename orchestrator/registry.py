@@ -10,22 +10,24 @@ import importlib.util
 import inspect
 import sys
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from enum import StrEnum
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
+from types import UnionType
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
 from orchestrator._validation import first_problem, suggestion
-from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stream, Strict
+from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stage, Stream, Strict
 
 
 class PluginKind(StrEnum):
-    """The four kinds; each is the entry-point group ``fluxbench.<kind>``."""
+    """The five kinds; each is the entry-point group ``fluxbench.<kind>``."""
 
     DRIVES = "drives"
+    STAGES = "stages"
     ESTIMATORS = "estimators"
     EFFECTS = "effects"
     STREAMS = "streams"
@@ -38,6 +40,7 @@ class PluginKind(StrEnum):
 
 _CONTRACTS: Mapping[PluginKind, type] = {
     PluginKind.DRIVES: Drive,
+    PluginKind.STAGES: Stage,
     PluginKind.ESTIMATORS: Estimator,
     PluginKind.EFFECTS: Effect,
     PluginKind.STREAMS: Stream,
@@ -58,31 +61,62 @@ class PluginInfo(Strict):
         return f"plugin {self.name!r} ({self.module}, from {self.distribution} {self.version})"
 
 
+class Installed:
+    """What is installed of a kind, looked for once: that takes longer than importing a small plugin."""
+
+    def __init__(self, kind: PluginKind) -> None:
+        self._kind = kind
+        self._by_info = {_info(kind, entry): entry for entry in entry_points(group=kind.group)}
+
+    @property
+    def plugins(self) -> list[PluginInfo]:
+        """By name; none of them is imported."""
+        return sorted(self._by_info, key=lambda info: (info.name, info.distribution))
+
+    def load(self, name: str) -> type[Any]:
+        """Import a plugin's class and hold it against its contract.
+
+        Raises
+        ------
+        PluginError
+            Where no plugin has this name (the nearest is named), two distributions provide it, its
+            import fails in whatever way, or it is not what `protocols` says such a plugin is.
+        """
+        matching = [info for info in self._by_info if info.name == name]
+        if not matching:
+            raise PluginError(self._kind.value, name, f"no such plugin is installed; {self._hint(name)}")
+        if len(matching) > 1:
+            raise PluginError(self._kind.value, name, "provided twice: " + " and ".join(map(str, matching)))
+        info = matching[0]
+        plugin = _import(info, self._by_info[info])
+        _check_contract(info, plugin)
+        return plugin
+
+    def _hint(self, name: str) -> str:
+        names = {info.name for info in self._by_info}
+        return suggestion(name, names) if names else f"none is registered in {self._kind.group}"
+
+
 def installed(kind: PluginKind) -> list[PluginInfo]:
     """The installed plugins of a kind by name; none of them is imported."""
-    found = {_info(kind, entry) for entry in entry_points(group=kind.group)}
-    return sorted(found, key=lambda info: (info.name, info.distribution))
+    return Installed(kind).plugins
 
 
 def load_plugin(kind: PluginKind, name: str) -> type[Any]:
-    """Import a plugin's class and hold it against its contract.
+    """`Installed.load` for one plugin."""
+    return Installed(kind).load(name)
+
+
+def make_plugins(kind: PluginKind, names: Iterable[str] | None = None) -> list[Any]:
+    """Instances of plugins that are made without arguments, of all installed ones where none is named.
 
     Raises
     ------
     PluginError
-        Where no plugin has this name (the nearest is named), two distributions provide it, its
-        import fails in whatever way, or it is not what `protocols` says such a plugin is.
+        What `Installed.load` raises.
     """
-    by_info = {_info(kind, entry): entry for entry in entry_points(group=kind.group)}
-    matching = [info for info in by_info if info.name == name]
-    if not matching:
-        raise PluginError(kind.value, name, f"no such plugin is installed; {_hint(kind, name)}")
-    if len(matching) > 1:
-        raise PluginError(kind.value, name, "provided twice: " + " and ".join(map(str, matching)))
-    info = matching[0]
-    plugin = _import(info, by_info[info])
-    _check_contract(info, plugin)
-    return plugin
+    found = Installed(kind)
+    return [found.load(name)() for name in (names if names is not None else [info.name for info in found.plugins])]
 
 
 def load_effects_file(path: Path) -> list[type[Any]]:
@@ -145,11 +179,6 @@ def _info(kind: PluginKind, entry: EntryPoint) -> PluginInfo:
     return PluginInfo(kind=kind, name=entry.name, distribution=distribution, version=version, module=entry.value)
 
 
-def _hint(kind: PluginKind, name: str) -> str:
-    names = {info.name for info in installed(kind)}
-    return suggestion(name, names) if names else f"none is registered in {kind.group}"
-
-
 def _import(info: PluginInfo, entry: EntryPoint) -> type[Any]:
     try:
         plugin = entry.load()
@@ -168,9 +197,16 @@ def _reason(error: BaseException) -> str:
 
 def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
     contract = _CONTRACTS[info.kind]
-    hints = {a: get_args(h)[0] for a, h in typing.get_type_hints(contract).items() if get_origin(h) is ClassVar}
+    if issubclass(contract, BaseModel) and not issubclass(plugin, contract):
+        raise PluginError(info.kind.value, str(info), f"has to be a sub-class of {contract.__name__}")
+    # A base class has what pydantic declares for itself as well, and properties of its own.
+    is_base = issubclass(contract, BaseModel)
+    own: dict[str, Any] = (
+        inspect.get_annotations(contract, eval_str=True) if is_base else typing.get_type_hints(contract)
+    )
+    hints = {a: get_args(h)[0] for a, h in own.items() if get_origin(h) is ClassVar}
     for attribute, definition in vars(contract).items():
-        if isinstance(definition, property):
+        if isinstance(definition, property) and not is_base:
             hints[attribute] = typing.get_type_hints(definition.fget)["return"]
     for attribute, wanted in hints.items():
         problem = _attribute_problem(plugin, attribute, wanted)
@@ -187,15 +223,16 @@ def _attribute_problem(plugin: type[Any], attribute: str, wanted: Any) -> str | 
     if not hasattr(plugin, attribute):
         return "is missing"
     value = getattr(plugin, attribute)
-    origin = get_origin(wanted)
+    origin: Any = get_origin(wanted)
     if origin is type:
         base = get_args(wanted)[0]
         fits = isinstance(value, type) and issubclass(value, base)
         return None if fits else f"has to be a sub-class of {getattr(base, '__name__', base)}, is {value!r}"
     if origin is Literal:
         return None if value in get_args(wanted) else f"has to be one of {get_args(wanted)}, is {value!r}"
-    expected = origin or wanted
-    return None if isinstance(value, expected) else f"has to be a {expected.__name__}, is {value!r}"
+    expected = wanted if origin is UnionType else origin or wanted
+    what = getattr(expected, "__name__", expected)
+    return None if isinstance(value, expected) else f"has to be a {what}, is {value!r}"
 
 
 def _method_problem(plugin: type[Any], method: str, definition: Any) -> str | None:

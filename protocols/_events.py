@@ -11,7 +11,7 @@ from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentP
 from protocols._drive import Limits
 from protocols._estimates import FluxMapEstimate, ResistanceEstimate
 from protocols._motor import Motor
-from protocols._procedure import Stage
+from protocols._procedure import StageEntry
 from protocols._recording import Capture, Segment
 from protocols._reports import EstimationReport
 
@@ -45,6 +45,8 @@ class StageStarted(Strict):
     index: int
     """Place of the stage in the procedure."""
     stage: str
+    title: str = ""
+    """What people call it; runs of old have none."""
     points: int
 
 
@@ -56,8 +58,8 @@ class StagesAppended(Strict):
 
     kind: Literal["stages_appended"] = "stages_appended"
     by: int | None
-    """Place of the diagnose stage that asked for them. None: a person went on with the finished run."""
-    stages: tuple[Stage, ...]
+    """Place of the stage that asked for them. None: a person went on with the finished run."""
+    stages: tuple[StageEntry, ...]
 
 
 class PointStarted(Strict):

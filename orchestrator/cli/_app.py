@@ -259,7 +259,7 @@ def import_command(
 
 @app.command("new")
 def new_command(
-    kind: Annotated[str, typer.Argument(help="drive, estimator, effect or stream.")],
+    kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.")],
     name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
     out: Annotated[Path | None, typer.Option(help="Folder to make; by default fluxbench-NAME.")] = None,
 ) -> int:

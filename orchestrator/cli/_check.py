@@ -7,16 +7,16 @@ from pathlib import Path
 
 from orchestrator.cli._output import say, say_notes, say_table
 from orchestrator.config import PlanSummary, StageRow, check_plan, make_plan, read_procedure
-from orchestrator.engine import chosen_effects, chosen_estimators, connected_drive
+from orchestrator.engine import UsedPlugins, connected_drive
 from orchestrator.presentation.quantities import duration, number, quantity
+from orchestrator.stages import parse_stages
 
 
 def check(source: str, drive: str | None, motor: Path | None, overrides: Sequence[str], as_json: bool) -> int:
     """Plan, hold the plan against limits and the drive's capabilities, print what would happen."""
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
-    chosen_estimators(procedure)
-    chosen_effects(procedure)
+    UsedPlugins(parse_stages(procedure))
     with loaded.naming_its_places(), connected_drive(procedure, private=None) as (_, capabilities):
         summary = check_plan(make_plan(procedure, capabilities), capabilities)
     if as_json:

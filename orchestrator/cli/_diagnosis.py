@@ -23,7 +23,7 @@ from orchestrator.presentation.names import parameter_words, plain, rung_name, s
 from orchestrator.presentation.quantities import measured, number, quantity
 from orchestrator.presentation.sentences import columns
 from orchestrator.recording import read_model
-from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin
+from orchestrator.registry import PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, Effect, PluginError
 
@@ -83,7 +83,7 @@ def _refuse_files(out: Path | None) -> None:
 
 def _library(extra: Path | None) -> list[Effect]:
     """The installed effects, and those of a file; raises `PluginError` where two have one name."""
-    effects: list[Effect] = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
+    effects: list[Effect] = make_plugins(PluginKind.EFFECTS)
     for made in load_effects_file(extra) if extra is not None else []:
         effect = guarded(_made(made, extra))
         if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:

@@ -6,25 +6,23 @@ from pathlib import Path
 
 from orchestrator.cli._output import stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
-from orchestrator.engine import following_stages, installed_effects
 from orchestrator.presentation.names import plain
+from orchestrator.registry import PluginKind, make_plugins
 from orchestrator.runs import RunDirectory, is_run, open_any
+from orchestrator.stages import parse_stages, proposing_stage
 from protocols import (
     Diagnosed,
-    DiagnoseStage,
     DiagnosisReport,
     InputError,
-    OperatorStage,
     PointDone,
-    Procedure,
     RecordingError,
-    Stage,
+    StageEntry,
 )
 
 DIAGNOSIS = Path("results") / "diagnosis.json"
 
 
-def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[Stage, ...]]:
+def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[StageEntry, ...]]:
     """The run to go on with, and what to append to it.
 
     Parameters
@@ -50,24 +48,14 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[Stage, 
         problem = "missing: nobody knows the drive that this recording is from; put the stage above in a procedure"
         raise RecordingError(str(path), "run.json", problem)
     procedure = RunDirectory.open(path).procedure()
-    last = next((s for s in reversed(procedure.stages) if isinstance(s, DiagnoseStage)), DiagnoseStage(kind="diagnose"))
-    more = following_stages(last.model_copy(update={"rounds": rounds}), experiment, procedure)
-    return path, (_lock_question(procedure), *more)
-
-
-def _lock_question(procedure: Procedure) -> OperatorStage:
-    """Is the rotor where the alignment left it? The procedure's own answer counts, where it has one."""
-    asked = [stage for stage in procedure.stages if isinstance(stage, OperatorStage)]
-    about_the_lock = [stage for stage in asked if stage.brake == "engage"] or asked
-    answer = about_the_lock[-1].answer if about_the_lock else None
-    prompt = "Has the rotor been held ever since the run was measured, and is its brake (or lock) still engaged?"
-    return OperatorStage(kind="operator", prompt=prompt, answer=answer)
+    more = proposing_stage(parse_stages(procedure)).going_on(experiment, procedure, rounds)
+    return path, tuple(more)
 
 
 def _newest_report(path: Path) -> DiagnosisReport:
     """The diagnosis of all that was measured: as it was kept, else made now."""
     report = _kept_report(path) or _journalled_report(path)
-    return report or diagnose_recording(open_any(path), installed_effects()).report
+    return report or diagnose_recording(open_any(path), make_plugins(PluginKind.EFFECTS)).report
 
 
 def _kept_report(path: Path) -> DiagnosisReport | None:

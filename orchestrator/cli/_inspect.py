@@ -57,6 +57,7 @@ def procedures(name: str | None) -> int:
 def schema(name: str) -> int:
     """Print the JSON Schema of a file format."""
     from orchestrator.runs import RunRecord
+    from orchestrator.stages import with_stages
     from protocols import EstimationReport
 
     models: dict[str, type[BaseModel]] = {
@@ -67,5 +68,5 @@ def schema(name: str) -> int:
     }
     if name not in models:
         raise InputError("schema", name, f"expected one of {', '.join(models)}")
-    print(json.dumps(models[name].model_json_schema(), indent=2))
+    print(json.dumps(with_stages(models[name].model_json_schema()), indent=2))
     return 0

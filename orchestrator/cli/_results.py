@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.cli._output import say, say_notes, say_table
-from orchestrator.engine import installed_estimators
 from orchestrator.estimation import estimate_recording
 from orchestrator.presentation.names import PAPER_CROSSINGS, symbol_of
 from orchestrator.presentation.quantities import (
@@ -17,7 +16,7 @@ from orchestrator.presentation.quantities import (
     percent,
     value_and_error,
 )
-from orchestrator.registry import PluginKind, load_plugin
+from orchestrator.registry import PluginKind, make_plugins
 from orchestrator.runs import open_any, refuse_file
 from protocols import EstimationReport
 
@@ -27,7 +26,7 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
     target = out if out is not None else path
     refuse_file(target)
     refuse_file(target / "results")
-    estimators = [load_plugin(PluginKind.ESTIMATORS, name)() for name in (names or installed_estimators())]
+    estimators = make_plugins(PluginKind.ESTIMATORS, names or None)
     report = estimate_recording(open_any(path, keep=out is None), estimators, target)
     if as_json:
         print(report.model_dump_json(indent=2))

@@ -114,7 +114,7 @@ def _row(plan: Plan, index: int, loads: Sequence[Load]) -> StageRow:
     limit = plan.procedure.limits.voltage_v
     return StageRow(
         index=index,
-        stage=plan.stages[index].kind,
+        stage=plan.stages[index].name,
         points=len(here),
         duration_s=sum(point.seconds for point, _ in here),
         captured_s=sum(point.captured_s for point, _ in here),

@@ -11,21 +11,21 @@ from pathlib import Path
 from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
-from orchestrator._validation import KeyPath, first_problem, suggestion
+from orchestrator._validation import first_problem, suggestion
 from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
+from orchestrator.stages import parse_stages
 from protocols import (
     InputError,
     Motor,
     Procedure,
     ProcedureError,
     ProcedureMotor,
+    Stage,
     shipped_procedure,
     shipped_procedures,
 )
 
-_MAGNETIC = ("saturation", "cross_saturation")
-"""Rungs of a diagnosis that are no plugins."""
 _OVERLAY_SECTIONS = ("motor", "limits", "drive")
 
 
@@ -46,7 +46,7 @@ class LoadedProcedure:
             if prefix is None:
                 raise
             field = prefix + error.field
-            raise type(error)(self.document.place(_keys(field)), field.rstrip("."), error.problem) from None
+            raise type(error)(self.document.place_of(field), field.rstrip("."), error.problem) from None
 
 
 def load_procedure(
@@ -86,8 +86,12 @@ def read_procedure(
     for override in overrides:
         apply_override(document, override)
     procedure = _validated(document)
-    _check_plugins(document, procedure)
-    for path, problem in implausible(procedure):
+    try:
+        stages = parse_stages(procedure)
+    except ProcedureError as error:
+        raise ProcedureError(document.place_of(error.field), error.field, error.problem) from None
+    _check_plugins(document, procedure.drive.name, stages)
+    for path, problem in implausible(procedure, stages):
         raise ProcedureError(document.place(path), ".".join(map(str, path)), problem)
     return LoadedProcedure(procedure, document)
 
@@ -165,34 +169,19 @@ def _validated(document: Document) -> Procedure:
         return Procedure.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
         problem = first_problem(error, Procedure, document.data)
-    # A check of the whole procedure starts its message with the place that it is about.
-    path, text = problem.path, problem.text
-    if not path:
-        named, colon, rest = text.partition(": ")
-        keys = _keys(named)
-        if colon and keys in document.places:
-            path, text = keys, rest
-    raise ProcedureError(document.place(path), ".".join(map(str, path)), text)
+    raise ProcedureError(document.place(problem.path), problem.field, problem.text)
 
 
-def _keys(dotted: str) -> KeyPath:
-    return tuple(int(key) if key.isdecimal() else key for key in dotted.split("."))
+def _check_plugins(document: Document, drive: str, stages: Sequence[Stage]) -> None:
+    _check_plugin(document, "drive.name", PluginKind.DRIVES, drive)
+    for index, stage in enumerate(stages):
+        for use in stage.uses():
+            if use.name is not None:
+                _check_plugin(document, f"stages.{index}.{use.field}", PluginKind(use.kind), use.name)
 
 
-def _check_plugins(document: Document, procedure: Procedure) -> None:
-    _check_plugin(document, ("drive", "name"), PluginKind.DRIVES, procedure.drive.name)
-    for index, stage in enumerate(procedure.stages):
-        if stage.kind == "estimate":
-            for place, name in enumerate(stage.estimators or ()):
-                _check_plugin(document, ("stages", index, "estimators", place), PluginKind.ESTIMATORS, name)
-        if stage.kind == "diagnose":
-            for place, name in enumerate(stage.without):
-                if name not in _MAGNETIC:
-                    _check_plugin(document, ("stages", index, "without", place), PluginKind.EFFECTS, name)
-
-
-def _check_plugin(document: Document, path: KeyPath, kind: PluginKind, name: str) -> None:
+def _check_plugin(document: Document, field: str, kind: PluginKind, name: str) -> None:
     names = {info.name for info in installed(kind)}
     if name not in names:
         what = f"no {kind.value.removesuffix('s')} plugin {name!r} is installed; {suggestion(name, names)}"
-        raise ProcedureError(document.place(path), ".".join(map(str, path)), what)
+        raise ProcedureError(document.place_of(field), field, what)

@@ -10,12 +10,11 @@ import math
 from dataclasses import dataclass
 
 from orchestrator.config._planning import PlannedPoint
+from orchestrator.stages import flux_swing_wb, ripple_a
 from protocols import Excitation, Injection, Motor, Point, Trapezoid
 
 _TRAPEZOID_MEAN_SQUARE = 2 / 3
 _TRIANGLE_MEAN_SQUARE = 1 / 3
-_SQUARE_SWING = 1 / 4
-_SINE_SWING = 1 / (2 * math.pi)
 
 
 @dataclass(frozen=True)
@@ -57,11 +56,9 @@ def load_of(point: PlannedPoint, before: Point, motor: Motor) -> Load:
 
 def nominal_ripple_a(excitation: Excitation, motor: Motor) -> float:
     """Peak of an injection's ripple on the axis of the nameplate's smaller inductance [A]; 0 where none is known."""
-    known = [value for value in (motor.d_inductance_h, motor.q_inductance_h) if value is not None]
-    if not isinstance(excitation, Injection) or not known:
+    if not isinstance(excitation, Injection):
         return 0.0
-    swing = _SQUARE_SWING if excitation.waveform == "square" else _SINE_SWING
-    return swing * excitation.amplitude_v / excitation.frequency_hz / min(known)
+    return ripple_a(flux_swing_wb(excitation.amplitude_v, excitation.frequency_hz, excitation.waveform), motor)
 
 
 def _driving_voltage(excitation: Excitation, motor: Motor) -> float:

@@ -6,13 +6,14 @@ import math
 
 from orchestrator.config._loads import Load
 from orchestrator.config._planning import Plan, PlannedPoint
+from orchestrator.stages import parse_stages
 from protocols import (
     Capabilities,
     CapabilityError,
     CurrentControl,
     GatesOff,
     Injection,
-    OperatorStage,
+    Stage,
     Trapezoid,
 )
 
@@ -24,13 +25,6 @@ _FASTEST_ROTATION = 0.2
 """Of the injection's frequency: a period has nearly one direction then."""
 _LEAST_PER_TRAPEZOID = 1000
 _LEAST_PER_CONTROL_PERIOD = 20
-
-_CURRENT_FIELDS = {
-    "alignment": "current_a",
-    "lock_check": "torque_current_a",
-    "resistance": "points_a",
-    "classical": "amplitude_a",
-}
 
 
 class Requirements:
@@ -66,12 +60,18 @@ class Requirements:
         """One point; raises `CapabilityError` naming its stage."""
         self._check_current(point, load)
         self._check_voltage(point, load)
-        if point.stage_index in self._released and point.target is not None and point.target[1] != 0:
-            raise self._at(point, self._current_field(point), "torque current while the brake is released")
+        if point.stage_index in self._released:
+            self._check_free_rotor(point)
         if self._drive is None:
             return
         self._check_offered(point, self._drive)
         self._check_sampling(point, self._drive.sampling_frequency_hz)
+
+    def _check_free_rotor(self, point: PlannedPoint) -> None:
+        if isinstance(point.excitation, Trapezoid | Injection):
+            raise self._at(point, "", "with the brake released; put a stage with brake: engage before it")
+        if point.target is not None and point.target[1] != 0:
+            raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
 
     def _check_watchdog(self, drive: Capabilities) -> None:
         advice = "write accept_no_watchdog with its sentence to do without"
@@ -89,16 +89,15 @@ class Requirements:
         where = "" if point.target is None else f" at ({point.target[0]:g}, {point.target[1]:g}) A"
         ripple = f", {load.ripple_a:.3g} A of it ripple" if load.ripple_a else ""
         reaches = f"reaches {load.peak_current_a:.4g} A{where}{ripple}"
-        raise self._at(
-            point, self._current_field(point), f"{reaches}; limits.current_a is {self._limits.current_a:g} A"
-        )
+        problem = f"{reaches}; limits.current_a is {self._limits.current_a:g} A"
+        raise self._at(point, self._written(point).current_field, problem)
 
     def _check_voltage(self, point: PlannedPoint, load: Load) -> None:
         needed = load.steady_voltage_v
         if needed is None:
             needed = point.excitation.amplitude_v if isinstance(point.excitation, Injection) else 0.0
-        field = "amplitudes_v" if isinstance(point.excitation, Injection) else self._current_field(point)
         if needed > self._limits.voltage_v:
+            field = self._written(point).voltage_field
             raise self._at(point, field, f"needs {needed:.4g} V, limits.voltage_v is {self._limits.voltage_v:g} V")
         if self._drive is None:
             return
@@ -106,7 +105,7 @@ class Requirements:
         available = bus / math.sqrt(3) - INVERTER_ERROR * bus
         if needed > available:
             problem = f"needs {needed:.4g} V, a bus of {bus:g} V gives {available:.4g} V in every direction"
-            raise self._at(point, field, problem)
+            raise self._at(point, self._written(point).voltage_field, problem)
 
     def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
         e = point.excitation
@@ -161,15 +160,14 @@ class Requirements:
             problem = f"{injection.rotation_hz:g} Hz is too fast for an injection at {injection.frequency_hz:g} Hz"
             raise self._at(point, "rotation_hz", f"{problem}: at most {fastest:g} Hz")
 
-    def _current_field(self, point: PlannedPoint) -> str:
-        if point.stage.value in _CURRENT_FIELDS:
-            return _CURRENT_FIELDS[point.stage.value]
-        written = self._procedure.stages[point.stage_index].model_dump()
-        return "points_a" if written.get("points_a") is not None else "range_a"
+    def _written(self, point: PlannedPoint) -> Stage:
+        return parse_stages(self._procedure)[point.stage_index]
 
     def _at(self, point: PlannedPoint, field: str, problem: str) -> CapabilityError:
-        path = f"stages.{point.stage_index}" + (f".{field}" if field else "")
-        return self._error(path, f"{point.stage.value} {problem}")
+        stage = self._plan.stages[point.stage_index]
+        # A stage of somebody else's may have other settings than its excitations have.
+        known = field if field.partition(".")[0] in type(stage).model_fields else ""
+        return self._error(f"stages.{point.stage_index}.{known}".rstrip("."), f"{stage.name} {problem}")
 
     def _error(self, field: str, problem: str) -> CapabilityError:
         return CapabilityError(self._procedure.name, field, problem)
@@ -178,8 +176,8 @@ class Requirements:
 def _stages_with_released_brake(plan: Plan) -> set[int]:
     released, found = False, set()
     for index, stage in enumerate(plan.stages):
-        if isinstance(stage, OperatorStage) and stage.brake is not None:
-            released = stage.brake == "release"
+        if stage.leaves_brake is not None:
+            released = stage.leaves_brake == "release"
         if released:
             found.add(index)
     return found

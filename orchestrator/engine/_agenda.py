@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from orchestrator.config import Plan, PlannedPoint, check_plan, make_plan
 from orchestrator.engine._probing import factor_of
 from orchestrator.runs import RunDirectory
-from protocols import Capabilities, EstimateStage, Segment, Stage, StagesAppended
+from protocols import Capabilities, Segment, Stage, StageEntry, StagesAppended
 
 
 class Agenda:
@@ -19,8 +19,8 @@ class Agenda:
         Grows when stages are appended.
     done : dict of str to Segment
         The points that are measured, by id.
-    experiments : int
-        How many proposed experiments were appended.
+    appended : int
+        How many times stages were appended.
     """
 
     def __init__(self, run: RunDirectory, plan: Plan, capabilities: Capabilities) -> None:
@@ -33,10 +33,11 @@ class Agenda:
 
     @property
     def stages(self) -> Sequence[Stage]:
-        return self.plan.procedure.stages
+        """Filled."""
+        return self.plan.stages
 
     @property
-    def experiments(self) -> int:
+    def appended(self) -> int:
         return len(self._appended)
 
     @property
@@ -64,11 +65,14 @@ class Agenda:
             point.id in self.done for point in self.plan.points if point.stage_index > index
         )
 
-    def estimated_later(self, index: int) -> bool:
-        """Whether the run is beyond this estimate stage, and another one comes."""
-        return self.passed(index) and any(isinstance(stage, EstimateStage) for stage in self.stages[index + 1 :])
+    def has_work(self, index: int) -> bool:
+        """Whether a stage has to work on what is measured, and did not in an earlier life where the journal has it."""
+        stage = self.stages[index]
+        if not self.passed(index):
+            return True
+        return not stage.journalled and not any(type(later) is type(stage) for later in self.stages[index + 1 :])
 
-    def longer(self, more: Sequence[Stage]) -> Plan:
+    def longer(self, more: Sequence[StageEntry]) -> Plan:
         """The plan with these stages at its end; raises `InputError` where limits or drive do not allow them."""
         before = [stage for message in self._appended for stage in message.stages]
         plan = make_plan(self._run.procedure(), self._capabilities, (*before, *more))

@@ -24,6 +24,7 @@ from protocols import (
     FaultCause,
     FluxbenchError,
     Limits,
+    Telemetry,
 )
 
 T = TypeVar("T")
@@ -57,10 +58,14 @@ class PowerStage:
     def armed(self) -> bool:
         return self._keeper is not None
 
+    def telemetry(self) -> Telemetry:
+        """A reading, now."""
+        with as_drive_errors(self._capabilities.name):
+            return self._drive.telemetry()
+
     def verify_at_rest(self) -> None:
         """Raise `DriveFault` where the drive is not disarmed, or has a fault that nobody has cleared."""
-        with as_drive_errors(self._capabilities.name):
-            telemetry = self._drive.telemetry()
+        telemetry = self.telemetry()
         if telemetry.state is not DriveState.DISARMED or telemetry.faults:
             told = ", ".join(telemetry.faults) or "none"
             raise DriveFault(

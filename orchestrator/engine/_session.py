@@ -17,21 +17,21 @@ from orchestrator.engine._commissioning import Commissioning, Outcome
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._operator import Operator
+from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import as_drive_errors
-from orchestrator.registry import PluginKind, installed, load_plugin, make_options
+from orchestrator.registry import PluginKind, load_plugin, make_options
 from orchestrator.runs import RunDirectory, private_directory
+from orchestrator.stages import parse_stages, spelled_out
 from orchestrator.streaming import Dispatcher, StreamTally
 from protocols import (
     Capabilities,
     Drive,
     DriveSetup,
-    Effect,
-    Estimator,
     FluxbenchError,
     PluginError,
     Procedure,
     RecordingError,
-    Stage,
+    StageEntry,
     StagesAppended,
     Stream,
     StreamSetup,
@@ -80,7 +80,8 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
         Something that was handed in is wrong, or the drive does not answer. Nothing was energised, and
         no run directory is left behind.
     """
-    plugins = Analysts.of(procedure)
+    procedure = spelled_out(procedure)  # a resumed run has the settings of today's defaults
+    plugins = UsedPlugins(parse_stages(procedure))
     streams = _stream_makers(crew.streams, path)
     path = path.resolve()
     sealed = load_plugin(PluginKind.DRIVES, procedure.drive.name).sealed_options
@@ -116,7 +117,7 @@ def resume_run(path: Path, crew: Crew) -> RunResult:
         return _go_on(run, crew)
 
 
-def extend_run(path: Path, stages: Sequence[Stage], crew: Crew) -> RunResult:
+def extend_run(path: Path, stages: Sequence[StageEntry], crew: Crew) -> RunResult:
     """Go on with a finished run by some stages more, on the same drive and into the same recording.
 
     Raises
@@ -134,10 +135,10 @@ def extend_run(path: Path, stages: Sequence[Stage], crew: Crew) -> RunResult:
         return _go_on(run, crew, more=tuple(stages))
 
 
-def _go_on(run: RunDirectory, crew: Crew, more: tuple[Stage, ...] = ()) -> RunResult:
+def _go_on(run: RunDirectory, crew: Crew, more: tuple[StageEntry, ...] = ()) -> RunResult:
     procedure = run.procedure()
     appended = [*(stage for message in run.appended() for stage in message.stages), *more]
-    plugins = Analysts.of(procedure, appended)
+    plugins = UsedPlugins(parse_stages(procedure, appended))
     streams = _stream_makers(crew.streams, run.path)
     with connected_drive(procedure, run.private_directory) as (drive, capabilities):
         plan = make_plan(procedure, capabilities, appended)
@@ -145,52 +146,6 @@ def _go_on(run: RunDirectory, crew: Crew, more: tuple[Stage, ...] = ()) -> RunRe
         if more:
             run.journal.append(StagesAppended(by=None, stages=more), durable=True)
         return _commission(run, plan, drive, capabilities, plugins, streams, crew)
-
-
-@dataclass(frozen=True)
-class Analysts:
-    """Who works on what was measured."""
-
-    estimators: Sequence[Estimator]
-    effects: Sequence[Effect]
-
-    @classmethod
-    def of(cls, procedure: Procedure, appended: Sequence[Stage] = ()) -> Analysts:
-        """Those that the stages ask for; raises `PluginError` where one is not installed, or broken."""
-        whole = procedure.model_copy(update={"stages": (*procedure.stages, *appended)})
-        return cls(chosen_estimators(whole), chosen_effects(whole))
-
-
-def chosen_estimators(procedure: Procedure) -> list[Estimator]:
-    """Instances of the estimators that the procedure's estimate stages ask for.
-
-    Raises
-    ------
-    PluginError
-        One of them is not installed, or broken.
-    """
-    named: set[str] = set()
-    for stage in procedure.stages:
-        if stage.kind == "estimate":
-            named |= set(stage.estimators if stage.estimators is not None else installed_estimators())
-    return [load_plugin(PluginKind.ESTIMATORS, name)() for name in sorted(named)]
-
-
-def chosen_effects(procedure: Procedure) -> list[Effect]:
-    """The library of effects, where the procedure has a diagnose stage; raises `PluginError` where one is broken."""
-    if not any(stage.kind == "diagnose" for stage in procedure.stages):
-        return []
-    return installed_effects()
-
-
-def installed_effects() -> list[Effect]:
-    """All installed effects; raises `PluginError` where one is broken."""
-    return [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
-
-
-def installed_estimators() -> list[str]:
-    """Names of all installed estimators."""
-    return [info.name for info in installed(PluginKind.ESTIMATORS)]
 
 
 def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Callable[[], Stream]]:
@@ -242,14 +197,12 @@ def _commission(
     plan: Plan,
     drive: Drive,
     capabilities: Capabilities,
-    plugins: Analysts,
+    plugins: UsedPlugins,
     streams: Mapping[str, Callable[[], Stream]],
     crew: Crew,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
     log = RunLog(run.journal, dispatcher)
-    commissioning = Commissioning(
-        run, plan, drive, capabilities, plugins.estimators, plugins.effects, crew.operator, crew.interrupts, log
-    )
+    commissioning = Commissioning(run, plan, drive, capabilities, plugins, crew.operator, crew.interrupts, log)
     outcome = commissioning.execute()
     return RunResult(run.path, outcome, dispatcher.close())

@@ -1,34 +1,26 @@
 """The states of a run and the ways between them; no work is done here.
 
-A small typed facade over a flat `transitions.Machine`. What is done in a state, and how long it
-may take, is the business of whoever fires the triggers: the machine only says what may follow
-what, and every way out of an energised state leads through `stopping`.
+A small typed facade over a flat `transitions.Machine`. The run's own states stand here, those of stages are what the
+stages declare. What is done in a state, and how long it may take, is the business of whoever fires the triggers: the
+machine only says what may follow what, and every way out of an energised state leads through `stopping`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 
+from protocols import PluginError, Stage, StageState
+
 
 class State(StrEnum):
-    """Where a run stands. A stage kind is one state; repetitions enter it again."""
+    """Where a run stands, whatever its stages are."""
 
     IDLE = "idle"
     CONNECTING = "connecting"
     WAITING_FOR_OPERATOR = "waiting_for_operator"
-    READING_GATES_OFF = "reading_gates_off"
-    ALIGNING = "aligning"
-    CHECKING_LOCK = "checking_lock"
-    ESTIMATING_RESISTANCE = "estimating_resistance"
-    SWEEPING_CLASSICAL = "sweeping_classical"
-    SWEEPING_INJECTION = "sweeping_injection"
     PAUSED = "paused"
-    ESTIMATING = "estimating"
-    COMPARING = "comparing"
-    DIAGNOSING = "diagnosing"
-    PROPOSING = "proposing"
     STOPPING = "stopping"
     FINISHED = "finished"
     FAULTED = "faulted"
@@ -36,79 +28,97 @@ class State(StrEnum):
 
 
 class Trigger(StrEnum):
-    """What moves a run on."""
+    """What moves a run on, whatever its stages are."""
 
     CONNECT = "connect"
     ASK_OPERATOR = "ask_operator"
-    READ_GATES_OFF = "read_gates_off"
-    ALIGN = "align"
-    CHECK_LOCK = "check_lock"
-    ESTIMATE_RESISTANCE = "estimate_resistance"
-    SWEEP_CLASSICAL = "sweep_classical"
-    SWEEP_INJECTION = "sweep_injection"
     PAUSE = "pause"
-    ESTIMATE = "estimate"
-    COMPARE = "compare"
-    DIAGNOSE = "diagnose"
-    PROPOSE = "propose"
     STOP = "stop"
     FINISH = "finish"
     FAULT = "fault"
     ABORT = "abort"
 
 
-ENERGISED = (
-    State.READING_GATES_OFF,
-    State.ALIGNING,
-    State.CHECKING_LOCK,
-    State.ESTIMATING_RESISTANCE,
-    State.SWEEPING_CLASSICAL,
-    State.SWEEPING_INJECTION,
-)
-"""The drive is armed in these, and in no other."""
-
 TERMINAL = (State.FINISHED, State.FAULTED, State.ABORTED)
-
-_AT_REST = (
-    State.CONNECTING,
-    State.WAITING_FOR_OPERATOR,
-    State.ESTIMATING,
-    State.COMPARING,
-    State.DIAGNOSING,
-    State.PROPOSING,
-    State.PAUSED,
-)
-"""Disarmed, and something may follow."""
 
 
 @dataclass(frozen=True)
 class Transition:
     """One row of the table: from any of the sources, by the trigger, to the target."""
 
-    trigger: Trigger
-    sources: tuple[State, ...]
-    target: State
+    trigger: str
+    sources: tuple[str, ...]
+    target: str
 
 
-TRANSITIONS = (
-    Transition(Trigger.CONNECT, (State.IDLE,), State.CONNECTING),
-    Transition(Trigger.READ_GATES_OFF, _AT_REST + ENERGISED, State.READING_GATES_OFF),
-    Transition(Trigger.ALIGN, _AT_REST + ENERGISED, State.ALIGNING),
-    Transition(Trigger.CHECK_LOCK, _AT_REST + ENERGISED, State.CHECKING_LOCK),
-    Transition(Trigger.ESTIMATE_RESISTANCE, _AT_REST + ENERGISED, State.ESTIMATING_RESISTANCE),
-    Transition(Trigger.SWEEP_CLASSICAL, _AT_REST + ENERGISED, State.SWEEPING_CLASSICAL),
-    Transition(Trigger.SWEEP_INJECTION, _AT_REST + ENERGISED, State.SWEEPING_INJECTION),
-    Transition(Trigger.STOP, (State.IDLE, *_AT_REST, *ENERGISED), State.STOPPING),
-    Transition(Trigger.ASK_OPERATOR, (*_AT_REST, State.STOPPING), State.WAITING_FOR_OPERATOR),
-    Transition(Trigger.ESTIMATE, (*_AT_REST, State.STOPPING), State.ESTIMATING),
-    Transition(Trigger.COMPARE, (*_AT_REST, State.STOPPING), State.COMPARING),
-    Transition(Trigger.DIAGNOSE, (State.COMPARING,), State.DIAGNOSING),
-    Transition(Trigger.PROPOSE, (State.DIAGNOSING,), State.PROPOSING),
-    Transition(Trigger.PAUSE, (State.STOPPING,), State.PAUSED),
-    Transition(Trigger.FINISH, (State.STOPPING,), State.FINISHED),
-    Transition(Trigger.FAULT, (State.STOPPING,), State.FAULTED),
-    Transition(Trigger.ABORT, (State.STOPPING,), State.ABORTED),
-)
+@dataclass(frozen=True)
+class StateTable:
+    """The states that a run's stages make possible, and what may follow what."""
+
+    energised: tuple[str, ...]
+    """The drive is armed in these, and in no other. A stage is one of them; repetitions enter it again."""
+    at_rest: tuple[str, ...]
+    """Disarmed, and something may follow."""
+    working: tuple[str, ...]
+    """Those at rest in which a stage works on what was measured."""
+    transitions: tuple[Transition, ...]
+
+    @property
+    def states(self) -> tuple[str, ...]:
+        """All of them, the run's own first."""
+        return (*State, *self.working, *self.energised)
+
+
+def table_of(stages: Iterable[Stage | type[Stage]]) -> StateTable:
+    """The table for a run with these stages.
+
+    Raises
+    ------
+    PluginError
+        Where a stage's states are the run's own, follow one that there is not, or are declared otherwise by another.
+    """
+    energised: dict[str, StageState] = {}
+    working: dict[str, StageState] = {}
+    for stage in stages:
+        if stage.measuring is not None:
+            _declare(stage.name, stage.measuring, energised, working)
+        for state in stage.working:
+            _declare(stage.name, state, working, energised)
+    own = (State.CONNECTING, State.WAITING_FOR_OPERATOR)
+    at_rest = (*own, *working, State.PAUSED)
+    anywhere = (*at_rest, *energised)
+    stopped = (*at_rest, State.STOPPING)
+    transitions = (
+        Transition(Trigger.CONNECT, (State.IDLE,), State.CONNECTING),
+        *(Transition(state.trigger, anywhere, state.name) for state in energised.values()),
+        Transition(Trigger.STOP, (State.IDLE, *anywhere), State.STOPPING),
+        Transition(Trigger.ASK_OPERATOR, stopped, State.WAITING_FOR_OPERATOR),
+        *(Transition(s.trigger, stopped if s.after is None else (s.after,), s.name) for s in working.values()),
+        Transition(Trigger.PAUSE, (State.STOPPING,), State.PAUSED),
+        Transition(Trigger.FINISH, (State.STOPPING,), State.FINISHED),
+        Transition(Trigger.FAULT, (State.STOPPING,), State.FAULTED),
+        Transition(Trigger.ABORT, (State.STOPPING,), State.ABORTED),
+    )
+    return _checked(StateTable(tuple(energised), at_rest, tuple(working), transitions))
+
+
+def _declare(stage: str, state: StageState, alike: dict[str, StageState], others: dict[str, StageState]) -> None:
+    if state.name in {*State} or state.trigger in {*Trigger}:
+        raise PluginError("stages", stage, f"the state {state.name!r} (by {state.trigger!r}) is the run's own")
+    if state.name in others or alike.setdefault(state.name, state) != state:
+        raise PluginError("stages", stage, f"the state {state.name!r} is declared otherwise by another stage")
+
+
+def _checked(table: StateTable) -> StateTable:
+    """Nothing follows a state that there is not, and a trigger leads to one state alone."""
+    targets: dict[str, str] = {}
+    for row in table.transitions:
+        unknown = set(row.sources) - set(table.states)
+        if unknown:
+            raise PluginError("stages", row.target, f"follows {', '.join(sorted(unknown))}, and there is no such state")
+        if targets.setdefault(row.trigger, row.target) != row.target:
+            raise PluginError("stages", row.target, f"the trigger {row.trigger!r} leads to {targets[row.trigger]!r}")
+    return table
 
 
 class StateMachine:
@@ -116,60 +126,69 @@ class StateMachine:
 
     Parameters
     ----------
+    table : StateTable
     on_change : callable
         Told the old state, the new one and the reason, after the change and outside the
         machine's own callbacks, so that what it raises leaves no half-made transition behind.
     """
 
-    def __init__(self, on_change: Callable[[State, State, str], None]) -> None:
-        from transitions import Machine
-
+    def __init__(self, table: StateTable, on_change: Callable[[str, str, str], None]) -> None:
         self._on_change = on_change
         self._model = _Model()
+        self._model.state = State.IDLE
+        self.extend(table)
+
+    def extend(self, table: StateTable) -> None:
+        """Go by another table from here on: stages were appended."""
+        from transitions import Machine
+
+        self._table = table
+        model = _Model()
         Machine(
-            model=self._model,
-            states=list(State),
-            initial=State.IDLE,
+            model=model,
+            states=list(table.states),
+            initial=self.state,
             transitions=[
-                {"trigger": row.trigger.value, "source": list(row.sources), "dest": row.target} for row in TRANSITIONS
+                {"trigger": row.trigger, "source": list(row.sources), "dest": row.target} for row in table.transitions
             ],
             auto_transitions=False,
         )
+        self._model = model
 
     @property
-    def state(self) -> State:
+    def state(self) -> str:
         return self._model.state
 
-    def may(self, trigger: Trigger) -> bool:
+    def may(self, trigger: str) -> bool:
         """Whether the trigger leads anywhere from here."""
-        return any(row.trigger is trigger and self.state in row.sources for row in TRANSITIONS)
+        return any(row.trigger == trigger and self.state in row.sources for row in self._table.transitions)
 
-    def fire(self, trigger: Trigger, reason: str = "") -> None:
+    def fire(self, trigger: str, reason: str = "") -> None:
         """Move on; a trigger that is not in the table for this state is a defect (RuntimeError)."""
         source = self.state
         if not self.may(trigger):
-            raise RuntimeError(f"{trigger.value} is not possible in state {source.value}")
-        self._model.trigger(trigger.value)
+            raise RuntimeError(f"{trigger} is not possible in state {source}")
+        self._model.trigger(trigger)
         self._on_change(source, self.state, reason)
 
 
 class _Model:
     """What `transitions` decorates with its methods; typed here once for all."""
 
-    state: State
+    state: str
     trigger: Callable[[str], bool]
 
 
-def mermaid() -> str:
+def mermaid(table: StateTable) -> str:
     """The table as a Mermaid state diagram, as docs/states.md shows it; alike states stand in one box."""
-    groups = {"at_rest": _AT_REST, "energised": ENERGISED}
-    lines = ["stateDiagram-v2", f"    [*] --> {State.IDLE.value}"]
+    groups = {"at_rest": table.at_rest, "energised": table.energised}
+    lines = ["stateDiagram-v2", f"    [*] --> {State.IDLE}"]
     for name, members in groups.items():
-        lines += [f"    state {name} {{", *(f"        {state.value}" for state in members), "    }"]
-    for row in TRANSITIONS:
+        lines += [f"    state {name} {{", *(f"        {state}" for state in members), "    }"]
+    for row in table.transitions:
         boxes = [name for name, members in groups.items() if set(members) <= set(row.sources)]
         boxed = {state for name in boxes for state in groups[name]}
-        sources = [*boxes, *(state.value for state in row.sources if state not in boxed)]
-        lines += [f"    {source} --> {row.target.value}: {row.trigger.value}" for source in sources]
-    lines += [f"    {state.value} --> [*]" for state in TERMINAL]
+        sources = [*boxes, *(state for state in row.sources if state not in boxed)]
+        lines += [f"    {source} --> {row.target}: {row.trigger}" for source in sources]
+    lines += [f"    {state} --> [*]" for state in TERMINAL]
     return "\n".join(lines) + "\n"

@@ -61,7 +61,10 @@ def said(message: Message) -> Said | None:
             where = f"{message.motor.name} on the drive {message.drive}"
             return Said(message.name, f"{where}, {plural(message.points, 'point')}{done}{time}")
         case StageStarted():
-            return Said(f"stage {message.index + 1}", f"{plain(message.stage)}, {plural(message.points, 'point')}")
+            return Said(
+                f"stage {message.index + 1}",
+                f"{message.title or plain(message.stage)}, {plural(message.points, 'point')}",
+            )
         case StateChanged():
             mood = OUTCOME_MOODS.get(message.target, "info")
             return Said(plain(message.target), message.reason, "bad" if mood == "warning" else mood)

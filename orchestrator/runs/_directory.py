@@ -31,6 +31,7 @@ from orchestrator.registry import PluginInfo, PluginKind, installed
 from orchestrator.runs._journal import Journal
 from orchestrator.runs._provenance import provenance
 from orchestrator.runs._record import RunRecord, hash_of, make_record, sealed_options_of, unsealed
+from orchestrator.stages import parse_stages
 from protocols import (
     Capabilities,
     Manifest,
@@ -283,13 +284,14 @@ def _refuse_non_empty(folder: Path) -> None:
 
 
 def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
-    stages = [stage for stage in procedure.stages if stage.kind == "estimate"]
-    takes_all = any(stage.estimators is None for stage in stages)
-    named = {name for stage in stages for name in stage.estimators or ()}
-    drives = [info for info in installed(PluginKind.DRIVES) if info.name == procedure.drive.name]
-    estimators = [info for info in installed(PluginKind.ESTIMATORS) if takes_all or info.name in named]
-    diagnoses = any(stage.kind == "diagnose" for stage in procedure.stages)
-    return drives + estimators + (installed(PluginKind.EFFECTS) if diagnoses else [])
+    named = {(PluginKind.DRIVES.value, procedure.drive.name)}
+    every: set[str] = set()
+    for stage in parse_stages(procedure):
+        named.add((PluginKind.STAGES.value, stage.name))
+        for use in stage.uses():
+            every |= {use.kind} if use.name is None else set()
+            named |= {(use.kind, use.name)} if use.name is not None else set()
+    return [info for kind in PluginKind for info in installed(kind) if kind in every or (kind, info.name) in named]
 
 
 def _read_json(file: Path) -> Any:

@@ -14,6 +14,7 @@ from protocols import InputError, PluginError, StorageError
 
 KINDS = {
     "drive": PluginKind.DRIVES,
+    "stage": PluginKind.STAGES,
     "estimator": PluginKind.ESTIMATORS,
     "effect": PluginKind.EFFECTS,
     "stream": PluginKind.STREAMS,
@@ -82,6 +83,7 @@ def _texts(kind: str, name: str) -> dict[str, str]:
         "kind": kind,
         "group": f"fluxbench.{KINDS[kind].value}",
         "package": f"fluxbench_{name}",
+        "words": name.replace("_", " "),
         "project": f"fluxbench-{name.replace('_', '-')}",
         "title": "".join(word.capitalize() for word in name.split("_")) + kind.capitalize(),
     }

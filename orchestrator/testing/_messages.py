@@ -22,7 +22,6 @@ from protocols import (
     FluxMap,
     FluxMapEstimate,
     FluxPoints,
-    GatesOffStage,
     Limits,
     LockChecked,
     Manifest,
@@ -45,6 +44,7 @@ from protocols import (
     SamplesCaptured,
     Segment,
     SegmentStage,
+    StageEntry,
     StagesAppended,
     StageStarted,
     StateChanged,
@@ -74,8 +74,8 @@ def a_run(run: Path) -> list[Message]:
     opening: list[Message] = [
         _started(run),
         StateChanged(source="idle", target="connecting"),
-        StateChanged(source="connecting", target="sweeping_injection"),
-        StageStarted(index=0, stage="injection", points=POINTS),
+        StateChanged(source="connecting", target="sweeping_kit"),
+        StageStarted(index=0, stage="kit_sweep", title="the kit's sweep", points=POINTS),
     ]
     middle: list[Message] = []
     for k, done in enumerate(points_done(run, POINTS)):
@@ -88,8 +88,8 @@ def one_of_each(run: Path) -> list[Message]:
     """One message of every kind."""
     return [
         _started(run),
-        StateChanged(source="sweeping_injection", target="estimating", reason="all points are done"),
-        StageStarted(index=3, stage="injection", points=POINTS),
+        StateChanged(source="sweeping_kit", target="stopping", reason="all points are done"),
+        StageStarted(index=3, stage="kit_sweep", title="the kit's sweep", points=POINTS),
         _point_started(0),
         next(iter(points_done(run, 1))),
         next(iter(samples(run, 1))),
@@ -105,12 +105,12 @@ def one_of_each(run: Path) -> list[Message]:
         Diagnosed(round=0, report=_diagnosis(), words=_WORDS),
         ExperimentProposed(
             round=0,
-            stage={"kind": "gates_off", "duration_s": 2.0},
+            stage={"kind": "kit_sweep", "duration_s": 2.0},
             separates=("current_offset", "voltage_bias"),
             minutes=0.1,
             accepted=True,
         ),
-        StagesAppended(by=4, stages=(GatesOffStage(kind="gates_off"),)),
+        StagesAppended(by=4, stages=(StageEntry(kind="kit_sweep", duration_s=2.0),)),
         Note(level="warning", text="the bus sags by 2 %"),
         _ended(run),
     ]

@@ -9,10 +9,10 @@ import time
 from pathlib import Path
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, installed_estimators, start_run
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
 from orchestrator.estimation.order import in_order
 from orchestrator.recording import open_recording
-from orchestrator.registry import PluginKind, load_plugin
+from orchestrator.registry import PluginKind, make_plugins
 from protocols import Estimate, EstimationContext, RecordingReader, SegmentStage
 
 ROUNDS = 3
@@ -31,7 +31,7 @@ def seconds_of(recording: RecordingReader) -> dict[str, float]:
     """Time that each installed estimator takes, in the order in which they see what the others found."""
     found: list[Estimate] = []
     spent = {}
-    for estimator in in_order([load_plugin(PluginKind.ESTIMATORS, name)() for name in installed_estimators()]):
+    for estimator in in_order(make_plugins(PluginKind.ESTIMATORS)):
         begun = time.perf_counter()
         found.append(estimator.estimate(recording, EstimationContext(tuple(found))))
         spent[estimator.name] = time.perf_counter() - begun

@@ -13,7 +13,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from orchestrator.config import make_plan
-from orchestrator.engine import AbsentOperator, Commissioning, Interrupts
+from orchestrator.engine import AbsentOperator, Commissioning, Interrupts, UsedPlugins
 from orchestrator.engine._log import RunLog
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
@@ -88,7 +88,7 @@ def point_s(folder: Path) -> float:
     with run.lock():
         log = RunLog(run.journal, Dispatcher({}))
         plan = make_plan(procedure, capabilities)
-        job = Commissioning(run, plan, drive, capabilities, [], [], AbsentOperator(), Interrupts(), log)
+        job = Commissioning(run, plan, drive, capabilities, UsedPlugins([]), AbsentOperator(), Interrupts(), log)
         begun = time.perf_counter()
         outcome = job.execute()
         spent = time.perf_counter() - begun

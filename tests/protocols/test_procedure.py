@@ -1,4 +1,4 @@
-"""The procedure as a contract: discriminated stages, strict keys, and the shipped ones."""
+"""The procedure as a contract: entries that name their stage, strict keys, and the shipped ones."""
 
 from __future__ import annotations
 
@@ -11,15 +11,12 @@ from pydantic import TypeAdapter, ValidationError
 from protocols import (
     Excitation,
     Hold,
-    InjectionStage,
     JournalledMessage,
     Manifest,
     Motor,
     Note,
     Procedure,
     ProcedureMotor,
-    ResistanceStage,
-    Stage,
     Trapezoid,
     shipped_procedure,
     shipped_procedures,
@@ -38,15 +35,10 @@ def procedure_fields(*stages: dict[str, Any]) -> dict[str, Any]:
     }
 
 
-@pytest.mark.parametrize(
-    ("fields", "expected"),
-    [
-        ({"kind": "resistance", "anchor": True}, ResistanceStage),
-        ({"kind": "injection", "pattern": "paths"}, InjectionStage),
-    ],
-)
-def test_the_kind_chooses_the_stage(fields: dict[str, Any], expected: type) -> None:
-    assert type(TypeAdapter[Any](Stage).validate_python(fields)) is expected
+def test_an_entry_keeps_what_its_stage_is_to_validate() -> None:
+    (entry,) = Procedure.model_validate(procedure_fields({"kind": "thermal_soak", "current_a": 2.0})).stages
+    assert (entry.kind, entry.settings) == ("thermal_soak", {"current_a": 2.0})
+    assert entry.model_dump() == {"kind": "thermal_soak", "current_a": 2.0}
 
 
 def test_the_kind_chooses_the_excitation_and_the_message() -> None:
@@ -62,24 +54,11 @@ def test_a_number_that_is_not_finite_is_refused(value: float) -> None:
         Hold(current_d_a=value, current_q_a=0.0, settle_s=0.0, duration_s=1.0)
 
 
-def test_a_key_of_another_stage_is_refused() -> None:
-    with pytest.raises(ValidationError, match="periods"):
-        Procedure.model_validate(procedure_fields({"kind": "resistance", "periods": 2}))
-
-
 def test_a_person_may_not_misspell_the_nameplate_but_another_tool_may_add_to_it() -> None:
     fields = {"name": "m", "pole_pairs": 2, "cooling": "water"}
     assert Motor.model_validate(fields).name == "m"
     with pytest.raises(ValidationError, match="cooling"):
         ProcedureMotor.model_validate(fields)
-
-
-def test_torque_with_the_brake_released_is_refused() -> None:
-    release = {"kind": "operator", "prompt": "?", "brake": "release"}
-    engage = {"kind": "operator", "prompt": "?", "brake": "engage"}
-    Procedure.model_validate(procedure_fields(release, engage, {"kind": "classical"}))
-    with pytest.raises(ValidationError, match=r"stages\.1: classical with the brake released"):
-        Procedure.model_validate(procedure_fields(release, {"kind": "classical"}))
 
 
 def test_the_rated_current_is_the_length_of_its_vector() -> None:

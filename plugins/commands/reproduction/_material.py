@@ -19,12 +19,13 @@ from orchestrator.analysis import (
     sweep_of,
     trace_sweep,
 )
-from orchestrator.engine import chosen_estimators
+from orchestrator.engine import UsedPlugins
 from orchestrator.estimation import estimate_recording
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import RunDirectory
+from orchestrator.stages import parse_stages
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, true_flux
 from protocols import (
     Estimate,
@@ -128,7 +129,9 @@ def collect(directory: Path) -> Material:
         raise RecordingError(str(directory / "run.json"), "procedure.drive", "a run on the simulated drive is expected")
     recording = open_recording(directory)
     found: list[Estimate] = []
-    estimate_recording(recording, chosen_estimators(procedure), directory, on_estimate=found.append)
+    estimate_recording(
+        recording, UsedPlugins(parse_stages(procedure)).of("estimators"), directory, on_estimate=found.append
+    )
     maps = {e.map.method: e for e in found if isinstance(e, FluxMapEstimate)}
     resistances = [e for e in found if isinstance(e, ResistanceEstimate)]
     missing = [name for name in NEEDED if name not in maps]

@@ -19,18 +19,8 @@ from protocols import (
 )
 
 Point = tuple[float, float]
-WITHOUT_POINTS = (
-    "stopping",
-    "finished",
-    "faulted",
-    "aborted",
-    "waiting_for_operator",
-    "estimating",
-    "comparing",
-    "diagnosing",
-    "proposing",
-)
-"""States that end a stage of measuring."""
+WITHOUT_POINTS = ("stopping", "finished", "faulted", "aborted")
+"""States that end a stage of measuring: every way out of it leads through the first."""
 
 
 @dataclass
@@ -39,6 +29,7 @@ class StageProgress:
 
     index: int
     name: str
+    """As people call it."""
     points: int
     begun_s: float
     """On the wall clock."""
@@ -94,7 +85,8 @@ class Progress:
                 self._end_stage()
         elif isinstance(message, StageStarted):
             self._end_stage()
-            self.stage = StageProgress(message.index, message.stage, message.points, self.clock())
+            name = message.title or message.stage.replace("_", " ")
+            self.stage = StageProgress(message.index, name, message.points, self.clock())
         elif isinstance(message, PointStarted):
             self.point = message.id
             has_target = message.target_d_a is not None and message.target_q_a is not None

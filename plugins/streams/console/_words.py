@@ -6,29 +6,17 @@ import math
 from collections.abc import Iterator
 
 from orchestrator.presentation.events import step_error_v
-from orchestrator.presentation.names import plain, rung_name
+from orchestrator.presentation.names import rung_name
 from orchestrator.presentation.quantities import axes_percent, duration, measured, number, percent, quantity
 from orchestrator.presentation.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
 from protocols import Basis, DiagnosisStep, EstimationReport, RunEnded
 
-NAMES = {
-    "gates_off": "sensors, gates off",
-    "alignment": "alignment",
-    "lock_check": "lock check",
-    "resistance": "stator resistance",
-    "classical": "classical sweep",
-    "injection": "signal injection",
-    "estimate": "estimation",
-    "diagnose": "diagnosis",
-    "operator": "operator",
-}
-
 
 def stage_title(progress: Progress, stage: StageProgress) -> str:
     """Which stage, of how many."""
     of = f" of {progress.stages}" if progress.stages else ""
-    return f"stage {stage.index + 1}{of}, {NAMES.get(stage.name, plain(stage.name))}"
+    return f"stage {stage.index + 1}{of}, {stage.name}"
 
 
 def time_left(progress: Progress) -> str:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from itertools import cycle
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ from orchestrator.presentation.colours import (
 from orchestrator.presentation.events import said
 from orchestrator.presentation.names import plain
 from orchestrator.presentation.quantities import vector
+from orchestrator.stages import installed_stages
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach
 from plugins.streams.rerun._clock import Clock
 from plugins.streams.rerun._maps import (
@@ -62,15 +64,6 @@ from protocols import (
     StateChanged,
 )
 
-STATES = {
-    AT_REST: ("idle", "connecting", "waiting_for_operator", "paused", "stopping"),
-    COMPUTING: ("estimating", "comparing", "diagnosing", "proposing"),
-    # Two tints in turn, so that neighbours are told apart.
-    ENERGISED[0]: ("reading_gates_off", "checking_lock", "sweeping_classical"),
-    ENERGISED[1]: ("aligning", "estimating_resistance", "sweeping_injection"),
-    ENDED_WELL: ("finished",),
-    ENDED_BADLY: ("faulted", "aborted"),
-}
 REACH_A = 1.0
 """Of the current plane until the limits are known."""
 _LEVELS = {"good": "INFO", "info": "INFO", "warning": "WARN", "bad": "ERROR"}
@@ -132,7 +125,7 @@ class Commissioning:
 
     def furniture(self) -> list[Entry]:
         """What stands from the beginning: colours, names, axes."""
-        colours, values = zip(*((c, v) for c, names in STATES.items() for v in names), strict=True)
+        colours, values = zip(*_state_colours(), strict=True)
         styles = rr.StateConfiguration(values=values, labels=[plain(v) for v in values], colors=packed_all(colours))
         out = [entry("state/machine", ALWAYS, styles), *CHECKS.furniture(y_ticks=False), *self._planes()]
         for name, unit in (("current", "A"), ("voltage", "V")):
@@ -337,6 +330,17 @@ def _measurements(path: str, times_s: Any, values: Any, variances: Any) -> Entry
         stream.send_columns(path, indexes=[rr.TimeColumn("experiment", duration=times_s)], columns=columns)
 
     return Entry(path, write, 24 * len(times_s) + 600)
+
+
+def _state_colours() -> Iterator[tuple[str, str]]:
+    """Colour and name of every state of a run; two tints in turn tell neighbours among the energised ones apart."""
+    yield from ((AT_REST, state) for state in ("idle", "connecting", "waiting_for_operator", "paused", "stopping"))
+    stages = installed_stages()
+    yield from ((COMPUTING, name) for name in dict.fromkeys(state.name for s in stages for state in s.working))
+    measuring = dict.fromkeys(stage.measuring.name for stage in stages if stage.measuring is not None)
+    yield from zip(cycle(ENERGISED), measuring, strict=False)
+    yield (ENDED_WELL, "finished")
+    yield from ((ENDED_BADLY, state) for state in ("faulted", "aborted"))
 
 
 def _series(path: str, names: list[str], colours: list[str]) -> Entry:

@@ -41,7 +41,7 @@ class Status:
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("state", plain(self.state))]
         if self.stage is not None:
-            rows.append(("stage", f"{self.stage.index + 1}, {plain(self.stage.stage)}"))
+            rows.append(("stage", f"{self.stage.index + 1}, {self.stage.title or plain(self.stage.stage)}"))
         if self.done is not None:
             rows.append(("points", f"{self.done.points_done} of {self.done.points}"))
             if self.ended is None:

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.orchestrator.config.benches import PM400, SERVO, TRACTION, Bench
+from tests.support.benches import PM400, SERVO, TRACTION, Bench
 
 
 @pytest.fixture

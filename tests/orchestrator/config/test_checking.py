@@ -10,7 +10,7 @@ import pytest
 
 from orchestrator.config import PlanSummary, check_plan, load_procedure, make_plan
 from protocols import CapabilityError
-from tests.orchestrator.config.benches import KINDS, Bench
+from tests.support.benches import KINDS, Bench
 
 HOLD = {"kind": "resistance", "points_a": [[3.0, 4.0]], "settle_s": 1.0, "duration_s": 3.0}
 INJECTION = {"kind": "injection", "points_a": [[1.0, 0.0]], "amplitudes_v": [40.0], "settle_s": 0.25, "duration_s": 1.0}
@@ -161,6 +161,8 @@ LIMITS = {"current_a": 5.0, "voltage_v": 150.0}
             "stages.1.points_a",
             "brake is released",
         ),
+        ([{"kind": "operator", "prompt": "?", "brake": "release"}, INJECTION], {}, {}, "stages.1", "brake: engage"),
+        ([{"kind": "lock_check", "amplitude_v": 160.0}], {}, {}, "stages.0.amplitude_v", "limits.voltage_v is 150 V"),
     ],
 )
 def test_a_plan_that_asks_for_too_much_is_refused_by_stage_and_field(

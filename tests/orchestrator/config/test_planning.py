@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from typing import Any
 
 import pytest
 
-from orchestrator.config import Plan, load_procedure, make_plan
-from protocols import GatesOff, Hold, Injection, ProcedureError, Segment, SegmentStage, Trapezoid, shipped_procedures
-from tests.orchestrator.config.benches import Bench
-
-
-def targets(plan: Plan) -> list[tuple[float, float]]:
-    return [point.target for point in plan.points if point.target is not None]
-
-
-def plan_of(bench: Bench, *stages: dict[str, Any]) -> Plan:
-    return make_plan(bench.procedure(*stages), bench.capabilities())
+from orchestrator.config import load_procedure, make_plan
+from protocols import GatesOff, Hold, ProcedureError, Segment, SegmentStage, shipped_procedures
+from tests.support.benches import Bench, plan_of, targets
 
 
 @pytest.mark.parametrize("name", shipped_procedures())
@@ -38,46 +29,7 @@ def test_points_are_in_the_order_of_their_stages(name: str) -> None:
     assert indices == sorted(indices)
     by_stage = [point for index in range(len(plan.stages)) for point in plan.points_of(index)]
     assert by_stage == list(plan.points)
-    assert all(plan.stages[point.stage_index].kind == point.stage.value for point in plan.points)
-
-
-def test_the_papers_sweeps_are_the_papers() -> None:
-    plan = make_plan(load_procedure("paper"), None)
-    sweeps = [p.excitation for p in plan.points if isinstance(p.excitation, Trapezoid)]
-    held = [-3.0, -2.0, -1.0, 0.0, 1.0, 2.0, 3.0]
-    assert [(t.swept_axis, t.held_a) for t in sweeps] == [
-        *(("q", h) for h in held),
-        *(("d", h) for h in held),
-        ("dq", 0),
-    ]
-    assert {(t.amplitude_a, t.period_s, t.periods) for t in sweeps} == {(3.0, 2.0, 10)}
-    assert {(t.control.bandwidth_hz, round(t.control.damping, 6)) for t in sweeps} == {(25.0, 0.707107)}
-    assert sum(t.period_s * t.periods for t in sweeps) == 300.0
-
-
-def test_the_papers_injection_steps_along_the_same_paths() -> None:
-    plan = make_plan(load_procedure("paper"), None)
-    points = [p.excitation for p in plan.points if p.stage is SegmentStage.INJECTION]
-    assert len(points) == 15 * 61
-    for point in points:
-        assert isinstance(point, Injection)
-        assert (point.amplitude_v, point.frequency_hz, point.rotation_hz, point.duration_s) == (40.0, 500.0, 1.0, 5.0)
-        assert (point.waveform, point.settle_s) == ("square", 0.25)
-    reached = [p.target for p in plan.points if p.stage is SegmentStage.INJECTION and p.target is not None]
-    for k in range(15):
-        path = reached[61 * k : 61 * (k + 1)]
-        lengths = [math.dist(a, b) for a, b in pairwise(path)]
-        assert lengths == pytest.approx([0.1] * 60, abs=1e-6)
-        assert (0.0 in path[30]) or path[30] == (0.0, 0.0)
-    assert max(math.hypot(*target) for target in reached) == pytest.approx(math.hypot(3, 3))
-
-
-def test_a_grid_goes_back_and_forth(pm400: Bench) -> None:
-    plan = plan_of(pm400, {"kind": "injection", "range_a": 2.0, "step_a": 1.0})
-    reached = targets(plan)
-    assert len(reached) == len(set(reached)) == 25
-    assert reached[:6] == [(-2, -2), (-2, -1), (-2, 0), (-2, 1), (-2, 2), (-1, 2)]
-    assert all(math.dist(a, b) == pytest.approx(1.0) for a, b in pairwise(reached))
+    assert all(plan.stages[point.stage_index].name == point.stage.value for point in plan.points)
 
 
 def test_no_current_is_a_negative_zero(pm400: Bench) -> None:
@@ -112,13 +64,6 @@ def test_resistance_points_repeat_at_each_pwm_frequency_and_only_another_than_th
     assert [p.excitation.pwm_frequency_hz for p in (own, other)] == [10_000.0, 20_000.0]
 
 
-def test_default_resistance_points_are_denser_near_zero(pm400: Bench) -> None:
-    on_d = sorted(d for d, q in targets(plan_of(pm400, {"kind": "resistance"})) if q == 0 and d > 0)
-    gaps = [b - a for a, b in pairwise(on_d)]
-    assert gaps == sorted(gaps)
-    assert on_d[0] < 0.05 * on_d[-1]
-
-
 def test_an_anchor_is_one_point_and_marked(pm400: Bench) -> None:
     stages: list[dict[str, Any]] = [
         {"kind": kind, "anchor": True} for kind in ("resistance", "injection", "resistance")
@@ -127,25 +72,6 @@ def test_an_anchor_is_one_point_and_marked(pm400: Bench) -> None:
     assert len(plan.points) == 3
     assert all(point.settings["anchor"] is True for point in plan.points)
     assert plan.points[0].excitation == plan.points[2].excitation
-
-
-def test_the_lock_check_goes_from_nothing_to_both_torques_and_back(pm400: Bench) -> None:
-    plan = plan_of(pm400, {"kind": "lock_check", "torque_current_a": 2.0})
-    assert targets(plan) == [(0, 0), (0, 2), (0, 0), (0, -2), (0, 0)]
-    assert [p.settings["torque"] for p in plan.points] == [0, 1, 0, -1, 0]
-    assert all(isinstance(p.excitation, Injection) for p in plan.points)
-
-
-def test_the_believed_angle_is_that_of_the_last_alignment(pm400: Bench) -> None:
-    stages: list[dict[str, Any]] = [
-        {"kind": "resistance", "anchor": True},
-        {"kind": "alignment", "angle_rad": 0.5},
-        {"kind": "gates_off"},
-        {"kind": "resistance", "anchor": True},
-        {"kind": "alignment", "angle_rad": -1.0},
-        {"kind": "injection", "anchor": True},
-    ]
-    assert [p.excitation.rotor_angle_rad for p in plan_of(pm400, *stages).points] == [0.0, 0.5, 0.5, 0.5, -1.0, -1.0]
 
 
 def test_settings_say_what_was_asked_for_as_the_recording_format_has_them(pm400: Bench) -> None:
@@ -198,9 +124,3 @@ def test_seconds_hold_the_settling_and_captured_seconds_do_not(pm400: Bench) -> 
 def test_a_stage_without_a_point_is_refused(pm400: Bench, stage: dict[str, Any]) -> None:
     with pytest.raises(ProcedureError, match=r"stages\.0: .*without a point"):
         plan_of(pm400, stage)
-
-
-@pytest.mark.parametrize("pattern", ["grid", "paths"])
-def test_a_slip_of_the_decimal_point_does_not_fill_the_memory(pm400: Bench, pattern: str) -> None:
-    with pytest.raises(ProcedureError, match=r"stages\.0\.step_a: .*more than"):
-        plan_of(pm400, {"kind": "injection", "pattern": pattern, "step_a": 1e-9})

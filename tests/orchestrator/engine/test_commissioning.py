@@ -9,9 +9,10 @@ from typing import Any
 
 import pytest
 
-from orchestrator.engine import ENERGISED, AbsentOperator, Crew, Interrupts, resume_run
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, resume_run, table_of
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
+from orchestrator.stages import installed_stages
 from plugins.drives.simulated import SimulatedDrive
 from protocols import (
     DriveFault,
@@ -194,7 +195,7 @@ def test_a_drive_that_fails_at_any_stage_is_left_safe_and_its_points_are_kept(
         assert "watchdog makes it safe" in words
 
 
-@pytest.mark.parametrize("state", [state.value for state in ENERGISED])
+@pytest.mark.parametrize("state", table_of(installed_stages()).energised)
 def test_a_stop_at_any_stage_ramps_down_and_disarms(
     state: str, tmp_path: Path, at_close: list[Telemetry | DriveFault]
 ) -> None:

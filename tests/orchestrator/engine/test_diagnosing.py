@@ -9,21 +9,21 @@ from typing import Any
 
 import pytest
 
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, extend_run, following_stages, resume_run
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, extend_run, resume_run
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
+from plugins.stages.diagnose import DiagnoseStage
+from plugins.stages.resistance import ResistanceStage
 from protocols import (
     CapabilityError,
     Compared,
     Diagnosed,
-    DiagnoseStage,
     ExperimentProposed,
     Message,
     OperatorAnswered,
-    OperatorStage,
     PointDone,
     RecordingError,
-    ResistanceStage,
+    StageRun,
     StagesAppended,
     StateChanged,
 )
@@ -49,16 +49,16 @@ def propose(monkeypatch: pytest.MonkeyPatch) -> Propose:
 
     def put(stage: dict[str, Any]) -> None:
         def diagnosed(
-            recording: object, diagnose: DiagnoseStage, effects: object, number: int, on_step: object, poll: object
+            recording: object, stage_at_work: DiagnoseStage, run: StageRun
         ) -> tuple[Diagnosed, ExperimentProposed]:
             proposal = ExperimentProposed(
-                round=number, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
+                round=run.appended, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
             )
             report = a_diagnosis(next_experiment={"stage": stage, "separates": proposal.separates, "minutes": 0.1})
-            return Diagnosed(round=number, report=report, words=WORDS), proposal
+            return Diagnosed(round=run.appended, report=report, words=WORDS), proposal
 
-        monkeypatch.setattr("orchestrator.engine._commissioning.compared", lambda *_: Compared(report=a_comparison()))
-        monkeypatch.setattr("orchestrator.engine._commissioning.diagnosed", diagnosed)
+        monkeypatch.setattr("plugins.stages.diagnose.compared", lambda *_: Compared(report=a_comparison()))
+        monkeypatch.setattr("plugins.stages.diagnose.diagnosed", diagnosed)
 
     return put
 
@@ -131,7 +131,7 @@ def test_an_appended_stage_is_part_of_the_recording_and_not_of_the_procedure(dec
     run = RunDirectory.open(decided)  # whose procedure still has its hash
     assert len(run.record.procedure.stages) == len(STAGES) + 1
     segments = [s for s in open_recording(decided).segments() if s.settings.get("pwm_frequency_hz") == 20000.0]
-    assert len(segments) == len(appended.stages[0].points_a)
+    assert len(segments) == len(appended.stages[0].settings["points_a"])
 
 
 def test_a_round_more_is_measured_as_long_as_there_are_rounds(propose: Propose, tmp_path: Path) -> None:
@@ -179,9 +179,9 @@ def test_a_finished_run_can_be_gone_on_with(propose: Propose, tmp_path: Path) ->
     stages = [*OPENING, {"kind": "estimate", "estimators": ["resistance"]}]
     path = run_tiny(tmp_path, stages=stages).path
     answered, estimated = len(told(path, OperatorAnswered)), states(path).count("estimating")
-    more = following_stages(DiagnoseStage(kind="diagnose", rounds=1), EXPERIMENT, tiny_procedure(tmp_path))
-    question = OperatorStage(kind="operator", prompt="Is it still locked?", answer="yes")
-    result = extend_run(path, (question, *more), Crew(AbsentOperator(), Interrupts()))
+    more = DiagnoseStage().going_on(EXPERIMENT, tiny_procedure(tmp_path), 1)
+    assert more[0].settings["answer"] == "yes"  # as where the procedure asked for the brake to be engaged
+    result = extend_run(path, more, Crew(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
     assert [message.id for message in told(path, PointDone)][-3:] == [f"resistance-{k:03d}" for k in (4, 5, 6)]
     assert len(told(path, OperatorAnswered)) == answered + 1
@@ -194,16 +194,14 @@ def test_stages_beyond_the_limits_are_not_appended(tmp_path: Path) -> None:
     path = run_tiny(tmp_path, stages=OPENING).path
     journal = (path / "journal.jsonl").read_bytes()
     with pytest.raises(CapabilityError, match="50 A"):
-        extend_run(
-            path, [ResistanceStage(kind="resistance", points_a=((50.0, 0.0),))], Crew(AbsentOperator(), Interrupts())
-        )
+        extend_run(path, [ResistanceStage(points_a=((50.0, 0.0),)).entry()], Crew(AbsentOperator(), Interrupts()))
     assert (path / "journal.jsonl").read_bytes() == journal
 
 
 def test_a_run_that_is_not_finished_is_not_appended_to(tmp_path: Path) -> None:
     result = run_tiny(tmp_path, stages=OPENING, interrupts=StopAfter(tmp_path / "run", PointDone, 2))
     with pytest.raises(RecordingError, match=r"not finished.*resume"):
-        extend_run(result.path, [DiagnoseStage(kind="diagnose")], Crew(AbsentOperator(), Interrupts()))
+        extend_run(result.path, [DiagnoseStage().entry()], Crew(AbsentOperator(), Interrupts()))
 
 
 def test_a_recording_with_too_little_in_it_gets_no_diagnosis_and_the_run_goes_on(tmp_path: Path) -> None:

@@ -54,6 +54,7 @@ def test_page_shows_a_plugin_of_each_kind_and_the_kits() -> None:
     assert set(snippets()) == {
         "pyproject.toml",
         "bench_plugins/supply.py",
+        "bench_plugins/thermal_soak.py",
         "bench_plugins/ohmmeter.py",
         "bench_plugins/voltage_offset.py",
         "bench_plugins/points_file.py",
@@ -72,7 +73,7 @@ def test_page_s_plugins_pass_the_kits(package: Path) -> None:
 def test_page_s_plugins_are_loaded_by_their_names(package: Path) -> None:
     code = (
         "from orchestrator.registry import PluginKind, load_plugin\n"
-        "for kind, name in zip(PluginKind, ('supply', 'ohmmeter', 'voltage_offset', 'points_file')):\n"
+        "for kind, name in zip(PluginKind, ('supply', 'thermal_soak', 'ohmmeter', 'voltage_offset', 'points_file')):\n"
         "    assert load_plugin(kind, name).name == name\n"
     )
     done = in_package(package, "-c", code)

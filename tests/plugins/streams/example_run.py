@@ -214,7 +214,7 @@ def _messages(path: Path, segments: list[Segment], ended: bool) -> list[Journall
         LockChecked(
             locked=True, confidence=0.999, moved_rad=4e-4, moved_std_rad=2e-4, twist_rad=0.004, summary=verdict
         ),
-        StageStarted(index=0, stage="classical", points=len(CLASSICAL)),
+        StageStarted(index=0, stage="classical", title="classical sweep", points=len(CLASSICAL)),
         StateChanged(source="connecting", target="sweeping_classical"),
         *done,
         Note(level="warning", text="the bus sagged by 2 % at point injection-012"),

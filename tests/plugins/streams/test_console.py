@@ -83,8 +83,8 @@ def test_not_a_terminal_gets_plain_lines_without_escape_codes(monkeypatch: pytes
     text = told(monkeypatch, tmp_path, a_run(tmp_path))
     assert ESCAPE not in text
     assert "\r" not in text
-    assert "stage 1 of 1, signal injection: begins, 20 points" in text
-    assert "stage 1 of 1, signal injection: 20 points in" in text
+    assert "stage 1 of 1, the kit's sweep: begins, 20 points" in text
+    assert "stage 1 of 1, the kit's sweep: 20 points in" in text
     assert "R_s: 4.310 Ω (95 %: 4.300 to 4.320)" in text
     assert "warning: the bus sags by 2 %" in text
     assert "outcome     finished: all stages are done" in text
@@ -113,7 +113,7 @@ def test_plain_progress_is_not_told_for_each_of_many_quick_points(
 
 
 def test_stages_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    assert "stage 1 of 1, signal injection" in told(monkeypatch, tmp_path, a_run(tmp_path))
+    assert "stage 1 of 1, the kit's sweep" in told(monkeypatch, tmp_path, a_run(tmp_path))
 
 
 def test_faults_and_their_reason_are_told_in_plain_lines(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -196,12 +196,12 @@ def test_a_terminal_gets_a_live_display_with_stage_bar_time_and_currents(
     assert ESCAPE in text
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", text)
     for wanted in (
-        "sweeping injection  stage 1 of 1, signal injection, point 1 of 20",
+        "sweeping kit  stage 1 of 1, the kit's sweep, point 1 of 20",
         "1/20 points",
         "left",
         "(+1.000, −0.500) A",
         "(+0.980, −0.510) A",
-        "✓ stage 1 of 1, signal injection, 20 points",
+        "✓ stage 1 of 1, the kit's sweep, 20 points",
         "✓ R_s: 4.310 Ω",
         "finished: all stages are done",
     ):
@@ -282,12 +282,12 @@ def test_time_left_is_told_once_where_drive_and_wall_agree() -> None:
 def test_a_stage_ends_with_the_next_or_with_a_stop() -> None:
     progress = Progress()
     progress.take(StageStarted(index=0, stage="gates_off", points=1))
-    progress.take(StageStarted(index=1, stage="resistance", points=3))
+    progress.take(StageStarted(index=1, stage="resistance", title="stator resistance", points=3))
     assert progress.finished is not None
-    assert progress.finished.name == "gates_off"
+    assert progress.finished.name == "gates off"  # a run of old has no titles
     progress.take(StateChanged(source="estimating_resistance", target="stopping"))
     assert progress.finished is not None
-    assert progress.finished.name == "resistance"
+    assert progress.finished.name == "stator resistance"
     progress.take(Note(level="info", text=""))
     assert progress.finished is None
 

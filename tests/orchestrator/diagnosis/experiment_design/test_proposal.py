@@ -6,7 +6,6 @@ import time
 from typing import Any
 
 import pytest
-from pydantic import TypeAdapter
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.experiment_design.proposal import catalogue, next_experiment
@@ -17,9 +16,10 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.workflow import first_steps
 from orchestrator.recording import Recording
+from orchestrator.stages import parse_stage
 from plugins.effects.inverter import DeadTime, DeviceDrop
 from plugins.effects.sensors import CurrentOffset
-from protocols import Effect, Stage
+from protocols import Effect
 
 ONE_PWM, TWO_PWM = 0, 1
 
@@ -107,4 +107,4 @@ def test_where_nothing_can_be_predicted_the_table_has_the_word(
 
 def test_every_stage_of_the_catalogue_is_a_procedure_s(start: Start) -> None:
     for stage in catalogue(start):
-        TypeAdapter[Any](Stage).validate_python(stage)
+        parse_stage(stage, "catalogue", "stage")

@@ -10,19 +10,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.config import Plan, check_plan, load_procedure, make_plan
-from protocols import Capabilities, Injection, Procedure, ProcedureError, Trapezoid, shipped_procedures
-from tests.orchestrator.config.benches import PM400, SERVO, TRACTION, Bench
+from orchestrator.config import check_plan, load_procedure, make_plan
+from protocols import Capabilities, Procedure, ProcedureError, shipped_procedures
+from tests.support.benches import PM400, SERVO, TRACTION, Bench, injections, trapezoids
 
 Stages = Callable[[], list[dict[str, Any]]]
-
-
-def injections(plan: Plan, stage: str = "injection") -> list[Injection]:
-    return [p.excitation for p in plan.points if isinstance(p.excitation, Injection) and p.stage == stage]
-
-
-def trapezoids(plan: Plan) -> list[Trapezoid]:
-    return [p.excitation for p in plan.points if isinstance(p.excitation, Trapezoid)]
 
 
 def scaled(procedure: Procedure, factor: float) -> Procedure:
@@ -83,95 +75,6 @@ def test_currents_scale_with_the_motor_and_voltages_and_times_stay(factor: float
     assert point.target_q_a == pytest.approx(1.25 * 1.66 * math.sqrt(2) * factor, rel=rounding)
     assert point.amplitude_v == pytest.approx(4 * 500.0 * 0.2 * 1.66 * math.sqrt(2) * 0.04325, rel=rounding)
     assert point.settle_s == 0.25
-
-
-@pytest.mark.parametrize("waveform", ["square", "sine"])
-@pytest.mark.parametrize("frequency", [None, 250.0, 1000.0])
-def test_injection_swings_the_flux_by_a_fifth_of_the_rated_currents(
-    pm400: Bench, waveform: str, frequency: float | None
-) -> None:
-    stage = {"kind": "injection", "waveform": waveform, "frequency_hz": frequency}
-    point = injections(make_plan(pm400.procedure(stage, limits={"current_a": 5.0, "voltage_v": 300.0}), None))[0]
-    swing = point.amplitude_v / point.frequency_hz / (4.0 if waveform == "square" else 2 * math.pi)
-    assert swing == pytest.approx(0.2 * 1.66 * math.sqrt(2) * 0.04325, rel=0.05)
-
-
-def test_injection_leaves_room_for_the_resistive_drop(pm400: Bench) -> None:
-    procedure = pm400.procedure({"kind": "injection"}, limits={"current_a": 5.0, "voltage_v": 40.0})
-    point = injections(make_plan(procedure, None))[0]
-    assert point.amplitude_v + 4.25 * 5.0 <= 40.0
-
-
-@pytest.mark.parametrize("sampling_hz", [8e3, 1e4, 16e3, 4e4])
-def test_injection_has_a_whole_and_even_number_of_samples_a_period(pm400: Bench, sampling_hz: float) -> None:
-    drive = pm400.capabilities(sampling_frequency_hz=sampling_hz)
-    point = injections(make_plan(pm400.procedure({"kind": "injection"}), drive))[0]
-    assert sampling_hz / point.frequency_hz == 20
-
-
-@given(rotation=st.none() | st.floats(0.1, 20.0), duration=st.none() | st.floats(0.1, 20.0))
-def test_the_duration_holds_whole_turns_unless_both_are_given(rotation: float | None, duration: float | None) -> None:
-    stage = {"kind": "injection", "rotation_hz": rotation, "duration_s": duration}
-    point = injections(make_plan(PM400.procedure(stage), None))[0]
-    turns = point.rotation_hz * point.duration_s
-    assert rotation in (None, point.rotation_hz)
-    assert duration in (None, point.duration_s)
-    if rotation is None or duration is None:
-        assert turns == pytest.approx(round(turns))
-        assert turns > 0.5
-
-
-def test_a_narrow_limit_scales_the_amplitudes_down_and_keeps_the_corners_inside(pm400: Bench) -> None:
-    procedure = pm400.procedure({"kind": "classical"}, limits={"current_a": 2.0, "voltage_v": 150.0})
-    plan = make_plan(procedure, None)
-    assert trapezoids(plan)[0].amplitude_a == pytest.approx(1.6)
-    assert all(math.hypot(t.held_a, t.amplitude_a) <= 2.0 for t in trapezoids(plan))
-
-
-def test_a_default_grid_is_clipped_to_the_limit_and_says_so(pm400: Bench) -> None:
-    procedure = pm400.procedure({"kind": "injection"}, limits={"current_a": 4.0, "voltage_v": 150.0})
-    plan = make_plan(procedure, None)
-    assert 0 < len(plan.points) < 25
-    assert all(p.target is not None and math.hypot(*p.target) < 4.0 for p in plan.points)
-    (note,) = plan.notes
-    assert f"{25 - len(plan.points)} of 25 points left out" in note
-    check_plan(plan, None)
-
-
-def test_a_ripple_that_leaves_no_room_is_refused_by_its_amplitude(pm400: Bench) -> None:
-    procedure = pm400.procedure({"kind": "injection", "amplitudes_v": [40.0], "frequency_hz": 20.0})
-    with pytest.raises(ProcedureError, match=r"stages\.0\.amplitudes_v: .*ripple of 11\.6 A"):
-        make_plan(procedure, None)
-
-
-def test_the_lock_is_tried_with_the_largest_torque_current_of_what_follows(pm400: Bench) -> None:
-    def torque(*later: dict[str, Any]) -> float:
-        plan = make_plan(pm400.procedure({"kind": "lock_check"}, *later), None)
-        return max(i.target_q_a for i in injections(plan, "lock_check"))
-
-    assert torque({"kind": "classical", "amplitude_a": 1.5, "held_a": [-2.5, 0.5]}) == 2.5
-    assert torque({"kind": "classical", "axes": ["q"], "amplitude_a": 1.5, "held_a": [-2.5]}) == 1.5
-    assert torque({"kind": "classical", "axes": ["dq"], "amplitude_a": 2.0}) == pytest.approx(math.sqrt(2))
-    assert torque({"kind": "injection", "points_a": [[0.0, -1.75], [2.0, 1.0]]}) == 1.75
-    assert torque({"kind": "resistance", "points_a": [[3.0, 0.25]]}) == 0.25
-    assert torque() == pytest.approx(2.9)
-
-
-def test_what_was_given_is_taken_as_it_is(pm400: Bench) -> None:
-    stage = {
-        "kind": "injection",
-        "points_a": [[0.123456, 0.0]],
-        "amplitudes_v": [33.3],
-        "frequency_hz": 625.0,
-        "rotation_hz": 1.7,
-        "settle_s": 0.111,
-        "duration_s": 0.777,
-        "control": {"bandwidth_hz": 31.0},
-    }
-    (point,) = injections(make_plan(pm400.procedure(stage), None))
-    assert (point.target_d_a, point.amplitude_v, point.frequency_hz) == (0.123456, 33.3, 625.0)
-    assert (point.rotation_hz, point.settle_s, point.duration_s) == (1.7, 0.111, 0.777)
-    assert point.control.bandwidth_hz == 31.0
 
 
 def test_a_stage_without_its_own_control_has_the_procedures(pm400: Bench) -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from typing import Literal
 
-from protocols import Point
+from protocols import Excitation, Point, Stage, Trapezoid
 
 MOST_POINTS = 100_000
 """More than anybody measures; a slip of the decimal point gives millions."""
-
-_D_FRACTIONS = (1 / 30, 1 / 12, 1 / 6, 1 / 3, 2 / 3, 1.0)
-_Q_FRACTIONS = (1 / 12, 1 / 3, 1.0)
 
 
 def steps(half_range: float, step: float) -> list[float]:
@@ -53,16 +51,27 @@ def grid(d_values: Sequence[float], q_values: Sequence[float]) -> list[Point]:
     return _back_and_forth([[(d, q) for q in q_values] for d in d_values])
 
 
-def resistance_steps(amplitude: float) -> list[Point]:
-    """Direct currents on both axes, denser near zero, where the inverter's own voltages show."""
-    on_d = [(_clean(sign * f * amplitude), 0.0) for sign in (1, -1) for f in _D_FRACTIONS]
-    on_q = [(0.0, _clean(sign * f * amplitude)) for sign in (1, -1) for f in _Q_FRACTIONS]
-    return on_d + on_q
+def on_axis(axis: Literal["d", "q"], currents: Iterable[float]) -> list[Point]:
+    """Currents along one axis, each with its negative: all positive ones first."""
+    both = [sign * current for sign in (1, -1) for current in currents]
+    return [(_clean(value), 0.0) if axis == "d" else (0.0, _clean(value)) for value in both]
 
 
 def within(points: Sequence[Point], radius: float) -> list[Point]:
     """The points whose vector is no longer than `radius`."""
     return [point for point in points if math.hypot(*point) <= radius]
+
+
+def largest_q_a(stages: Iterable[Stage]) -> float:
+    """Largest current on the q axis that filled stages ask for [A]; 0 where they ask for none."""
+    return max((_on_q(point.excitation) for stage in stages for point in stage.points()), default=0.0)
+
+
+def _on_q(excitation: Excitation) -> float:
+    if not isinstance(excitation, Trapezoid):
+        return abs(excitation.start_dq_a[1])
+    along = excitation.amplitude_a
+    return {"q": along, "d": abs(excitation.held_a), "dq": along / math.sqrt(2)}[excitation.swept_axis]
 
 
 def _back_and_forth(lines: Sequence[Sequence[Point]]) -> list[Point]:

@@ -1,11 +1,12 @@
-"""Motors of three sizes, a drive for each, and procedures made of stages."""
+"""Motors of three sizes, a drive for each, and plans of procedures made of stages."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Any
 
-from protocols import Capabilities, Procedure
+from orchestrator.config import Plan, make_plan
+from protocols import Capabilities, Injection, Point, Procedure, Trapezoid
 
 KINDS = frozenset({"gates_off", "hold", "trapezoid", "injection"})
 
@@ -91,3 +92,19 @@ TRACTION = Bench(
     limits={"current_a": 450.0, "voltage_v": 200.0},
     bus_v=400.0,
 )
+
+
+def targets(plan: Plan) -> list[Point]:
+    return [point.target for point in plan.points if point.target is not None]
+
+
+def plan_of(bench: Bench, *stages: dict[str, Any]) -> Plan:
+    return make_plan(bench.procedure(*stages), bench.capabilities())
+
+
+def injections(plan: Plan, stage: str = "injection") -> list[Injection]:
+    return [p.excitation for p in plan.points if isinstance(p.excitation, Injection) and p.stage == stage]
+
+
+def trapezoids(plan: Plan) -> list[Trapezoid]:
+    return [p.excitation for p in plan.points if isinstance(p.excitation, Trapezoid)]

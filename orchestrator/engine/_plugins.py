@@ -1,0 +1,42 @@
+"""The plugins that a run's stages work with: loaded before anything is energised, each once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from orchestrator.registry import Installed, PluginKind
+from protocols import Stage
+
+
+class UsedPlugins:
+    """Instances of what stages say that they use.
+
+    Parameters
+    ----------
+    stages : iterable of Stage
+
+    Raises
+    ------
+    PluginError
+        One of them is not installed, or broken.
+    """
+
+    def __init__(self, stages: Iterable[Stage]) -> None:
+        self._made: dict[tuple[str, str], Any] = {}
+        self.take(stages)
+
+    def take(self, stages: Iterable[Stage]) -> None:
+        """Load what these stages use as well; raises `PluginError`."""
+        uses = [use for stage in stages for use in stage.uses()]
+        for kind in {PluginKind(use.kind) for use in uses}:
+            installed = Installed(kind)
+            named = {use.name for use in uses if use.kind == kind}
+            if None in named:
+                named |= {info.name for info in installed.plugins}
+            for name in named - {None} - {made for of, made in self._made if of == kind}:
+                self._made[kind, str(name)] = installed.load(str(name))()
+
+    def of(self, kind: str) -> list[Any]:
+        """Those of a kind, in order of their names."""
+        return [self._made[key] for key in sorted(self._made) if key[0] == kind]

@@ -1,0 +1,124 @@
+"""The run as a stage at work sees it: everything that it may do, and nothing else of the engine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from orchestrator.engine._agenda import Agenda
+from orchestrator.engine._interrupts import Interrupts
+from orchestrator.engine._log import RunLog
+from orchestrator.engine._operator import Questions
+from orchestrator.engine._plugins import UsedPlugins
+from orchestrator.engine._power import PowerStage
+from orchestrator.engine._states import StateMachine, Trigger, table_of
+from orchestrator.recording import Recording, open_recording
+from orchestrator.runs import RunDirectory
+from protocols import (
+    Capabilities,
+    EstimationReport,
+    Message,
+    Note,
+    Procedure,
+    Segment,
+    StageEntry,
+    StagesAppended,
+    StageState,
+    Telemetry,
+)
+
+
+@dataclass(frozen=True)
+class Engine:
+    """What a run is made of; each has its own module."""
+
+    run: RunDirectory
+    capabilities: Capabilities
+    agenda: Agenda
+    machine: StateMachine
+    power: PowerStage
+    log: RunLog
+    questions: Questions
+    interrupts: Interrupts
+    plugins: UsedPlugins
+
+    def stand_down(self, reason: str) -> None:
+        """Disarm, where the drive is armed, and say so."""
+        if self.power.armed:
+            self.machine.fire(Trigger.STOP, reason)
+            self.log.say(Note(level="info", text=self.power.stand_down()))
+
+
+class StageAtWork:
+    """`protocols.StageRun` for one stage of a run."""
+
+    def __init__(self, index: int, engine: Engine, conclude: Callable[[EstimationReport], None]) -> None:
+        self._index, self._engine, self._conclude = index, engine, conclude
+
+    @property
+    def path(self) -> Path:
+        return self._engine.run.path
+
+    @property
+    def procedure(self) -> Procedure:
+        return self._engine.agenda.plan.procedure
+
+    @property
+    def capabilities(self) -> Capabilities:
+        return self._engine.capabilities
+
+    @property
+    def segments(self) -> Sequence[Segment]:
+        agenda = self._engine.agenda
+        return [agenda.done[point.id] for point in agenda.plan.points_of(self._index)]
+
+    @property
+    def appended(self) -> int:
+        return self._engine.agenda.appended
+
+    def recording(self) -> Recording:
+        self._engine.run.write_manifest()
+        return open_recording(self._engine.run.path)
+
+    def plugins(self, kind: Literal["estimators", "effects"]) -> Sequence[Any]:
+        return self._engine.plugins.of(kind)
+
+    def telemetry(self) -> Telemetry:
+        return self._engine.power.telemetry()
+
+    def enter(self, state: StageState) -> None:
+        # Stand down first: nobody knows how long a computation takes on a machine that is busy.
+        self._engine.stand_down("the drive is disarmed while the computer works on what was measured")
+        self._engine.machine.fire(state.trigger)
+
+    def say(self, message: Message, *, durable: bool = False) -> None:
+        self._engine.log.say(message, durable=durable)
+
+    def ask(self, prompt: str, *, answered: bool) -> None:
+        self._engine.stand_down("the drive is disarmed while the operator is asked")
+        self._engine.machine.fire(Trigger.ASK_OPERATOR)
+        self._engine.questions.put(prompt, answered=answered)
+
+    def set_brake(self, engaged: bool) -> None:
+        self._engine.power.set_brake(engaged)
+
+    def check(self) -> None:
+        self._engine.interrupts.check()
+
+    def plan(self, stages: Sequence[StageEntry]) -> None:
+        self._engine.agenda.longer(stages)
+
+    def append(self, stages: Sequence[StageEntry]) -> None:
+        engine = self._engine
+        plan = engine.agenda.longer(stages)
+        engine.plugins.take(plan.stages)
+        table = table_of(plan.stages)
+        message = StagesAppended(by=self._index, stages=tuple(stages))
+        engine.log.say(message, durable=True)
+        engine.agenda.append(message, plan)
+        engine.machine.extend(table)
+
+    def conclude(self, estimates: EstimationReport) -> None:
+        self._conclude(estimates)

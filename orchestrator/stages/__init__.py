@@ -1,0 +1,42 @@
+"""What stages are made from, and how they are found: entries parsed, scaling from the nameplate, patterns of points.
+
+For authors of stages: `Scaling` fills in what a procedure leaves out, and the patterns lay out points in the
+current plane. The built-in stages in `plugins/stages` use nothing else.
+"""
+
+from orchestrator.stages._parsing import (
+    installed_stages,
+    parse_stage,
+    parse_stages,
+    proposing_stage,
+    spelled_out,
+)
+from orchestrator.stages._patterns import MOST_POINTS, five_values, grid, largest_q_a, on_axis, paths, steps, within
+from orchestrator.stages._ripple import flux_swing_wb, injection_voltage_v, ripple_a
+from orchestrator.stages._scaling import NOMINAL_SAMPLING_HZ, Scaling, ScalingRules, given, tidy
+from orchestrator.stages._schema import with_stages
+
+__all__ = [
+    "MOST_POINTS",
+    "NOMINAL_SAMPLING_HZ",
+    "Scaling",
+    "ScalingRules",
+    "five_values",
+    "flux_swing_wb",
+    "given",
+    "grid",
+    "injection_voltage_v",
+    "installed_stages",
+    "largest_q_a",
+    "on_axis",
+    "parse_stage",
+    "parse_stages",
+    "paths",
+    "proposing_stage",
+    "ripple_a",
+    "spelled_out",
+    "steps",
+    "tidy",
+    "with_stages",
+    "within",
+]

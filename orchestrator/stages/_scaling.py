@@ -1,0 +1,161 @@
+"""What a stage leaves out, derived from nameplate, limits and sampling frequency; no motor's numbers are in here.
+
+With I the rated current (peak), L and R the nameplate's, f_s the drive's sampling frequency:
+amplitudes are 1.25 I within 0.8 of the limit; injection is at f_s/20 with the voltage that
+swings the flux by 0.2 I L_d; settling takes five time constants of the current control and of
+L/R, and as long again, since the second half of it is averaged.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Literal, TypeVar
+
+from orchestrator.stages._ripple import flux_swing_wb, injection_voltage_v, ripple_a
+from protocols import CurrentControl, ProcedureError, StageContext
+
+T = TypeVar("T")
+
+NOMINAL_SAMPLING_HZ = 10_000.0
+"""Taken where no drive was asked."""
+
+
+@dataclass(frozen=True)
+class ScalingRules:
+    """How large and how long, against what the nameplate and the limits say."""
+
+    over_rated: float = 1.25
+    """Amplitudes against the rated current: far enough into saturation for the map's rim."""
+    of_limit: float = 0.8
+    """Amplitudes against a limit: a drive trips on noise and overshoot as well."""
+    headroom: float = 0.95
+    """Corners of what is swept, against limits.current_a."""
+    samples_per_period: int = 20
+    """Of the injection."""
+    periods_per_turn: int = 250
+    """Of the injection, while its direction turns once."""
+    turns: int = 2
+    """Of the injection's direction at each point."""
+    time_constants: float = 5.0
+    """After which a transient is gone (0.7 %)."""
+    shortest_hold_s: float = 0.5
+    """A hold averages over several periods of the mains."""
+
+
+class Scaling:
+    """The rules, applied to one stage of a procedure; `setting` is always the stage's setting that is left out.
+
+    Parameters
+    ----------
+    context : StageContext
+    rules : ScalingRules, optional
+
+    Raises
+    ------
+    ProcedureError
+        From all methods, where the nameplate lacks what a setting is scaled from; names both.
+    """
+
+    def __init__(self, context: StageContext, rules: ScalingRules | None = None) -> None:
+        self._context, self._rules = context, rules or ScalingRules()
+        self._motor, self._limits = context.procedure.motor, context.procedure.limits
+
+    def control(self, given: CurrentControl | None) -> CurrentControl:
+        """The current control: the stage's own or the procedure's."""
+        return given if given is not None else self._context.procedure.control
+
+    def rated_current_a(self, setting: str) -> float:
+        """Rated current as the length of its vector [A]."""
+        return self._needed("rated_current_rms_a", self._motor.rated_current_a, setting)
+
+    def amplitude_a(self, setting: str) -> float:
+        """How far a sweep goes on an axis [A]: a quarter more than the rated current, within the limit."""
+        return self.within_limit_a(self._rules.over_rated * self.rated_current_a(setting))
+
+    def within_limit_a(self, current_a: float) -> float:
+        """No more than what is tried beside limits.current_a [A]."""
+        return tidy(min(current_a, self._rules.of_limit * self._limits.current_a))
+
+    @property
+    def reach_a(self) -> float:
+        """Longest current vector of what is swept, ripple included [A]."""
+        return self._rules.headroom * self._limits.current_a
+
+    def injection_hz(self, given: float | None) -> float:
+        """Frequency of an injection."""
+        return given if given is not None else self._context.sampling_frequency_hz / self._rules.samples_per_period
+
+    def injection_v(self, setting: str, frequency_hz: float, waveform: Literal["square", "sine"] = "square") -> float:
+        """Amplitude of an injection [V], within the room that R_s i leaves below limits.voltage_v."""
+        inductance = self._needed("d_inductance_h", self._motor.d_inductance_h, setting)
+        wanted = injection_voltage_v(self.rated_current_a(setting), inductance, frequency_hz, waveform)
+        room = self._limits.voltage_v - (self._motor.stator_resistance_ohm or 0.0) * self._limits.current_a
+        if room <= 0:
+            place = f"stages.{self._context.index}.{setting}"
+            raise ProcedureError(
+                self._context.procedure.name,
+                "limits.voltage_v",
+                f"leaves no room for injection beside R_s i at limits.current_a ({place})",
+            )
+        return tidy(min(wanted, self._rules.of_limit * room))
+
+    def ripple_a(self, amplitude_v: float, frequency_hz: float, waveform: Literal["square", "sine"]) -> float:
+        """Peak of an injection's current ripple [A]; 0 where no inductance is known."""
+        return ripple_a(flux_swing_wb(amplitude_v, frequency_hz, waveform), self._motor)
+
+    def turns(self, rotation_hz: float | None, duration_s: float | None, frequency_hz: float) -> tuple[float, float]:
+        """Rotation and duration such that the duration holds whole turns, where either is free."""
+        usual = frequency_hz / self._rules.periods_per_turn
+        if duration_s is None:
+            rotation_hz = rotation_hz if rotation_hz is not None else usual
+            return rotation_hz, max(1, round(self._rules.turns * rotation_hz / usual)) / rotation_hz
+        if rotation_hz is None:
+            return max(1, round(usual * duration_s)) / duration_s, duration_s
+        return rotation_hz, duration_s
+
+    def settle_s(self, given: float | None, control: CurrentControl | None) -> float:
+        """How long an operating point settles."""
+        if given is not None:
+            return given
+        used = self.control(control)
+        of_control = 1 / (used.damping * 2 * math.pi * used.bandwidth_hz)
+        return tidy(2 * self._rules.time_constants * (of_control + self._time_constant_s("settle_s")))
+
+    def hold_s(self, given: float | None) -> float:
+        """How long a direct current is captured."""
+        if given is not None:
+            return given
+        settled = tidy(2 * self._rules.time_constants * self._time_constant_s("duration_s"))
+        return max(self._rules.shortest_hold_s, settled)
+
+    def note(self, text: str) -> None:
+        """Say what a person should know of how the stage was filled in."""
+        self._context.notes.append(f"stages.{self._context.index} {text}")
+
+    def error(self, setting: str, problem: str) -> ProcedureError:
+        """A setting that cannot be used."""
+        return ProcedureError(self._context.procedure.name, f"stages.{self._context.index}.{setting}", problem)
+
+    def _time_constant_s(self, setting: str) -> float:
+        resistance = self._needed("stator_resistance_ohm", self._motor.stator_resistance_ohm, setting)
+        inductance = max(self._motor.d_inductance_h or 0.0, self._motor.q_inductance_h or 0.0) or None
+        return self._needed("q_inductance_h", inductance, setting) / resistance
+
+    def _needed(self, name: str, value: float | None, setting: str) -> float:
+        if value is None:
+            place = f"stages.{self._context.index}.{setting}"
+            problem = f"missing, and {place} is derived from it: give one of the two"
+            raise ProcedureError(self._context.procedure.name, f"motor.{name}", problem)
+        return value
+
+
+def given(setting: T | None) -> T:
+    """A setting in which `filled` has left nothing open."""
+    assert setting is not None
+    return setting
+
+
+def tidy(value: float) -> float:
+    """Rounded to two significant digits: these settings end up where people read them."""
+    return float(f"{value:.2g}")

@@ -1,0 +1,116 @@
+"""The lock check: saliency seen by injection at rest, under torque of both signs, and at rest again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import ClassVar, Literal, Self
+
+from orchestrator.stages import Scaling, given, largest_q_a
+from plugins.stages.estimate import ESTIMATING
+from protocols import (
+    EnergisedStage,
+    Injection,
+    LockChecked,
+    Note,
+    Positive,
+    RunAborted,
+    SegmentStage,
+    StageContext,
+    StagePoint,
+    StageRun,
+    StageState,
+)
+
+
+class LockCheckStage(EnergisedStage):
+    """Does the rotor move under torque of both signs? A failed check ends the run."""
+
+    name = "lock_check"
+    title = "lock check"
+    measuring = StageState("checking_lock", "check_lock")
+    records_as = SegmentStage.LOCK_CHECK
+    working = (ESTIMATING,)
+    looks_ahead = True
+    least_confidence: ClassVar[float] = 0.5
+    """Below it a lock that nothing speaks against is not known."""
+
+    torque_current_a: Positive | None = None
+    """Current on the believed q axis. None: the largest that the later stages use."""
+    amplitude_v: Positive | None = None
+    frequency_hz: Positive | None = None
+    rotation_hz: Positive | None = None
+    settle_s: Positive | None = None
+    duration_s: Positive | None = None
+    tolerance_rad: Positive = 0.02
+    """Largest lasting rotation (electrical) that still counts as locked."""
+    accept_not_known: Literal["I have seen that the rotor is held"] | None = None
+    """Where the motor shows too little saliency to tell, the run asks the operator, unless this is written out."""
+
+    def filled(self, context: StageContext) -> Self:
+        scaling = Scaling(context)
+        frequency = scaling.injection_hz(self.frequency_hz)
+        rotation, duration = scaling.turns(self.rotation_hz, self.duration_s, frequency)
+        amplitude = self.amplitude_v or scaling.injection_v("amplitude_v", frequency)
+        torque = self.torque_current_a
+        if torque is None:
+            others = [stage for stage in context.later if not isinstance(stage, LockCheckStage)]
+            torque = largest_q_a(others) or scaling.amplitude_a("torque_current_a")
+        update = {
+            "torque_current_a": torque,
+            "amplitude_v": amplitude,
+            "frequency_hz": frequency,
+            "rotation_hz": rotation,
+            "duration_s": duration,
+            "settle_s": scaling.settle_s(self.settle_s, self.control),
+            "control": scaling.control(self.control),
+        }
+        return self.model_copy(update=update)
+
+    def points(self) -> Iterator[StagePoint]:
+        for sign in (0, 1, 0, -1, 0):
+            injection = Injection(
+                target_d_a=0.0,
+                target_q_a=sign * given(self.torque_current_a) + 0.0,
+                settle_s=given(self.settle_s),
+                duration_s=given(self.duration_s),
+                amplitude_v=given(self.amplitude_v),
+                frequency_hz=given(self.frequency_hz),
+                rotation_hz=given(self.rotation_hz),
+                control=given(self.control),
+            )
+            yield StagePoint(injection, {"torque": sign})
+
+    @property
+    def current_field(self) -> str:
+        return "torque_current_a"
+
+    @property
+    def voltage_field(self) -> str:
+        return "amplitude_v"
+
+    def work(self, run: StageRun) -> None:
+        verdict = self._verdict(run)
+        run.say(verdict, durable=True)
+        if verdict.locked is None:
+            # What cannot be measured has to be known by a person, here or in the procedure.
+            run.say(Note(level="warning", text=f"{verdict.summary}; {self.name}.accept_not_known accepts that"))
+            run.ask(
+                "Whether the rotor is locked cannot be measured on this motor. Have you seen that it is held?",
+                answered=self.accept_not_known is not None,
+            )
+        elif not verdict.locked:
+            raise RunAborted(f"the rotor is not locked: {verdict.summary}")
+
+    def _verdict(self, run: StageRun) -> LockChecked:
+        run.enter(ESTIMATING)  # before anything that takes its time, as an import does
+        from orchestrator.analysis import judge_lock
+
+        recording = run.recording()
+        verdict = judge_lock(
+            [(segment, recording.load(segment)) for segment in run.segments],
+            self.tolerance_rad,
+            voltage_delay_samples=run.capabilities.voltage_delay_samples,
+        )
+        if verdict.locked and verdict.confidence < self.least_confidence:
+            return verdict.model_copy(update={"locked": None})
+        return verdict
