@@ -25,13 +25,6 @@ from orchestrator.numerics.types import Array
 
 COARSE = (12, 12)
 """Intervals of a spline, along d and over the whole of q."""
-_UNSEEN = 2  # the energy's constant, and the flux of the magnet
-_ROUNDS = 6  # of smoothness, sizes of the errors and outliers in turn
-_SETTLED = 0.01  # change of the sizes with which they are found
-_PERFECT = 1e-4  # of the inductances: better than any measurement
-_STATED = 20.0  # data that a stated size of error is worth
-_MARGIN = 0.06  # of the spline's rectangle round the currents, relative to their range
-_DOUBTED = 0.99  # of all data are not beyond what makes one doubted
 
 
 @dataclass(frozen=True)
@@ -136,7 +129,8 @@ class EnergyProblem:
     @property
     def free(self) -> int:
         """How many modes come first that are free, or have an own size."""
-        return self.spline.smooth - _UNSEEN + self.wrong
+        # Nothing sees the energy's constant, nor the flux of the magnet.
+        return self.spline.smooth - 2 + self.wrong
 
     @cached_property
     def wrong(self) -> int:
@@ -146,7 +140,7 @@ class EnergyProblem:
     @cached_property
     def modes(self) -> Array:
         """Coefficients of each mode's spline, shape (size, modes); none for those of the measurements."""
-        own = self.spline.modes[:, _UNSEEN:]
+        own = self.spline.modes[:, 2:]
         return np.insert(own, [self.free - self.wrong] * self.wrong, 0.0, axis=1)
 
     @cached_property
@@ -204,8 +198,8 @@ class EnergyProblem:
         )
         grown = np.repeat(self.errors.scales[:2], (3, 4))
         covariance = self.points.covariance * np.outer(grown, grown)
-        # Slopes that were not told carry no information, not perfect information; and nothing is perfect.
-        least = _PERFECT * float(np.abs(m).mean()) * np.repeat([1.0, 10.0 / float(np.ptp(self.points.current))], (3, 4))
+        # Slopes that were not told carry no information, not perfect information; and nothing is better than 1e-4.
+        least = 1e-4 * float(np.abs(m).mean()) * np.repeat([1.0, 10.0 / float(np.ptp(self.points.current))], (3, 4))
         own = np.where(np.einsum("nii->ni", covariance) > 0.0, least**2, 1e12)
         root = np.linalg.cholesky(covariance + own[:, :, None] * np.eye(7))
         white = np.linalg.inv(root)
@@ -277,27 +271,30 @@ def evidence(problem: EnergyProblem, solution: Solution) -> float:
     return total
 
 
-def _limit(count: int) -> float:
-    """Sum of squares of so many normal deviates beyond which they are doubted."""
+def _limit(count: int, usual: float = 0.99) -> float:
+    """Sum of squares of so many normal deviates beyond which they are doubted: all but this share is within it."""
     from scipy.stats import chi2
 
-    return float(chi2.ppf(_DOUBTED, count))
+    return float(chi2.ppf(usual, count))
 
 
-def settled(problem: EnergyProblem) -> tuple[EnergyProblem, Solution]:
-    """The sizes of the errors found from their own scatter, and the solution with them."""
+def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tuple[EnergyProblem, Solution]:
+    """The sizes of the errors found from their own scatter, to within `change` of them, and the solution with them."""
     solution = smoothed(problem)
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         before = np.array(problem.errors.scales)
         problem = problem.varied(errors=_judged(problem, solution))
         solution = smoothed(problem)
-        if np.allclose(problem.errors.scales, before, rtol=_SETTLED, atol=0.0):
+        if np.allclose(problem.errors.scales, before, rtol=change, atol=0.0):
             break
     return problem, solution
 
 
-def _judged(problem: EnergyProblem, solution: Solution) -> Errors:
-    """Errors such that each kind's residuals are as large as they say, and outliers count for less."""
+def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) -> Errors:
+    """Errors such that each kind's residuals are as large as they say, and outliers count for less.
+
+    What was stated of them beforehand is worth `stated` data.
+    """
     weights: list[Array] = []
     growth: list[float] = []
     for (rows, target, root), kinds in zip(
@@ -313,7 +310,7 @@ def _judged(problem: EnergyProblem, solution: Solution) -> Errors:
             squares = float(np.square(off[:, kind] * root[:, None]).sum())
             count = float(off[:, kind].size)
             free = max(count - float((hat[:, kind] * root[:, None] ** 2).sum()), 0.2 * count)
-            growth.append((_STATED + squares) / (_STATED + free))
+            growth.append((stated + squares) / (stated + free))
         size = np.square(off).sum(axis=1)
         weights.append(np.minimum(1.0, _limit(off.shape[1]) / np.maximum(size, 1e-300)))
     a, b, c, d = (max(float(s * np.sqrt(g)), 1.0) for s, g in zip(problem.errors.scales, growth, strict=True))
@@ -362,7 +359,8 @@ def pose(
     """The problem of fitting these, with a spline that covers them."""
     current = np.concatenate([*([] if points is None else [points.current]), *(path.current for path in paths)])
     low, high = current.min(axis=0), current.max(axis=0)
-    margin = _MARGIN * (high - low)
+    # As much round the currents as keeps the spline from ending where they do.
+    margin = 0.06 * (high - low)
     reach = float(np.abs(current[:, 1]).max() + margin[1])
     spline = EvenSpline(float(low[0] - margin[0]), float(high[0] + margin[0]), reach, cells)
     return EnergyProblem(spline, points, tuple(paths), rotor_angle_rad)

@@ -28,15 +28,7 @@ Term = tuple[int, int]
 _State = tuple[Array, Array, Array, Array]
 
 DEGREES = (2, 3, 4, 5, 6)
-_PAPERS = 4  # the degree
-_SURE = 2.0  # standard deviations
-_STEPS = 25
-_LITTLE = 1e-6  # improvement with which it is done
-_NEWTON = 60
-_CLOSE = 1e-10  # of the largest current
-_THIN = 400  # points of the measured region at which H has to be convex
-_PERFECT = 1e-3  # of the inductances: no polynomial describes iron better
-_ROUNDS = 4
+"""Of the polynomials that are tried."""
 
 
 def terms_of(degree: int) -> tuple[Term, ...]:
@@ -131,13 +123,18 @@ _PAIRS = np.array([[0, 1], [1, 2]])
 _TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
 
 
-def _inverted(terms: Sequence[Term], coefficients: Array, current: Array) -> Array:
-    """psi with grad H(psi) = i, by Newton's method with its step halved as needed; NaN where there is none."""
+def _inverted(
+    terms: Sequence[Term], coefficients: Array, current: Array, most_steps: int = 60, close: float = 1e-10
+) -> Array:
+    """psi with grad H(psi) = i, by Newton's method with its step halved as needed; NaN where there is none.
+
+    It ends where all currents are met to `close` times the largest, near what doubles resolve.
+    """
     size = float(np.abs(current).max())
     psi = current / (2.0 * coefficients[:2])
-    for _ in range(_NEWTON):
+    for _ in range(most_steps):
         off = current - _powers(terms, psi, 1) @ coefficients
-        if np.abs(off).max() < _CLOSE * size:
+        if np.abs(off).max() < close * size:
             break
         hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
         # Away from the answer H need not be convex: the step is then that of the unsaturated motor.
@@ -197,10 +194,10 @@ def fit_polynomial(
         raise NotMeasuredError(where, "segments", "no polynomial energy is convex over the measured currents")
     criteria = {fit.degree: criterion for fit, criterion in found}
     best = min(found, key=lambda one: one[1])
-    told = np.abs(best[0].coefficients) > _SURE * best[0].std
-    # The paper's own terms stay, that fits may be compared; of the others those that the data tell.
-    kept = tuple(t for t, sure in zip(best[0].terms, told, strict=True) if sure or sum(t) <= _PAPERS)
-    fewer = _fitted(data, kept, energy) if len(kept) < len(told) else None
+    significant = np.abs(best[0].coefficients) > 2.0 * best[0].std
+    # The paper's own terms, to the fourth degree, stay, that fits may be compared; of the others those of two sigma.
+    terms = tuple(t for t, sure in zip(best[0].terms, significant, strict=True) if sure or sum(t) <= 4)
+    fewer = _fitted(data, terms, energy) if len(terms) < len(significant) else None
     if fewer is not None and fewer[1] < best[1]:
         best = fewer
     return replace(best[0], criteria=criteria)
@@ -223,7 +220,7 @@ class _Data:
         turn = rotation(energy.angle_rad)
         own = tuple(FluxPath(p.current @ turn, p.psi @ turn, np.sqrt(turn.T**2 @ p.std**2)) for p in paths)
         every = np.concatenate([*([] if points is None else [points.current @ turn]), *(p.current for p in own)])
-        region = every[:: max(1, len(every) // _THIN)]
+        region = every[:: max(1, len(every) // 400)]  # four hundred places show whether H is convex
         if points is None:
             return _Data(np.zeros((0, 2)), np.zeros((0, 3)), np.zeros((0, 3, 3)), own, region)
         measured = points.matrix - energy.taken_out[:, [[0, 1], [1, 2]]]
@@ -231,7 +228,8 @@ class _Data:
         matrix = turn.T @ softened @ turn
         mixing = _entries(np.einsum("ax,nxyk,yb->nabk", turn.T, _units(len(matrix)), turn))
         covariance = mixing @ points.covariance[:, :3, :3] @ mixing.transpose(0, 2, 1)
-        least = (_PERFECT * float(np.einsum("nii->n", matrix).mean()) / 2.0) ** 2
+        # No polynomial describes iron to better than a thousandth.
+        least = (1e-3 * float(np.einsum("nii->n", matrix).mean()) / 2.0) ** 2
         root = np.linalg.cholesky(covariance + least * np.eye(3))
         white = np.linalg.inv(root) * np.sqrt(energy.trust)[:, None, None]
         return _Data(points.current @ turn, _entries(matrix), white, own, region)
@@ -274,7 +272,7 @@ def _fitted(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> tuple[Po
     coefficients = _start(data, terms, energy)
     state = data.residual(terms, coefficients)
     weights = (1.0, 1.0)
-    for _ in range(_ROUNDS):
+    for _ in range(4):  # by then the sizes of the errors stand
         if state is None:
             return None
         coefficients, state = _descended(data, terms, coefficients, state, weights)
@@ -290,10 +288,16 @@ def _fitted(data: _Data, terms: tuple[Term, ...], energy: EnergyFit) -> tuple[Po
 
 
 def _descended(
-    data: _Data, terms: tuple[Term, ...], coefficients: Array, state: _State, weights: tuple[float, float]
+    data: _Data,
+    terms: tuple[Term, ...],
+    coefficients: Array,
+    state: _State,
+    weights: tuple[float, float],
+    most_steps: int = 25,
+    little: float = 1e-6,
 ) -> tuple[Array, _State]:
-    """Steps of Gauss and Newton, each halved until it is one to the better, until there is none."""
-    for _ in range(_STEPS):
+    """Steps of Gauss and Newton, each halved until it is one to the better, until little of the squares goes."""
+    for _ in range(most_steps):
         rows, off = _weighted(state, weights)
         size, squares = np.linalg.norm(rows, axis=0), float(off @ off)
         step = np.linalg.lstsq(rows / size, off, rcond=1e-13)[0] / size
@@ -305,7 +309,7 @@ def _descended(
                 break
         else:
             break
-        if squares - float(np.square(_weighted(state, weights)[1]).sum()) < _LITTLE * squares:
+        if squares - float(np.square(_weighted(state, weights)[1]).sum()) < little * squares:
             break
     return coefficients, state
 

@@ -10,7 +10,7 @@ leave no doubt. Dead time's share in the ripple and the number of intervals are 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -26,23 +26,54 @@ from orchestrator.analysis._energy_fit import (
     smoothed,
 )
 from orchestrator.analysis._integration import Inductances
-from orchestrator.analysis._ripple_errors import SIZE
+from orchestrator.analysis._ripple_errors import DEAD_TIME_SHARE
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution
 from orchestrator.numerics.types import Array
 
 Settled = tuple[EnergyProblem, Solution]
 
-_MANY = 120  # points are enough to search with
-_FURTHEST_RAD = 0.12
-_LEAST_RAD = 0.002
-_STIFFEST = 0.3  # of the least Hessian
-_LEAST = 0.01
-_SURE = 4.0  # standard deviations
-_DOUBT = 0.15
-_RECONCILED = 2.0  # growth of the errors' sizes that is granted to it
-_BETTER = 6.0  # twice a logarithm of likelihood that makes something more complicated worth while
-_FINEST = 32
+
+@dataclass(frozen=True)
+class Criteria:
+    """What is looked for, and when it is believed; judged by what came out for simulated motors.
+
+    Attributes
+    ----------
+    points : int
+        Of the injection that are enough to search with: with more only the search takes longer.
+    sure : float
+        Standard deviations from zero of an angle or a stiffening that is believed.
+    evidence : float
+        By how much twice the logarithm of the likelihood has to grow for dead time or a finer spline to be used: a
+        factor of twenty in the likelihood, "strong" evidence (doi:10.1080/01621459.1995.10476572).
+    furthest_rad, least_rad : float
+        Electrical angle of the axis of symmetry: the largest that is looked for, and the least
+        that matters to a map.
+    stiffest, least_stiffening : float
+        By how much hysteresis stiffens the ripple's Hessian, relative to the least Hessian: the most that is looked
+        for, and the least that matters.
+    stiffening_doubt : float
+        Share of it by which it may differ from ripple to ripple and from current to current.
+    reconciled : float
+        Factor that sweeps' and ripples' errors may grow by when hysteresis puts both together.
+    finest : int
+        Most intervals of a spline along an axis.
+    """
+
+    points: int = 120
+    sure: float = 4.0
+    evidence: float = 6.0
+    furthest_rad: float = 0.12
+    least_rad: float = 0.002
+    stiffest: float = 0.3
+    least_stiffening: float = 0.01
+    stiffening_doubt: float = 0.15
+    reconciled: float = 2.0
+    finest: int = 32
+
+
+CRITERIA = Criteria()
 
 
 def fit_energy(
@@ -68,7 +99,7 @@ def fit_energy(
         fit = _widened(fit, problem, problem.varied(angle_rad=angle + std))
     if stiffening:
         # How far the stop operators' slopes are the same at all ripples and currents is not known better than this.
-        fit = _widened(fit, problem, problem.varied(stiffening_per_h=(1.0 - _DOUBT) * stiffening))
+        fit = _widened(fit, problem, problem.varied(stiffening_per_h=(1.0 - CRITERIA.stiffening_doubt) * stiffening))
     return fit
 
 
@@ -83,8 +114,8 @@ def _behind_dead_time(problem: EnergyProblem) -> Settled:
     plain = settled(problem)
     if problem.points is None:
         return plain
-    tried = settled(problem.varied(errors=replace(problem.errors, dead_time=SIZE)))
-    return tried if evidence(*tried) < evidence(*plain) - _BETTER else plain
+    tried = settled(problem.varied(errors=replace(problem.errors, dead_time=DEAD_TIME_SHARE)))
+    return tried if evidence(*tried) < evidence(*plain) - CRITERIA.evidence else plain
 
 
 def _finest(coarse: Settled) -> Settled:
@@ -98,7 +129,7 @@ def _finest(coarse: Settled) -> Settled:
             posed = pose(start.points, start.paths, start.rotor_angle_rad, finer)
             same = posed.varied(errors=start.errors, angle_rad=start.angle_rad, stiffening_per_h=start.stiffening_per_h)
             tried = settled(same)
-            if evidence(*tried) < evidence(*best) - _BETTER:
+            if evidence(*tried) < evidence(*best) - CRITERIA.evidence:
                 best, cells, grows = tried, finer, True
     return best
 
@@ -106,14 +137,14 @@ def _finest(coarse: Settled) -> Settled:
 def _finer(cells: tuple[int, int]) -> Iterator[tuple[int, int]]:
     d, q = cells
     for finer in ((d, 4 * q // 3), (4 * d // 3, q)):
-        if max(finer) <= _FINEST:
+        if max(finer) <= CRITERIA.finest:
             yield finer
 
 
 def _some(points: Inductances | None) -> Inductances | None:
-    if points is None or len(points.current) <= _MANY:
+    if points is None or len(points.current) <= CRITERIA.points:
         return points
-    kept = np.linspace(0, len(points.current) - 1, _MANY).round().astype(int)
+    kept = np.linspace(0, len(points.current) - 1, CRITERIA.points).round().astype(int)
     return Inductances(points.current[kept], points.matrix[kept], points.slope[kept], points.covariance[kept])
 
 
@@ -126,13 +157,13 @@ def _angle(points: Inductances | None, paths: Sequence[FluxPath]) -> tuple[float
     def cost(angle: float) -> float:
         return smoothed(problem.varied(angle_rad=angle)).cost
 
-    angle, curvature = _least(cost, (-_FURTHEST_RAD, _FURTHEST_RAD), 9, 1e-4)
+    angle, curvature = _least(cost, (-CRITERIA.furthest_rad, CRITERIA.furthest_rad), 9, 1e-4)
     turned = settled(problem.varied(angle_rad=angle))
     std = float(max(turned[0].errors.scales) * np.sqrt(2.0 / max(curvature, 1e-300)))
-    if abs(angle) <= max(_SURE * std, _LEAST_RAD):
+    if abs(angle) <= max(CRITERIA.sure * std, CRITERIA.least_rad):
         return 0.0, std
     # Errors as large as they turn out to be have the last word.
-    return (angle, std) if evidence(*turned) < evidence(*settled(problem)) - _SURE**2 else (0.0, std)
+    return (angle, std) if evidence(*turned) < evidence(*settled(problem)) - CRITERIA.sure**2 else (0.0, std)
 
 
 def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) -> float:
@@ -148,13 +179,13 @@ def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) ->
     def tried(share: float) -> EnergyProblem:
         return both.varied(errors=errors, stiffening_per_h=share * softest)
 
-    share, curvature = _least(lambda x: smoothed(tried(x)).cost, (-0.1, _STIFFEST), 5, 1e-3)
+    share, curvature = _least(lambda x: smoothed(tried(x)).cost, (-0.1, CRITERIA.stiffest), 5, 1e-3)
     std = np.sqrt(2.0 / max(curvature, 1e-300))
     # A ripple that moves more than a sweep is no hysteresis, and neither is what this does not put right.
-    if share <= max(_SURE * std, _LEAST):
+    if share <= max(CRITERIA.sure * std, CRITERIA.least_stiffening):
         return 0.0
     reconciled, _ = settled(tried(share))
-    return share * softest if max(np.divide(reconciled.errors.scales, scales)) < _RECONCILED else 0.0
+    return share * softest if max(np.divide(reconciled.errors.scales, scales)) < CRITERIA.reconciled else 0.0
 
 
 def _least(

@@ -49,10 +49,6 @@ class Inductances:
 _PAIRS = np.array([[0, 1], [1, 2]])
 _TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
 
-_USUAL = 0.25  # share of the points whose residual is taken to be noise alone
-_SURE = 3.0  # standard deviations of a residual's variance, over the usual one
-_SHAPES = 45.0  # a misfit repeats from period to period: it is worth so many samples, however long it was watched
-
 
 def invert(ripples: list[Ripple]) -> Inductances:
     """Inductances L = (Hess H)^-1 and their slopes dL_abc = -L_ai L_bj L_ck H_ijk, errors propagated."""
@@ -77,12 +73,22 @@ def invert(ripples: list[Ripple]) -> Inductances:
     return Inductances(np.stack([r.current_dq for r in ripples]), matrix, slope, covariance, misfit)
 
 
-def _missed(ripples: list[Ripple]) -> Array:
+def _missed(ripples: list[Ripple], quiet: float = 0.25, sure: float = 3.0, worth: float = 45.0) -> Array:
     """Covariance of the derivatives by what the regression misses at some of the points, shape (n, 7, 7).
 
     The noise is the same at all points, so a variance above the usual one is something that the regression does not
     know. Unlike noise it does not average out over the samples. How many of them it is worth was found on simulated
     motors: over dead times of 0 to 11 V, errors of 45^-1/2 times the share of the residual that is in excess.
+
+    Parameters
+    ----------
+    ripples : list of Ripple
+    quiet : float
+        Share of the points whose residual is taken to be noise alone.
+    sure : float
+        Standard deviations of a residual's variance by which it has to be above theirs.
+    worth : float
+        Samples that a misfit is worth, which repeats from period to period however long it is watched.
     """
     samples = np.array([r.samples for r in ripples], dtype=np.float64)[:, None]
     covariance = np.stack([r.covariance for r in ripples])
@@ -90,9 +96,9 @@ def _missed(ripples: list[Ripple]) -> Array:
     order = np.array([2, 2, 2, 4, 4, 4, 4])
     size = np.array([r.flux_rms_wb for r in ripples])[:, None] ** order
     variance = np.einsum("nii->ni", covariance) * samples * size
-    usual = np.quantile(variance, _USUAL, axis=0) * (1.0 + _SURE / np.sqrt(samples))
+    usual = np.quantile(variance, quiet, axis=0) * (1.0 + sure / np.sqrt(samples))
     share = np.maximum(variance - usual, 0.0) / np.maximum(variance, 1e-300)
-    scale = np.sqrt(samples / _SHAPES * share)
+    scale = np.sqrt(samples / worth * share)
     out: Array = scale[:, :, None] * covariance * scale[:, None, :]
     return out
 

@@ -18,9 +18,6 @@ from orchestrator.analysis._ripple import Ripple, demodulate
 from orchestrator.numerics.types import Array
 from protocols import Capture, LockChecked, NotMeasuredError, Segment
 
-_TELLING = 5.0  # standard deviations by which a direction must stand out before it is believed
-_COUPLING = 0.005  # ... and how much of the mean it must be: weaker is within what sensors differ by
-
 
 @dataclass(frozen=True)
 class _Direction:
@@ -111,9 +108,12 @@ def _saturation_direction(ripple: Ripple) -> _Direction | None:
     return _direction(slope, by_t @ ripple.covariance[3:, 3:] @ by_t.T, size, 1)
 
 
-def _direction(vector: Array, covariance: Array, scale: float, order: int) -> _Direction | None:
+def _direction(
+    vector: Array, covariance: Array, scale: float, order: int, sure: float = 5.0, sensors: float = 0.005
+) -> _Direction | None:
+    """Where a vector points; None unless it is `sure` standard deviations long and beyond what sensors differ by."""
     length = float(np.linalg.norm(vector))
-    if length <= max(_TELLING * math.sqrt(float(np.trace(covariance))), _COUPLING * scale):
+    if length <= max(sure * math.sqrt(float(np.trace(covariance))), sensors * scale):
         return None
     across = np.array([-vector[1], vector[0]]) / length
     std = math.sqrt(float(across @ covariance @ across)) / length / order

@@ -26,11 +26,6 @@ KNOTS: Array = np.array([0.004, 0.01, 0.02, 0.03, 0.045, 0.07, 0.12, 0.25])
 """Knots of the inverter's shape in units of the largest current: dead times act below some per cent of it."""
 
 
-_FEWEST = 6  # sweeps, for the heat to be told
-_SURE = 4.0  # standard deviations
-_ALIKE = 10.0  # neighbouring levels err alike: so many count as one
-
-
 @dataclass(frozen=True)
 class VoltageLosses:
     """What the loops say of the voltage.
@@ -89,8 +84,8 @@ def close_loops(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
     return losses
 
 
-def _closed(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
-    """The same with an R_s that runs straight from sweep to sweep."""
+def _closed(traces: list[SweepTrace], knots_a: Array, alike: float = 10.0) -> VoltageLosses:
+    """The same with an R_s that runs straight from sweep to sweep; so many neighbouring levels err alike."""
     starts = np.array([trace.start_s for trace in traces])
     node_s = np.append(starts, starts[-1] + traces[-1].time[-1])
     nodes, knots = len(node_s), len(knots_a)
@@ -111,7 +106,7 @@ def _closed(traces: list[SweepTrace], knots_a: Array) -> VoltageLosses:
     left_wb = float(np.sqrt(np.mean((target - every @ answer) ** 2)))
     if usual_v > 0.0:
         bends = np.zeros((knots, every.shape[1]))
-        bends[:, nodes:shared] = _bends(knots_a) * (_ALIKE**0.5 * left_wb / usual_v)
+        bends[:, nodes:shared] = _bends(knots_a) * (alike**0.5 * left_wb / usual_v)
         answer = _least_squares(np.concatenate([every, bends]), np.append(target, np.zeros(knots)))
     return VoltageLosses(
         knots_a=knots_a,
@@ -156,9 +151,12 @@ def _resistive_heat(trace: SweepTrace) -> Array:
     return np.cumsum(uneven[:, None] * np.diff(trace.charge, axis=0, prepend=np.zeros((1, 2))), axis=0)
 
 
-def _rise(traces: list[SweepTrace], losses: VoltageLosses) -> float:
-    """How R_s rises with the heat, by its nodes: dR = rise i^2 dt - (R - R_0) dt / tau, least squares; 0 if unsure."""
-    if len(traces) < _FEWEST:
+def _rise(traces: list[SweepTrace], losses: VoltageLosses, fewest: int = 6, sure: float = 4.0) -> float:
+    """How R_s rises with the heat, by its nodes: dR = rise i^2 dt - (R - R_0) dt / tau, least squares.
+
+    Zero with fewer sweeps than twice the unknowns, and where it is not `sure` standard deviations off zero.
+    """
+    if len(traces) < fewest:
         return 0.0
     between = np.diff(losses.node_s)
     heat = np.array([_heat(trace)[-1] / trace.time[-1] for trace in traces]) * between
@@ -169,7 +167,7 @@ def _rise(traces: list[SweepTrace], losses: VoltageLosses) -> float:
     if rank < 3:
         return 0.0
     variance = float(squares[0]) / (len(traces) - 3) * np.linalg.inv((design / size).T @ (design / size))[0, 0]
-    return float(answer[0] / size[0]) if answer[0] > _SURE * np.sqrt(variance) else 0.0
+    return float(answer[0] / size[0]) if answer[0] > sure * np.sqrt(variance) else 0.0
 
 
 def _resistive(trace: SweepTrace, node_s: Array) -> Array:

@@ -11,16 +11,12 @@ from dataclasses import dataclass
 import numpy as np
 from numba import njit
 
-from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss, take_out
+from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
+from orchestrator.analysis._phase_loss_kernels import take_out
 from orchestrator.numerics.kernels import Samples, dq_of, for_kernels
 from orchestrator.numerics.types import Array
 
-FEATURES = 11
-"""P (2), Q (2), second-order products of the flux ripple P - R Q (3), third-order ones (4)."""
-
 _NONE = np.zeros((2, 2))
-
-_RAMP = 13  # the row after the features and the two currents
 
 
 @dataclass(frozen=True)
@@ -103,9 +99,12 @@ def _accumulate(
     squares, mean_i, square_i, v2 = np.zeros(3), np.zeros(2), np.zeros(2), 0.0
     drop_ohm, centre, inductance = around
     off, place = np.zeros(2), np.zeros(2)
-    z = np.empty((14, width))  # one row a feature, so that the products run along the samples
-    z[_RAMP] = np.arange(width) - 0.5 * (width - 1)
-    tt = (z[_RAMP] * z[_RAMP]).sum()
+    # One row a feature, so that the products run along the samples: P (2), Q (2), second-order products of the flux
+    # ripple P - R Q (3), third-order ones (4); then the two currents, and a ramp.
+    z = np.empty((14, width))
+    ramp = 13
+    z[ramp] = np.arange(width) - 0.5 * (width - 1)
+    tt = (z[ramp] * z[ramp]).sum()
     v = np.empty((2, width))
     product, level = np.empty((14, 14)), np.zeros(13)
     for window in range(windows):
@@ -125,9 +124,9 @@ def _accumulate(
         _fill_features(z, v, drop_ohm, place, sampling_s, level)
         _multiply(z, product)
         for a in range(13):
-            along, up = level[a] / width, product[_RAMP, a] / tt
+            along, up = level[a] / width, product[ramp, a] / tt
             for b in range(a + 1):
-                normal[a, b] += product[a, b] - along * level[b] - up * product[_RAMP, b]
+                normal[a, b] += product[a, b] - along * level[b] - up * product[ramp, b]
         squares += level[4:7]
     for a in range(13):
         for b in range(a):

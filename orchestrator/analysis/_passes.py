@@ -11,11 +11,12 @@ from protocols import Capture, RecordingReader, Segment
 
 T = TypeVar("T")
 
-_MOST = 4  # captures in memory at once
-
 
 def each_capture(
-    recording: RecordingReader, segments: Sequence[Segment], evaluate: Callable[[Segment, Capture], T]
+    recording: RecordingReader,
+    segments: Sequence[Segment],
+    evaluate: Callable[[Segment, Capture], T],
+    at_once: int = 4,
 ) -> list[T]:
     """`evaluate` of each segment and its waveforms, in the order of the segments.
 
@@ -29,12 +30,14 @@ def each_capture(
     segments : sequence of Segment
     evaluate : callable
         Called in any order and from several threads; keeps nothing of the capture.
+    at_once : int
+        Most captures in memory.
     """
 
     def one(segment: Segment) -> T:
         return evaluate(segment, recording.load(segment))
 
-    threads = min(_MOST, len(segments), len(os.sched_getaffinity(0)))
+    threads = min(at_once, len(segments), len(os.sched_getaffinity(0)))
     if threads < 2:
         return [one(segment) for segment in segments]
     with ThreadPoolExecutor(threads, thread_name_prefix="pass") as pool:

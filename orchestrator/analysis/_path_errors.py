@@ -14,17 +14,24 @@ from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.types import Array
 
 WAVES = 6
-_WHITE = 0.2  # share of what does not fall with the wave's number
-_ALIKE = 1.0  # variance that paths swept in one direction have in common, beside as much of each alone
-_PERFECT = 1e-4  # of the flux: better than any integral
+"""Of each path that are told apart: the sixth is as small as what does not fall with their number."""
 
 
-def sizes(paths: Sequence[FluxPath]) -> Array:
-    """Standard deviations of the waves of each path's error, along its direction and across, shape (p, 2, waves)."""
-    floor = _PERFECT * max(float(np.ptp(path.psi, axis=0).max()) for path in paths)
+def sizes(paths: Sequence[FluxPath], white: float = 0.2, perfect: float = 1e-4) -> Array:
+    """Standard deviations of the waves of each path's error, along its direction and across, shape (p, 2, waves).
+
+    Parameters
+    ----------
+    paths : sequence of FluxPath
+    white : float
+        Share of the first wave that does not fall with the wave's number.
+    perfect : float
+        Error that every path has, as a share of its flux: no integral is better.
+    """
+    floor = perfect * max(float(np.ptp(path.psi, axis=0).max()) for path in paths)
     stated = np.array([path.std for path in paths]) ** 2 + floor**2
     std = np.sqrt(np.einsum("pxc,pc->px", directions(paths) ** 2, stated))
-    return np.asarray(std[:, :, None] * np.hypot(1.0 / np.arange(1, WAVES + 1), _WHITE))
+    return np.asarray(std[:, :, None] * np.hypot(1.0 / np.arange(1, WAVES + 1), white))
 
 
 def directions(paths: Sequence[FluxPath]) -> Array:
@@ -41,12 +48,15 @@ def waves(count: int) -> Array:
 
 
 def told_apart(paths: Sequence[FluxPath]) -> Array:
-    """What makes the errors of paths independent that are swept in one direction, shape (p, p)."""
+    """What makes the errors of paths independent that are swept in one direction, shape (p, p).
+
+    These have as much variance in common as each has alone.
+    """
     out = np.zeros((len(paths), len(paths)))
     way = directions(paths)[:, 0]
     alike = np.abs(way @ way.T) > 0.99
     for group in np.unique(alike, axis=0):
         members = np.flatnonzero(group)
         mean = np.full((len(members), len(members)), 1.0 / len(members))
-        out[np.ix_(members, members)] = np.eye(len(members)) - mean + mean / np.sqrt(1.0 + _ALIKE * len(members))
+        out[np.ix_(members, members)] = np.eye(len(members)) - mean + mean / np.sqrt(1.0 + len(members))
     return out

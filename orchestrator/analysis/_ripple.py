@@ -28,14 +28,6 @@ from orchestrator.analysis._symmetric import symmetric_regression
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
 
-_PERIODS = 4  # a window's least; a ramp is then nearly orthogonal to the ripple
-
-_SLOW = 0.3  # decay over a period below which R Q is too little of the ripple to matter in its products
-
-_STILL = 0.05  # of the ripple the mean may move, as it turns, before its place matters
-
-_ROWS = 16_384  # enough to find the frequency in
-
 
 @dataclass(frozen=True)
 class Ripple:
@@ -86,13 +78,14 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     NotMeasuredError
         Where no such wave is there.
     """
-    vectors = np.ascontiguousarray(v_ab[:_ROWS], dtype=np.float64).view(np.complex128)[:, 0]
+    v_ab = v_ab[:16_384]  # a power of two, and enough: the line is then as sharp as the ripple's own window
+    vectors = np.ascontiguousarray(v_ab, dtype=np.float64).view(np.complex128)[:, 0]
     n = len(vectors)
     if n < 16:
         raise NotMeasuredError(where, "v_alpha, v_beta", f"{n} samples are too few to find an injection in")
     turning = np.fft.fft((vectors - vectors.mean()) * _hann(n))
     spectrum = turning.real**2 + turning.imag**2
-    largest = max(1.0, float(np.abs(v_ab[:_ROWS]).max()))
+    largest = max(1.0, float(np.abs(v_ab).max()))
     if spectrum.max() <= (1e-9 * largest * n) ** 2:
         raise NotMeasuredError(where, "v_alpha, v_beta", "no injected voltage was found")
     ahead, behind = (_peak(half) for half in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
@@ -193,9 +186,11 @@ def _demodulated(
         )
         fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, 1.0 / rate, where)
         ripple_wb = math.sqrt((moments.normal[0, 0] + moments.normal[1, 1]) / moments.samples)
-        slow = np.linalg.norm(fit.decay_per_s, 2) < _SLOW * frequency
+        # Where little decays over a period, R Q is too little of the ripple to matter in its products ...
+        slow = np.linalg.norm(fit.decay_per_s, 2) < 0.3 * frequency
         inductance = np.linalg.inv(fit.hessian).astype(np.float64)
-        still = np.linalg.norm(inductance @ moments.moved_i) < _STILL * ripple_wb
+        # ... and where the mean moves by little of the ripple, as it turns, so does its place.
+        still = np.linalg.norm(inductance @ moments.moved_i) < 0.05 * ripple_wb
         if slow and still:
             break
         drop_ohm = np.zeros((2, 2)) if slow else inductance @ fit.decay_per_s
@@ -216,8 +211,11 @@ def _demodulated(
     )
 
 
-def _window(period: float) -> int:
-    """Samples of the shortest window of at least four periods that holds a whole number of them, or nearly so."""
-    periods = np.arange(_PERIODS, 10 * _PERIODS + 1)
+def _window(period: float, fewest: int = 4) -> int:
+    """Samples of the shortest window of at least four periods that holds a whole number of them, or nearly so.
+
+    In four a ramp is nearly orthogonal to the ripple.
+    """
+    periods = np.arange(fewest, 10 * fewest + 1)
     off = np.abs(periods * period - np.round(periods * period)) / periods
     return round(float(periods[int(np.argmax(off <= max(1e-3, off.min())))] * period))

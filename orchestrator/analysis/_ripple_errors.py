@@ -23,9 +23,8 @@ _KNOTS = np.array([0.0, 0.005, 0.01, 0.02, 0.03, 0.045, 0.07, 0.11, 0.16])
 
 The ripple of the current is as large as that of the flux is over n' L n, and f's reach with it.
 """
-SIZE = 0.04
+DEAD_TIME_SHARE = 0.04
 """Of f, where there is any: 8 V of dead time under an injection of 40 V."""
-_DEGREE = 4  # of the polynomials that stand for inductances without noise
 _ENTRIES = ((0, 0), (0, 1), (1, 1))
 
 
@@ -56,8 +55,9 @@ def error_modes(points: Inductances, rotor_angle_rad: Array) -> Array:
     return out
 
 
-def _smooth(points: Inductances) -> Array:
-    """Inductances and slopes, shape (n, 7), without their noise: polynomials of the current.
+def _smooth(points: Inductances, highest: int = 4) -> Array:
+    """Inductances and slopes, shape (n, 7), without their noise: polynomials of the current, of the highest degree
+    that leaves two data a term.
 
     A mode that holds the noise of the very data it is fitted to takes out some of it: with as many data as there are
     noise to be rid of, that would be a gain beyond what is probable.
@@ -67,6 +67,6 @@ def _smooth(points: Inductances) -> Array:
         [*(m[:, i, j] for i, j in _ENTRIES), t[:, 0, 0, 0], t[:, 0, 0, 1], t[:, 0, 1, 1], t[:, 1, 1, 1]]
     )
     x, y = (points.current / np.maximum(np.abs(points.current).max(axis=0), 1e-300)).T
-    degree = next(n for n in range(_DEGREE, -1, -1) if n == 0 or (n + 1) * (n + 2) <= len(own))
+    degree = next(n for n in range(highest, -1, -1) if n == 0 or (n + 1) * (n + 2) <= len(own))
     design = np.stack([x**a * y**b for a in range(degree + 1) for b in range(degree + 1 - a)], axis=1)
     return np.asarray(design @ np.linalg.lstsq(design, own, rcond=None)[0])

@@ -18,14 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._dwells import Dwell, dwell, rests
-from orchestrator.analysis._phase_loss import shape_integrals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
-
-_BLOCKS = 4000  # a capture is averaged down to about so many points
-_LEVELS = 61  # points of a path
-_ASYMMETRY = 0.4  # how much of a loop's half width its mean may be off: branches are not passed quite alike
 
 
 @dataclass(frozen=True)
@@ -164,7 +159,8 @@ def sweep_of(trace: SweepTrace, psi: Array) -> Sweep:
     repeated = len(table) - 2
     var = (scatter**2).mean(axis=1).sum(axis=0) / repeated if repeated > 0 else (loop**2).mean(axis=0)
     widest = np.abs(loop).max(axis=0)
-    std = np.hypot(np.sqrt(var / len(table)), _ASYMMETRY * widest)
+    # Branches are not passed quite alike: by up to 0.4 of a loop's half width its mean is off.
+    std = np.hypot(np.sqrt(var / len(table)), 0.4 * widest)
     return Sweep(FluxPath(path[:, :2], path[:, 2:], std), widest, trace.dwells)
 
 
@@ -192,9 +188,15 @@ def _summed(steps: Array) -> Array:
 
 
 def trace_sweep(
-    capture: Capture, angle_rad: float, *, delay: float = 0.0, knots_a: Array | None = None, where: str = "capture"
+    capture: Capture,
+    angle_rad: float,
+    *,
+    delay: float = 0.0,
+    knots_a: Array | None = None,
+    where: str = "capture",
+    blocks: int = 4000,
 ) -> SweepTrace:
-    """Average a capture down to blocks, integrals included; parameters as of `evaluate_sweep`.
+    """Average a capture down to about so many blocks, integrals included; parameters as of `evaluate_sweep`.
 
     With `knots_a`, shape (k,), the phase currents at which the inverter's shape is to be known [A], its integrals too.
     """
@@ -202,7 +204,7 @@ def trace_sweep(
     from orchestrator.analysis._block_means import block_means
 
     step = 1.0 / capture.sampling_frequency_hz
-    block = max(1, len(capture) // _BLOCKS)
+    block = max(1, len(capture) // blocks)
     n = len(capture) // block
     stator = block_means(capture.i_ab, capture.v_ab, sampling_s=step, delay=delay, block=block)
     means = [to_dq(x, angle_rad) for x in stator]
@@ -233,6 +235,8 @@ def _steps(capture: Capture, angle: float, knots_a: Array | None, block: int, bl
     if knots_a is None:
         return np.zeros((blocks, 0, 2))
     # numba stays out of an import that only wants the names
+    from orchestrator.analysis._phase_loss_kernels import shape_integrals
+
     stator = shape_integrals(capture.i_ab, knots_a, 1.0 / capture.sampling_frequency_hz, block, blocks)
     return to_dq(stator.reshape(-1, 2), angle).reshape(stator.shape)
 
@@ -306,7 +310,7 @@ def _halves(run: Array) -> list[Array]:
     return [piece for piece in np.split(run, turns) if len(piece) > 2]
 
 
-def _levels(branches: list[Array], where: str) -> Array:
+def _levels(branches: list[Array], where: str, count: int = 61) -> Array:
     """Travels that some branch of each direction reaches, evenly spaced."""
     # The ends of a branch are where the current rests; overshoot beyond them is passed only once.
     ends = [[sorted((b[0, 0], b[-1, 0])) for b in branches if (b[-1, 0] > b[0, 0]) == way] for way in (True, False)]
@@ -314,7 +318,7 @@ def _levels(branches: list[Array], where: str) -> Array:
         raise NotMeasuredError(where, "i_alpha, i_beta", "the current is not swept to and fro")
     low = max(min(low for low, _ in one) for one in ends)
     high = min(max(high for _, high in one) for one in ends)
-    return np.linspace(low, high, _LEVELS)
+    return np.linspace(low, high, count)
 
 
 def _at_levels(branch: Array, levels: Array) -> Array:
