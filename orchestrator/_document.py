@@ -24,8 +24,6 @@ _WORDS: dict[str, bool | None] = {
     **dict.fromkeys(("false", "False", "FALSE"), False),
     **dict.fromkeys(("null", "Null", "NULL", "~", ""), None),
 }
-_DEEPEST = 30
-_LONGEST_INTEGER = 100
 
 
 @dataclass(frozen=True)
@@ -141,7 +139,7 @@ class _Reading:
             raise self._wrong(event, path, "anchors and aliases are not used here")
         if event.tag is not None:
             raise self._wrong(event, path, f"the tag {event.tag} is not used here")
-        if len(path) > _DEEPEST:
+        if len(path) > 30:  # before Python itself gives up
             raise self._wrong(event, path[:3], "nested too deeply")
         if _kind(event) == "MappingStart":
             return self._mapping(events, path)
@@ -174,7 +172,7 @@ class _Reading:
         text: str = event.value
         if text in _WORDS:
             return _WORDS[text]
-        if _INT.fullmatch(text) and len(text) <= _LONGEST_INTEGER:
+        if _INT.fullmatch(text) and len(text) <= 100:
             return int(text)
         if _NOT_FINITE.fullmatch(text):
             raise self._wrong(event, path, f"expected a finite number, got {text}")

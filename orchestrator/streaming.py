@@ -22,14 +22,7 @@ from protocols import Message, SamplesCaptured, Stream
 
 T = TypeVar("T")
 
-CAPACITY = 512
-"""Messages that may wait for one stream: half a second of samples each at most, so some 60 MB."""
-
-
-SILENT_S = 1.0
-"""So long nobody is told that the streams are still being closed."""
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-_LOOKS_EVERY_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -58,7 +51,7 @@ class Dispatcher:
         Length of each queue.
     """
 
-    def __init__(self, streams: Mapping[str, Callable[[], Stream]], capacity: int = CAPACITY) -> None:
+    def __init__(self, streams: Mapping[str, Callable[[], Stream]], capacity: int = 512) -> None:
         self._listeners = [_Listener(name, make, capacity) for name, make in streams.items()]
         for listener in self._listeners:
             listener.start()
@@ -75,7 +68,7 @@ class Dispatcher:
             listener.drain(deadline)
 
     def close(
-        self, timeout_s: float = 60.0, tell: Callable[[str], None] | None = None, silent_s: float = SILENT_S
+        self, timeout_s: float = 60.0, tell: Callable[[str], None] | None = None, silent_s: float = 1.0
     ) -> Sequence[StreamTally]:
         """Deliver what is queued, close the streams, and say how each fared.
 
@@ -153,7 +146,7 @@ class _Listener:
     def wait(self, deadline: float, is_given_up: Callable[[], bool]) -> bool:
         """Whether the stream came to its end before the deadline, and before it was given up."""
         while self._thread.is_alive() and time.monotonic() < deadline and not is_given_up():
-            self._thread.join(min(_LOOKS_EVERY_S, max(0.0, deadline - time.monotonic())))
+            self._thread.join(min(0.05, max(0.0, deadline - time.monotonic())))
         return not self._thread.is_alive()
 
     def tally(self) -> StreamTally:

@@ -6,17 +6,16 @@ imported where they are used.
 
 from orchestrator.analysis._checks import check_map, difference_percent, flux_at, flux_ratio, rated_flux_wb
 from orchestrator.analysis._crossings import Network, join_paths
-from orchestrator.analysis._dwells import Dwell, dwell
+from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
 from orchestrator.analysis._energy_search import fit_energy
 from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
-from orchestrator.analysis._lock import judge_lock
-from orchestrator.analysis._loops import KNOTS, VoltageLosses, close_loops
-from orchestrator.analysis._passes import each_capture
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
+from orchestrator.analysis._rotor_lock import judge_lock
+from orchestrator.analysis._steady_currents import Dwell, dwell
 from orchestrator.analysis._sweep import (
     FluxPath,
     Sweep,
@@ -27,6 +26,7 @@ from orchestrator.analysis._sweep import (
     sweep_of,
     trace_sweep,
 )
+from orchestrator.analysis._voltage_losses import KNOTS, VoltageLosses, close_loops
 
 __all__ = [
     "COPPER_PER_K",

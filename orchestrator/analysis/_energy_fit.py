@@ -3,7 +3,7 @@
 W is a tensor spline, even in i_q in the rotor's frame, which may be turned by a small angle from the believed one.
 Inductances with their slopes and the flux along swept paths are fitted together, each weighted by its own errors,
 whose sizes are estimated as well; a point or a path that nothing else confirms counts for less. How smooth W is the
-data say (see `_most_likely`); the posterior covariance then holds the error of interpolating between points, too.
+data say (see `numerics.reml`); the posterior covariance then holds the error of interpolating between points, too.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
+from orchestrator.analysis._flux_errors import WAVES, directions, sizes, told_apart, waves
+from orchestrator.analysis._inductance_errors import GAIN_STD, error_modes
 from orchestrator.analysis._integration import Inductances
-from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_apart, waves
-from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.reml import Solution, most_likely

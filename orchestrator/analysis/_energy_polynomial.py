@@ -16,9 +16,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from orchestrator.analysis._energy_fit import EnergyFit
+from orchestrator.analysis._flux_errors import directions, sizes, told_apart, waves
+from orchestrator.analysis._inductance_errors import GAIN_STD
 from orchestrator.analysis._integration import Inductances
-from orchestrator.analysis._path_errors import directions, sizes, told_apart, waves
-from orchestrator.analysis._ripple_errors import GAIN_STD
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array

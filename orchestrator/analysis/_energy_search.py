@@ -25,8 +25,8 @@ from orchestrator.analysis._energy_fit import (
     settled,
     smoothed,
 )
+from orchestrator.analysis._inductance_errors import DEAD_TIME_SHARE
 from orchestrator.analysis._integration import Inductances
-from orchestrator.analysis._ripple_errors import DEAD_TIME_SHARE
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution
 from orchestrator.numerics.types import Array

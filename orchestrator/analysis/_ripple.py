@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._symmetric import symmetric_regression
+from orchestrator.analysis._ripple_regression import symmetric_regression
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
 
@@ -159,7 +159,7 @@ def _demodulated(
     capture: Capture, angle: float, delay: float, skip: int, frequency: float, loss: PhaseLoss, where: str
 ) -> Ripple:
     # numba stays out of an import that only wants the names
-    from orchestrator.analysis._moments import ripple_moments
+    from orchestrator.analysis._ripple_moments import ripple_moments
 
     rate = capture.sampling_frequency_hz
     width = _window(rate / frequency)

@@ -4,9 +4,9 @@
 
 (Combes, Malrait, Martin, Rouchon, eq. "timeIntegration"). What is wrong with the voltage as a function of the current
 (R_s itself, dead time, device drops: e) adds with one sign while the current rises and with the other while it falls,
-so the mean of rising and falling branches is free of it as far as both are passed alike. `_loops` tells e from many
-sweeps; without it, what is left of it while the current rests is known there and taken out. Paths are put together
-elsewhere.
+so the mean of rising and falling branches is free of it as far as both are passed alike. `_voltage_losses` tells e
+from many sweeps; without it, what is left of it while the current rests is known there and taken out. Paths are put
+together elsewhere.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.analysis._dwells import Dwell, dwell, rests
+from orchestrator.analysis._steady_currents import Dwell, dwell, rests
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError

@@ -11,15 +11,13 @@ from typing import NoReturn
 
 from protocols import RunInterrupted
 
-_GRACE_S = 0.6
-"""For what is under way to end by itself: an evaluation takes some 20 ms, a plugin's may take for ever."""
-
 
 @contextmanager
-def prompt_interrupt() -> Iterator[None]:
+def prompt_interrupt(grace_s: float = 0.6) -> Iterator[None]:
     """While the block lasts, SIGINT ends it, and the process where the block does not end soon.
 
-    For blocks that leave nothing half written, from the main thread. Where SIGINT is ignored it stays so.
+    For blocks that leave nothing half written, from the main thread. Where SIGINT is ignored it stays so. The grace is
+    for what is under way to end by itself: an evaluation takes some 20 ms, a plugin's may take for ever.
 
     Raises
     ------
@@ -36,7 +34,7 @@ def prompt_interrupt() -> Iterator[None]:
         if asked:
             _leave()
         asked = True
-        signal.setitimer(signal.ITIMER_REAL, _GRACE_S)
+        signal.setitimer(signal.ITIMER_REAL, grace_s)
         raise KeyboardInterrupt
 
     def overdue(number: int, frame: FrameType | None) -> None:

@@ -15,9 +15,6 @@ from orchestrator.exporting._torque import Trajectory, mtpa, mtpv
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
 
-NODES = 33
-"""At most, of each axis over current: 2 kB a table in Q15, 4 kB in float. The inverse has its own 51: 5 and 10 kB."""
-
 
 @dataclass(frozen=True)
 class Axis:
@@ -103,9 +100,12 @@ def header_tables(products: Products) -> HeaderTables:
     return HeaderTables(tuple(tables), masks, tuple(notes))
 
 
-def _even(axis: Array) -> Array:
-    """The axis itself where it is short and evenly spaced, else as many even steps as a header holds."""
-    count = min(len(axis), NODES)
+def _even(axis: Array, most: int = 33) -> Array:
+    """The axis itself where it is short and evenly spaced, else as many even steps as a header holds.
+
+    33 nodes are 2 kB a table in Q15, 4 kB in float. The inverse has its own 51: 5 and 10 kB.
+    """
+    count = min(len(axis), most)
     even = np.linspace(axis[0], axis[-1], count)
     return axis if len(axis) == count and np.allclose(axis, even, rtol=0.0, atol=1e-6 * np.ptp(axis)) else even
 
@@ -143,7 +143,7 @@ def _curves(products: Products) -> list[Table]:
         stretch = _interior(coarse)
         if coarse is None or stretch is None:
             continue
-        nodes = np.linspace(*stretch, NODES)
+        nodes = np.linspace(*stretch, 33)
         curve = curve_of(products.flux_map, products.motor.pole_pairs, nodes)
         axis = Axis(f"{name}_{'current' if unit == 'a' else 'flux'}", unit, nodes)
         columns = (("i_d", "a", curve.i_dq[:, 0]), ("i_q", "a", curve.i_dq[:, 1]), ("torque", "nm", curve.torque_nm))

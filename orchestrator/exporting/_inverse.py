@@ -11,9 +11,6 @@ from orchestrator.exporting._surface import MapSurface
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
 
-NODES = 51
-"""Of each axis of the inverse map, as the Flux-Based PMSM examples of MathWorks have it."""
-
 
 @dataclass(frozen=True)
 class InverseMap:
@@ -42,7 +39,7 @@ class InverseMap:
         return i_d, i_q
 
 
-def invert(flux_map: FluxMap, nodes: int = NODES) -> InverseMap:
+def invert(flux_map: FluxMap, nodes: int = 51) -> InverseMap:
     """Invert a flux map over its whole measured region.
 
     Newton on the smooth psi(i) through the map's points, started from the measured point whose flux is nearest; a

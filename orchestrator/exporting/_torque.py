@@ -13,11 +13,6 @@ from orchestrator.exporting._surface import WHERE, MapSurface
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, InputError
 
-POINTS = 41
-"""Of a trajectory, unless told."""
-_ANGLES = 121
-_ROUNDS = 8
-
 
 @dataclass(frozen=True)
 class Trajectory:
@@ -50,7 +45,7 @@ def mtpa(flux_map: FluxMap, pole_pairs: int, currents_a: Array | None = None) ->
     flux_map : FluxMap
     pole_pairs : int
     currents_a : array, shape (n,), optional
-        Magnitudes [A peak]; from nothing to the largest measured, unless told.
+        Magnitudes [A peak]; 41 from nothing to the largest measured, unless told.
 
     Raises
     ------
@@ -59,7 +54,7 @@ def mtpa(flux_map: FluxMap, pole_pairs: int, currents_a: Array | None = None) ->
     """
     surface = _motoring(flux_map)
     measured = np.linalg.norm(surface.currents[surface.currents[:, 1] >= 0], axis=1)
-    radii = np.linspace(0.0, float(measured.max()), POINTS) if currents_a is None else currents_a
+    radii = np.linspace(0.0, float(measured.max()), 41) if currents_a is None else currents_a
 
     def working_point(i_dq: Array) -> tuple[Array, Array]:
         return np.where(surface.inside(i_dq)[:, None], i_dq, np.nan), surface.psi(i_dq)
@@ -87,7 +82,7 @@ def mtpv(flux_map: FluxMap, pole_pairs: int, fluxes_wb: Array | None = None) -> 
     """
     surface = _motoring(flux_map)
     measured = np.linalg.norm(surface.fluxes[surface.currents[:, 1] >= 0], axis=1)
-    radii = np.linspace(float(measured.min()), float(measured.max()), POINTS) if fluxes_wb is None else fluxes_wb
+    radii = np.linspace(float(measured.min()), float(measured.max()), 41) if fluxes_wb is None else fluxes_wb
     return _best(radii, lambda psi_dq: (currents_at(surface, psi_dq), psi_dq), pole_pairs)
 
 
@@ -98,8 +93,14 @@ def _motoring(flux_map: FluxMap) -> MapSurface:
     return surface
 
 
-def _best(radii: Array, working_point: Callable[[Array], tuple[Array, Array]], pole_pairs: int) -> Trajectory:
-    """Scan each half circle, then zoom in on the greatest torque, four times finer each round."""
+def _best(
+    radii: Array,
+    working_point: Callable[[Array], tuple[Array, Array]],
+    pole_pairs: int,
+    directions: int = 121,
+    rounds: int = 8,
+) -> Trajectory:
+    """Scan each half circle in so many directions, then zoom in on the greatest torque, four times finer each round."""
 
     def at(angles: Array) -> tuple[Array, Array, Array]:
         vectors = radii[:, None, None] * np.stack((np.cos(angles), np.sin(angles)), axis=-1)
@@ -109,13 +110,13 @@ def _best(radii: Array, working_point: Callable[[Array], tuple[Array, Array]], p
         return i_dq.reshape(shape), psi_dq.reshape(shape), torque.reshape(shape[:2])
 
     rows = np.arange(len(radii))
-    angles = np.tile(np.linspace(0.0, np.pi, _ANGLES), (len(radii), 1))
-    for round_ in range(_ROUNDS + 1):
+    angles = np.tile(np.linspace(0.0, np.pi, directions), (len(radii), 1))
+    for round_ in range(rounds + 1):
         i_dq, psi_dq, torque = at(angles)
         measured = np.isfinite(torque)
         best = np.argmax(np.where(measured, torque, -np.inf), axis=1)
         step = angles[:, 1] - angles[:, 0]
-        if round_ < _ROUNDS:
+        if round_ < rounds:
             around = np.linspace(-1.0, 1.0, 9)[None, :] * step[:, None]
             angles = np.clip(angles[rows, best][:, None] + around, 0.0, np.pi)
     last = angles.shape[1] - 1

@@ -15,7 +15,6 @@ from orchestrator.importing._timing import at
 from orchestrator.importing._vectors import Columns, angle_rad
 from protocols import SegmentStage
 
-_STILL_RAD = 0.1
 _FREE = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK, SegmentStage.GATES_OFF)
 """Stages in which the rotor may move."""
 
@@ -57,7 +56,7 @@ def believed_angle_rad(
         return theta, theta
     turned = np.unwrap(theta)
     moved = float(np.ptp(turned))
-    if moved > _STILL_RAD and stage not in _FREE:
+    if moved > 0.1 and stage not in _FREE:
         findings.doubt(
             Finding.MOVING_ROTOR,
             str(piece.path),

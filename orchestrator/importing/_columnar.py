@@ -24,8 +24,6 @@ from orchestrator.importing._source import (
 )
 from protocols import InputError
 
-_CSV_BLOCK_BYTES = 4 << 20
-
 
 def open_csv(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
     """A text file of columns. Empty fields, NA and NaN are missing samples."""
@@ -44,7 +42,7 @@ def _csv_blocks(path: Path, wanted: Wanted, layout: CsvLayout) -> Iterator[Block
     # One thread: with more, pyarrow does not say the row of what it cannot read.
     read = csv.ReadOptions(
         use_threads=False,
-        block_size=_CSV_BLOCK_BYTES,
+        block_size=4 << 20,  # bytes in memory at once
         skip_rows=layout.skip_rows,
         skip_rows_after_names=layout.skip_rows_after_names,
         column_names=layout.names,

@@ -27,9 +27,6 @@ from protocols import InputError
 
 TIMESTAMPS = "timestamps"
 
-_SAME_INSTANT = 0.01
-"""Stamps closer than this, in samples, are of one instant."""
-
 
 def open_mf4(path: Path, wanted: Wanted) -> Source:
     """A measurement file in ASAM's MDF format; raises `InputError` where asammdf is not installed."""
@@ -80,7 +77,7 @@ def _common_raster(path: Path, signals: dict[str, Any]) -> Numbers:
     shortest = float(np.min(np.abs(np.diff(reference)), initial=np.inf))
     for name, stamps in others:
         apart = float(np.max(np.abs(stamps - reference), initial=0.0))
-        if apart > _SAME_INSTANT * shortest:
+        if apart > 0.01 * shortest:  # nearer than a hundredth of a sample they are of one instant
             raise InputError(
                 str(path), name, f"its time stamps are up to {apart:.3g} s from those of {first}; export on one raster"
             )

@@ -26,9 +26,7 @@ FEWEST_SAMPLES = 10
 
 _GAP = 1.5
 """A longer step than this, in samples, is a gap."""
-_RATE_TOLERANCE = 1e-4
 _PLAUSIBLE_RATE_HZ = (200.0, 5e6)
-_ROUNDING_SAMPLES = 0.05
 
 
 @dataclass(frozen=True)
@@ -106,7 +104,8 @@ class Clock:
         self._check_unit(piece, column.unit, period_s, (1.0 / high, 1.0 / low))
         steady = np.diff(time_s)
         steady = steady[steady < _GAP * period_s]
-        self._rate_hz = _roundest(1.0 / float(np.mean(steady)), _ROUNDING_SAMPLES / steady.size)
+        # Within a twentieth of a sample over all of them the roundest rate is meant.
+        self._rate_hz = _roundest(1.0 / float(np.mean(steady)), 0.05 / steady.size)
 
     def _check_unit(self, piece: Piece, unit: str, period_s: float, plausible: tuple[float, float]) -> None:
         if plausible[0] <= period_s <= plausible[1]:
@@ -146,8 +145,9 @@ class Clock:
         worst = int(np.argmax(np.abs(deviation)))
         largest = abs(float(deviation[worst]))
         drift = abs(own_rate / self.rate_hz - 1.0)
+        # Crystals differ by less than a ten-thousandth.
         jitters = largest > self._mapping.jitter_tolerance_samples
-        drifts = drift > max(_RATE_TOLERANCE, self._mapping.jitter_tolerance_samples / intervals)
+        drifts = drift > max(1e-4, self._mapping.jitter_tolerance_samples / intervals)
         if not (jitters or drifts):
             return False
         what = (

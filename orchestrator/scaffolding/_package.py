@@ -20,8 +20,6 @@ KINDS = {
     "stream": PluginKind.STREAMS,
 }
 _NAME = re.compile(r"^[a-z][a-z0-9_]*$")
-_LONGEST = 80
-"""Letters of a name: files and folders are called after it."""
 
 
 def write_package(kind: str, name: str, folder: Path) -> list[Path]:
@@ -52,8 +50,8 @@ def write_package(kind: str, name: str, folder: Path) -> list[Path]:
     """
     if kind not in KINDS:
         raise PluginError("new", kind, f"no such kind of plugin; there are {', '.join(KINDS)}")
-    if len(name) > _LONGEST:
-        raise PluginError(kind, f"{name[:12]}...", f"a name has at most {_LONGEST} letters")
+    if len(name) > 80:  # files and folders are called after it
+        raise PluginError(kind, f"{name[:12]}...", "a name has at most 80 letters")
     if not _NAME.match(name) or keyword.iskeyword(name):
         raise PluginError(kind, name, "a name has lower-case letters, digits and underscores, and is no word of Python")
     if any(info.name == name for info in installed(KINDS[kind])):

@@ -11,11 +11,6 @@ from orchestrator.testing._kit import PLUGIN_NAME, Kit
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
 from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, Signals
 
-VISIBLE = 1e-6
-"""Smallest change by a typical effect, relative to the largest value of the signal it acts on."""
-NEUTRAL = 1e-3
-"""Largest change at the neutral values, as a part of the change at the typical ones."""
-
 
 class EffectConformance(Kit, ABC):
     """Says whether an effect plugin keeps the contract of `protocols.Effect`.
@@ -68,7 +63,7 @@ class EffectConformance(Kit, ABC):
         """Change that counts as none: a neutral value that is a bound only comes near to it."""
         if not any(p.strong_when_small for p in self.make_effect().Parameters.declared()):
             return 1e-9
-        return NEUTRAL * largest_change(self.signals(), self._corrected(self._values("typical")))
+        return 1e-3 * largest_change(self.signals(), self._corrected(self._values("typical")))
 
     def test_nothing_happens_while_all_amplitudes_are_neutral(self) -> None:
         parameters = self.make_effect().Parameters.declared()
@@ -77,8 +72,9 @@ class EffectConformance(Kit, ABC):
         assert change <= self._unseen(), f"with neutral amplitudes, shapes alone change a signal by {change:.2g}"
 
     def test_typical_values_show(self) -> None:
+        """By a millionth at least of the largest value of a signal that they act on."""
         change = largest_change(self.signals(), self._corrected(self._values("typical")))
-        assert change >= VISIBLE, f"the typical values change no signal by more than {change:.2g} of its size"
+        assert change >= 1e-6, f"the typical values change no signal by more than {change:.2g} of its size"
 
     def test_input_is_not_modified(self) -> None:
         effect, signals = self.make_effect(), self.signals()

@@ -23,10 +23,6 @@ from orchestrator.testing._messages import a_manifest, a_run, one_of_each, point
 from protocols import Message, NoOptions, Stream, StreamSetup
 
 HANGS_S = 20.0
-ORDERS = 5
-MANY = 1000
-GONE_AFTER = 8
-"""Messages after which standard output goes away."""
 
 
 class StreamConformance(Kit, ABC):
@@ -78,7 +74,7 @@ class StreamConformance(Kit, ABC):
                 stream.receive(message)
 
     def test_takes_every_kind_of_message_in_any_order(self, tmp_path: Path) -> None:
-        for order in range(ORDERS):
+        for order in range(5):
             directory = tmp_path / str(order)
             directory.mkdir()
             with self._listening(directory) as (stream, run):
@@ -107,7 +103,7 @@ class StreamConformance(Kit, ABC):
         """What a dispatcher does: it takes note of what a stream raises, and goes on."""
         with suppress(Exception), self._listening(tmp_path) as (stream, run):
             for number, message in enumerate(_wanted(stream, a_run(run))):
-                output.is_gone = number >= GONE_AFTER
+                output.is_gone = number >= 8
                 with suppress(Exception):
                     stream.receive(message)
         output.reached_the_end = True
@@ -137,14 +133,14 @@ class StreamConformance(Kit, ABC):
             tracemalloc.start()
             try:
                 before = tracemalloc.get_traced_memory()[0]
-                for message in make(run, MANY):
+                for message in make(run, 1000):
                     stream.receive(message)
                 del message
                 grown = tracemalloc.get_traced_memory()[0] - before
             finally:
                 tracemalloc.stop()
         allowed = bounded("growth_bytes", self.growth_bytes, 2e7)
-        assert grown <= allowed, f"{grown / 1e6:.1f} MB more after {MANY} messages ({allowed / 1e6:.1f} MB allowed)"
+        assert grown <= allowed, f"{grown / 1e6:.1f} MB more after 1000 messages ({allowed / 1e6:.1f} MB allowed)"
 
     def test_receives_a_typical_message_quickly(self, tmp_path: Path) -> None:
         with self._listening(tmp_path) as (stream, run):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
-from orchestrator.analysis._ripple_errors import GAIN_STD, error_modes
+from orchestrator.analysis._inductance_errors import GAIN_STD, error_modes
 from tests.orchestrator.analysis.plant import Array, flux_for, rotated, saturated_current, saturated_hessian
 from tests.orchestrator.analysis.test_integration import PLANE, exact
 from tests.orchestrator.analysis.test_sweep import RATED_WB

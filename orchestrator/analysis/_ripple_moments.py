@@ -1,6 +1,6 @@
 """The one pass over the waveforms that demodulation needs: moments of ripple features, window by window.
 
-Knows nothing of what the moments mean; `_symmetric` solves for that.
+Knows nothing of what the moments mean; `_ripple_regression` solves for that.
 """
 
 from __future__ import annotations

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.analysis import FluxPath
-from orchestrator.analysis._path_errors import WAVES, directions, sizes, told_apart, waves
-from orchestrator.analysis._ripple_errors import error_modes
+from orchestrator.analysis._flux_errors import WAVES, directions, sizes, told_apart, waves
+from orchestrator.analysis._inductance_errors import error_modes
 from tests.orchestrator.analysis.test_energy_fit import paths
 from tests.orchestrator.analysis.test_integration import PLANE, exact
 from tests.support.close import assert_close
