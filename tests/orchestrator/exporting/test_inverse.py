@@ -86,7 +86,7 @@ def test_linear_machine_is_inverted_exactly() -> None:
 @pytest.mark.parametrize(("d", "q"), [(2, 2), (2, 5), (3, 2), (4, 3)])
 def test_the_smallest_grids_are_inverted_too(d: int, q: int) -> None:
     whole = linear_map()
-    fields = [name for name in type(whole).model_fields if name not in ("method", "i_d", "i_q")]
+    fields = [name for name in type(whole).model_fields if name not in ("method", "basis", "i_d", "i_q")]
     part = {name: getattr(whole, name)[:d, :q] for name in fields} | {"i_d": whole.i_d[:d], "i_q": whole.i_q[:q]}
     inverse = invert(whole.model_copy(update=part))
     assert inverse.coverage_percent == 100.0

@@ -13,7 +13,7 @@ from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, linear_map,
 from tests.support.close import assert_close
 
 READABLE = {"netcdf": "flux_map.nc", "csv": "flux_map.csv", "syre": "flux_map_syre.mat", "npz": "flux_map.npz"}
-FIELDS = [name for name in FluxMap.model_fields if name not in ("method", "i_d", "i_q")]
+FIELDS = [name for name in FluxMap.model_fields if name not in ("method", "basis", "i_d", "i_q")]
 
 
 @pytest.fixture(scope="module")

@@ -97,7 +97,9 @@ def test_saturated_mtpv_is_what_trying_every_current_finds() -> None:
 def test_a_best_point_at_the_edge_of_the_measurement_is_said_to_be_one() -> None:
     flux_map = linear_map()
     right = {
-        name: getattr(flux_map, name)[10:] for name in type(flux_map).model_fields if name not in ("method", "i_q")
+        name: getattr(flux_map, name)[10:]
+        for name in type(flux_map).model_fields
+        if name not in ("method", "basis", "i_q")
     }
     curve = mtpa(flux_map.model_copy(update=right), POLE_PAIRS, np.array([2.0, 8.0]))
     assert not curve.interior.any()
@@ -114,7 +116,7 @@ def test_magnitudes_that_were_never_measured_are_nan() -> None:
 
 def test_a_map_without_a_motoring_half_has_no_curves() -> None:
     flux_map = linear_map()
-    fields = [name for name in type(flux_map).model_fields if name not in ("method", "i_d", "i_q")]
+    fields = [name for name in type(flux_map).model_fields if name not in ("method", "basis", "i_d", "i_q")]
     lower = {name: getattr(flux_map, name)[:, :11] for name in fields} | {"i_q": flux_map.i_q[:11]}
     with pytest.raises(InputError, match="no measured point with i_q > 0"):
         mtpa(flux_map.model_copy(update=lower), POLE_PAIRS)
