@@ -91,7 +91,8 @@ def plan(*, sparse: bool = False) -> list[Plan]:
     holds = [(a * x, a * y) for a in (0.3, 2.0) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]
     made = [Plan(SegmentStage.GATES_OFF, np.zeros((600, 2)))]
     made += [Plan(SegmentStage.RESISTANCE, hold(*point)) for point in holds]
-    made += [Plan(SegmentStage.CLASSICAL, sweep(axis, 2.5, 0.0), axis == 1) for axis in (0, 1)]
+    made += [Plan(SegmentStage.CLASSICAL, sweep(axis, 2.5, 0.0)) for axis in (0, 1)]
+    made.append(Plan(SegmentStage.CLASSICAL, sweep(1, 1.5, 0.0), held_out=True))
     settings = {"frequency_hz": FS / 20, "rotation_hz": FS / 2500, "amplitude_v": 40.0}
     points = [(0.0, 0.0)] if sparse else [(0.0, 0.0), (2.0, 1.0), (-1.0, 2.0)]
     return made + [Plan(SegmentStage.INJECTION, ripple(*point, 40.0), settings=settings) for point in points]

@@ -1,0 +1,50 @@
+"""Parameters on a line: coordinates and values belong to each other, and sizes are relative to the typical one."""
+
+from __future__ import annotations
+
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import coordinate_of, scaled_library, typical_coordinate, value_at
+from plugins.effects.inverter import DeadTime
+from plugins.effects.iron import EddyCurrents
+from plugins.effects.resistance import WindingHeating
+from protocols import Effect, EffectParameter, ParameterRole
+from tests.orchestrator.diagnosis.pieces import plan, prepared
+
+MANIFEST = prepared(plan(sparse=True)).manifest
+EFFECTS: list[Effect] = [DeadTime(), EddyCurrents(), WindingHeating()]
+PARAMETERS = [p for c in scaled_library(EFFECTS, MANIFEST) for p in c.parameters]
+AMPLITUDES = [p for p in PARAMETERS if p.role is ParameterRole.AMPLITUDE]
+
+
+@pytest.mark.parametrize("p", PARAMETERS)
+def test_coordinate_and_value_are_each_others_inverse(p: EffectParameter) -> None:
+    for part in (0.3, 0.6, 0.9):
+        value = p.neutral + part * (p.typical - p.neutral) if p.role is ParameterRole.AMPLITUDE else p.typical
+        assert value_at(p, coordinate_of(p, value)) == pytest.approx(value, rel=1e-9)
+
+
+@pytest.mark.parametrize("p", PARAMETERS)
+def test_no_coordinate_leaves_the_bounds(p: EffectParameter) -> None:
+    for x in (-1e9, -3.0, 0.0, 3.0, 1e9):
+        assert p.low <= value_at(p, x) <= p.high
+
+
+@pytest.mark.parametrize("p", AMPLITUDES)
+def test_absence_is_the_origin_of_an_amplitude(p: EffectParameter) -> None:
+    assert coordinate_of(p, p.neutral) == 0.0
+    assert abs(typical_coordinate(p)) > 0.0
+
+
+def test_an_effect_of_typical_size_has_the_relative_size_one() -> None:
+    for candidate in scaled_library(EFFECTS, MANIFEST):
+        active = candidate.absent()
+        assert active.is_absent
+        for name in candidate.amplitudes:
+            active = active.moved(name, typical_coordinate(candidate.named(name)))
+        assert active.relative_size == pytest.approx(1.0)
+        assert not active.is_absent
+
+
+def test_what_is_left_out_of_the_library_is_not_there() -> None:
+    assert [c.name for c in scaled_library(EFFECTS, MANIFEST, ["eddy_currents"])] == ["dead_time", "winding_heating"]

@@ -1,0 +1,134 @@
+"""The fit: R_s and the map come out, the objective falls, and its gradient is what finite differences say."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
+from orchestrator.diagnosis.fitting.fit import Effort, Fitter
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.timing import VoltageDelay
+from protocols import Effect
+from tests.orchestrator.diagnosis.pieces import (
+    L_D,
+    L_Q,
+    R_S,
+    fitter,
+    free_model,
+    plan,
+    prepared,
+    with_voltage,
+)
+
+ERROR_V = np.array([0.3, -0.2])
+
+
+def with_free(model: Model, maker: Fitter, effect: Effect, **values: float) -> Model:
+    (candidate,) = scaled_library([effect], maker.prepared.manifest)
+    active = candidate.absent()
+    return model.with_active([Active(candidate, {**active.values, **values}, active.free)])
+
+
+@pytest.fixture(scope="module")
+def clean() -> Fitter:
+    return fitter(prepared(plan()))
+
+
+@pytest.fixture(scope="module")
+def biased() -> Fitter:
+    return fitter(with_voltage(prepared(plan()), ERROR_V))
+
+
+def test_resistance_and_inductances_of_the_machine_are_found_and_noise_is_left(clean: Fitter) -> None:
+    fit = clean.fit(free_model())
+    assert fit.model.r_s == pytest.approx(R_S, rel=1e-3)
+    inductance = fit.model.magnetics.flux_and_inductance(np.array([[0.0, 0.0], [1.5, 1.0]]))[1]
+    np.testing.assert_allclose(inductance[:, [0, 2]], [[L_D, L_Q]] * 2, rtol=0.01)
+    assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / fit.dof))
+
+
+def test_what_was_held_out_is_noise_too(clean: Fitter) -> None:
+    chi2 = clean.fit(free_model()).chi2_of(lambda p: p.held_out)
+    assert chi2 == pytest.approx(1.0, abs=0.5)
+
+
+def test_the_start_does_not_matter_to_what_is_linear(clean: Fitter) -> None:
+    near = free_model()
+    far = Model(near.space, near.magnetics, 1.3 * R_S)
+    one, other = clean.fit(near), clean.fit(far)
+    assert other.model.r_s == pytest.approx(one.model.r_s, rel=1e-5)
+    at = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 1.5], [-1.0, 1.0]])
+    (psi, _), (again, _) = (fit.model.magnetics.flux_and_inductance(at) for fit in (one, other))
+    np.testing.assert_allclose(again - again[0], psi - psi[0], atol=1e-3 * float(np.ptp(psi)))
+
+
+def test_a_wrong_voltage_is_found_as_large_as_it_is(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    fit = biased.fit(with_free(bare.model, biased, VoltageBias()))
+    (active,) = fit.model.active
+    assert active.values["bias_a_v"] == pytest.approx(ERROR_V[0], abs=0.005)
+    assert active.values["bias_b_v"] == pytest.approx(-0.5 * ERROR_V[0] + np.sqrt(0.75) * ERROR_V[1], abs=0.005)
+    assert bare.chi2_per_dof > 5.0
+    assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / fit.dof))
+
+
+@pytest.mark.parametrize("steps", [1, 2, 4])
+def test_more_steps_never_raise_the_objective(biased: Fitter, steps: int) -> None:
+    model = with_free(free_model(), biased, DeadTime(), voltage_v=-1.0)
+    frame = biased.frame(model)
+    start = biased.evaluate(model, frame).objective
+    one = biased.fit(model, frame, steps=steps, renewals=0).objective
+    more = biased.fit(model, frame, steps=steps + 1, renewals=0).objective
+    assert one <= start + biased.criteria.slack
+    assert more <= one + biased.criteria.slack
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [(VoltageBias(), {"bias_a_v": 0.1}), (DeadTime(), {"voltage_v": 0.4}), (VoltageDelay(), {"delay_s": 5e-6})],
+)
+def test_gradient_of_the_objective_is_that_of_finite_differences(
+    biased: Fitter, effect: Effect, values: dict[str, float]
+) -> None:
+    (name, _), *_ = values.items()
+    fit = biased.evaluate(model := with_free(free_model(), biased, effect, **values), biased.frame(model))
+    k = [n for _, n in model.free].index(name)
+    x, h = model.active[0].coordinate(name), 1e-2 * abs(model.active[0].coordinate(name))
+
+    def objective(at: float) -> float:
+        return biased.evaluate(model.with_active([model.active[0].moved(name, at)]), fit.frame).objective
+
+    slope = (objective(x + h) - objective(x - h)) / (2.0 * h)
+    # The column is a secant a twentieth of the size long, and an inverter's form bends.
+    assert 2.0 * (fit.projected()[1][k] + x) == pytest.approx(slope, rel=0.05)
+
+
+def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
+    asked = biased.evaluate(bare.model, bare.frame, [(candidate.absent(), n) for n in candidate.amplitudes])
+    assert asked.chi2 == pytest.approx(biased.evaluate(bare.model, bare.frame).chi2, rel=1e-12)
+    assert asked.columns[0].shape[1] == 2
+
+
+def test_effort_counts_samples_and_columns_and_what_poll_raises_ends_the_fit() -> None:
+    made = prepared(plan(sparse=True))
+    samples = sum(len(p.signals.v_dc) for p in made.pieces)
+    maker = fitter(made)
+    maker.evaluate(model := free_model(), maker.frame(model))
+    assert maker.effort.spent == samples * maker.criteria.evaluation_columns
+    assert not Effort(most=2.0, spent=2.0).exhausted
+    assert Effort(most=2.0, spent=2.1).exhausted
+
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    maker.poll = stop
+    with pytest.raises(KeyboardInterrupt):
+        maker.fit(model)
+
+
+def fitted_bias(maker: Fitter) -> Fit:
+    return maker.fit(with_free(free_model(), maker, VoltageBias()))

@@ -1,0 +1,61 @@
+"""One step within bounds: exact where all is linear, and never beyond what a parameter may be."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
+from plugins.effects.inverter import DeadTime, VoltageBias
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+
+
+@pytest.fixture(scope="module")
+def maker() -> Fitter:
+    return fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, -0.1])))
+
+
+def test_one_step_brings_what_is_linear_to_its_end_and_keeps_its_promise(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    fit = maker.evaluate(model, maker.frame(model))
+    move, promised = newton_step(fit, fit.projected(), 0.0)
+    after = maker.evaluate(moved_by(fit.model, move), fit.frame)
+    assert fit.objective - after.objective == pytest.approx(promised, rel=1e-3)
+    assert newton_step(after, after.projected(), 0.0)[1] < 1e-4 * promised
+
+
+def test_damping_shortens_the_step(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    fit = maker.evaluate(model, maker.frame(model))
+    lengths = [float(np.linalg.norm(newton_step(fit, fit.projected(), damping)[0])) for damping in (0.0, 1.0, 10.0)]
+    assert lengths[0] > lengths[1] > lengths[2] > 0.0
+
+
+def test_a_parameter_at_its_bound_stays_and_the_others_move_as_if_it_were_fixed(maker: Fitter) -> None:
+    (active,) = with_free(free_model(), maker, VoltageBias()).active
+    low = active.candidate.named("bias_b_v").low
+    at_bound = replace(active, values={**active.values, "bias_b_v": low})
+    model = free_model().with_active([at_bound])
+    fit = maker.evaluate(model, maker.frame(model))
+    own, right = fit.projected()
+    right = right.copy()
+    right[1] = 1e9  # drawn beyond the bound
+    move, _ = newton_step(fit, (own, right), 0.0)
+    assert move[1] == 0.0
+    alone = -(right[0] + at_bound.coordinate("bias_a_v")) / (own[0, 0] + 1.0)
+    assert move[0] == pytest.approx(alone)
+
+
+@pytest.mark.parametrize("size", [-1e6, 1e6])
+def test_no_step_leaves_the_bounds(maker: Fitter, size: float) -> None:
+    model = with_free(free_model(), maker, DeadTime())
+    (moved,) = moved_by(model, np.full(len(model.free), size)).active
+    for name in moved.free:
+        p = moved.candidate.named(name)
+        assert p.low <= moved.values[name] <= p.high
+        assert is_stuck(moved, name, moved.coordinate(name) + np.sign(size))
+        assert not is_stuck(moved, name, moved.coordinate(name) - np.sign(size))

@@ -1,0 +1,73 @@
+"""What is too little for a diagnosis is refused in one line, and what is missing is said."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
+from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
+from orchestrator.diagnosis.weak_form.noise import SensorNoise
+from orchestrator.diagnosis.weak_form.segments import Prepared
+from protocols import NotMeasuredError, SegmentStage
+from tests.orchestrator.diagnosis.pieces import NOISE_A, Plan, hold, plan, prepared
+
+NOISE = SensorNoise(NOISE_A**2 * np.eye(2), NOISE_A**2 * np.eye(2), 0.0)
+ENOUGH = prepared(plan())
+
+
+def _only(*stages: SegmentStage) -> Prepared:
+    return replace(ENOUGH, pieces=tuple(p for p in ENOUGH.pieces if p.stage in stages))
+
+
+def test_a_whole_campaign_is_enough() -> None:
+    require_enough(ENOUGH, NOISE)
+
+
+def test_fewer_places_than_asked_for_are_refused_and_counted() -> None:
+    two = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0)), Plan(SegmentStage.RESISTANCE, hold(0.0, 1.0))])
+    with pytest.raises(NotMeasuredError, match="show 2 places of the current plane"):
+        require_enough(two, NOISE)
+
+
+def test_the_same_place_again_is_no_other() -> None:
+    again = prepared([Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0)) for _ in range(20)])
+    with pytest.raises(NotMeasuredError, match="show 1 places"):
+        require_enough(again, NOISE)
+
+
+def test_a_sweep_is_worth_what_the_criteria_say() -> None:
+    sweeps = _only(SegmentStage.CLASSICAL)
+    require_enough(sweeps, NOISE)
+    strict = Criteria(selection=SelectionCriteria(views_of_a_sweep=1))
+    with pytest.raises(NotMeasuredError, match="show 3 places"):
+        require_enough(replace(sweeps, criteria=strict), NOISE)
+
+
+def test_currents_within_the_noise_are_no_excitation() -> None:
+    still = prepared([Plan(SegmentStage.RESISTANCE, hold(0.0, 0.0)) for _ in range(8)])
+    with pytest.raises(NotMeasuredError, match="no excitation"):
+        require_enough(still, NOISE)
+
+
+def test_a_rate_with_too_few_samples_between_windows_is_refused() -> None:
+    slow = Criteria(selection=SelectionCriteria(least_samples_per_hat=1000))
+    with pytest.raises(NotMeasuredError, match="too slow"):
+        require_enough(replace(ENOUGH, criteria=slow), NOISE)
+
+
+@pytest.mark.parametrize(
+    ("without", "code"),
+    [
+        (SegmentStage.GATES_OFF, "no_gates_off"),
+        (SegmentStage.RESISTANCE, "no_holds"),
+        (SegmentStage.CLASSICAL, "no_sweep"),
+        (SegmentStage.INJECTION, "no_injection"),
+    ],
+)
+def test_what_was_not_measured_is_said(without: SegmentStage, code: str) -> None:
+    kept = _only(*(stage for stage in SegmentStage if stage is not without))
+    assert code in {remark.code for remark in what_is_missing(kept)}
+    assert code not in {remark.code for remark in what_is_missing(ENOUGH)}
