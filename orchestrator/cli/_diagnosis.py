@@ -19,9 +19,10 @@ from orchestrator.diagnosis import (
     remove_effect,
 )
 from orchestrator.exporting import load_map
-from orchestrator.presentation.names import parameter_words, plain, rung_name, slots
-from orchestrator.presentation.quantities import measured, number, quantity
-from orchestrator.presentation.sentences import columns
+from orchestrator.presentation.names import plain, slots
+from orchestrator.presentation.quantities import number, quantity
+from orchestrator.presentation.results import ladder_rows, parameter_rows
+from orchestrator.presentation.sentences import columns, text_table
 from orchestrator.recording import read_model
 from orchestrator.registry import PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
@@ -140,18 +141,7 @@ def _say_added(report: AddReport, as_json: bool) -> None:
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
-    rows = [
-        (
-            rung_name(rung.added, k),
-            number(rung.chi2),
-            quantity(rung.rms_v, "V"),
-            quantity(rung.heldout_rms_v, "V"),
-            quantity(rung.current_rms_a, "A"),
-        )
-        for k, rung in enumerate(report.ladder)
-    ]
-    say_table(("added", "chi2", "rms error", "held out", "current error"), rows)
-    for effect in report.effects:
-        for name, found in effect.parameters.items():
-            told = measured(found.value, found.low, found.high, found.unit)
-            say(f"{effect.name}: {parameter_words(name)} {told}")
+    say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
+    rows = [(effect.name, *row) for effect in report.effects for row in parameter_rows(effect)]
+    if rows:
+        say("", text_table(("effect", "parameter", "value", "95 %"), rows, numbers=False))

@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from orchestrator.presentation.names import OUTCOME_MOODS, VERDICTS, plain
-from orchestrator.presentation.quantities import duration, measured, number, plural, quantity
+from orchestrator.presentation.quantities import duration, number, plural, quantity
+from orchestrator.presentation.results import resistance
 from orchestrator.presentation.sentences import typographic
 from protocols import (
     Compared,
@@ -19,7 +20,6 @@ from protocols import (
     Note,
     OperatorAnswered,
     OperatorAsked,
-    ResistanceEstimate,
     ResistanceEstimated,
     RunEnded,
     RunStarted,
@@ -80,7 +80,7 @@ def said(message: Message) -> Said | None:
             grid = message.estimate.map
             return Said("flux map", f"by {grid.method}, {len(grid.i_d)} × {len(grid.i_q)} currents", "good")
         case Compared():
-            return Said("compared", _comparison(message.report))
+            return Said("comparison", _comparison(message.report))
         case Diagnosed():
             verdict = VERDICTS[message.report.verdict]
             after = f", after experiment {message.round}" if message.round else ""
@@ -97,11 +97,6 @@ def said(message: Message) -> Said | None:
             return None
 
 
-def resistance(estimate: ResistanceEstimate) -> str:
-    """R_s with its 95 % interval."""
-    return measured(estimate.value_ohm, estimate.low, estimate.high, "ohm")
-
-
 def step_error_v(step: DiagnosisStep) -> float:
     """The error that a rung is judged by: that of stages which no fit has seen, where there are such."""
     return step.rms_v if step.heldout_rms_v is None else step.heldout_rms_v
@@ -116,7 +111,7 @@ def _experiment(message: ExperimentProposed) -> str:
 
 def _comparison(report: CompareReport) -> str:
     """The bare model held against the recording."""
-    told = f"the model {report.model} with the recording: chi2 {number(report.chi2, 3)}"
+    told = f"the {report.model} model has chi2 {number(report.chi2, 3)}"
     if report.worst:
         told += f", worst in {report.worst[0].segment} with {quantity(report.worst[0].rms_v, 'V')} rms"
     return f"{told} where noise makes {quantity(report.noise_floor.rms_v, 'V')}"

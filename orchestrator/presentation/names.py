@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from orchestrator.presentation.sentences import typographic
 from protocols import AxisPercent, DiagnosisWords
 
 PAPER_CROSSINGS = AxisPercent(d_percent=1.3, q_percent=2.9)
@@ -49,7 +50,7 @@ def slots(words: DiagnosisWords) -> Iterator[tuple[str, str]]:
     for slot in DiagnosisWords.model_fields:
         text = getattr(words, slot)
         if text:
-            yield plain(slot), text
+            yield plain(slot), typographic(text)
 
 
 def rung_name(added: str | None, index: int) -> str:

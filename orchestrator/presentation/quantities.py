@@ -87,12 +87,14 @@ def value_and_error(value: float, error: float, unit: str) -> tuple[str, str]:
     return scale.quantity(value), scale.number(error)
 
 
-def with_error(value: float, error: float, power: int) -> str:
+def with_error(value: float, error: float, power: int, most_decimals: int = 3) -> str:
     """A value and its 95 % uncertainty in 10**power of the unit, which stands at the head of the column."""
     scaled, beside = value / 10.0**power, error / 10.0**power
     if not 0.0 < beside < math.inf:
         return number(scaled)
-    return f"{fixed(scaled, borne(beside))} ± {fixed(beside, borne(beside))}"
+    decimals = min(most_decimals, borne(beside))
+    told = fixed(beside, decimals)
+    return fixed(scaled, decimals) + (f" ± {told}" if float(told) else "")
 
 
 def quantity(value: float | None, unit: str, digits: int = 3) -> str:

@@ -12,9 +12,10 @@ from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
 
-from orchestrator.presentation.events import resistance, said
+from orchestrator.presentation.events import said
 from orchestrator.presentation.names import OUTCOME_MOODS, plain, slots
 from orchestrator.presentation.quantities import duration, plural, vector
+from orchestrator.presentation.results import resistance
 from orchestrator.presentation.sentences import one_line
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import stage_title, step_bar, step_line, summary_rows, time_left

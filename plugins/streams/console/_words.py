@@ -7,10 +7,11 @@ from collections.abc import Iterator
 
 from orchestrator.presentation.events import step_error_v
 from orchestrator.presentation.names import rung_name
-from orchestrator.presentation.quantities import axes_percent, duration, measured, number, percent, quantity
+from orchestrator.presentation.quantities import UNKNOWN, duration, number, quantity
+from orchestrator.presentation.results import check_rows, resistance
 from orchestrator.presentation.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
-from protocols import Basis, DiagnosisStep, EstimationReport, RunEnded
+from protocols import DiagnosisStep, EstimationReport, RunEnded
 
 
 def stage_title(progress: Progress, stage: StageProgress) -> str:
@@ -24,12 +25,12 @@ def time_left(progress: Progress) -> str:
     if progress.points and progress.points_done >= progress.points:
         return "all points measured"
     on_drive, on_wall = progress.left_s, progress.wall_left_s
-    told = f"{duration(round(on_drive))} left on the drive's clock"
+    drive, wall = (duration(max(1, round(left or 0.0))) for left in (on_drive, on_wall))
     if on_wall is None:
-        return told
+        return f"{drive} left on the drive's clock"
     if abs(on_wall - on_drive) <= 0.2 * on_drive:
-        return f"{duration(round(on_wall))} left"
-    return f"{duration(round(on_wall))} left ({duration(round(on_drive))} on the drive's clock)"
+        return f"{wall} left"
+    return f"{wall} left ({drive} on the drive's clock)"
 
 
 def step_line(step: DiagnosisStep) -> tuple[str, str]:
@@ -58,19 +59,11 @@ def summary_rows(message: RunEnded, longest: int = 220) -> Iterator[tuple[str, s
 def _estimate_rows(found: EstimationReport, longest: int) -> Iterator[tuple[str, str]]:
     """What was estimated, what is said of it, and where it is kept."""
     if found.resistance is not None:
-        yield "R_s", measured(found.resistance.value_ohm, found.resistance.low, found.resistance.high, "ohm")
+        yield "R_s", resistance(found.resistance)
     if found.method is not None:
         yield "map by", found.method
     yield "map usable", "yes" if found.usable else "no"
-    made = found.recommended
-    by = " (by construction)" if made is not None and made.basis is Basis.ENERGY else ""
-    for label, checked, beside in (("crossings", found.crossings, ""), ("parity", found.parity, by)):
-        if checked is not None:
-            yield label, axes_percent(checked) + beside
-    if found.reciprocity_percent is not None:
-        yield "reciprocity", percent(found.reciprocity_percent) + by
-    if found.classical_against_injection_percent is not None:
-        yield "classical against injection", percent(found.classical_against_injection_percent)
+    yield from (row for row in check_rows(found) if row[1] != UNKNOWN)
     for k, remark in enumerate(found.remarks):
         yield "" if k else "remarks", shortened(typographic(remark.text), longest)
     yield from sorted(found.files.items(), key=lambda file: (file[0] == "estimates", file[0]))

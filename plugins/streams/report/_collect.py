@@ -36,10 +36,6 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
-MOST_ROWS = 6_000_000
-"""Waveform rows that are read for the picture of the current paths, some seconds' worth."""
-PATH_POINTS = 200
-
 
 @dataclass(frozen=True)
 class Paths:
@@ -150,9 +146,17 @@ def _estimates(file: Path) -> EstimationReport:
         raise RecordingError(str(file), where, str(first["msg"])) from None
 
 
-def _paths(recording: Recording, achieved: dict[str, tuple[float, float]], problems: list[str]) -> Paths:
-    """Trajectories of the classical segments, and the mean current of each injection segment."""
-    budget = MOST_ROWS
+def _paths(
+    recording: Recording,
+    achieved: dict[str, tuple[float, float]],
+    problems: list[str],
+    budget: int = 6_000_000,
+    path_points: int = 200,
+) -> Paths:
+    """Trajectories of the classical segments, and the mean current of each injection segment.
+
+    No more than `budget` rows of waveforms are read, some seconds' worth.
+    """
     trajectories, means, left_out = [], [], 0
     for segment in recording.segments(SegmentStage.INJECTION, SegmentStage.CLASSICAL):
         if segment.stage is SegmentStage.INJECTION and segment.id in achieved:
@@ -164,7 +168,7 @@ def _paths(recording: Recording, achieved: dict[str, tuple[float, float]], probl
             continue
         i_dq = _current(recording, segment)
         if segment.stage is SegmentStage.CLASSICAL:
-            trajectories.append(i_dq[:: max(1, len(i_dq) // PATH_POINTS)])
+            trajectories.append(i_dq[:: max(1, len(i_dq) // path_points)])
         else:
             means.append((float(i_dq[:, 0].mean()), float(i_dq[:, 1].mean())))
     if left_out:

@@ -9,17 +9,16 @@ from datetime import UTC, datetime
 import numpy as np
 
 from orchestrator.presentation.events import said
-from orchestrator.presentation.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS, symbol_of
+from orchestrator.presentation.names import MAP_QUANTITIES, OUTCOME_MOODS, PAPER_CROSSINGS
 from orchestrator.presentation.quantities import (
-    Scale,
     duration,
     fixed,
     percent,
     plural,
     quantity,
-    value_and_error,
     with_error,
 )
+from orchestrator.presentation.results import coefficient_rows, resistance, resistance_course
 from orchestrator.presentation.sentences import typographic
 from plugins.streams.report._collect import Material
 from protocols import (
@@ -117,15 +116,14 @@ class Formula:
 
     method: str
     text: str
-    rows: tuple[tuple[str, str, str], ...]
+    rows: tuple[tuple[str, ...], ...]
 
 
 def formulas(material: Material) -> Iterator[Formula]:
     """The maps that are formulas."""
     for method, made in material.estimates.maps.items() if material.estimates is not None else ():
         if made.form is not None:
-            rows = [(symbol_of(c.name), *value_and_error(c.value, c.std, c.unit)) for c in made.form.coefficients]
-            yield Formula(method, made.form.formula, tuple(rows))
+            yield Formula(method, made.form.formula, tuple(coefficient_rows(made.form)))
 
 
 def checks(material: Material) -> Iterator[Check]:
@@ -239,10 +237,7 @@ def _resistance(material: Material) -> Line:
     motor = motor_of(material)
     nameplate = motor.stator_resistance_ohm if motor is not None else None
     beside = "" if nameplate is None else f"; nameplate {quantity(nameplate, 'ohm', 4)}"
-    scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
-    interval = f"{scale.number(found.low)} to {scale.number(found.high)}"
-    course = f"{scale.quantity(found.first_ohm)} at the start, {scale.quantity(found.last_ohm)} at the end"
-    return Line("R_s", f"{scale.quantity(found.value_ohm)} (95 %: {interval}); {course}{beside}")
+    return Line("R_s", f"{resistance(found)}; {resistance_course(found)}{beside}")
 
 
 def _map_lines(material: Material) -> Iterator[Line]:

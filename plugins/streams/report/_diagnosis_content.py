@@ -6,8 +6,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from orchestrator.presentation.names import VERDICTS, Verdict, parameter_words, plain, rung_name, slots
-from orchestrator.presentation.quantities import duration, number, percent, quantity, value_and_interval
+from orchestrator.presentation.names import VERDICTS, Verdict, plain, slots
+from orchestrator.presentation.quantities import duration, number, percent, quantity
+from orchestrator.presentation.results import ladder_rows as rungs
+from orchestrator.presentation.results import parameter_rows
 from orchestrator.presentation.sentences import listed, typographic
 from protocols import JointEntry
 
@@ -23,7 +25,7 @@ class Experiment:
     reason: str
 
 
-Rows = list[list[str]]
+Rows = list[tuple[str, ...]]
 
 
 def verdict(found: SavedDiagnosis) -> Verdict:
@@ -34,33 +36,22 @@ def verdict(found: SavedDiagnosis) -> Verdict:
 def filled_slots(found: SavedDiagnosis) -> Iterator[tuple[str, str]]:
     """The five slots, title and text."""
     for title, text in slots(found.words):
-        yield title.capitalize(), typographic(text)
+        yield title.capitalize(), text
 
 
 def ladder_rows(found: SavedDiagnosis) -> Rows:
     """The error after each added effect; the last line is the noise floor."""
-    rows = [
-        [
-            rung_name(rung.added, k),
-            number(rung.chi2),
-            quantity(rung.rms_v, "V"),
-            quantity(rung.heldout_rms_v, "V"),
-            quantity(rung.current_rms_a, "A"),
-        ]
-        for k, rung in enumerate(found.report.ladder)
-    ]
     floor = quantity(found.report.noise_floor.rms_v, "V")
-    return [*rows, ["noise alone", "1", floor, floor, ""]]
+    return [*rungs(found.report.ladder), ("noise alone", "1", floor, floor, "")]
 
 
 def effect_rows(found: SavedDiagnosis) -> Rows:
     """Every parameter of every effect, with its interval and what the effect cannot be told from."""
     rows: Rows = []
     for effect in found.report.effects:
-        about = [number(effect.relative_size, 3), listed([plain(twin) for twin in effect.twins]) or "nothing"]
-        for k, (name, value) in enumerate(effect.parameters.items()):
-            told = value_and_interval(value.value, value.low, value.high, value.unit)
-            rows.append(["" if k else plain(effect.name), parameter_words(name), *told, *(["", ""] if k else about)])
+        about = (number(effect.relative_size, 3), listed([plain(twin) for twin in effect.twins]) or "nothing")
+        first, *others = parameter_rows(effect)
+        rows += [(plain(effect.name), *first, *about), *(("", *row, "", "") for row in others)]
     return rows
 
 
@@ -71,8 +62,8 @@ def joint(found: SavedDiagnosis, most: int = 7) -> Sequence[JointEntry]:
 
 def alike_rows(found: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     """What looks alike in this data set: ties in the search, and where search and joint fit (|z|) disagree."""
-    rows = [
-        [plain(effect.name), ", ".join(map(plain, effect.twins)), "does as well in its place"]
+    rows: Rows = [
+        (plain(effect.name), ", ".join(map(plain, effect.twins)), "does as well in its place")
         for effect in found.report.effects
         if effect.twins
     ]
@@ -81,16 +72,16 @@ def alike_rows(found: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     for name, entry in ranking.items():
         if name not in named and abs(entry.z or 0.0) >= sure_z:
             told = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
-            rows.append([plain(name), "–", told])
+            rows.append((plain(name), "–", told))
     for name in found.report.traces:
         if name not in ranking or abs(ranking[name].z or 0.0) < sure_z:
-            rows.append([plain(name), "–", "a trace, below what deserves a name"])
+            rows.append((plain(name), "–", "a trace, below what deserves a name"))
     return rows
 
 
 def leftover_rows(found: SavedDiagnosis) -> Rows:
     """Shapes of what is left, with their shares."""
-    return [[plain(s.group), percent(100.0 * (s.share or 0.0))] for s in found.report.unexplained.shape]
+    return [(plain(s.group), percent(100.0 * (s.share or 0.0))) for s in found.report.unexplained.shape]
 
 
 def leftover_told(found: SavedDiagnosis) -> str:

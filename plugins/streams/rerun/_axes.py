@@ -23,8 +23,6 @@ from protocols import RealArray
 WIDTH, HEIGHT = 160.0, 90.0
 MARGIN = (18.0, 8.0, 24.0, 18.0)
 """Left, right, above and below a chart, in its own units."""
-_LIFT = 3.5
-"""Half the height of a word, roughly."""
 _HAIR, _LINE, _NOTHING = -0.5, -1.0, -0.01
 """Radii in points of the screen, as negative numbers are."""
 
@@ -64,7 +62,8 @@ class Chart:
         frame = self.place([self.x[0], self.x[1], self.x[1], self.x[0], self.x[0]], [*np.repeat(self.y, 2), self.y[0]])
         below, left = HEIGHT + 2.0, -8.0
         words = [(float(self.place([v], [self.y[0]])[0, 0]), below, number(v, 3)) for v in at_x]
-        words += [(left, float(self.place([self.x[0]], [v])[0, 1]) - _LIFT, number(v, 3)) for v in at_y]
+        # A word hangs below its place, by half its height.
+        words += [(left, float(self.place([self.x[0]], [v])[0, 1]) - 3.5, number(v, 3)) for v in at_y]
         words += [(WIDTH / 2, HEIGHT + 9.5, self.x_label), (WIDTH * 0.12, -11.0, self.y_label)]
         if title:
             words.append((WIDTH / 2, -20.0, title))
@@ -150,21 +149,23 @@ def picture(
     """Colours (rows, columns, 4) over a rectangle, row 0 at `corner`."""
     rows, columns = image.shape[:2]
     place = rr.Transform3D(translation=[*corner, 0.0], scale=[size[0] / columns, size[1] / rows, 1.0])
-    return entry(path, when, place, rr.Image(image, color_model="RGBA", draw_order=-20.0), size=image.nbytes + 600)
+    return entry(path, when, place, rr.Image(image, color_model="RGBA", draw_order=-20.0), array_bytes=image.nbytes)
 
 
 def lined(
     path: str, when: When, strips: Sequence[RealArray], colour: str, radius: float = _LINE, layer: float = 20.0
 ) -> Entry:
     """Lines of one colour."""
-    size = sum(strip.nbytes for strip in strips) + 600
-    return entry(path, when, rr.LineStrips2D(strips, colors=packed(colour), radii=radius, draw_order=layer), size=size)
+    size = sum(strip.nbytes for strip in strips)
+    return entry(
+        path, when, rr.LineStrips2D(strips, colors=packed(colour), radii=radius, draw_order=layer), array_bytes=size
+    )
 
 
 def dotted(path: str, when: When, at: RealArray, colour: str | NDArray[np.uint8], radius: float = -1.5) -> Entry:
     """Dots at (x, y), shape (n, 2), of one colour or one each (n, 4)."""
     colours = packed(colour) if isinstance(colour, str) else colour
-    return entry(path, when, rr.Points2D(at, colors=colours, radii=radius), size=at.nbytes + 600)
+    return entry(path, when, rr.Points2D(at, colors=colours, radii=radius), array_bytes=at.nbytes)
 
 
 def worded(path: str, when: When, words: Sequence[tuple[float, float, str]]) -> Entry:

@@ -7,12 +7,12 @@ import rerun.blueprint as rrb
 
 from orchestrator.presentation.colours import SCREEN, packed
 from plugins.streams.rerun._axes import chart_bounds, plane_bounds
+from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._diagnosis import Contents
 from plugins.streams.rerun._maps import INDUCTANCES
 from plugins.streams.rerun._tape import EFFECT_ADDED, EXPERIMENT
 
 COMMISSIONING, DIAGNOSIS = "commissioning", "diagnosis"
-_MARGIN_S = 1.0
 
 
 def commissioning(end_s: float | None = None) -> rrb.Blueprint:
@@ -120,7 +120,11 @@ def _layout(timeline: str, *tabs: rrb.Container) -> rrb.Blueprint:
 def _from_the_start(end_s: float | None) -> rrb.TimeAxis:
     """The whole experiment. (Axes linked with each other would open on half a minute about the cursor.)"""
     edge = rr.TimeRangeBoundary
-    end = edge.cursor_relative(seconds=_MARGIN_S) if end_s is None else edge.absolute(seconds=end_s + _MARGIN_S)
+    end = (
+        edge.cursor_relative(seconds=DETAIL.margin_s)
+        if end_s is None
+        else edge.absolute(seconds=end_s + DETAIL.margin_s)
+    )
     return rrb.TimeAxis(view_range=rr.TimeRange(start=edge.absolute(seconds=0.0), end=end))
 
 

@@ -30,6 +30,7 @@ from orchestrator.presentation.quantities import vector
 from orchestrator.stages import installed_stages
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach
 from plugins.streams.rerun._clock import Clock
+from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._maps import (
     CHECKS,
     FluxBox,
@@ -64,10 +65,7 @@ from protocols import (
     StateChanged,
 )
 
-REACH_A = 1.0
-"""Of the current plane until the limits are known."""
 _LEVELS = {"good": "INFO", "info": "INFO", "warning": "WARN", "bad": "ERROR"}
-_PERIODS_SHOWN = 4
 
 
 class Commissioning:
@@ -88,7 +86,7 @@ class Commissioning:
         self._tree = FluxTree()
         self._box: FluxBox | None = None
         self._limits: tuple[float, float] | None = None
-        self._reach_a = REACH_A
+        self._reach_a = 1.0  # until the limits are known
         self._resistance_ohm = 0.0
         self._achieved: list[tuple[float, float]] = []
         self._achieved_shown = 0
@@ -250,7 +248,7 @@ class Commissioning:
         out = [entry("point/inductance", self.when, rr.Scalars([l_h[0, 0], l_h[0, 1], l_h[1, 1]]))]
         if time.monotonic() - self._ripple_drawn_at >= self._every_s:
             self._ripple_drawn_at = time.monotonic()
-            out += _ripple_chart(self.when, fit, _PERIODS_SHOWN * period_s)
+            out += _ripple_chart(self.when, fit, DETAIL.ripple_periods * period_s)
         self._tree.add(fit.mean_a, fit.inductance_h)
         if self._box is None:
             self._box = FluxBox(self._reach_a, 0.6 * self._reach_a * float(fit.inductance_h.trace()) / 2)
@@ -329,7 +327,7 @@ def _measurements(path: str, times_s: Any, values: Any, variances: Any) -> Entry
         columns = rr.Measurements.columns(values=values, variances=variances)
         stream.send_columns(path, indexes=[rr.TimeColumn("experiment", duration=times_s)], columns=columns)
 
-    return Entry(path, write, 24 * len(times_s) + 600)
+    return Entry(path, write, 24 * len(times_s))
 
 
 def _state_colours() -> Iterator[tuple[str, str]]:

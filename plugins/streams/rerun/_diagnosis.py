@@ -11,8 +11,10 @@ import rerun as rr
 from orchestrator.presentation.colours import GUIDE, MEASURED_ON_SCREEN, MODEL, PHASES, packed_all, sequential
 from orchestrator.presentation.names import plain, rung_name
 from orchestrator.presentation.quantities import duration, number, quantity, vector
+from orchestrator.presentation.results import ladder_rows, setting_rows
 from orchestrator.presentation.sentences import markdown_table
 from plugins.streams.rerun._axes import Chart, colour_bar, dotted, lined, plane, reach, worded
+from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry, properties
 from plugins.streams.rerun._words import page, words_page
 from protocols import (
@@ -27,12 +29,6 @@ from protocols import (
     ResistanceCourse,
 )
 
-MOST_POINTS = 3000
-"""Of the residual's windows, as many as are drawn in one picture."""
-MOST_EXCERPTS = MOST_LOOPS = 4
-_INNER = 0.98
-"""Part of the residuals that the fixed scale holds at the first step."""
-
 
 @dataclass(frozen=True)
 class Contents:
@@ -45,7 +41,7 @@ class Contents:
     @classmethod
     def of(cls, step: DiagnosisStep) -> Contents:
         return cls(
-            min(len(step.excerpts), MOST_EXCERPTS), min(len(step.loops), MOST_LOOPS), step.resistance is not None
+            min(len(step.excerpts), DETAIL.excerpts), min(len(step.loops), DETAIL.loops), step.resistance is not None
         )
 
 
@@ -92,9 +88,9 @@ class Diagnosis:
         self._rungs.append(_without_arrays(step))
         when = When(step=self._step)
         out += [*self._ladder(when), *_residual(when, step, self._scales)]
-        for k, excerpt in enumerate(step.excerpts[:MOST_EXCERPTS]):
+        for k, excerpt in enumerate(step.excerpts[: DETAIL.excerpts]):
             out += _excerpt(when, f"excerpts/{k}", excerpt)
-        for k, loop in enumerate(step.loops[:MOST_LOOPS]):
+        for k, loop in enumerate(step.loops[: DETAIL.loops]):
             out += _loop(when, f"loops/{k}", loop, self._scales.loops_wb.get(loop.segment, _openness(loop)))
         if step.resistance is not None:
             out += _course(when, step.resistance)
@@ -140,13 +136,12 @@ class Diagnosis:
         return [*self._told("words", words_page(message.words)), properties("diagnosis", facts)]
 
     def _proposed(self, message: ExperimentProposed) -> list[Entry]:
-        rows = [(plain(str(k)), str(v)) for k, v in message.stage.items() if v is not None]
         apart = f"**{plain(message.separates[0])}** from **{plain(message.separates[1])}**"
         follows = "it follows now" if message.accepted else "it is not done here"
         text = (
             f"## The next experiment\n\nIt tells {apart} and takes {duration(60.0 * message.minutes)}; {follows}.\n\n"
         )
-        return self._told("next", text + markdown_table(("setting", "value"), rows))
+        return self._told("next", text + markdown_table(("setting", "value"), setting_rows(message.stage)))
 
     def _compared(self, message: Compared) -> list[Entry]:
         rows = [(plain(s.stage), quantity(s.rms_v, "V"), number(s.chi2, 3)) for s in message.report.stages]
@@ -187,13 +182,13 @@ def _without_arrays(step: DiagnosisStep) -> DiagnosisStep:
 
 def _scales(step: DiagnosisStep) -> _Scales:
     size = np.hypot(*step.residual_dq_v.T) if len(step.residual_dq_v) else np.zeros(0)
-    largest = float(np.quantile(size, _INNER)) if size.size else 0.0
+    largest = float(np.quantile(size, DETAIL.inner_part)) if size.size else 0.0
     reach_a = 1.05 * float(np.abs(step.i_dq).max()) if step.i_dq.size else 1.0
     return _Scales(
         reach_a=reach_a or 1.0,
         residual_v=largest or 1e-3,
         phase_reach_a=reach(step.i_abc.ravel()),
-        phase_v=reach(step.residual_abc_v.ravel(), _INNER),
+        phase_v=reach(step.residual_abc_v.ravel(), DETAIL.inner_part),
         loops_wb={loop.segment: _openness(loop) for loop in step.loops},
     )
 
@@ -211,7 +206,7 @@ def _visible(fractions: RealArray) -> RealArray:
 
 def _residual(when: When, step: DiagnosisStep, scales: _Scales) -> list[Entry]:
     """Size of the residual over the current plane; each phase's residual over that phase's current."""
-    some = np.linspace(0, len(step.time_s) - 1, min(MOST_POINTS, len(step.time_s))).astype(int)
+    some = np.linspace(0, len(step.time_s) - 1, min(DETAIL.windows, len(step.time_s))).astype(int)
     size = np.hypot(*step.residual_dq_v[some].T)
     order = np.argsort(size)  # the largest on top
     path = "residual/plane/amperes"
@@ -297,23 +292,13 @@ def _around(values: RealArray) -> tuple[float, float]:
 
 
 def _ladder_page(steps: list[DiagnosisStep]) -> str:
-    rows = [
-        (
-            _name(s),
-            quantity(s.rms_v, "V"),
-            quantity(s.heldout_rms_v, "V"),
-            quantity(s.current_rms_a, "A"),
-            number(s.chi2, 3),
-        )
-        for s in steps
-    ]
     last = steps[-1]
-    head = ("model", "fitted, rms", "held out, rms", "current", "χ² per dof")
+    head = ("model", "χ² per dof", "fitted, rms", "held out, rms", "current")
     return "\n\n".join(
         [
             f"# {_name(last)}",
             f"The residual is {quantity(last.rms_v, 'V')}; noise alone would leave {quantity(last.noise_rms_v, 'V')}.",
-            markdown_table(head, rows),
+            markdown_table(head, ladder_rows(steps)),
             f"The model holds: {', '.join(map(plain, last.effects)) or 'no effect yet'}.",
         ]
     )

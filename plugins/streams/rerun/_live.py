@@ -21,9 +21,6 @@ from plugins.streams.rerun._tape import Entry, new_stream
 
 HOST = "127.0.0.1"
 """Nothing here talks to, or listens for, any other machine."""
-_LOOK_AGAIN_S = 0.2
-_BATCH = 64
-_FLUSH_S = 5.0
 
 
 def address(port: int) -> str:
@@ -41,9 +38,12 @@ class LiveFeed:
     port : int
     capacity_bytes : float
         What may be kept for the viewer, delivered or not.
+    look_again_s : float
+        How often a viewer that is not there is looked for.
     """
 
-    def __init__(self, recording_id: str, port: int, capacity_bytes: float) -> None:
+    def __init__(self, recording_id: str, port: int, capacity_bytes: float, look_again_s: float = 0.2) -> None:
+        self._look_again_s = look_again_s
         self._recording_id, self._port, self._capacity = recording_id, port, capacity_bytes
         self._changed = threading.Condition()
         self._waiting: deque[Entry] = deque()
@@ -104,7 +104,7 @@ class LiveFeed:
             line = _dial(self._port)
             if line is None:
                 with self._changed:
-                    self._changed.wait_for(lambda: self._closing, _LOOK_AGAIN_S)
+                    self._changed.wait_for(lambda: self._closing, self._look_again_s)
                     if self._closing:
                         return
                 continue
@@ -134,18 +134,18 @@ class LiveFeed:
                 self._shown.extend(batch)
         self._let_go(stream)
 
-    def _let_go(self, stream: rr.RecordingStream) -> None:
+    def _let_go(self, stream: rr.RecordingStream, within_s: float = 5.0) -> None:
         try:
-            stream.flush(timeout_sec=_FLUSH_S)
+            stream.flush(timeout_sec=within_s)
         except (RuntimeError, ValueError):
             return  # the viewer went away with the last entries; it is given them again should it come back
         stream.disconnect()
 
-    def _take(self) -> list[Entry]:
+    def _take(self, most: int = 64) -> list[Entry]:
         """The next entries in line; none after a while without any."""
         with self._changed:
-            self._changed.wait_for(lambda: bool(self._waiting) or self._closing, _LOOK_AGAIN_S)
-            return [self._waiting.popleft() for _ in range(min(_BATCH, len(self._waiting)))]
+            self._changed.wait_for(lambda: bool(self._waiting) or self._closing, self._look_again_s)
+            return [self._waiting.popleft() for _ in range(min(most, len(self._waiting)))]
 
     def _is_over(self) -> bool:
         with self._changed:

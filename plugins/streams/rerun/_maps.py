@@ -26,14 +26,11 @@ from orchestrator.presentation.colours import (
 from orchestrator.presentation.names import MAP_QUANTITIES, PAPER_CROSSINGS
 from orchestrator.presentation.quantities import number, percent
 from plugins.streams.rerun._axes import WIDTH, Chart, colour_bar, lined, picture, plane, ticks, worded
+from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import FluxMap, FluxMapEstimate, RealArray
 
 INDUCTANCES = {name: f"{symbol} [{unit}]" for name, (symbol, unit) in MAP_QUANTITIES.items() if unit == "mH"}
-_PIXELS = 96
-_SURFACE = 61
-_HALF_HEIGHT = 0.7
-_LEAST_PERCENT, _MOST_PERCENT = 1e-3, 10.0
 
 
 @dataclass(frozen=True)
@@ -48,7 +45,7 @@ class FluxBox:
         out: list[Entry] = []
         for axis in ("d", "q"):
             path = f"flux/{axis}/box"
-            size = [1.0 / self.reach_a, 1.0 / self.reach_a, _HALF_HEIGHT / self.height_wb]
+            size = [1.0 / self.reach_a, 1.0 / self.reach_a, DETAIL.box_half_height / self.height_wb]
             out.append(entry(path, when, rr.Transform3D(scale=size)))
             out.append(entry(f"flux/{axis}/edges", when, rr.LineStrips3D(_edges(), colors=packed(GRID), radii=-0.6)))
             at, labels = self._words(axis)
@@ -58,7 +55,7 @@ class FluxBox:
 
     def _words(self, axis: str) -> tuple[list[list[float]], list[str]]:
         """Ticks of i_d along the edge in front, of i_q along the one on the left, of the flux on the post behind it."""
-        h = _HALF_HEIGHT
+        h = DETAIL.box_half_height
         words: list[tuple[list[float], str]] = []
         for value in ticks(-self.reach_a, self.reach_a, 4):
             at = value / self.reach_a
@@ -74,7 +71,7 @@ class FluxBox:
         for column, (axis, colour) in enumerate((("d", D_AXIS), ("q", Q_AXIS))):
             at = np.column_stack([i_dq, psi_dq[:, column]])
             dots = rr.Points3D(at, colors=packed(colour), radii=-3.0)
-            out.append(entry(f"flux/{axis}/box/points", when, dots, size=at.nbytes + 600))
+            out.append(entry(f"flux/{axis}/box/points", when, dots, array_bytes=at.nbytes))
         return out
 
     def surfaces(self, when: When, found: FluxMap) -> list[Entry]:
@@ -88,12 +85,14 @@ class FluxBox:
             )
             mesh = _mesh(i_d, i_q, psi, self.height_wb)
             path = f"flux/{axis}/box/surface"
-            out.append(entry(path, when, rr.Clear(recursive=False) if mesh is None else mesh, size=40 * psi.size + 600))
+            out.append(
+                entry(path, when, rr.Clear(recursive=False) if mesh is None else mesh, array_bytes=40 * psi.size)
+            )
         return out
 
 
 def _edges() -> list[list[list[float]]]:
-    h = _HALF_HEIGHT
+    h = DETAIL.box_half_height
     floor = [[-1, -1, -h], [1, -1, -h], [1, 1, -h], [-1, 1, -h], [-1, -1, -h]]
     level = [[x, y, 0.0] for x, y, _ in floor]
     posts = [[[x, y, -h], [x, y, h]] for x, y in ((-1, 1), (1, 1))]
@@ -101,7 +100,7 @@ def _edges() -> list[list[list[float]]]:
 
 
 def _thinned(axis: RealArray) -> RealArray:
-    return axis[:: max(1, -(-len(axis) // _SURFACE))]
+    return axis[:: max(1, -(-len(axis) // DETAIL.surface_nodes))]
 
 
 def _mesh(i_d: RealArray, i_q: RealArray, psi: RealArray, height_wb: float) -> rr.Mesh3D | None:
@@ -157,7 +156,7 @@ def inductance_entries(when: When, found: FluxMap) -> list[Entry]:
             high = max(abs(low), abs(high), 1e-9)
             low, paint = -high, diverging
         high = max(high, low + 1e-9)
-        i_d, i_q = (np.linspace(axis[0], axis[-1], _PIXELS) for axis in (found.i_d, found.i_q))
+        i_d, i_q = (np.linspace(axis[0], axis[-1], DETAIL.map_pixels) for axis in (found.i_d, found.i_q))
         near = np.ix_(_nearest(found.i_d, i_d), _nearest(found.i_q, i_q))
         image = opaque(paint((values[near].T - low) / (high - low)), SCREEN)
         corner, size = (float(i_d[0]), float(i_q[0])), (float(np.ptp(i_d)), float(np.ptp(i_q)))
@@ -173,7 +172,7 @@ def _nearest(axis: RealArray, wanted: RealArray) -> NDArray[np.intp]:
     return np.searchsorted(middles, wanted)
 
 
-CHECKS = Chart("checks", (_LEAST_PERCENT, _MOST_PERCENT), (0.0, 1.0), "per cent of the rated flux", "", log_x=True)
+CHECKS = Chart("checks", (1e-3, 10.0), (0.0, 1.0), "per cent of the rated flux", "", log_x=True)
 
 
 def check_entries(when: When, maps: Mapping[str, FluxMapEstimate]) -> list[Entry]:
@@ -191,12 +190,12 @@ def check_entries(when: When, maps: Mapping[str, FluxMapEstimate]) -> list[Entry
     words: list[tuple[float, float, str]] = []
     for colour in sorted({bar[2] for bar in bars}):
         strips = [
-            CHECKS.place([_LEAST_PERCENT, figure], [y, y])
+            CHECKS.place([CHECKS.x[0], figure], [y, y])
             for (_, figure, paint), y in zip(bars, at, strict=True)
             if paint == colour
         ]
         out.append(lined(f"checks/bars/{colour[1:].lower()}", when, strips, colour, -4.0))
     for (label, figure, _), y in zip(bars, at, strict=True):
-        x, height = CHECKS.place([max(figure, _LEAST_PERCENT)], [y])[0]
+        x, height = CHECKS.place([max(figure, CHECKS.x[0])], [y])[0]
         words.append((float(np.clip(x, 28.0, WIDTH - 28.0)), float(height), f"{label} {percent(figure)}"))
     return [*out, worded("checks/words", when, words)]

@@ -14,11 +14,9 @@ from functools import lru_cache
 import numpy as np
 
 from orchestrator.numerics.frames import to_dq
+from plugins.streams.rerun._detail import DETAIL
 from protocols import Capture, RealArray
 
-ROWS = 3000
-"""Samples that are looked at, the last ones of a point."""
-FEWEST = 64
 DELAYS = (0, 1, 2)
 """Samples by which a drive's voltage may act late; the best fit says which."""
 
@@ -47,8 +45,8 @@ class RippleFit:
 
 def fit_ripple(capture: Capture, angle_rad: float, resistance_ohm: float) -> RippleFit | None:
     """Fit the last samples of an injection capture; None where they hold no ripple that spans the plane."""
-    n = min(ROWS, len(capture))
-    if n < FEWEST:
+    n = min(DETAIL.ripple_rows, len(capture))
+    if n < DETAIL.least_ripple_rows:
         return None
     step_s = 1.0 / capture.sampling_frequency_hz
     current = to_dq(capture.i_ab[-n:], angle_rad).T

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from orchestrator.presentation.events import resistance
 from orchestrator.presentation.names import plain
 from orchestrator.presentation.quantities import duration
+from orchestrator.presentation.results import resistance
 from orchestrator.presentation.sentences import markdown_table
 from protocols import (
     LockChecked,

@@ -14,6 +14,7 @@ from pydantic import BaseModel
 from plugins.streams.rerun import _blueprints as blueprints
 from plugins.streams.rerun import _diagnosis as diagnosis
 from plugins.streams.rerun._commissioning import Commissioning
+from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._live import LiveFeed
 from plugins.streams.rerun._options import RerunOptions
 from plugins.streams.rerun._tape import FILE_NAME, Tape, blueprint, entry
@@ -28,10 +29,6 @@ from protocols import (
     SamplesCaptured,
     StreamSetup,
 )
-
-BLOCK_ROWS = 1000
-BLOCK_S = 0.1
-"""Waveforms are handed on at so many rows of them, so long after the last ones, and when a point is done."""
 
 
 class RerunStream:
@@ -112,7 +109,9 @@ class RerunStream:
             self._notes.append(f"no viewer was opened: {error}")
 
     def _is_time(self) -> bool:
-        return self._commissioning.waveform_rows >= BLOCK_ROWS or time.monotonic() - self._sent_at >= BLOCK_S
+        return (
+            self._commissioning.waveform_rows >= DETAIL.block_rows or time.monotonic() - self._sent_at >= DETAIL.block_s
+        )
 
     def _hand_on_waveforms(self) -> None:
         self._tape.put(self._commissioning.waveforms())

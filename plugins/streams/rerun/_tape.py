@@ -25,8 +25,6 @@ EFFECT_ADDED = "effect_added"
 
 _BEFORE = ".view-before.rrd"
 _MAGIC, _FOOTER, _TAIL = b"RRF", b"RRF2FOOT", 16
-_ENTRY_BYTES = 600
-"""What an entry without arrays takes, roughly."""
 
 
 @dataclass(frozen=True)
@@ -50,11 +48,16 @@ class Entry:
 
     path: str
     write: Callable[[rr.RecordingStream], None]
-    size: int = _ENTRY_BYTES
+    array_bytes: int = 0
     is_static: bool = False
 
+    @property
+    def size(self) -> int:
+        """Bytes that it takes, roughly: those of its arrays, and what comes with every entry."""
+        return 600 + self.array_bytes
 
-def entry(path: str, when: When, *archetypes: Any, size: int = _ENTRY_BYTES) -> Entry:
+
+def entry(path: str, when: When, *archetypes: Any, array_bytes: int = 0) -> Entry:
     """Archetypes at one instant."""
 
     def write(stream: rr.RecordingStream) -> None:
@@ -65,7 +68,7 @@ def entry(path: str, when: When, *archetypes: Any, size: int = _ENTRY_BYTES) -> 
             stream.set_time(EFFECT_ADDED, sequence=when.step)
         stream.log(path, *archetypes, static=when.is_static)
 
-    return Entry(path, write, size, when.is_static)
+    return Entry(path, write, array_bytes, when.is_static)
 
 
 def scalars(path: str, times_s: RealArray, values: RealArray) -> Entry:
@@ -76,7 +79,7 @@ def scalars(path: str, times_s: RealArray, values: RealArray) -> Entry:
         columns = rr.Scalars.columns(scalars=values.ravel()).partition([width] * rows)
         stream.send_columns(path, indexes=[rr.TimeColumn(EXPERIMENT, duration=times_s)], columns=columns)
 
-    return Entry(path, write, values.nbytes + times_s.nbytes + _ENTRY_BYTES)
+    return Entry(path, write, values.nbytes + times_s.nbytes)
 
 
 def properties(name: str, values: Mapping[str, Any]) -> Entry:

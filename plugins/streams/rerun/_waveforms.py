@@ -11,12 +11,9 @@ import time
 import numpy as np
 
 from orchestrator.numerics.frames import to_dq
+from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._tape import Entry, scalars
 from protocols import Capture, RealArray
-
-BIN_S = 0.02
-LIMITS_EVERY_S = 1.0
-"""Their lines are straight: two points a second are enough."""
 
 
 def envelope(rows: RealArray, width: int) -> RealArray:
@@ -43,7 +40,7 @@ class Thinner:
         n = len(capture)
         if n == 0:
             return
-        width = max(1, round(BIN_S * capture.sampling_frequency_hz))
+        width = max(1, round(DETAIL.bin_s * capture.sampling_frequency_hz))
         current = envelope(to_dq(capture.i_ab, angle_rad).T, width)
         # The greatest is drawn half a stretch after the least.
         half = 0.5 * min(width, n) / capture.sampling_frequency_hz
@@ -61,7 +58,7 @@ class Thinner:
             scalars("drive/current", times, np.concatenate(self._current, axis=1).T),
             scalars("drive/voltage", times, np.concatenate(self._voltage, axis=1).T),
         ]
-        if limits is not None and time.monotonic() - self._limits_at >= LIMITS_EVERY_S:
+        if limits is not None and time.monotonic() - self._limits_at >= DETAIL.limits_every_s:
             self._limits_at = time.monotonic()
             ends = times[[0, -1]]
             for name, limit in zip(("current", "voltage"), limits, strict=True):

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 
 import rerun as rr
 
-from orchestrator.presentation.events import resistance
 from orchestrator.presentation.names import PAPER_CROSSINGS, slots
-from orchestrator.presentation.quantities import UNKNOWN, Scale, percent
+from orchestrator.presentation.quantities import UNKNOWN, percent
+from orchestrator.presentation.results import resistance, resistance_course
 from orchestrator.presentation.sentences import markdown_table, one_line
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate
@@ -16,16 +16,14 @@ from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked,
 
 def page(path: str, when: When, text: str) -> Entry:
     """A page of Markdown."""
-    return entry(path, when, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), size=len(text) + 600)
+    return entry(path, when, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
 
 
 def resistance_page(found: ResistanceEstimate) -> str:
     """R_s, its course and its notes."""
-    scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
     rows = [
         ("R_s", resistance(found)),
-        ("first reading", scale.quantity(found.first_ohm)),
-        ("last reading", scale.quantity(found.last_ohm)),
+        ("course", resistance_course(found)),
         ("readings", str(len(found.readings))),
     ]
     told = (f"- {one_line(remark.text)}" for remark in found.remarks)

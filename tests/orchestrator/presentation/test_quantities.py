@@ -154,6 +154,7 @@ def test_an_uncertainty_bears_one_digit_and_two_after_a_one() -> None:
     assert [borne(error) for error in (0.015, 0.02, 0.9, 0.99, 1.2, 3.0, 250.0)] == [3, 2, 1, 1, 1, 0, 0]
     assert with_error(0.3, 7.8e-4, -3) == "300.0 ± 0.8"
     assert with_error(0.3, float("nan"), -3) == "300"
+    assert with_error(-3.5e-16, 3e-19, -3) == "0.000"  # rounding, where a map is odd by construction
 
 
 def test_a_zero_has_no_minus() -> None:

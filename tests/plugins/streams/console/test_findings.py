@@ -71,15 +71,15 @@ def told(monkeypatch: pytest.MonkeyPatch, run: Path, messages: list[Message], mo
 
 def test_plain_lines_tell_the_story_of_a_diagnosis(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     assert told(monkeypatch, tmp_path, MESSAGES, "plain").splitlines() == [
-        "compared: the model saturated with the recording: chi2 54890, worst in resistance-022 with 1.48 V rms "
+        "comparison: the saturated model has chi2 54890, worst in resistance-022 with 1.48 V rms "
         "where noise makes 3.45 mV",
         "the model alone           chi2    5489    300 mV  held out   350 mV",
         "+ dead time               chi2    1.02    4.1 mV  held out   4.2 mV",
         "diagnosis: explained",
-        "where it fails      worst in resistance-002: 1.48e+03 mV rms",
+        "where it fails      worst in resistance-002: 1480 mV rms",
         "what it looks like  An odd step in each phase current.",
-        "likely cause        dead_time (voltage_v 0.4 V, 95 % -0.399..0.401)",
-        "if added            held-out error 350 -> 4.2 mV; R_s 4.6 -> 4.31 ohm",
+        "likely cause        dead_time (voltage_v 0.4 V, 95 % −0.399 to 0.401)",
+        "if added            held-out error 350 → 4.2 mV; R_s 4.6 → 4.31 Ω",
         "to decide           resistance stage of 0.27 min",
         "next experiment: resistance, 16 s, tells dead time from device drop; and the run goes on with it",
     ]
@@ -143,7 +143,7 @@ def test_a_report_that_says_little_is_told_all_the_same(monkeypatch: pytest.Monk
     silent = DiagnosisWords(**dict.fromkeys(DiagnosisWords.model_fields, ""))
     empty: list[Message] = [Compared(report=bare), Diagnosed(round=2, report=a_diagnosis(), words=silent)]
     assert told(monkeypatch, tmp_path, empty, "plain").splitlines() == [
-        "compared: the model saturated with the recording: chi2 – where noise makes –",
+        "comparison: the saturated model has chi2 – where noise makes –",
         "diagnosis: explained, after experiment 2",
     ]
     assert told(monkeypatch, tmp_path, empty, "live")

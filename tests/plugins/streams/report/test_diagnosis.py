@@ -112,21 +112,21 @@ def test_one_rung_is_drawn_without_a_before() -> None:
 
 def test_tables_tell_values_with_their_intervals_and_twins() -> None:
     assert findings.effect_rows(saved()) == [
-        ["dead time", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "device drop"],
-        ["", "sharpness", "−15·10⁶", "", "", ""],
+        ("dead time", "voltage", "400.0 mV", "399.0 to 401.0", "0.05", "device drop"),
+        ("", "sharpness", "−15·10⁶", "", "", ""),
     ]
     assert findings.ladder_rows(saved()) == [
-        ["the model alone", "5489", "300 mV", "350 mV", "60 mA"],
-        ["+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"],
-        ["noise alone", "1", "4 mV", "4 mV", ""],
+        ("the model alone", "5489", "300 mV", "350 mV", "60 mA"),
+        ("+ dead time", "1.02", "4.1 mV", "4.2 mV", "5 mA"),
+        ("noise alone", "1", "4 mV", "4 mV", ""),
     ]
 
 
 def test_look_alikes_are_ties_and_what_only_the_joint_fit_asks_for() -> None:
     assert findings.alike_rows(saved()) == [
-        ["dead time", "device drop", "does as well in its place"],
-        ["bus sag", "–", "in the joint fit z = −5.1, yet not worth a name"],
-        ["skin effect", "–", "a trace, below what deserves a name"],
+        ("dead time", "device drop", "does as well in its place"),
+        ("bus sag", "–", "in the joint fit z = −5.1, yet not worth a name"),
+        ("skin effect", "–", "a trace, below what deserves a name"),
     ]
 
 
@@ -141,7 +141,7 @@ def test_the_next_experiment_is_a_procedure_s_own_text() -> None:
 def test_numbers_that_are_missing_are_said_to_be() -> None:
     rungs = [{"added": None, "chi2": None, "rms_v": None, "heldout_rms_v": None, "current_rms_a": None}]
     found = saved(ladder=rungs, unexplained={"fraction": None, "shape": []}, joint=[])
-    assert findings.ladder_rows(found)[0] == ["the model alone", *["–"] * 4]
+    assert findings.ladder_rows(found)[0] == ("the model alone", *["–"] * 4)
     assert findings.leftover_told(found) == ""
 
 

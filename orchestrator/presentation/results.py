@@ -1,0 +1,83 @@
+"""What an estimation and a diagnosis found, as rows of text: alike in a terminal's tables, on the page, the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+
+from orchestrator.presentation.names import parameter_words, plain, rung_name, symbol_of
+from orchestrator.presentation.quantities import (
+    UNKNOWN,
+    Scale,
+    axes_percent,
+    measured,
+    number,
+    percent,
+    quantity,
+    value_and_error,
+    value_and_interval,
+)
+from protocols import (
+    Basis,
+    ClosedForm,
+    DiagnosisStep,
+    EstimationReport,
+    FoundEffect,
+    ResistanceEstimate,
+    Rung,
+)
+
+
+def resistance(found: ResistanceEstimate) -> str:
+    """R_s with its 95 % interval."""
+    return measured(found.value_ohm, found.low, found.high, "ohm")
+
+
+def resistance_course(found: ResistanceEstimate) -> str:
+    """R_s at both ends of the recording, to the digits that R_s itself bears."""
+    scale = Scale.of(found.value_ohm, found.low, found.high, "ohm")
+    return f"{scale.quantity(found.first_ohm)} at the start, {scale.quantity(found.last_ohm)} at the end"
+
+
+def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:
+    """The recommended map's checks, and how the two methods compare; an energy's map holds two by construction."""
+    made = report.recommended
+    by = " (by construction)" if made is not None and made.basis is Basis.ENERGY else ""
+    for label, told, beside in (
+        ("crossings", axes_percent(report.crossings), ""),
+        ("parity", axes_percent(report.parity), by),
+        ("reciprocity", percent(report.reciprocity_percent), by),
+        ("classical against injection", percent(report.classical_against_injection_percent), ""),
+    ):
+        yield label, told if told == UNKNOWN else told + beside
+
+
+def coefficient_rows(form: ClosedForm) -> list[tuple[str, ...]]:
+    """A formula's coefficients: symbol, value, standard deviation."""
+    return [(symbol_of(c.name), *value_and_error(c.value, c.std, c.unit)) for c in form.coefficients]
+
+
+def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]:
+    """Rungs of the ladder: what was added, chi2, rms error fitted and held out, error of the simulated current."""
+    return [
+        (
+            rung_name(rung.added, k),
+            number(rung.chi2),
+            quantity(rung.rms_v, "V"),
+            quantity(rung.heldout_rms_v, "V"),
+            quantity(rung.current_rms_a, "A"),
+        )
+        for k, rung in enumerate(ladder)
+    ]
+
+
+def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
+    """An effect's parameters: name, value, 95 % interval."""
+    return [
+        (parameter_words(name), *value_and_interval(found.value, found.low, found.high, found.unit))
+        for name, found in effect.parameters.items()
+    ]
+
+
+def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:
+    """A proposed stage's settings, those that are given."""
+    return [(plain(name), str(value)) for name, value in stage.items() if value is not None]
