@@ -55,6 +55,8 @@ class Contrast(StrEnum):
     """Direct currents held all around."""
     ANCHOR = "anchor"
     """One point measured twice, when the machine was colder and when it was warmer."""
+    LONG_HOLD = "long_hold"
+    """A direct current held for so long that the winding warms up under it."""
 
 
 class ParameterRole(StrEnum):

@@ -45,7 +45,7 @@ class EnergyFit:
         What hysteresis added to the Hessian that the ripple saw [1/H]; taken out.
     correlation : float
         Of neighbouring inductances' residuals; near zero where nothing is left to be explained.
-    dead_time : float
+    inverter_step : float
         Relative size of what dead time does to inductances where a phase current passes zero; taken out.
     taken_out : array, shape (n, 7)
         Of the inductances and their slopes, before all else: a common gain, and dead time.
@@ -60,7 +60,7 @@ class EnergyFit:
     scales: Array
     stiffening_per_h: float
     correlation: float
-    dead_time: float
+    inverter_step: float
     taken_out: Array
     trust: Array
 
@@ -104,14 +104,14 @@ class Errors:
         Of inductances, of their slopes, and of the flux along and across the swept direction, in stated errors.
     points, paths : array, shapes (n,), (p,), or None
         By what the information of each is reduced; None: by nothing.
-    dead_time : float
+    inverter_step : float
         Size of what dead time does to inductances where a phase current passes zero, relative; 0: nothing.
     """
 
     scales: tuple[float, float, float, float] = (1.0, 1.0, 1.0, 1.0)
     points: Array | None = None
     paths: Array | None = None
-    dead_time: float = 0.0
+    inverter_step: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -229,7 +229,7 @@ class EnergyProblem:
         if self.points is None:
             return np.zeros((0, self.modes.shape[1])), 0.0
         # What is not there has to have some size, for it is the same modes all the time.
-        size = np.append(GAIN_STD, np.full(self.wrong - 1, max(self.errors.dead_time, 1e-7)))
+        size = np.append(GAIN_STD, np.full(self.wrong - 1, max(self.errors.inverter_step, 1e-7)))
         return np.eye(self.modes.shape[1])[self.free - self.wrong : self.free] / size[:, None], 2.0 * float(
             np.log(size).sum()
         )
@@ -333,7 +333,7 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
         scales=np.array(problem.errors.scales),
         stiffening_per_h=problem.stiffening_per_h,
         correlation=correlation,
-        dead_time=problem.errors.dead_time,
+        inverter_step=problem.errors.inverter_step,
         taken_out=problem.taken_out(solution),
         trust=np.ones(count) if weight is None else weight,
     )

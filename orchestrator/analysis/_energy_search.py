@@ -114,7 +114,7 @@ def _behind_dead_time(problem: EnergyProblem) -> Settled:
     plain = settled(problem)
     if problem.points is None:
         return plain
-    tried = settled(problem.varied(errors=replace(problem.errors, dead_time=DEAD_TIME_SHARE)))
+    tried = settled(problem.varied(errors=replace(problem.errors, inverter_step=DEAD_TIME_SHARE)))
     return tried if evidence(*tried) < evidence(*plain) - CRITERIA.evidence else plain
 
 

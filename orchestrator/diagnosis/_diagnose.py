@@ -79,11 +79,14 @@ class Diagnosis:
     start : Start
     search : Search
         Its steps are the rungs of the ladder.
+    library : sequence of Candidate
+        What was looked for.
     """
 
     report: DiagnosisReport
     start: Start
     search: Search
+    library: Sequence[Candidate]
 
 
 @solvable
@@ -182,7 +185,7 @@ def diagnose_recording(
         write_model(out or recording.path, kept_model(start, last, baseline, found, ladder))
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
-    return Diagnosis(report, start, search)
+    return Diagnosis(report, start, search, library)
 
 
 def add_effects(
@@ -379,7 +382,7 @@ def _proposal(
 ) -> NextExperiment | None:
     for effect in found:
         for twin in effect.twins:
-            return next_experiment(start, effect.name, twin, fit, library)
+            return next_experiment(start, fit, library, effect.name, twin)
     if verdict == "unknown_remains" and len(suspects) >= 2:
-        return next_experiment(start, suspects[0], suspects[1])
+        return next_experiment(start, fit, library, *suspects[:2])
     return None

@@ -252,6 +252,41 @@ class UncertaintyCriteria(Strict):
     """
 
 
+class DesignCriteria(Strict):
+    """The stages that are proposed, and how what they would tell is predicted."""
+
+    least_separation: float = _is(25.0, "1", "theory")
+    """chi2 that a stage has to be predicted to separate before it is worth an operator's time: five sigma."""
+    settle_s: float = _is(0.5, "s", "practice")
+    """Before each point of a stage: dozens of L/R."""
+    hold_s: float = _is(0.5, "s", "practice")
+    """Of each held current: its mean is known to a hundredth of a reading's noise."""
+    injection_s: float = _is(1.0, "s", "practice")
+    """At each point: one turn of the injected direction."""
+    gates_off_s: float = _is(2.0, "s", "practice")
+    """Of a reading with all gates off."""
+    anchor_s: float = _is(5.0, "s", "practice")
+    """Of a point that is measured once more."""
+    long_hold_s: float = _is(30.0, "s", "practice")
+    """Of a hold that is to warm the winding: a part of its thermal time constant."""
+    small_currents: tuple[float, ...] = _is((0.01, 0.02, 0.05, 0.1, 0.2), "1", "practice")
+    """Parts of the current, of both signs, at which what happens about zero current is looked at."""
+    pwm_currents: tuple[float, ...] = _is((0.02, 0.05, 0.15, 1.0), "1", "practice")
+    """The same, to be held at two PWM frequencies: within the knee of an inverter's error, and beyond it."""
+    directions: int = _is(12, "1", "practice")
+    """Of held currents all around: twice those of a three-phase winding's axes."""
+    samples_per_period: float = _is(20.0, "1", "practice")
+    """Of an injected wave, where there was none yet."""
+    injected_flux: float = _is(0.2, "1", "practice")
+    """Half the flux that it swings, in parts of L_d times the current."""
+    most_segments: int = _is(36, "1", "budget")
+    """Of the recording, evenly spread: what is known already need not be known to the last digit."""
+    planned_hold_s: float = _is(0.2, "s", "budget")
+    """Of a hold that is predicted: as long as it is the same all through, a part stands for the whole."""
+    planned_turn_s: float = _is(0.1, "s", "budget")
+    """The same of a turn of an injected direction."""
+
+
 class PictureCriteria(Strict):
     """How much of a diagnosis is kept to be drawn."""
 
@@ -282,4 +317,5 @@ class Criteria(Strict):
     fitting: FittingCriteria = FittingCriteria()
     selection: SelectionCriteria = SelectionCriteria()
     uncertainty: UncertaintyCriteria = UncertaintyCriteria()
+    design: DesignCriteria = DesignCriteria()
     pictures: PictureCriteria = PictureCriteria()

@@ -106,7 +106,7 @@ def one_of_each(run: Path) -> list[Message]:
         ExperimentProposed(
             round=0,
             stage={"kind": "kit_sweep", "duration_s": 2.0},
-            separates=("current_offset", "voltage_bias"),
+            separates=("something", "something_else"),
             minutes=0.1,
             accepted=True,
         ),

@@ -90,7 +90,7 @@ def _remarks(fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Ar
             "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
         )
         told("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
-    if fit.dead_time:
+    if fit.inverter_step:
         most = 100.0 * float(np.abs(fit.taken_out[:, [0, 2]] / inductance[: len(fit.taken_out), [0, 2]]).max())
         text = (
             "where a phase current passes zero, dead time makes injection's inductances look up to {most_percent:.1f} "

@@ -21,17 +21,11 @@ import numpy as np
 from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.weak_form.segments import Piece, windows_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
-from protocols import ParameterRole, Segment, SegmentStage, Signals
-
-_MOST_PIECES = 36
-"""Of the recording, evenly spread: what is known already need not be known to the last digit."""
-_LONGEST_S = 0.2
-"""Of a hold: as long as it is the same all through, a part stands for the whole."""
-_TURN_S = 0.1
+from protocols import LossHistory, ParameterRole, Segment, SegmentStage, Signals
 
 
 @dataclass(frozen=True)
@@ -56,15 +50,17 @@ class Rivals:
     known: Array
 
 
-def rivals(start: Start, fit: Fit, first: str, second: Candidate) -> Rivals | None:
-    """The two effects made comparable; None where the first is not in the model, or the second cannot imitate it."""
-    own = next((a for a in fit.model.active if a.name == first), None)
-    if own is None or second.name in fit.model.names:
+def rivals(start: Start, model: Model, first: Active, second: Candidate) -> Rivals | None:
+    """Two effects made comparable, the first as it is given; None where the second cannot imitate it.
+
+    In the model the first may be, but the second is not to be.
+    """
+    if second.name in model.names:
         return None
-    neutral = {n: own.candidate.named(n).neutral for n in own.candidate.amplitudes}
-    absent = Active(own.candidate, {**own.values, **neutral}, own.candidate.amplitudes)
-    coordinates = np.array([own.coordinate(n) for n in own.candidate.amplitudes])
-    others = fit.model.with_active([a for a in fit.model.active if a.name != first])
+    neutral = {n: first.candidate.named(n).neutral for n in first.candidate.amplitudes}
+    absent = Active(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
+    coordinates = np.array([first.coordinate(n) for n in first.candidate.amplitudes])
+    others = model.with_active([a for a in model.active if a.name != first.name])
     fitter = _part_of(start)
     trial = Rivals(others, absent, coordinates, np.zeros((0, 0)))
     rival = second.absent()
@@ -90,7 +86,7 @@ def separation(start: Start, pair: Rivals, stage: dict[str, Any]) -> float:
 
 def _part_of(start: Start) -> Fitter:
     pieces = start.coarse.prepared.pieces
-    stride = max(1, math.ceil(len(pieces) / _MOST_PIECES))
+    stride = max(1, math.ceil(len(pieces) / start.prepared.criteria.design.most_segments))
     prepared = replace(start.coarse.prepared, pieces=pieces[::stride])
     return replace(start.coarse, prepared=prepared, threads=1)
 
@@ -137,34 +133,36 @@ def _left(normal: Array, coordinates: Array) -> float:
 
 def planned_pieces(start: Start, model: Model, stage: dict[str, Any]) -> list[tuple[Piece, float]]:
     """The segments that a stage would make, and how often each stands for its like."""
-    kind = SegmentStage(stage["kind"])
-    fs = start.prepared.manifest.drive.sampling_frequency_hz
+    kind, lasting = SegmentStage(stage["kind"]), float(stage["duration_s"])
+    fs, design = start.prepared.manifest.drive.sampling_frequency_hz, start.prepared.criteria.design
+    still = np.zeros((round(design.planned_hold_s * fs), 2))
     if kind is SegmentStage.GATES_OFF:
-        still = np.zeros((round(_LONGEST_S * fs), 2))
-        return [(_piece(start, model, kind, {}, still, still), stage["duration_s"] / _LONGEST_S)]
+        return [(_piece(start, model, kind, {}, still, still, lasting), lasting / design.planned_hold_s)]
     found = []
     for point in stage["points_a"]:
         i_dq = np.array(point, dtype=np.float64)
         if kind is SegmentStage.RESISTANCE:
-            current = np.tile(i_dq, (round(_LONGEST_S * fs), 1))
+            current = still + i_dq
             for pwm in stage.get("pwm_frequencies_hz") or (None,):
                 settings = {} if pwm is None else {"pwm_frequency_hz": pwm}
-                piece = _piece(start, model, kind, settings, current, model.r_s * current)
-                found.append((piece, stage["duration_s"] / _LONGEST_S))
+                piece = _piece(start, model, kind, settings, current, model.r_s * current, lasting)
+                found.append((piece, lasting / design.planned_hold_s))
         else:
-            f = stage["frequency_hz"]
+            f, turn_s = stage["frequency_hz"], design.planned_turn_s
             for volts in stage["amplitudes_v"]:
-                current, voltage = _ripple(model, i_dq, fs, f, volts)
-                settings = {"frequency_hz": f, "rotation_hz": 1.0 / _TURN_S, "amplitude_v": volts}
-                found.append((_piece(start, model, kind, settings, current, voltage), stage["duration_s"] / _TURN_S))
+                current, voltage = _ripple(model, i_dq, fs, f, volts, turn_s)
+                settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
+                found.append((_piece(start, model, kind, settings, current, voltage, lasting), lasting / turn_s))
     return found
 
 
-def _ripple(model: Model, i_dq: Array, fs: float, frequency_hz: float, volts: float) -> tuple[Array, Array]:
+def _ripple(
+    model: Model, i_dq: Array, fs: float, frequency_hz: float, volts: float, turn_s: float
+) -> tuple[Array, Array]:
     """Current and voltage of one turn of a square wave at an operating point, dq."""
-    t = np.arange(round(_TURN_S * fs)) / fs
+    t = np.arange(round(turn_s * fs)) / fs
     sign = np.where((t * frequency_hz + 1e-9) % 1.0 < 0.5, 1.0, -1.0)
-    turn = 2 * math.pi * t / _TURN_S
+    turn = 2 * math.pi * t / turn_s
     injected = volts * sign[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
     flux = np.vstack([np.zeros(2), np.cumsum(injected, axis=0)[:-1]]) / fs
     period = max(1, round(fs / frequency_hz))
@@ -179,16 +177,24 @@ def _ripple(model: Model, i_dq: Array, fs: float, frequency_hz: float, volts: fl
 
 
 def _piece(
-    start: Start, model: Model, kind: SegmentStage, settings: dict[str, Any], current: Array, voltage: Array
+    start: Start,
+    model: Model,
+    kind: SegmentStage,
+    settings: dict[str, Any],
+    current: Array,
+    voltage: Array,
+    lasting_s: float,
 ) -> Piece:
-    """A segment after the last one of the recording, in the frame of that one."""
+    """A segment after the last one of the recording, in the frame of that one, as it is in the middle of its time."""
     last = start.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
     n, fs = len(current), start.prepared.manifest.drive.sampling_frequency_hz
     own_pwm = start.prepared.manifest.drive.pwm_frequency_hz or fs
     i_ab = to_ab(current, angle)
     v_ab = to_ab(voltage, angle)
-    begin = s.start_s + len(s.v_dc) / s.sampling_frequency_hz + 1.0
+    end = s.start_s + len(s.v_dc) / s.sampling_frequency_hz + 1.0
+    power = 1.5 * ((s.motor and s.motor.stator_resistance_ohm) or 1.0) * float(np.mean(np.sum(current**2, axis=1)))
+    begin = end + 0.5 * lasting_s
     segment = Segment(
         id=f"planned-{kind.value}", stage=kind, start_s=begin, samples=n, rotor_angle_rad=angle, settings=settings
     )
@@ -202,8 +208,8 @@ def _piece(
         theta_rad=np.full(n, angle),
         resistance_ohm=np.ones(n),
         i_m_ab=i_ab,
-        heat_j=np.full(n, float(s.heat_j[-1])),
-        losses=s.losses,
+        heat_j=np.full(n, float(s.heat_j[-1]) + 0.5 * lasting_s * power),
+        losses=s.losses and _lasting(s.losses, end, lasting_s, power),
         motor=s.motor,
         drive=s.drive,
         bridge_on=kind is not SegmentStage.GATES_OFF,
@@ -213,3 +219,10 @@ def _piece(
     return replace(
         last, segment=segment, held_out=False, signals=signals, windows=windows, averaged=1, before_ab=i_ab[0]
     )
+
+
+def _lasting(losses: LossHistory, begin_s: float, lasting_s: float, power_w: float) -> LossHistory:
+    """The loss so far, and what a planned segment adds to it."""
+    begin = max(begin_s, float(losses.time_s[-1]))
+    time = np.append(losses.time_s, [begin, begin + lasting_s])
+    return LossHistory(time_s=time, power_w=np.append(losses.power_w, [power_w, 0.0]))

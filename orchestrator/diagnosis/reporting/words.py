@@ -9,7 +9,9 @@ from operator import is_
 import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
+from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.selection.identifiability import parted_by
 from orchestrator.numerics.frames import to_dq
 from orchestrator.presentation.names import parameter_words
 from orchestrator.presentation.quantities import duration, percent, quantity, value_and_interval
@@ -67,20 +69,28 @@ def _where(diagnosis: Diagnosis) -> str:
 def _looks(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
     if report.effects and report.verdict != "unknown_remains":
-        signatures = {a.name: a.candidate.effect.signature for a in diagnosis.search.fit.model.active}
-        told = [_signature(signatures[e.name], e) for e in report.effects if e.name in signatures]
+        signatures = {c.name: c.effect.signature for c in diagnosis.library}
+        told = [_signature(diagnosis, e, signatures[e.name]) for e in report.effects if e.name in signatures]
         if told:
             return " ".join(told)
     if not report.unexplained.shape:
         return "what is left has no shape above the noise"
-    parts = [f"{percent(100.0 * (s.share or 0.0))} {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
+    parts = [f"{100 * (s.share or 0.0):.0f} % {_LOOKS[s.group]}" for s in report.unexplained.shape[:3]]
     return "; ".join(parts)
 
 
-def _signature(signature: str, effect: FoundEffect) -> str:
-    if not effect.twins:
+def _signature(diagnosis: Diagnosis, found: FoundEffect, signature: str) -> str:
+    if not found.twins:
         return signature
-    return f"{signature} What would tell it from {listed(effect.twins)} was not measured."
+    needed = "".join(f", {text}," for text in _needed(diagnosis, found))
+    return f"{signature} What would tell it from {listed(found.twins)}{needed} was not measured."
+
+
+def _needed(diagnosis: Diagnosis, found: FoundEffect) -> list[str]:
+    """What it takes to tell an effect from its twins."""
+    effects = {c.name: c.effect for c in diagnosis.library}
+    twins = [effects[name] for name in found.twins]
+    return list(dict.fromkeys(CONTRASTS[c].text for twin in twins for c in parted_by(effects[found.name], twin)))
 
 
 def _cause(diagnosis: Diagnosis) -> str:
@@ -122,8 +132,8 @@ def _gain(diagnosis: Diagnosis) -> str:
         told = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
         floor = noise_rms_v(fits[1], held_out)
     resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
-    cold = ", at the start of the experiment" if "winding_heating" in fits[1].model.names else ""
-    return f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}{cold}"
+    gauges = [a.candidate.effect.gauge for a in fits[1].model.active if a.candidate.effect.gauge]
+    return ". ".join([f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}", *gauges])
 
 
 def _next(diagnosis: Diagnosis) -> str:
@@ -131,6 +141,9 @@ def _next(diagnosis: Diagnosis) -> str:
     if proposal is not None:
         told = f"{proposal.stage['kind']} stage of {duration(60.0 * (proposal.minutes or 0.0))}"
         return f"{told}, tells {proposal.separates[0]} from {proposal.separates[1]}"
+    for found in diagnosis.report.effects:
+        if needed := _needed(diagnosis, found):
+            return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
     if diagnosis.report.verdict == "unknown_remains":
         return "no experiment of the catalogue; look at the leftover's shape"
     if diagnosis.report.verdict == "mostly_explained":

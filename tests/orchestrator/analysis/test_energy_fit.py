@@ -134,12 +134,12 @@ def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
     shape = np.array([0.0, 0.03, 0.03, 0.02, 0.01, 0.005, 0.0, 0.0, 0.0])
     effect = (error_modes(points, np.zeros(len(PLANE))) @ shape)[:, [[0, 1], [1, 2]]]
     fit = fit_energy(replace(points, matrix=points.matrix + effect), paths())
-    assert fit.dead_time > 0.0
+    assert fit.inverter_step > 0.0
     assert np.abs(flux_off(fit)).max() < 3e-3 * RATED_WB
     found = fit.taken_out[:, :3][np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]]
     assert len(found) == 5
     assert np.abs(found[:, 0] / effect[np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0], 0, 0] - 1.0).max() < 0.2
-    assert both().dead_time == 0.0
+    assert both().inverter_step == 0.0
 
 
 def test_noise_is_not_taken_for_a_gain() -> None:

@@ -43,6 +43,11 @@ def with_dead_time(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="session")
+def at_two_pwm_frequencies(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "two-pwm", dead_time_v=0.8, second_pwm=True)
+
+
+@pytest.fixture(scope="session")
 def misaligned(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "misaligned", misalignment_rad=-0.03)
 

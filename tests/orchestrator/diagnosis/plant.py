@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,6 +35,8 @@ class Flaws:
     sensor_bend_v: float = 0.0
     noise_correlation: float = 0.0
     jitter_s: float = 0.0
+    second_pwm: bool = False
+    """Held currents at twice the PWM frequency too, where dead time takes twice the voltage."""
 
 
 def current(psi: Array) -> Array:
@@ -87,12 +89,15 @@ def _trapezoid(period: int) -> Array:
     return np.interp(x, [0.0, 0.125, 0.375, 0.625, 0.875, 1.0], [0.0, 1.0, 1.0, -1.0, -1.0, 0.0])
 
 
-def _plan() -> list[tuple[SegmentStage, dict[str, object], Callable[[], Array]]]:
+def _plan(flaws: Flaws) -> list[tuple[SegmentStage, dict[str, object], Callable[[], Array]]]:
     plan: list[tuple[SegmentStage, dict[str, object], Callable[[], Array]]] = []
     plan.append((SegmentStage.GATES_OFF, {}, lambda: np.zeros((2001, 2))))
     holds = [(a * x, a * y) for a in (0.1, 0.5, 2.0) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]
     for point in [*holds, (3.0, 0.0), (0.0, 3.0), (2.0, 0.0)]:
         plan.append((SegmentStage.RESISTANCE, {}, lambda p=point: np.repeat(flux(p)[None], 1201, axis=0)))  # type: ignore[misc]
+    for point in holds if flaws.second_pwm else []:
+        twice: dict[str, object] = {"pwm_frequency_hz": 2.0 * FS}
+        plan.append((SegmentStage.RESISTANCE, twice, lambda p=point: np.repeat(flux(p)[None], 1201, axis=0)))  # type: ignore[misc]
     for held in (-2.0, 0.0, 2.0):
         for axis in ("q", "d"):
             plan.append((SegmentStage.CLASSICAL, {"swept_axis": axis, "period_s": 0.3}, _sweep(axis, held)))
@@ -134,9 +139,10 @@ def record(directory: Path, flaws: Flaws, seed: int = 1) -> Recording:
     directory.mkdir(parents=True)
     segments = []
     clock = 0.0
-    for number, (stage, settings, psi) in enumerate(_plan()):
+    for number, (stage, settings, psi) in enumerate(_plan(flaws)):
         name = f"{stage.value}-{number:03d}"
-        capture = _capture(psi(), clock, flaws, rng)
+        volts = flaws.dead_time_v * float(settings.get("pwm_frequency_hz", FS)) / FS  # type: ignore[arg-type]
+        capture = _capture(psi(), clock, replace(flaws, dead_time_v=volts), rng)
         if stage is SegmentStage.GATES_OFF:
             capture = capture.model_copy(update={"v_ab": np.zeros_like(capture.v_ab)})
         with SegmentWriter(directory, name) as writer:

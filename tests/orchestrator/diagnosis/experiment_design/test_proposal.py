@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import time
-from typing import Any
+from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.experiment_design.proposal import catalogue, next_experiment
-from orchestrator.diagnosis.experiment_design.separation import rivals, separation
+from orchestrator.diagnosis.experiment_design.separation import planned_pieces, rivals, separation
 from orchestrator.diagnosis.fitting.baseline import Start
 from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
@@ -19,7 +20,7 @@ from orchestrator.recording import Recording
 from orchestrator.stages import parse_stage
 from plugins.effects.inverter import DeadTime, DeviceDrop
 from plugins.effects.sensors import CurrentOffset
-from protocols import Effect
+from protocols import Contrast, Effect
 
 ONE_PWM, TWO_PWM = 0, 1
 
@@ -50,7 +51,7 @@ def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]
 def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_one_does_not(
     start: Start, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(start, fit, "dead_time", library["device_drop"])
+    pair = rivals(start, fit.model, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     imitation = pair.model.active[-1].values["voltage_v"]
     assert imitation == pytest.approx(0.8, rel=0.15)  # the drop that looks like it at one PWM frequency
@@ -61,13 +62,13 @@ def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_on
 def test_what_is_already_told_apart_gains_little_by_reading_gates_off(
     start: Start, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(start, fit, "dead_time", library["device_drop"])
+    pair = rivals(start, fit.model, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     assert separation(start, pair, {"kind": "gates_off", "duration_s": 2.0}) < 1.0
 
 
 def test_more_time_separates_more(start: Start, fit: Fit, library: dict[str, Candidate]) -> None:
-    pair = rivals(start, fit, "dead_time", library["device_drop"])
+    pair = rivals(start, fit.model, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     _, stage = holds(catalogue(start))
     assert separation(start, pair, {**stage, "duration_s": 1.0}) > 1.2 * separation(start, pair, stage)
@@ -75,34 +76,57 @@ def test_more_time_separates_more(start: Start, fit: Fit, library: dict[str, Can
 
 def test_the_best_a_minute_is_proposed_within_a_second(start: Start, fit: Fit, library: dict[str, Candidate]) -> None:
     began = time.process_time()
-    proposal = next_experiment(start, "dead_time", "device_drop", fit, list(library.values()))
+    proposal = next_experiment(start, fit, list(library.values()), "dead_time", "device_drop")
     assert time.process_time() - began < 3.0  # one second on a machine with nothing else to do
     assert proposal is not None
     assert proposal.stage == holds(catalogue(start))[1]
     assert proposal.minutes == pytest.approx(8 * 2 * 1.0 / 60.0, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("first", "second", "kind"),
-    [
-        ("current_offset", "voltage_bias", "gates_off"),
-        ("dead_time", "device_drop", "resistance"),
-        ("eddy_currents", "hysteresis", "injection"),
-        ("eddy_currents", "skin_effect", "injection"),
-        ("winding_heating", "bus_sag", "resistance"),
-        ("slot_harmonics", "brake_compliance", "classical"),
-        ("something", "else", "resistance"),
-    ],
-)
-def test_where_nothing_can_be_predicted_the_table_has_the_word(
-    start: Start, first: str, second: str, kind: str
+def test_an_effect_that_is_not_in_the_model_is_told_apart_as_large_as_it_would_be(
+    start: Start, library: dict[str, Candidate]
 ) -> None:
-    proposal = next_experiment(start, first, second)
+    bare = first_steps(start, "saturated", library)[-1].fit
+    proposal = next_experiment(start, bare, list(library.values()), "device_drop", "dead_time")
     assert proposal is not None
-    assert proposal.stage["kind"] == kind
-    assert proposal.separates == (first, second)
-    assert proposal.minutes is not None
-    assert 0.01 < proposal.minutes < 5.0
+    assert proposal.separates == ("device_drop", "dead_time")
+    assert "pwm_frequencies_hz" in proposal.stage
+
+
+def test_what_no_stage_separates_is_what_both_effects_need(start: Start, fit: Fit) -> None:
+    def needing(*contrasts: Contrast) -> list[Candidate]:
+        class First(CurrentOffset):
+            name: ClassVar[str] = "first"
+            needs: ClassVar[tuple[Contrast, ...]] = contrasts
+
+        class Second(First):
+            name: ClassVar[str] = "second"
+
+        # The two do the very same: nothing tells them apart, whatever is measured.
+        return list(scaled_library([First(), Second()], start.prepared.manifest))
+
+    def proposed(*contrasts: Contrast) -> str | None:
+        found = next_experiment(start, fit, needing(*contrasts), "first", "second")
+        return None if found is None else found.stage["kind"]
+
+    assert proposed() is None
+    assert proposed(Contrast.SECOND_INJECTION_FREQUENCY) == "injection"
+    assert proposed(Contrast.GATES_OFF) is None, "that was measured already"
+    assert proposed(Contrast.SECOND_ANGLE) is None, "no stage by itself locks the rotor at another angle"
+
+
+def test_a_long_hold_is_predicted_to_warm_the_winding(start: Start, fit: Fit) -> None:
+    (short, _), (long, _) = (
+        planned_pieces(start, fit.model, {"kind": "resistance", "points_a": [[2.0, 0.0]], "duration_s": seconds})[0]
+        for seconds in (1.0, 31.0)
+    )
+    power = 1.5 * 4.25 * 2.0**2
+    assert long.signals.heat_j[0] - short.signals.heat_j[0] == pytest.approx(15.0 * power)
+    losses = long.signals.losses
+    assert losses is not None
+    assert float(np.sum(losses.power_w[:-1] * np.diff(losses.time_s))) == pytest.approx(
+        float(start.prepared.pieces[-1].signals.heat_j[-1]) + 31.0 * power, rel=0.02
+    )
 
 
 def test_every_stage_of_the_catalogue_is_a_procedure_s(start: Start) -> None:

@@ -1,0 +1,108 @@
+"""Every contrast is recognised in a recording that holds it and in no other, and its stages bring it about."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS, Bench, holds, minutes, tidy
+from orchestrator.diagnosis.experiment_design.separation import planned_pieces
+from orchestrator.diagnosis.fitting.baseline import Start, baseline_model
+from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.recording import Recording
+from protocols import Contrast, Saturated, SegmentStage
+
+WITH_STAGES = [contrast for contrast in Contrast if contrast is not Contrast.SECOND_ANGLE]
+
+
+@pytest.fixture(scope="module")
+def start(clean: Recording) -> Start:
+    return open_for_diagnosis(clean)
+
+
+def only(prepared: Prepared, *pieces: Piece) -> Prepared:
+    return replace(prepared, pieces=pieces)
+
+
+def bare(prepared: Prepared) -> Prepared:
+    """One sweep, one hold of the largest current, and one ripple: no contrast at all."""
+    sweep = next(p for p in prepared.pieces if p.stage is SegmentStage.CLASSICAL)
+    dwells = (p for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE)
+    hold = max(dwells, key=lambda p: float(abs(p.signals.i_ab[:, 0].mean())))
+    ripple = next(p for p in prepared.pieces if p.stage is SegmentStage.INJECTION)
+    return only(prepared, sweep, hold, ripple)
+
+
+def test_every_contrast_is_declared() -> None:
+    assert set(CONTRASTS) == set(Contrast)
+
+
+@pytest.mark.parametrize("contrast", Contrast)
+def test_a_recording_without_a_contrast_does_not_hold_it(start: Start, contrast: Contrast) -> None:
+    assert not holds(bare(start.prepared), contrast)
+
+
+@pytest.mark.parametrize("contrast", WITH_STAGES)
+def test_what_its_stages_measure_brings_a_contrast_about(start: Start, contrast: Contrast) -> None:
+    before = bare(start.prepared)
+    model = baseline_model(start, Saturated())
+
+    @cache
+    def planned(number: int) -> tuple[Piece, ...]:
+        stage = CONTRASTS[contrast].stages(Bench.of(start))[number]
+        return tuple(piece for piece, _ in planned_pieces(start, model, stage))
+
+    for number in range(len(CONTRASTS[contrast].stages(Bench.of(start)))):
+        pieces = planned(number)
+        if contrast is Contrast.ANCHOR:
+            # Measured at the end of an experiment whose first hold was the same.
+            first = replace(pieces[0], signals=pieces[0].signals.model_copy(update={"start_s": 0.0}))
+            assert holds(only(before, first, *before.pieces, *pieces), contrast)
+        elif contrast is Contrast.LONG_HOLD:
+            # A plan stands for a hold by a part of it.
+            n = round(30.0 * pieces[0].signals.sampling_frequency_hz)
+            signals = pieces[0].signals.model_copy(
+                update={"v_dc": np.full(n, 540.0), "i_ab": np.resize(pieces[0].signals.i_ab, (n, 2))}
+            )
+            assert holds(only(before, *before.pieces, replace(pieces[0], signals=signals)), contrast)
+        else:
+            assert holds(only(before, *before.pieces, *pieces), contrast)
+
+
+def test_two_angles_are_recognised(start: Start) -> None:
+    before = bare(start.prepared)
+    turned = replace(before.pieces[0], segment=before.pieces[0].segment.model_copy(update={"rotor_angle_rad": 1.05}))
+    assert holds(only(before, *before.pieces, turned), Contrast.SECOND_ANGLE)
+
+
+def test_stages_are_scaled_from_the_injection_there_was(start: Start) -> None:
+    bench = Bench.of(start)
+    assert (bench.injection_hz, bench.injection_v) == (500.0, 40.0)
+    (second,) = CONTRASTS[Contrast.SECOND_INJECTION_AMPLITUDE].stages(bench)
+    assert (second["frequency_hz"], second["amplitudes_v"]) == (500.0, [20.0, 10.0])
+    without = replace(start, prepared=only(start.prepared, *start.prepared.pieces[:1]))
+    likely = Bench.of(without)
+    assert likely.injection_hz == 500.0
+    # A square wave of this voltage swings the flux by a fifth of L_d I, both ways.
+    assert likely.injection_v / (4.0 * likely.injection_hz) == pytest.approx(0.2 * 0.04325 * start.current_a)
+
+
+def test_ripple_of_twice_the_frequency_is_left_out_where_samples_are_too_few(start: Start) -> None:
+    bench = Bench.of(start)
+    stages = CONTRASTS[Contrast.SECOND_INJECTION_FREQUENCY].stages
+    assert [s["frequency_hz"] for s in stages(bench)] == [250.0, 1000.0]
+    assert [s["frequency_hz"] for s in stages(replace(bench, sampling_hz=3999.0))] == [250.0]
+
+
+def test_a_stage_takes_as_long_as_its_points_and_repetitions() -> None:
+    stage = {"points_a": [[0, 0], [1, 0]], "amplitudes_v": [1, 2, 3], "duration_s": 1.5, "settle_s": 0.5}
+    assert minutes(stage) == pytest.approx(2 * 3 * 2.0 / 60.0)
+
+
+def test_numbers_are_for_a_person() -> None:
+    assert [tidy(x) for x in (2.3456, -1e-12, 1234.5)] == [2.35, 0.0, 1230.0]
+    assert str(tidy(-1e-12)) == "0.0"
