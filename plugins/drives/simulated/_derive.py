@@ -9,6 +9,7 @@ import numpy as np
 
 from plugins.drives.simulated._energy import Magnetics, hessian
 from plugins.drives.simulated._map import FluxTable, load_table, map_energy, usable_reach
+from plugins.drives.simulated._model import as_modelled
 from plugins.drives.simulated._plant import SQRT3, PlantParameters
 from plugins.drives.simulated._polynomial import nameplate_energy, polynomial_energy
 from plugins.drives.simulated._run import SensorParameters
@@ -40,6 +41,8 @@ class TruePlant:
     parameters: PlantParameters
     """With the brake released; see `locked`."""
     sensors: SensorParameters
+    options: Plant
+    """As they were given, with what a model says of them."""
     table: FluxTable | None
     """The map that the magnetics come from, where they do."""
     reach_a: float
@@ -102,8 +105,9 @@ def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> 
     InputError
         Where the magnetics do not describe a motor, or a map cannot be read.
     """
-    plant = options.plant
-    magnetics, table = _magnetics(plant, nameplate)
+    plant, table = as_modelled(options.plant)
+    options = options.model_copy(update={"plant": plant})
+    magnetics, table = (map_energy(table), table) if table is not None else _magnetics(plant, nameplate)
     energy = magnetics.energy
     own = table.motor.stator_resistance_ohm if table is not None and table.motor is not None else None
     resistance = plant.resistance_ohm or own or nameplate.resistance_ohm
@@ -117,7 +121,7 @@ def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> 
     if table is not None:
         reach = usable_reach(table, magnetics, positive_d=False)
         reach_d = usable_reach(table, magnetics, positive_d=True)
-    return TruePlant(magnetics, parameters, _sensors(plant, nameplate), table, reach, reach_d)
+    return TruePlant(magnetics, parameters, _sensors(plant, nameplate), plant, table, reach, reach_d)
 
 
 def _magnetics(plant: Plant, nameplate: Nameplate) -> tuple[Magnetics, FluxTable | None]:

@@ -59,7 +59,7 @@ class SimulatedDrive(DriveShell):
         setup = self.setup
         self._made = rig = Rig(self._options, setup.motor, setup.seed)
         if setup.private_directory is not None:
-            truth = describe(self._options, rig.nameplate, self._plant.plant, setup.seed)
+            truth = describe(rig.nameplate, self._plant.plant, setup.seed)
             write_json(setup.private_directory / TRUTH, truth)
         rig.warm_up()
         return rig.capabilities

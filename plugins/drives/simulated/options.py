@@ -102,6 +102,8 @@ class Plant(Strict):
     """Motor, brake, inverter and sensors as they truly are. No analysis may see any of it."""
 
     magnetics: Magnetics = NameplateMagnetics()
+    model: Path | None = None
+    """A `model.json` whose map, R_s and effects the plant has, instead of its own."""
     resistance_ohm: Positive | None = None
     """At the start of the experiment. None: the nameplate's (the map's own for a map of the package)."""
     rotor: Rotor = Rotor()

@@ -54,7 +54,7 @@ def true_flux(options: SimulatedOptions, motor: Motor) -> TrueMagnetics:
     return TrueMagnetics(derive(options, nameplate, bus_voltage(options, nameplate)).magnetics)
 
 
-def describe(options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, seed: int) -> dict[str, Any]:
+def describe(nameplate: Nameplate, plant: TruePlant, seed: int) -> dict[str, Any]:
     """Everything there is to know about the plant, as JSON."""
     magnetics = plant.magnetics
     rated = nameplate.rated_a
@@ -65,7 +65,7 @@ def describe(options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, 
         "format": "fluxbench-simulated-truth",
         "version": 1,
         "seed": seed,
-        "plant": options.plant.model_dump(mode="json"),
+        "plant": plant.options.model_dump(mode="json"),
         "derived": {
             "energy": {**_plain(magnetics.energy._asdict()), "spline": magnetics.spline.tolist()},
             "parameters": _plain(plant.parameters._asdict()),

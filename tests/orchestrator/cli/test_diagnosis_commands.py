@@ -183,3 +183,17 @@ def test_a_recording_that_cannot_be_a_motor_s_is_refused(
     assert "times the rated current" in refused(capsys, 2, command, copy)
     assert not (copy / "results").exists()
     assert not (copy / "model.json").exists()
+
+
+def test_a_model_is_held_against_a_recording_and_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["add", str(DATA), "voltage_bias", "--model", "linear", "--out", str(tmp_path)]) == 0
+    file = str(tmp_path / "model.json")
+    capsys.readouterr()
+    assert run_app(["compare", str(DATA), "--model", file, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    kept = json.loads((tmp_path / "model.json").read_text())
+    assert report["model"] == "linear + voltage_bias"
+    assert report["chi2"] == pytest.approx(kept["ladder"][-1]["chi2"], rel=1e-9)
+    assert run_app(["export", file, "--format", "csv", "--out", str(tmp_path / "export"), "--json"]) == 0
+    assert 20.0 < json.loads(capsys.readouterr().out)["measured_percent"] < 100.0
+    assert "none.json: cannot be read" in refused(capsys, 2, "compare", DATA, "--model", tmp_path / "none.json")

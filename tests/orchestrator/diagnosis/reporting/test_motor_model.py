@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis import add_effects, compare_recording, flux_map_of, remove_effect
+from orchestrator.diagnosis.reporting.motor_model import magnetics_of
 from orchestrator.recording import Recording, read_model
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -145,3 +147,15 @@ def test_coefficients_that_do_not_fit_the_grid_are_refused(kept: Path, tmp_path:
     (tmp_path / "model.json").write_text(json.dumps(content))
     with pytest.raises(RecordingError, match=r"magnetics: expected \d+ coefficients_j"):
         read_model(tmp_path)
+
+
+def test_the_page_evaluates_the_map_as_the_diagnosis_does(kept: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (Path(__file__).parents[4] / "docs" / "model.md").read_text(encoding="utf-8")
+    monkeypatch.chdir(kept)
+    shown: dict[str, Any] = {}
+    exec(page.split("```python\n")[1].split("```")[0], shown)
+    model = read_model(kept)
+    magnetics = magnetics_of(model.magnetics)
+    psi = magnetics.flux_and_inductance(np.array([[1.0, 1.0], [0.0, 0.0]]))[0]
+    expected = psi[0] - psi[1] + np.array([model.pm_flux_wb, 0.0])
+    assert np.array([shown["psi_d"], shown["psi_q"]]) == pytest.approx(expected, rel=1e-9)

@@ -1,0 +1,92 @@
+"""A plant out of a `model.json`: its map as a table of points, its R_s, its effects under the plant's own names.
+
+The file's format is all that is shared with whoever made it: the spline is evaluated here anew (docs/model.md). What
+the plant's effects do not know (the refinements of a fit) is left at the plant's own form.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import get_args
+
+import numpy as np
+from pydantic import ValidationError
+
+from orchestrator.recording import read_model
+from plugins.drives.simulated._energy import Array
+from plugins.drives.simulated._map import FluxTable
+from plugins.drives.simulated.effects import Effects
+from plugins.drives.simulated.options import Plant
+from protocols import CoEnergySpline, InputError, MotorModel
+
+WHERE = "drive.plant.model"
+DEGREE = 5
+
+
+def as_modelled(plant: Plant) -> tuple[Plant, FluxTable | None]:
+    """The plant with R_s and effects of its model, where it names one, and that model's map.
+
+    Raises
+    ------
+    RecordingError
+        Where the file is no model.
+    InputError
+        Where the model has an effect, or a size of one, that the plant cannot have.
+    """
+    if plant.model is None:
+        return plant, None
+    model = read_model(plant.model)
+    update = {"resistance_ohm": model.r_s_ohm, "effects": _effects(model)}
+    return plant.model_copy(update=update), flux_table(model, plant.model)
+
+
+def _effects(model: MotorModel) -> Effects:
+    found = {}
+    for effect in model.effects:
+        field = Effects.model_fields.get(effect.name)
+        if field is None:
+            raise InputError(WHERE, effect.name, "the simulated plant has no effect of that name")
+        known = get_args(field.annotation)[0].model_fields
+        found[effect.name] = {name: p.value for name, p in effect.parameters.items() if name in known}
+    try:
+        return Effects.model_validate(found)
+    except ValidationError as error:
+        wrong = error.errors()[0]
+        told = f"{wrong['msg'][:1].lower()}{wrong['msg'][1:]}, and the model says {wrong['input']!r}"
+        raise InputError(WHERE, ".".join(map(str, wrong["loc"])), told) from None
+
+
+def flux_table(model: MotorModel, source: Path, nodes: int = 25) -> FluxTable:
+    """The model's map at `nodes` x `nodes` currents over its rectangle, where it was measured.
+
+    Its splines have some ten intervals on a side: two nodes and more in each are enough for the plant's own.
+    """
+    from scipy.spatial import Delaunay
+
+    spline, corners = model.magnetics, np.array(model.magnetics.measured_hull_a)
+    i_d = np.linspace(spline.d_low_a, spline.d_high_a, nodes)
+    i_q = np.linspace(-spline.q_high_a, spline.q_high_a, nodes)
+    i_dq = np.stack(np.meshgrid(i_d, i_q, indexing="ij"), axis=-1).reshape(-1, 2)
+    zero = np.zeros(1)
+    psi_dq = (
+        _flux(spline, i_d, i_q).reshape(-1, 2) - _flux(spline, zero, zero)[0, 0] + np.array([model.pm_flux_wb, 0.0])
+    )
+    measured = Delaunay(corners).find_simplex(i_dq) >= 0 if len(corners) else np.ones(len(i_dq), dtype=bool)
+    return FluxTable(str(source), i_dq[measured], psi_dq[measured], model.motor, smoothing=1e-3)
+
+
+def _flux(spline: CoEnergySpline, i_d: Array, i_q: Array) -> Array:
+    """grad W on a grid of currents [Wb], shape (d, q, 2)."""
+    from scipy.interpolate import BSpline
+
+    cells = np.array([spline.d_intervals, spline.q_intervals])
+    along_q = int(cells[1]) + DEGREE
+    even = np.minimum(np.arange(along_q), along_q - 1 - np.arange(along_q))
+    coefficients = np.array(spline.coefficients_j).reshape(int(cells[0]) + DEGREE, -1)[:, even]
+    low = np.array([spline.d_low_a, -spline.q_high_a])
+    step = (np.array([spline.d_high_a, spline.q_high_a]) - low) / cells
+    knots_d, knots_q = (low[k] + step[k] * np.arange(-DEGREE, cells[k] + DEGREE + 1) for k in range(2))
+    in_d = BSpline(knots_d, coefficients, DEGREE)
+    psi_d = BSpline(knots_q, in_d.derivative()(i_d).T, DEGREE)(i_q).T
+    psi_q = BSpline(knots_q, in_d(i_d).T, DEGREE).derivative()(i_q).T
+    return np.stack([psi_d, psi_q], axis=-1)
