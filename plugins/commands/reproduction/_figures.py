@@ -20,8 +20,9 @@ from orchestrator.presentation.drawing import (
     name_axes,
     signed_scale,
 )
+from orchestrator.presentation.profiles import flux_at_zero, profile
 from plugins.commands.reproduction._material import Loop, Material
-from protocols import FluxMap, FluxMapEstimate
+from protocols import FluxMapEstimate
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -103,7 +104,7 @@ def _injection(material: Material) -> Figure:
 
 def _relative(found: FluxMapEstimate) -> tuple[Array, Array]:
     """Points reached, and their flux less psi(0, 0)."""
-    zero = np.array([_at_zero(found.map, "psi_d"), _at_zero(found.map, "psi_q")])
+    zero = np.array(list(flux_at_zero(found.map).values()))
     return np.asarray(found.points.i_dq, dtype=np.float64), np.asarray(found.points.psi_dq - zero, dtype=np.float64)
 
 
@@ -137,7 +138,8 @@ def _paths(material: Material) -> Figure:
 def _inductances(material: Material) -> Figure:
     """L_dd, L_qq and L_dq over the flux plane, as the paper's."""
     found = material.estimates["injection"].map
-    psi_d, psi_q = 1e3 * (found.psi_d - _at_zero(found, "psi_d")), 1e3 * (found.psi_q - _at_zero(found, "psi_q"))
+    zero = flux_at_zero(found)
+    psi_d, psi_q = 1e3 * (found.psi_d - zero["d"]), 1e3 * (found.psi_q - zero["q"])
     figure = empty_figure(11.0, 3.6)
     for axes, (key, name) in zip(
         figure.subplots(1, 3), {"l_dd": "L_{dd}", "l_qq": "L_{qq}", "l_dq": "L_{dq}"}.items(), strict=True
@@ -158,22 +160,11 @@ def _comparison(material: Material) -> Figure:
         other = "q" if axis == "d" else "d"
         for held, colour in ((0.0, ZERO_COLOUR), (-2.0, D_COLOUR), (2.0, Q_COLOUR)):
             for found in (material.estimates[name].map for name in ("classical", "injection")):
-                current, flux = _profile(found, axis, held)
-                axes.plot(current, 1e3 * flux, BASIS_LINES[found.basis], color=colour, lw=1.3)
+                current, flux, _ = profile(found, f"psi_{axis}", axis, held)
+                axes.plot(
+                    current, 1e3 * (flux - flux_at_zero(found)[axis]), BASIS_LINES[found.basis], color=colour, lw=1.3
+                )
             axes.plot([], [], color=colour, label=f"$i_{other}$ = {held:+.0f} A" if held else f"$i_{other}$ = 0")
         axes.legend(frameon=False, fontsize=STYLE.small_pt)
         name_axes(bare(axes), CURRENT_LABELS[axis], FLUX_LABELS[axis])
     return figure
-
-
-def _profile(found: FluxMap, axis: str, held: float) -> tuple[Array, Array]:
-    """Flux of an axis along its own current, the other current held, linear between grid lines."""
-    table = np.asarray(found.psi_d if axis == "d" else found.psi_q.T)
-    along, across = (found.i_d, found.i_q) if axis == "d" else (found.i_q, found.i_d)
-    flux = np.array([np.interp(held, across, row) for row in table])
-    return np.asarray(along), flux - _at_zero(found, f"psi_{axis}")
-
-
-def _at_zero(found: FluxMap, name: str) -> float:
-    table = np.asarray(getattr(found, name))
-    return float(np.interp(0.0, found.i_d, [np.interp(0.0, found.i_q, row) for row in table]))

@@ -23,6 +23,7 @@ from orchestrator.presentation.drawing import (
     signed_scale,
     uri,
 )
+from orchestrator.presentation.profiles import flux_at_zero, profile
 from orchestrator.presentation.quantities import number
 from plugins.streams.report._collect import Paths
 from protocols import Basis, FluxMap, RealArray, ResistanceReading
@@ -59,7 +60,7 @@ def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
     for value, colour in zip(held, _colours_of(held), strict=True):
         for found in maps.values():
             current, flux, std = profile(found, f"psi_{axis}", axis, value)
-            flux = (flux - _at_zero(found, axis)) * 1e3
+            flux = (flux - flux_at_zero(found)[axis]) * 1e3
             axes.plot(current, flux, BASIS_LINES.get(found.basis, ":"), color=colour, lw=1.5)
             if found.basis is not Basis.INTEGRATION:
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
@@ -75,8 +76,8 @@ def difference_figure(classical: FluxMap, injection: FluxMap) -> str:
     for axis, line in (("d", "-"), ("q", "--")):
         current, flux, _ = profile(injection, f"psi_{axis}", axis, 0.0)
         theirs, classical_flux, _ = profile(classical, f"psi_{axis}", axis, 0.0)
-        beside = np.interp(current, theirs, classical_flux - _at_zero(classical, axis), left=np.nan, right=np.nan)
-        apart = beside - (flux - _at_zero(injection, axis))
+        beside = np.interp(current, theirs, classical_flux - flux_at_zero(classical)[axis], left=np.nan, right=np.nan)
+        apart = beside - (flux - flux_at_zero(injection)[axis])
         other = "q" if axis == "d" else "d"
         axes.plot(current, 1e3 * apart, line, color=BLACK, lw=1.5, label=rf"$\psi_{axis}(i_{axis})$, $i_{other} = 0$")
     axes.axhline(0.0, color=GUIDE, lw=0.8)
@@ -132,25 +133,6 @@ def held_currents(maps: Iterable[FluxMap], axis: str) -> tuple[float, ...]:
     return tuple(float(value) for value in np.unique(nearest))
 
 
-def profile(found: FluxMap, name: str, along: str, held: float) -> tuple[RealArray, RealArray, RealArray]:
-    """Current, value and standard deviation along one axis, the other axis held (linear between grid lines)."""
-    other = "q" if along == "d" else "d"
-    grid = np.asarray(getattr(found, f"i_{other}"))
-    values, stds = (np.asarray(getattr(found, key)) for key in (name, f"{name}_std"))
-    if other == "d":
-        values, stds = values.T, stds.T
-    current = np.asarray(getattr(found, f"i_{along}"))
-    on_line = np.flatnonzero(np.isclose(grid, held, rtol=0.0, atol=1e-9))
-    if len(on_line):
-        return current, np.asarray(values[:, on_line[0]]), np.asarray(stds[:, on_line[0]])
-    if not grid[0] < held < grid[-1]:
-        return current, np.full(current.shape, np.nan), np.full(current.shape, np.nan)
-    upper = int(np.searchsorted(grid, held))
-    weight = (held - grid[upper - 1]) / (grid[upper] - grid[upper - 1])
-    between = [(1.0 - weight) * x[:, upper - 1] + weight * x[:, upper] for x in (values, stds)]
-    return current, np.asarray(between[0]), np.asarray(between[1])
-
-
 def _amperes(value: float) -> str:
     return f"{value:+.2g} A".replace("-", "−") if value else "0 A"
 
@@ -161,15 +143,6 @@ def _scale(values: RealArray, about_zero: bool) -> dict[str, Any]:
         return signed_scale(values[np.isfinite(values)], 1.4)
     low, high = float(np.nanmin(values)), float(np.nanmax(values))
     return {"cmap": "YlGnBu", "vmin": low, "vmax": high + 0.6 * (high - low)}
-
-
-def _at_zero(found: FluxMap, axis: str) -> float:
-    """psi(0, 0) as it is in the file; 0 where the map does not reach it."""
-    current, flux, _ = profile(found, f"psi_{axis}", axis, 0.0)
-    known = np.isfinite(flux)
-    if not known.any() or not current[known][0] <= 0.0 <= current[known][-1]:
-        return 0.0
-    return float(np.interp(0.0, current[known], flux[known]))
 
 
 def _colours_of(held: Sequence[float]) -> list[str]:

@@ -26,6 +26,7 @@ from orchestrator.presentation.colours import (
 )
 from orchestrator.presentation.events import said
 from orchestrator.presentation.names import plain
+from orchestrator.presentation.profiles import flux_at_zero
 from orchestrator.presentation.quantities import vector
 from orchestrator.stages import installed_stages
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach
@@ -35,7 +36,6 @@ from plugins.streams.rerun._maps import (
     CHECKS,
     FluxBox,
     check_entries,
-    flux_at_zero,
     flux_height,
     inductance_entries,
     reach_of,
@@ -289,7 +289,7 @@ class Commissioning:
         # The limits may lie far beyond what was measured: the box is the map's.
         self._box = FluxBox(1.05 * reach_of(found.map), 1.05 * flux_height(found.map))
         out = self._box.furniture(self.when) + self._box.surfaces(self.when, found.map)
-        psi_dq = found.points.psi_dq - np.array(flux_at_zero(found.map))
+        psi_dq = found.points.psi_dq - np.array(list(flux_at_zero(found.map).values()))
         out += self._box.points(self.when, found.points.i_dq, psi_dq)
         return [*out, *inductance_entries(self.when, found.map), self._page()]
 

@@ -24,6 +24,7 @@ from orchestrator.presentation.colours import (
     sequential,
 )
 from orchestrator.presentation.names import MAP_QUANTITIES, PAPER_CROSSINGS
+from orchestrator.presentation.profiles import flux_at_zero
 from orchestrator.presentation.quantities import number, percent
 from plugins.streams.rerun._axes import WIDTH, Chart, colour_bar, lined, picture, plane, ticks, worded
 from plugins.streams.rerun._detail import DETAIL
@@ -78,11 +79,9 @@ class FluxBox:
         """The map as two surfaces, flux counted from that at zero current."""
         i_d, i_q = _thinned(found.i_d), _thinned(found.i_q)
         rows, columns = np.searchsorted(found.i_d, i_d), np.searchsorted(found.i_q, i_q)
-        out = []
+        out, zero = [], flux_at_zero(found)
         for axis in ("d", "q"):
-            psi = (
-                np.asarray(getattr(found, f"psi_{axis}"))[np.ix_(rows, columns)] - flux_at_zero(found)["dq".index(axis)]
-            )
+            psi = np.asarray(getattr(found, f"psi_{axis}"))[np.ix_(rows, columns)] - zero[axis]
             mesh = _mesh(i_d, i_q, psi, self.height_wb)
             path = f"flux/{axis}/box/surface"
             out.append(
@@ -123,19 +122,10 @@ def reach_of(found: FluxMap) -> float:
     return float(max(np.abs(found.i_d).max(), np.abs(found.i_q).max(), 1e-9))
 
 
-def flux_at_zero(found: FluxMap) -> tuple[float, float]:
-    """psi(0, 0) of a map; zero where the map does not reach there."""
-    if not (found.i_d[0] <= 0.0 <= found.i_d[-1] and found.i_q[0] <= 0.0 <= found.i_q[-1]):
-        return 0.0, 0.0
-    place = int(np.abs(found.i_d).argmin()), int(np.abs(found.i_q).argmin())
-    psi = found.psi_d[place], found.psi_q[place]
-    return (float(psi[0]), float(psi[1])) if np.isfinite(psi).all() else (0.0, 0.0)
-
-
 def flux_height(found: FluxMap) -> float:
     """Largest flux on either axis, counted from that at zero current [Wb]."""
     zero = flux_at_zero(found)
-    values = np.concatenate([(found.psi_d - zero[0]).ravel(), (found.psi_q - zero[1]).ravel()])
+    values = np.concatenate([(found.psi_d - zero["d"]).ravel(), (found.psi_q - zero["q"]).ravel()])
     known = np.abs(values[np.isfinite(values)])
     return float(known.max()) if known.size and known.max() > 0.0 else 1.0
 

@@ -21,7 +21,6 @@ from plugins.streams.report._figures import (
     flux_figure,
     held_currents,
     inductance_figure,
-    profile,
 )
 from plugins.streams.report._page import render
 from protocols import (
@@ -287,23 +286,6 @@ def test_tables_give_as_many_digits_as_the_uncertainty_bears() -> None:
     rows = map_rows(a_map("injection"), None)
     assert ["0.00", "0.00", "300.0 ± 0.8", "0.0 ± 0.8", "43.0 ± 0.8", "0.0 ± 0.8", "69.0 ± 0.8"] in rows
     assert ["−3.00", "−3.00", *["not measured"] * 5] in rows
-
-
-def test_profile_along_a_grid_line_is_the_map_s_own() -> None:
-    found = a_map("injection")
-    current, flux, std = profile(found, "psi_d", "d", 0.0)
-    middle = len(found.i_q) // 2
-    assert np.array_equal(current, found.i_d)
-    assert np.array_equal(flux, found.psi_d[:, middle])
-    assert np.array_equal(std, found.psi_d_std[:, middle])
-
-
-def test_profile_between_grid_lines_is_linear_and_outside_unknown() -> None:
-    found = a_map("injection")
-    _, flux, _ = profile(found, "psi_q", "q", 0.25)
-    at = int(np.searchsorted(found.i_d, 0.0))
-    assert flux[6] == pytest.approx((found.psi_q[at, 6] + found.psi_q[at + 1, 6]) / 2)
-    assert np.isnan(profile(found, "psi_q", "q", 9.0)[1]).all()
 
 
 def test_one_colour_means_one_held_current_in_both_pictures() -> None:
