@@ -80,6 +80,8 @@ def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_js
 
 
 def _told(drive: Found) -> list[str]:
+    from orchestrator.presentation.quantities import quantity, vector
+
     own, status = drive.capabilities, drive.status
     settings = " ".join(f"--set drive.{key}={_value(v)}" for key, v in drive.settings.items() if _is_told(key, v))
     firmware = drive.description.get("firmware", "not told")
@@ -97,8 +99,8 @@ def _told(drive: Found) -> list[str]:
     if status is None:
         lines.append("  telemetry  none came")
     else:
-        current = "" if drive.i_dq_a is None else f", i_dq {drive.i_dq_a[0]:.3g} {drive.i_dq_a[1]:.3g} A"
-        lines.append(f"  now        {status.state.name.lower()}, bus {status.v_dc:.4g} V{current}")
+        current = "" if drive.i_dq_a is None else f", i_dq {vector(*drive.i_dq_a)}"
+        lines.append(f"  now        {status.state.name.lower()}, bus {quantity(status.v_dc, 'V', 4)}{current}")
         if drive.faults:
             lines.append(f"  faults     {', '.join(drive.faults)}")
     return [*lines, f"  use it     fluxbench run PROCEDURE --drive {drive.settings['name']} {settings}"]
