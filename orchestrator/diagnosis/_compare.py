@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
@@ -19,7 +19,7 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, restored
 from orchestrator.diagnosis.selection.leftover import map_breaks
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model
 from protocols import (
@@ -58,30 +58,30 @@ def compare_recording(
     """
     if model is None and has_model(out or recording.path):
         model = read_model(out or recording.path)
-    start = open_for_diagnosis(recording, pm_flux_wb=flux_of(model))
-    remarks = list(start.remarks)
+    setup = open_for_diagnosis(recording, pm_flux_wb=flux_of(model))
+    remarks = list(setup.remarks)
     if model is None and out is not None:
         remarks.append(
             Remark.of("no_model", "no {file} in {folder}: the bare map is compared", file=MODEL_NAME, folder=str(out))
         )
-    library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     if isinstance(model, MotorModel):
-        title, fit = model.title, start.fitter.hold(restored(start, model, model.baseline, library))
+        title, fit = model.title, setup.fitter.hold(restored(setup, model, model.baseline, library))
         if model.recording != recording.manifest.name:
             text = "the model was fitted to {fitted_to}, and is held against this recording as it is"
             remarks.append(Remark.of("model_of_another", text, fitted_to=model.recording))
     else:
         title = baseline_of(model or "saturated").title
-        fit = first_steps(start, model or "saturated", library)[-1].fit
-    pieces = [p for p in start.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
-    rated = _rated_flux(start, fit)
-    parity, reciprocity = map_breaks(start.fitter, fit, start.current_a)
+        fit = first_steps(setup, model or "saturated", library)[-1].fit
+    pieces = [p for p in setup.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
+    rated = _rated_flux(setup, fit)
+    parity, reciprocity = map_breaks(setup.fitter, fit, setup.current_a)
     return CompareReport(
         recording=recording.manifest.name,
         model=title,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(fit)),
         chi2=fit.chi2_per_dof,
-        stages=tuple(_stage_error(fit, stage) for stage in dict.fromkeys(p.stage for p in start.prepared.pieces)),
+        stages=tuple(_stage_error(fit, stage) for stage in dict.fromkeys(p.stage for p in setup.prepared.pieces)),
         worst=_worst(fit, pieces),
         parity=AxisPercent(d_percent=100.0 * parity[0] / rated, q_percent=100.0 * parity[1] / rated),
         reciprocity_percent=100.0 * reciprocity,
@@ -91,15 +91,18 @@ def compare_recording(
 
 
 def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:
-    def here(piece: Piece) -> bool:
+    def of_stage(piece: SegmentSignals) -> bool:
         return piece.stage is stage
 
     return StageError(
-        stage=stage.value, rms_v=mean_rms_v(fit, here), chi2=fit.chi2_of(here), current_rms_a=current_rms(fit, here)
+        stage=stage.value,
+        rms_v=mean_rms_v(fit, of_stage),
+        chi2=fit.chi2_of(of_stage),
+        current_rms_a=current_rms(fit, of_stage),
     )
 
 
-def _worst(fit: Fit, pieces: Sequence[Piece]) -> tuple[WorstSegment, ...]:
+def _worst(fit: Fit, pieces: Sequence[SegmentSignals]) -> tuple[WorstSegment, ...]:
     rows = []
     for piece in pieces:
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
@@ -108,8 +111,8 @@ def _worst(fit: Fit, pieces: Sequence[Piece]) -> tuple[WorstSegment, ...]:
     return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[: fit.criteria.pictures.worst_segments])
 
 
-def _rated_flux(start: Start, fit: Fit) -> float:
-    at = np.array([[0.0, start.current_a], [0.0, 0.0]])
+def _rated_flux(setup: DiagnosisSetup, fit: Fit) -> float:
+    at = np.array([[0.0, setup.current_a], [0.0, 0.0]])
     psi, _ = fit.model.magnetics.flux_and_inductance(at)
     return max(float(np.linalg.norm(psi[0] - psi[1])), 1e-12)
 

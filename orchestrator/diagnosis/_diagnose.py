@@ -14,8 +14,8 @@ from orchestrator._validation import suggestion
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.experiment_design.proposal import next_experiment
-from orchestrator.diagnosis.fitting.baseline import Start, freed_further
-from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Candidate, scaled_library
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAP_RUNGS, SATURATION, Candidate, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.ladder import (
     found_effects,
@@ -76,7 +76,7 @@ class Diagnosis:
     Attributes
     ----------
     report : DiagnosisReport
-    start : Start
+    setup : DiagnosisSetup
     search : Search
         Its steps are the rungs of the ladder.
     library : sequence of Candidate
@@ -84,7 +84,7 @@ class Diagnosis:
     """
 
     report: DiagnosisReport
-    start: Start
+    setup: DiagnosisSetup
     search: Search
     library: Sequence[Candidate]
 
@@ -131,39 +131,39 @@ def diagnose_recording(
     """
     began = time.monotonic()
     _known(without, effects)
-    start = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model))
-    library = scaled_library(effects, start.prepared.manifest, without)
+    setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model))
+    library = scaled_library(effects, setup.prepared.manifest, without)
     if isinstance(model, MotorModel):
         model = reduced(model, without)
-    search = search_effects(start, map_steps(start, model, {c.name: c for c in library}, without), library)
-    search = on_a_finer_map(start, search, library)
-    search, spared = pruned(start, converged(start, search))
-    search, doubtful = without_doubtful(start, search)
+    search = search_effects(setup, map_steps(setup, model, {c.name: c for c in library}, without), library)
+    search = on_a_finer_map(setup, search, library)
+    search, spared = pruned(setup, converged(setup, search))
+    search, doubtful = without_doubtful(setup, search)
     first, last = search.steps[0].fit, search.fit
     limits = last.criteria.selection
     unsteady = "{effect} resembles a part of what is left, but not steadily"
-    remarks = [*start.remarks, *(Remark.of("unsteady", unsteady, effect=n) for n in doubtful)]
+    remarks = [*setup.remarks, *(Remark.of("unsteady", unsteady, effect=n) for n in doubtful)]
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
-    freed = {name: gain for name, gain in evidence.items() if name in MAGNETIC}
-    found = _magnetic_effects(last, freed) + found_effects(start.fitter, last, evidence, search.rivals)
-    periodic = any(not line.switching for line in start.fitter.noise.lines)
+    freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
+    found = _magnetic_effects(last, freed) + found_effects(setup.fitter, last, evidence, search.rivals)
+    periodic = any(not line.switching for line in setup.fitter.noise.lines)
     verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
-    left = _unexplained(start, first.chi2_per_dof, last)
+    left = _unexplained(setup, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     if verdict in ("explained", "mostly_explained") and last.chi2_per_dof > limits.noteworthy_chi2 and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=last.chi2_per_dof, shape=left.shape[0].group))
-    if start.fitter.effort.exhausted:
+    if setup.fitter.effort.exhausted:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
     if last.chi2_per_dof < limits.too_quiet_chi2:
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=last.chi2_per_dof))
-    joint = joint_fit(start.fitter, search, library)
+    joint = joint_fit(setup.fitter, search, library)
     remarks += other_opinion(joint, found, limits)
-    ladder = (*(rung(step) for step in search.steps[:-1]), *_as_kept(start, search.steps[-1:]))
+    ladder = (*(rung(step) for step in search.steps[:-1]), *_as_kept(setup, search.steps[-1:]))
     if on_step is not None:
-        _show(start, search, ladder, on_step)
+        _show(setup, search, ladder, on_step)
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
@@ -173,19 +173,19 @@ def diagnose_recording(
         joint=joint,
         ladder=ladder,
         unexplained=left,
-        next_experiment=_proposal(start, last, library, found, verdict, [*doubtful, *search.traces]),
+        next_experiment=_proposal(setup, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=tuple(remarks),
         seconds=time.monotonic() - began,
-        criteria=start.prepared.criteria.model_dump(mode="json"),
+        criteria=setup.prepared.criteria.model_dump(mode="json"),
     )
     baseline = baseline_of(model)
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
     try:
-        write_model(out or recording.path, kept_model(start, last, baseline, found, ladder))
+        write_model(out or recording.path, kept_model(setup, last, baseline, found, ladder))
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
-    return Diagnosis(report, start, search, library)
+    return Diagnosis(report, setup, search, library)
 
 
 def add_effects(
@@ -208,7 +208,7 @@ def add_effects(
     PluginError
         Where a name is not in the library.
     """
-    _known([n for n in names if n not in MAGNETIC], effects)
+    _known([n for n in names if n not in MAP_RUNGS], effects)
     kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
     return _added(recording, names, effects, kept, model or "saturated", out)
 
@@ -222,29 +222,29 @@ def _added(
     model: ModelChoice,
     out: Path | None,
 ) -> AddReport:
-    start = open_for_diagnosis(recording, pm_flux_wb=flux_of(kept or model))
-    library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
+    setup = open_for_diagnosis(recording, pm_flux_wb=flux_of(kept or model))
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     baseline = kept.baseline if kept is not None else baseline_of(model)
     if kept is None:
-        steps = first_steps(start, model, library)
+        steps = first_steps(setup, model, library)
     else:
-        fit = start.fitter.fit(restored(start, kept, baseline, library))
+        fit = setup.fitter.fit(restored(setup, kept, baseline, library))
         steps = [Step(kept.ladder[-1].added, fit)]
-    remarks = list(start.remarks)
-    for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAGNETIC):
+    remarks = list(setup.remarks)
+    for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS):
         fit = steps[-1].fit
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
-            steps.append(Step(name, with_effect(start.fitter, fit, library[name])))
+            steps.append(Step(name, with_effect(setup.fitter, fit, library[name])))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
-            steps.append(Step(name, with_map_step(start, fit, baseline)))
+            steps.append(Step(name, with_map_step(setup, fit, baseline)))
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
-    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *_as_kept(start, steps))
-    return _keep_refit(recording, start, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *_as_kept(setup, steps))
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
 
 def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *, out: Path | None = None) -> AddReport:
@@ -267,38 +267,38 @@ def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *,
 def _removed(
     recording: Recording, name: str, effects: Sequence[Effect], kept: MotorModel, out: Path | None
 ) -> AddReport:
-    start = open_for_diagnosis(recording, pm_flux_wb=kept.pm_flux_wb)
-    library = {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
+    setup = open_for_diagnosis(recording, pm_flux_wb=kept.pm_flux_wb)
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     at = next(k for k, r in enumerate(kept.ladder) if r.added == name)
     left = [r.added for r in kept.ladder if r.added not in (None, name)]
     steps = []
     # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
     for count in range(at - 1, len(left) + 1):
-        baseline, model = _as_of(start, reduced(kept, [name]), left[:count], library)
+        baseline, model = _as_of(setup, reduced(kept, [name]), left[:count], library)
         if count == 0 and isinstance(baseline, Saturated):
-            steps += first_steps(start, "saturated", library)
+            steps += first_steps(setup, "saturated", library)
         else:
-            steps.append(Step(left[count - 1] if count else None, start.fitter.fit(model)))
-    ladder = (*kept.ladder[: at - 1], *_as_kept(start, steps))
-    return _keep_refit(recording, start, steps[-1].fit, baseline, kept, ladder, start.remarks, out)
+            steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
+    ladder = (*kept.ladder[: at - 1], *_as_kept(setup, steps))
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, setup.remarks, out)
 
 
 def _as_of(
-    start: Start, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, Candidate]
+    setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, Candidate]
 ) -> tuple[Baseline, Model]:
     """The model with no more than these rungs, as free as its map was then."""
     baseline = kept.baseline
     if isinstance(baseline, Nameplate):
         baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
-    model = restored(start, kept, baseline, library)
+    model = restored(setup, kept, baseline, library)
     if isinstance(baseline, Nameplate):
-        model = freed_further(start, model, baseline)
+        model = freed_further(setup, model, baseline)
     return baseline, model.with_active([a for a in model.active if a.name in names])
 
 
 def _keep_refit(
     recording: Recording,
-    start: Start,
+    setup: DiagnosisSetup,
     fit: Fit,
     baseline: Baseline,
     before: MotorModel | None,
@@ -309,31 +309,33 @@ def _keep_refit(
     """The model written to `model.json`, and what there is to say of it; raises `StorageError`."""
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
-    found = found_effects(start.fitter, fit, evidence, twins)
-    write_model(out or recording.path, kept_model(start, fit, baseline, found, ladder))
+    found = found_effects(setup.fitter, fit, evidence, twins)
+    write_model(out or recording.path, kept_model(setup, fit, baseline, found, ladder))
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=_magnetic_effects(fit, dict.fromkeys(freed, 0.0)) + found,
         ladder=tuple(ladder),
-        unexplained=_unexplained(start, ladder[0].chi2 or math.inf, fit),
+        unexplained=_unexplained(setup, ladder[0].chi2 or math.inf, fit),
         remarks=tuple(remarks),
     )
 
 
-def _as_kept(start: Start, steps: Sequence[Step]) -> tuple[Rung, ...]:
+def _as_kept(setup: DiagnosisSetup, steps: Sequence[Step]) -> tuple[Rung, ...]:
     """The rungs of some steps with their models as they would be kept, so that a comparison finds them again."""
-    return tuple(rung(Step(step.added, start.fitter.hold(step.fit.model))) for step in steps)
+    return tuple(rung(Step(step.added, setup.fitter.hold(step.fit.model))) for step in steps)
 
 
-def _show(start: Start, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]) -> None:
+def _show(
+    setup: DiagnosisSetup, search: Search, ladder: Sequence[Rung], on_step: Callable[[DiagnosisStep], None]
+) -> None:
     from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 
     for index, (step, numbers) in enumerate(zip(search.steps, ladder, strict=True)):
-        on_step(diagnosis_step(index, step, start, known=numbers))
+        on_step(diagnosis_step(index, step, setup, known=numbers))
 
 
 def _known(names: Sequence[str], effects: Sequence[Effect]) -> None:
-    have = [e.name for e in effects] + list(MAGNETIC)
+    have = [e.name for e in effects] + list(MAP_RUNGS)
     for name in names:
         if name not in have:
             raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}")
@@ -363,9 +365,9 @@ def _magnetic_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEff
     )
 
 
-def _unexplained(start: Start, first_chi2: float, last: Fit) -> Unexplained:
+def _unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplained:
     detected = last.chi2_per_dof > last.criteria.selection.detected_chi2
-    shape = leftover_shape(start.fitter, last, start.current_a) if detected else []
+    shape = leftover_shape(setup.fitter, last, setup.current_a) if detected else []
     return Unexplained(
         fraction=left_fraction(first_chi2, last),
         shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
@@ -373,7 +375,7 @@ def _unexplained(start: Start, first_chi2: float, last: Fit) -> Unexplained:
 
 
 def _proposal(
-    start: Start,
+    setup: DiagnosisSetup,
     fit: Fit,
     library: Sequence[Candidate],
     found: Sequence[FoundEffect],
@@ -382,7 +384,7 @@ def _proposal(
 ) -> NextExperiment | None:
     for effect in found:
         for twin in effect.twins:
-            return next_experiment(start, fit, library, effect.name, twin)
+            return next_experiment(setup, fit, library, effect.name, twin)
     if verdict == "unknown_remains" and len(suspects) >= 2:
-        return next_experiment(start, fit, library, *suspects[:2])
+        return next_experiment(setup, fit, library, *suspects[:2])
     return None

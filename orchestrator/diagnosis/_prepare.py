@@ -8,11 +8,11 @@ from collections.abc import Callable
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.fit import Effort, Fitter
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
-from orchestrator.diagnosis.weak_form.segments import Prepared, coarse, prepare
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import RecordingReader, Remark
 
@@ -23,7 +23,7 @@ def open_for_diagnosis(
     criteria: Criteria | None = None,
     *,
     pm_flux_wb: float | None = None,
-) -> Start:
+) -> DiagnosisSetup:
     """Read a recording and find its noise; what `poll` raises ends any fit of it.
 
     Parameters
@@ -57,7 +57,7 @@ def open_for_diagnosis(
     flux = (motor.pm_flux_wb or 0.0) if pm_flux_wb is None else pm_flux_wb
     fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll)
     search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
-    return Start(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
+    return DiagnosisSetup(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 
 def _of_noise(noise: SensorNoise, criteria: SelectionCriteria) -> list[Remark]:
@@ -78,7 +78,7 @@ def _of_noise(noise: SensorNoise, criteria: SelectionCriteria) -> list[Remark]:
     return remarks
 
 
-def _rough_inductance(prepared: Prepared) -> float:
+def _rough_inductance(prepared: PreparedRecording) -> float:
     """Flux swing over current swing of the best excited segment, by plain integration."""
     best, ratio = 0.0, 0.01
     for piece in prepared.pieces:

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from orchestrator.diagnosis.criteria import DesignCriteria
-from orchestrator.diagnosis.fitting.baseline import Start
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import Contrast, SegmentStage
@@ -42,20 +42,20 @@ class Bench:
     design: DesignCriteria
 
     @classmethod
-    def of(cls, start: Start) -> Bench:
+    def of(cls, setup: DiagnosisSetup) -> Bench:
         """Of a recording."""
-        prepared, design = start.prepared, start.prepared.criteria.design
+        prepared, design = setup.prepared, setup.prepared.criteria.design
         fs = prepared.manifest.drive.sampling_frequency_hz
         frequency = fs / design.samples_per_period
         # A square wave of this voltage swings the flux by a share of L_d I.
-        volts = 4.0 * frequency * design.injected_flux * start.l_d_h * start.current_a
+        volts = 4.0 * frequency * design.injected_flux * setup.l_d_h * setup.current_a
         for piece in _of(prepared, SegmentStage.INJECTION):
             settings = piece.segment.settings
             if settings.get("frequency_hz") and settings.get("amplitude_v"):
                 frequency, volts = float(settings["frequency_hz"]), float(settings["amplitude_v"])
                 break
         pwm = prepared.manifest.drive.pwm_frequency_hz or fs
-        return cls(start.current_a, pwm, fs, frequency, volts, design)
+        return cls(setup.current_a, pwm, fs, frequency, volts, design)
 
     def holds(self, points: Iterable[tuple[float, float]], **more: Any) -> Stage:
         """Direct currents held at points in parts of the current."""
@@ -92,11 +92,11 @@ class Declared:
     """
 
     text: str
-    holds: Callable[[Prepared], bool]
+    holds: Callable[[PreparedRecording], bool]
     stages: Callable[[Bench], list[Stage]]
 
 
-def holds(prepared: Prepared, contrast: Contrast) -> bool:
+def holds(prepared: PreparedRecording, contrast: Contrast) -> bool:
     """Whether a recording holds a contrast."""
     return CONTRASTS[contrast].holds(prepared)
 
@@ -113,22 +113,22 @@ def tidy(value: float) -> float:
     return float(f"{value:.3g}") + 0.0 if abs(value) > 1e-9 else 0.0
 
 
-def _of(prepared: Prepared, stage: SegmentStage) -> list[Piece]:
+def _of(prepared: PreparedRecording, stage: SegmentStage) -> list[SegmentSignals]:
     return [p for p in prepared.pieces if p.stage is stage]
 
 
-def _currents(prepared: Prepared, stage: SegmentStage) -> Array:
+def _currents(prepared: PreparedRecording, stage: SegmentStage) -> Array:
     """Mean currents of a stage's segments in dq, in parts of the largest current; shape (segments, 2)."""
     means = [to_dq(p.signals.i_ab, p.segment.rotor_angle_rad).mean(axis=0) for p in _of(prepared, stage)]
     low, high, q = prepared.current_range
     return np.reshape(means, (-1, 2)) / max(-low, high, q)
 
 
-def _gates_off(prepared: Prepared) -> bool:
+def _gates_off(prepared: PreparedRecording) -> bool:
     return bool(_of(prepared, SegmentStage.GATES_OFF))
 
 
-def _small_currents(prepared: Prepared) -> bool:
+def _small_currents(prepared: PreparedRecording) -> bool:
     shares = prepared.criteria.design.small_currents
     sizes = np.hypot(*_currents(prepared, SegmentStage.RESISTANCE).T)
     return int(np.sum(sizes < 1.5 * max(shares))) >= len(shares)
@@ -138,7 +138,7 @@ def _small_holds(bench: Bench) -> list[Stage]:
     return [bench.holds((side * share, 0.0) for share in bench.design.small_currents for side in (1, -1))]
 
 
-def _two_pwm_frequencies(prepared: Prepared) -> bool:
+def _two_pwm_frequencies(prepared: PreparedRecording) -> bool:
     return len({p.signals.pwm_frequency_hz for p in _of(prepared, SegmentStage.RESISTANCE)}) > 1
 
 
@@ -147,7 +147,7 @@ def _pwm_holds(bench: Bench) -> list[Stage]:
     return [bench.holds(points, pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])]
 
 
-def _all_around(prepared: Prepared) -> bool:
+def _all_around(prepared: PreparedRecording) -> bool:
     d, q = _currents(prepared, SegmentStage.RESISTANCE).T
     step = 2.0 * math.pi / prepared.criteria.design.directions
     held = {round(float(angle / step)) for angle in np.arctan2(q, d)[np.hypot(d, q) > 0.5]}
@@ -160,11 +160,11 @@ def _ring(bench: Bench) -> list[Stage]:
     return [bench.holds((math.cos(angle), math.sin(angle)) for angle in angles)]
 
 
-def _seconds(piece: Piece) -> float:
+def _seconds(piece: SegmentSignals) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _measured_again(prepared: Prepared) -> bool:
+def _measured_again(prepared: PreparedRecording) -> bool:
     end = prepared.pieces[-1].signals.start_s
     for stage in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
         pieces, currents = _of(prepared, stage), _currents(prepared, stage)
@@ -175,18 +175,18 @@ def _measured_again(prepared: Prepared) -> bool:
     return False
 
 
-def _long_hold(prepared: Prepared) -> bool:
+def _long_hold(prepared: PreparedRecording) -> bool:
     pieces, currents = _of(prepared, SegmentStage.RESISTANCE), _currents(prepared, SegmentStage.RESISTANCE)
     longest = prepared.criteria.design.long_hold_s
     return any(_seconds(p) > 0.5 * longest and np.hypot(*i) > 0.5 for p, i in zip(pieces, currents, strict=True))
 
 
-def _two_amplitudes(prepared: Prepared) -> bool:
+def _two_amplitudes(prepared: PreparedRecording) -> bool:
     swings = [float(np.linalg.norm(np.std(p.signals.v_ab, axis=0))) for p in _of(prepared, SegmentStage.INJECTION)]
     return bool(swings) and max(swings) > prepared.criteria.selection.amplitudes_apart * min(swings)
 
 
-def _two_ripple_frequencies(prepared: Prepared) -> bool:
+def _two_ripple_frequencies(prepared: PreparedRecording) -> bool:
     ripples = _of(prepared, SegmentStage.INJECTION)
     return len({round(p.windows.period / p.signals.sampling_frequency_hz, 6) for p in ripples}) > 1
 
@@ -197,12 +197,12 @@ def _other_frequencies(bench: Bench) -> list[Stage]:
     return [bench.injections(_FEW, 0.5, 0.5), *([bench.injections(_FEW, 2.0, 1.0)] if faster else [])]
 
 
-def _along_both_axes(prepared: Prepared) -> bool:
+def _along_both_axes(prepared: PreparedRecording) -> bool:
     currents = _currents(prepared, SegmentStage.INJECTION)
     return len(currents) > 0 and bool((np.ptp(currents, axis=0) > 0.5).all())
 
 
-def _two_angles(prepared: Prepared) -> bool:
+def _two_angles(prepared: PreparedRecording) -> bool:
     return len({round(p.segment.rotor_angle_rad, 3) for p in prepared.pieces}) > 1
 
 

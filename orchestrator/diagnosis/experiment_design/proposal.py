@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS, Bench, Stage, holds, minutes
 from orchestrator.diagnosis.experiment_design.separation import rivals, separation
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import linear_view, score
@@ -21,13 +21,13 @@ from protocols import NextExperiment
 
 
 def next_experiment(
-    start: Start, fit: Fit, library: Sequence[Candidate], first: str, second: str
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate], first: str, second: str
 ) -> NextExperiment | None:
     """The experiment for a pair of effects; None where no stage of a procedure can part them.
 
     Parameters
     ----------
-    start : Start
+    setup : DiagnosisSetup
     fit : Fit
         The model, with the first effect in it or not.
     library : sequence of Candidate
@@ -36,40 +36,40 @@ def next_experiment(
         Names of the effects.
     """
     named = {candidate.name: candidate for candidate in library}
-    active = next((a for a in fit.model.active if a.name == first), None) or _suspected(start, fit, named[first])
-    stage = _predicted(start, fit, active, named[second]) or _needed(start, named[first], named[second])
+    active = next((a for a in fit.model.active if a.name == first), None) or _suspected(setup, fit, named[first])
+    stage = _predicted(setup, fit, active, named[second]) or _needed(setup, named[first], named[second])
     if stage is None:
         return None
     return NextExperiment(stage=stage, separates=(first, second), minutes=round(minutes(stage), 2))
 
 
-def catalogue(start: Start) -> list[Stage]:
+def catalogue(setup: DiagnosisSetup) -> list[Stage]:
     """What can be measured on any drive that has measured the recording, cheap stages first."""
-    bench = Bench.of(start)
+    bench = Bench.of(setup)
     return [stage for contrast in CONTRASTS.values() for stage in contrast.stages(bench)]
 
 
-def _suspected(start: Start, fit: Fit, candidate: Candidate) -> Active:
+def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
     """An effect that is not in the model, as large as it would be there to first order."""
     active = candidate.absent()
-    estimate = score(linear_view(start.fitter, fit, [candidate]))[0]
+    estimate = score(linear_view(setup.fitter, fit, [candidate]))[0]
     for name, x in zip(candidate.amplitudes, estimate.coordinates, strict=True):
         active = active.moved(name, float(x))
     return active
 
 
-def _predicted(start: Start, fit: Fit, first: Active, second: Candidate) -> Stage | None:
+def _predicted(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Stage | None:
     """The stage of most separation a minute; None where none is predicted to be worth it."""
-    pair = rivals(start, fit.model, first, second)
+    pair = rivals(setup, fit.model, first, second)
     if pair is None:
         return None
-    gains = [(separation(start, pair, stage), stage) for stage in catalogue(start)]
-    least = start.prepared.criteria.design.least_separation
+    gains = [(separation(setup, pair, stage), stage) for stage in catalogue(setup)]
+    least = setup.prepared.criteria.design.least_separation
     worth = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > least]
     return max(worth, key=lambda item: item[0])[1] if worth else None
 
 
-def _needed(start: Start, first: Candidate, second: Candidate) -> Stage | None:
+def _needed(setup: DiagnosisSetup, first: Candidate, second: Candidate) -> Stage | None:
     """The first stage of what both effects need and the recording lacks."""
-    lacking = [c for c in parted_by(first.effect, second.effect) if not holds(start.prepared, c)]
-    return next((stage for contrast in lacking for stage in CONTRASTS[contrast].stages(Bench.of(start))), None)
+    lacking = [c for c in parted_by(first.effect, second.effect) if not holds(setup.prepared, c)]
+    return next((stage for contrast in lacking for stage in CONTRASTS[contrast].stages(Bench.of(setup))), None)

@@ -18,11 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Model
-from orchestrator.diagnosis.weak_form.segments import Piece, windows_of
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
 from protocols import LossHistory, ParameterRole, Segment, SegmentStage, Signals
@@ -50,7 +50,7 @@ class Rivals:
     known: Array
 
 
-def rivals(start: Start, model: Model, first: Active, second: Candidate) -> Rivals | None:
+def rivals(setup: DiagnosisSetup, model: Model, first: Active, second: Candidate) -> Rivals | None:
     """Two effects made comparable, the first as it is given; None where the second cannot imitate it.
 
     In the model the first may be, but the second is not to be.
@@ -61,12 +61,12 @@ def rivals(start: Start, model: Model, first: Active, second: Candidate) -> Riva
     absent = Active(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
     coordinates = np.array([first.coordinate(n) for n in first.candidate.amplitudes])
     others = model.with_active([a for a in model.active if a.name != first.name])
-    fitter = _part_of(start)
+    fitter = _part_of(setup)
     trial = Rivals(others, absent, coordinates, np.zeros((0, 0)))
     rival = second.absent()
     normal = _normal(fitter, trial, fitter.prepared.pieces, [(rival, n) for n in second.amplitudes])
-    found = _imitation(normal, len(coordinates), len(second.amplitudes), coordinates)
-    for name, x in zip(second.amplitudes, found, strict=True):
+    amplitudes = _imitation(normal, len(coordinates), len(second.amplitudes), coordinates)
+    for name, x in zip(second.amplitudes, amplitudes, strict=True):
         rival = rival.moved(name, float(x))
     if rival.is_absent:
         return None
@@ -75,26 +75,26 @@ def rivals(start: Start, model: Model, first: Active, second: Candidate) -> Riva
     return replace(both, known=_normal(fitter, both, fitter.prepared.pieces))
 
 
-def separation(start: Start, pair: Rivals, stage: dict[str, Any]) -> float:
+def separation(setup: DiagnosisSetup, pair: Rivals, stage: dict[str, Any]) -> float:
     """By how much chi2 between the two grows when the stage is measured."""
-    fitter = replace(start.fitter, threads=1)
+    fitter = replace(setup.fitter, threads=1)
     more = np.zeros_like(pair.known)
-    for piece, weight in planned_pieces(start, pair.model, stage):
+    for piece, weight in planned_pieces(setup, pair.model, stage):
         more += weight * _normal(fitter, pair, [piece], with_prior=False)
     return _left(pair.known + more, pair.coordinates) - _left(pair.known, pair.coordinates)
 
 
-def _part_of(start: Start) -> Fitter:
-    pieces = start.coarse.prepared.pieces
-    stride = max(1, math.ceil(len(pieces) / start.prepared.criteria.design.most_segments))
-    prepared = replace(start.coarse.prepared, pieces=pieces[::stride])
-    return replace(start.coarse, prepared=prepared, threads=1)
+def _part_of(setup: DiagnosisSetup) -> Fitter:
+    pieces = setup.coarse_fitter.prepared.pieces
+    stride = max(1, math.ceil(len(pieces) / setup.prepared.criteria.design.most_segments))
+    prepared = replace(setup.coarse_fitter.prepared, pieces=pieces[::stride])
+    return replace(setup.coarse_fitter, prepared=prepared, threads=1)
 
 
 def _normal(
     fitter: Fitter,
     pair: Rivals,
-    pieces: Sequence[Piece],
+    pieces: Sequence[SegmentSignals],
     more: Sequence[tuple[Active, str]] = (),
     *,
     with_prior: bool = True,
@@ -103,13 +103,13 @@ def _normal(
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
     # Planned segments have no ids of their own: what a fitter remembers of one must not serve the next.
-    here = replace(fitter, prepared=replace(fitter.prepared, pieces=tuple(pieces)), _raw_basis={})
-    frame = here.frame(model)
+    on_these = replace(fitter, prepared=replace(fitter.prepared, pieces=tuple(pieces)), _raw_basis={})
+    frame = on_these.frame(model)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
-    for piece, kept in zip(pieces, frame.pieces, strict=True):
-        white = here._piece_rows(model, piece, kept, wanted).white
-        rows = np.column_stack([white[:, 1], kept.white_basis, white[:, 2:]])
+    for piece, segment_frame in zip(pieces, frame.pieces, strict=True):
+        white = on_these.segment_rows(model, piece, segment_frame, wanted).white
+        rows = np.column_stack([white[:, 1], segment_frame.white_basis, white[:, 2:]])
         total += rows.T @ rows
     if with_prior:
         total[1:width, 1:width] += space.prior.T @ space.prior
@@ -118,42 +118,42 @@ def _normal(
     return total
 
 
-def _imitation(normal: Array, own: int, rival: int, coordinates: Array) -> Array:
+def _imitation(normal: Array, imitated: int, rival: int, coordinates: Array) -> Array:
     """The rival's amplitudes that come nearest to the first effect."""
-    inner, across = normal[:-own, :-own], normal[:-own, -own:]
+    inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
     return np.asarray(np.linalg.solve(inner, across @ coordinates)[-rival:])
 
 
 def _left(normal: Array, coordinates: Array) -> float:
-    own = len(coordinates)
-    inner, across = normal[:-own, :-own], normal[:-own, -own:]
-    rest = normal[-own:, -own:] - across.T @ np.linalg.solve(inner, across)
+    imitated = len(coordinates)
+    inner, across = normal[:-imitated, :-imitated], normal[:-imitated, -imitated:]
+    rest = normal[-imitated:, -imitated:] - across.T @ np.linalg.solve(inner, across)
     return float(coordinates @ rest @ coordinates)
 
 
-def planned_pieces(start: Start, model: Model, stage: dict[str, Any]) -> list[tuple[Piece, float]]:
+def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -> list[tuple[SegmentSignals, float]]:
     """The segments that a stage would make, and how often each stands for its like."""
     kind, lasting = SegmentStage(stage["kind"]), float(stage["duration_s"])
-    fs, design = start.prepared.manifest.drive.sampling_frequency_hz, start.prepared.criteria.design
+    fs, design = setup.prepared.manifest.drive.sampling_frequency_hz, setup.prepared.criteria.design
     still = np.zeros((round(design.planned_hold_s * fs), 2))
     if kind is SegmentStage.GATES_OFF:
-        return [(_piece(start, model, kind, {}, still, still, lasting), lasting / design.planned_hold_s)]
-    found = []
+        return [(_piece(setup, model, kind, {}, still, still, lasting), lasting / design.planned_hold_s)]
+    planned = []
     for point in stage["points_a"]:
         i_dq = np.array(point, dtype=np.float64)
         if kind is SegmentStage.RESISTANCE:
             current = still + i_dq
             for pwm in stage.get("pwm_frequencies_hz") or (None,):
                 settings = {} if pwm is None else {"pwm_frequency_hz": pwm}
-                piece = _piece(start, model, kind, settings, current, model.r_s * current, lasting)
-                found.append((piece, lasting / design.planned_hold_s))
+                piece = _piece(setup, model, kind, settings, current, model.r_s * current, lasting)
+                planned.append((piece, lasting / design.planned_hold_s))
         else:
             f, turn_s = stage["frequency_hz"], design.planned_turn_s
             for volts in stage["amplitudes_v"]:
                 current, voltage = _ripple(model, i_dq, fs, f, volts, turn_s)
                 settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
-                found.append((_piece(start, model, kind, settings, current, voltage, lasting), lasting / turn_s))
-    return found
+                planned.append((_piece(setup, model, kind, settings, current, voltage, lasting), lasting / turn_s))
+    return planned
 
 
 def _ripple(
@@ -177,19 +177,19 @@ def _ripple(
 
 
 def _piece(
-    start: Start,
+    setup: DiagnosisSetup,
     model: Model,
     kind: SegmentStage,
     settings: dict[str, Any],
     current: Array,
     voltage: Array,
     lasting_s: float,
-) -> Piece:
+) -> SegmentSignals:
     """A segment after the last one of the recording, in the frame of that one, as it is in the middle of its time."""
-    last = start.prepared.pieces[-1]
+    last = setup.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
-    n, fs = len(current), start.prepared.manifest.drive.sampling_frequency_hz
-    own_pwm = start.prepared.manifest.drive.pwm_frequency_hz or fs
+    n, fs = len(current), setup.prepared.manifest.drive.sampling_frequency_hz
+    own_pwm = setup.prepared.manifest.drive.pwm_frequency_hz or fs
     i_ab = to_ab(current, angle)
     v_ab = to_ab(voltage, angle)
     end = s.start_s + len(s.v_dc) / s.sampling_frequency_hz + 1.0
@@ -214,7 +214,7 @@ def _piece(
         drive=s.drive,
         bridge_on=kind is not SegmentStage.GATES_OFF,
     )
-    windows = windows_of(segment, fs, i_ab, v_ab, start.prepared.criteria.weak_form)
+    windows = windows_of(segment, fs, i_ab, v_ab, setup.prepared.criteria.weak_form)
     assert windows is not None
     return replace(
         last, segment=segment, held_out=False, signals=signals, windows=windows, averaged=1, before_ab=i_ab[0]

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, smoothness_prior
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -21,12 +21,12 @@ from protocols import Baseline, FluxMap, GivenMap, Nameplate, NotMeasuredError, 
 
 
 @dataclass(frozen=True)
-class Start:
+class DiagnosisSetup:
     """A recording ready to be diagnosed."""
 
-    prepared: Prepared
+    prepared: PreparedRecording
     fitter: Fitter
-    coarse: Fitter
+    coarse_fitter: Fitter
     """A part of the recording, to search in."""
     l_d_h: float
     l_q_h: float
@@ -39,7 +39,7 @@ class Start:
         return self.prepared.criteria.fitting
 
 
-def map_space(start: Start, baseline: Baseline, grid: EvenSpline, coefficients: Array) -> MapSpace:
+def map_space(setup: DiagnosisSetup, baseline: Baseline, grid: EvenSpline, coefficients: Array) -> MapSpace:
     """The maps in which a fit from this baseline may look.
 
     Parameters
@@ -50,69 +50,69 @@ def map_space(start: Start, baseline: Baseline, grid: EvenSpline, coefficients: 
     if isinstance(baseline, GivenMap):
         return _held(grid, coefficients)
     if isinstance(baseline, Saturated) or CROSS_SATURATION in baseline.freed:
-        return _free(start, grid)
-    return _separable(start, grid) if SATURATION in baseline.freed else _linear(start, grid)
+        return _free(setup, grid)
+    return _separable(setup, grid) if SATURATION in baseline.freed else _linear(setup, grid)
 
 
 def _held(grid: EvenSpline, coefficients: Array) -> MapSpace:
     return MapSpace(grid, coefficients, np.zeros((grid.size, 0)), np.zeros((0, 0)))
 
 
-def _linear(start: Start, grid: EvenSpline) -> MapSpace:
+def _linear(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
     """Constant inductances: the nameplate's, or free ones where it has none."""
-    motor = start.prepared.manifest.motor
+    motor = setup.prepared.manifest.motor
     if motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        return _held(grid, linear_magnetics(grid, start.l_d_h, start.l_q_h).coefficients)
+        return _held(grid, linear_magnetics(grid, setup.l_d_h, setup.l_q_h).coefficients)
     d, q = linear_magnetics(grid, 1.0, 0.0).coefficients, linear_magnetics(grid, 0.0, 1.0).coefficients
     return MapSpace(grid, np.zeros(grid.size), np.stack([d, q], axis=1), np.zeros((1, 2)))
 
 
-def _separable(start: Start, grid: EvenSpline) -> MapSpace:
+def _separable(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
     """W(i) = f(i_d) + g(i_q): inductances that vary with their own axis's current."""
     nd, nq = grid.functions
     directions = np.concatenate([np.kron(np.eye(nd), np.ones((nq, 1))), np.kron(np.ones((nd, 1)), np.eye(nq))], axis=1)
     # The constant is in both; the prior decides.
-    prior = np.concatenate([_free(start, grid).prior @ directions, 1e-6 * np.eye(nd + nq)])
+    prior = np.concatenate([_free(setup, grid).prior @ directions, 1e-6 * np.eye(nd + nq)])
     return MapSpace(grid, np.zeros(grid.size), directions, prior)
 
 
-def _free(start: Start, grid: EvenSpline) -> MapSpace:
-    prior = smoothness_prior(grid, math.sqrt(start.l_d_h * start.l_q_h), start.current_a, start.criteria.roughness)
+def _free(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
+    prior = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, setup.criteria.roughness)
     return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
 
 
-def baseline_model(start: Start, baseline: Nameplate | Saturated) -> Model:
+def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:
     """Where a fit from this baseline starts: the nameplate's inductances on the coarsest grid."""
-    grid = _grid(start, start.criteria.intervals[0])
-    linear = linear_magnetics(grid, start.l_d_h, start.l_q_h)
-    return Model(map_space(start, baseline, grid, linear.coefficients), linear, _resistance(start))
+    grid = _grid(setup, setup.criteria.intervals[0])
+    linear = linear_magnetics(grid, setup.l_d_h, setup.l_q_h)
+    return Model(map_space(setup, baseline, grid, linear.coefficients), linear, _resistance(setup))
 
 
-def freed_further(start: Start, model: Model, baseline: Nameplate) -> Model:
+def freed_further(setup: DiagnosisSetup, model: Model, baseline: Nameplate) -> Model:
     """The same R_s and effects, with the map as free as this baseline says."""
-    bare = baseline_model(start, baseline)
+    bare = baseline_model(setup, baseline)
     return replace(bare, r_s=model.r_s, active=model.active)
 
 
-def given_model(start: Start, flux_map: FluxMap) -> Model:
+def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
     """A user's own map, kept as it is: splines through its flux and inductances."""
-    grid = _grid(start, start.criteria.intervals[-1])
+    grid = _grid(setup, setup.criteria.intervals[-1])
     i_d, i_q = np.meshgrid(np.asarray(flux_map.i_d, float), np.asarray(flux_map.i_q, float), indexing="ij")
-    here = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
+    i_dq = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
     psi = np.stack([np.asarray(flux_map.psi_d, float).ravel(), np.asarray(flux_map.psi_q, float).ravel()], axis=1)
-    psi = psi - np.array([start.fitter.pm_flux_wb, 0.0])
-    good = np.isfinite(psi).all(axis=1) & (np.abs(here[:, 1]) <= grid.reach)
-    good &= (here[:, 0] >= grid.low) & (here[:, 0] <= grid.high)
+    psi = psi - np.array([setup.fitter.pm_flux_wb, 0.0])
+    good = np.isfinite(psi).all(axis=1) & (np.abs(i_dq[:, 1]) <= grid.reach)
+    good &= (i_dq[:, 0] >= grid.low) & (i_dq[:, 0] <= grid.high)
     if good.sum() < 4:
         raise NotMeasuredError(flux_map.method, "psi_d, psi_q", "the map does not cover the recording's currents")
-    rows = _flux_rows(grid, here[good])
-    inductance_h = math.sqrt(start.l_d_h * start.l_q_h)
-    prior = 1e-3 * smoothness_prior(grid, inductance_h, start.current_a, start.criteria.roughness)
-    scale = 1.0 / (start.criteria.given_map_error * inductance_h * start.current_a)
+    rows = _flux_rows(grid, i_dq[good])
+    inductance_h = math.sqrt(setup.l_d_h * setup.l_q_h)
+    prior = 1e-3 * smoothness_prior(grid, inductance_h, setup.current_a, setup.criteria.roughness)
+    scale = 1.0 / (setup.criteria.given_map_error * inductance_h * setup.current_a)
     design = np.concatenate([rows * scale, prior])
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
-    return Model(_held(grid, coefficients), Magnetics(grid, coefficients), _resistance(start))
+    return Model(_held(grid, coefficients), Magnetics(grid, coefficients), _resistance(setup))
 
 
 def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
@@ -124,19 +124,23 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
     return np.stack(columns, axis=1)
 
 
-def fitted_baseline(start: Start) -> Fit:
+def fitted_baseline(setup: DiagnosisSetup) -> Fit:
     """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
-    part = with_detail(start, start.coarse, start.coarse.fit(baseline_model(start, Saturated()), renewals=1))
-    fit = start.fitter.fit(part.model, renewals=0)
+    part = with_detail(
+        setup,
+        setup.coarse_fitter,
+        setup.coarse_fitter.fit(baseline_model(setup, Saturated()), renewals=1),
+    )
+    fit = setup.fitter.fit(part.model, renewals=0)
     # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
-    worth_it = start.criteria.finer_above_chi2 < fit.chi2_per_dof < start.criteria.finer_below_chi2
-    return with_detail(start, start.fitter, fit) if worth_it else fit
+    worth_it = setup.criteria.finer_above_chi2 < fit.chi2_per_dof < setup.criteria.finer_below_chi2
+    return with_detail(setup, setup.fitter, fit) if worth_it else fit
 
 
-def with_detail(start: Start, fitter: Fitter, fit: Fit) -> Fit:
+def with_detail(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on finer and finer maps, as long as each is worth its freedom."""
-    for intervals in start.criteria.intervals[1:]:
-        finer = finer_map(start, fitter, fit, intervals)
+    for intervals in setup.criteria.intervals[1:]:
+        finer = finer_map(setup, fitter, fit, intervals)
         if finer is None:
             if intervals > fit.model.space.grid.cells[0]:
                 break
@@ -145,31 +149,31 @@ def with_detail(start: Start, fitter: Fitter, fit: Fit) -> Fit:
     return fit
 
 
-def finer_map(start: Start, fitter: Fitter, fit: Fit, intervals: int) -> Fit | None:
+def finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, intervals: int) -> Fit | None:
     """The same model on a finer map, where that is worth its freedom; None where it is not."""
     if intervals <= fit.model.space.grid.cells[0]:
         return None
-    space = _free(start, _grid(start, intervals))
+    space = _free(setup, _grid(setup, intervals))
     model = replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
     trial = fitter.fit(model, steps=2, renewals=0)
     freed = fit.dof - trial.dof
     gain = fit.objective - trial.objective
-    asked = start.criteria.finer_gain_per_freedom * max(freed, 1.0) + start.criteria.finer_gain
+    asked = setup.criteria.finer_gain_per_freedom * max(freed, 1.0) + setup.criteria.finer_gain
     return trial if gain > asked * max(trial.chi2_per_dof, 1.0) else None
 
 
-def _grid(start: Start, intervals: int) -> EvenSpline:
-    low, high, q = start.prepared.current_range
-    least = start.criteria.least_range * max(-low, high, q)
+def _grid(setup: DiagnosisSetup, intervals: int) -> EvenSpline:
+    low, high, q = setup.prepared.current_range
+    least = setup.criteria.least_range * max(-low, high, q)
     return EvenSpline(min(low, -least), max(high, least), max(q, least), (intervals, intervals))
 
 
-def _resistance(start: Start) -> float:
-    nominal = start.prepared.manifest.motor.stator_resistance_ohm
-    return nominal if nominal is not None else _mean_resistance(start.prepared.pieces)
+def _resistance(setup: DiagnosisSetup) -> float:
+    nominal = setup.prepared.manifest.motor.stator_resistance_ohm
+    return nominal if nominal is not None else _mean_resistance(setup.prepared.pieces)
 
 
-def _mean_resistance(pieces: Sequence[Piece]) -> float:
+def _mean_resistance(pieces: Sequence[SegmentSignals]) -> float:
     drop, square = 0.0, 1e-12
     for piece in pieces:
         if piece.stage is SegmentStage.RESISTANCE:

@@ -12,7 +12,7 @@ from protocols import Effect, EffectParameter, EffectParameters, Manifest, Param
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
-MAGNETIC = (SATURATION, CROSS_SATURATION)
+MAP_RUNGS = (SATURATION, CROSS_SATURATION)
 """Rungs of the ladder that are no plugins: they free the map itself."""
 
 

@@ -20,7 +20,7 @@ from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate, typical_coordinate
 from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
 from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, PieceFrame, PieceRows
+from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, SegmentFrame, SegmentRows
 from orchestrator.diagnosis.weak_form.equations import (
     LocalMap,
     basis,
@@ -32,7 +32,7 @@ from orchestrator.diagnosis.weak_form.equations import (
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -60,7 +60,7 @@ class Fitter:
 
     Attributes
     ----------
-    prepared : Prepared
+    prepared : PreparedRecording
     noise : SensorNoise
     pm_flux_wb : float
     effort : Effort
@@ -69,7 +69,7 @@ class Fitter:
         Called before each evaluation; what it raises ends the fit.
     """
 
-    prepared: Prepared
+    prepared: PreparedRecording
     noise: SensorNoise
     pm_flux_wb: float
     threads: int = 2
@@ -155,14 +155,14 @@ class Fitter:
             old = None
         before = old.pieces if old is not None else (None,) * len(self.prepared.pieces)
         jobs = list(zip(self.prepared.pieces, before, strict=True))
-        pieces = tuple(self._map(lambda job: self._piece_frame(model, *job), jobs))
+        pieces = tuple(self._map(lambda job: self._segment_frame(model, *job), jobs))
         if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
             return Frame(model.space, pieces, old.gram)
         free = model.space.directions.shape[1]
         gram = np.zeros((free, free))
-        for piece, kept in zip(self.prepared.pieces, pieces, strict=True):
+        for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
             if not piece.held_out:
-                gram += kept.white_basis.T @ kept.white_basis
+                gram += segment_frame.white_basis.T @ segment_frame.white_basis
         return Frame(model.space, pieces, gram)
 
     def evaluate(
@@ -177,7 +177,7 @@ class Fitter:
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * (len(wanted) + self.criteria.evaluation_columns)
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
-        rows = self._map(lambda job: self._piece_rows(model, job[0], job[1], wanted), jobs)
+        rows = self._map(lambda job: self.segment_rows(model, job[0], job[1], wanted), jobs)
         return self._solve(model, frame, rows, held)
 
     def hold(self, model: Model) -> Fit:
@@ -193,7 +193,7 @@ class Fitter:
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, jobs))
 
-    def _piece_frame(self, model: Model, piece: Piece, old: PieceFrame | None) -> PieceFrame:
+    def _segment_frame(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> SegmentFrame:
         s = piece.signals
         scale = model.r_s / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
         losses = s.losses and s.losses.model_copy(update={"power_w": s.losses.power_w * scale})
@@ -204,8 +204,8 @@ class Fitter:
         base = base.model_copy(update=flux)
         corrected = apply_effects(base, model.active)
         same = not corrected.changed & {"i_m_ab", "theta_rad"}
-        here = seen if same else local_map(piece, corrected.signals, model.magnetics)
-        mean = here.inductance.mean(axis=0)
+        local = seen if same else local_map(piece, corrected.signals, model.magnetics)
+        mean = local.inductance.mean(axis=0)
         slopes = self._slopes(piece, base, model)
         alike = old is not None and not old.shaped_noise and slopes is None
         bearable = self.criteria.same_inductance * float(mean[[0, 2]].min())
@@ -213,29 +213,29 @@ class Fitter:
             whitener, mean = old.whitener, old.mean_inductance
         else:
             factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
-            whitener = Whitener(banded_covariance(piece, here, factor, self.noise, model.r_s, slopes))
-        raw = self._untouched_basis(piece, here, model) if same else basis(piece, here, model.magnetics)
+            whitener = Whitener(banded_covariance(piece, local, factor, self.noise, model.r_s, slopes))
+        raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
             white = old.white_basis
         else:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
-        return PieceFrame(base, here, whitener, raw, white, mean, slopes is not None)
+        return SegmentFrame(base, local, whitener, raw, white, mean, slopes is not None)
 
-    def _untouched_basis(self, piece: Piece, here: LocalMap, model: Model) -> Array:
+    def _untouched_basis(self, piece: SegmentSignals, local: LocalMap, model: Model) -> Array:
         known = self._raw_basis.get(piece.segment.id)
         if known is None or known[0] != model.space.grid:
-            known = (model.space.grid, basis(piece, here, model.magnetics))
+            known = (model.space.grid, basis(piece, local, model.magnetics))
             self._raw_basis[piece.segment.id] = known
         return known[1]
 
-    def _flux(self, piece: Piece, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
+    def _flux(self, piece: SegmentSignals, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
         """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from."""
         outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
         inner = apply_effects(base, outer).signals
-        here = local_map(piece, inner, model.magnetics)
+        local = local_map(piece, inner, model.magnetics)
         psi_ab, smooth, i_smooth = smooth_flux(
-            here.psi,
-            here.inductance,
+            local.psi,
+            local.inductance,
             np.ascontiguousarray(inner.v_ab),
             np.ascontiguousarray(inner.i_ab),
             np.ascontiguousarray(inner.resistance_ohm),
@@ -244,9 +244,9 @@ class Fitter:
             1.0 / base.sampling_frequency_hz,
             self.prepared.criteria.weak_form.observer_time_constant_s,
         )
-        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, here
+        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, local
 
-    def _slopes(self, piece: Piece, base: Signals, model: Model) -> Slopes | None:
+    def _slopes(self, piece: SegmentSignals, base: Signals, model: Model) -> Slopes | None:
         """How the inverter's effects multiply current noise, by shifting the measured current by its noise."""
         inverter = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER]
         if not inverter or not base.bridge_on:
@@ -264,33 +264,33 @@ class Fitter:
             voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])
         return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ voltage @ turn.T))
 
-    def _piece_rows(
-        self, model: Model, piece: Piece, kept: PieceFrame, parameters: Sequence[tuple[Active, str]]
-    ) -> PieceRows:
-        base, ordered = kept.base, sorted(model.active, key=lambda a: a.candidate.effect.layer)
+    def segment_rows(
+        self, model: Model, piece: SegmentSignals, segment_frame: SegmentFrame, parameters: Sequence[tuple[Active, str]]
+    ) -> SegmentRows:
+        base, ordered = segment_frame.base, sorted(model.active, key=lambda a: a.candidate.effect.layer)
         chain = [Corrected(base)]
         for active in ordered:
             chain.append(apply_effects(chain[-1].signals, [active]))
         corrected = chain[-1].signals
-        here = local_map(piece, corrected, model.magnetics)
+        local = local_map(piece, corrected, model.magnetics)
         known, resistance = voltage_and_resistance(
             piece,
             corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / base.resistance_ohm[0]}),
-            here,
+            local,
             self.pm_flux_wb,
         )
-        known = known + flux_terms(piece, here)
-        sums = [self._column(piece, chain, ordered, here, a, n) for a, n in parameters]
+        known = known + flux_terms(piece, local)
+        sums = [self._column(piece, chain, ordered, local, a, n) for a, n in parameters]
         columns = [piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
-        white = kept.whitener(np.column_stack([known, resistance, *columns]))
-        return PieceRows(known, resistance, white)
+        white = segment_frame.whitener(np.column_stack([known, resistance, *columns]))
+        return SegmentRows(known, resistance, white)
 
     def _column(
         self,
-        piece: Piece,
+        piece: SegmentSignals,
         chain: Sequence[Corrected],
         ordered: Sequence[Active],
-        here: LocalMap,
+        local: LocalMap,
         active: Active,
         name: str,
     ) -> Array:
@@ -317,42 +317,42 @@ class Fitter:
             inner = ordered[at + 1 :]
         other = apply_effects(chain[at].signals, [active.moved(name, x + step), *inner])
         changed = other.changed.union(*(c.changed for c in chain[at + 1 :]))
-        return difference(piece, chain[-1].signals, other.signals, changed, here, self.pm_flux_wb) / step
+        return difference(piece, chain[-1].signals, other.signals, changed, local, self.pm_flux_wb) / step
 
-    def _solve(self, model: Model, frame: Frame, rows: Sequence[PieceRows], held: bool) -> Fit:
+    def _solve(self, model: Model, frame: Frame, rows: Sequence[SegmentRows], held: bool) -> Fit:
         space, pieces = model.space, self.prepared.pieces
         width = 1 + space.directions.shape[1]
         normal, right = np.zeros((width, width)), np.zeros(width)
         normal[1:, 1:] = frame.gram
-        for piece, kept, row in zip(pieces, frame.pieces, rows, strict=True):
+        for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
             if piece.held_out:
                 continue
             e, r = row.white[:, 0], row.white[:, 1]
             normal[0, 0] += r @ r
-            normal[0, 1:] += r @ kept.white_basis
+            normal[0, 1:] += r @ segment_frame.white_basis
             right[0] += r @ e
-            right[1:] += kept.white_basis.T @ e
+            right[1:] += segment_frame.white_basis.T @ e
         normal[1:, 0] = normal[0, 1:]
         total = normal.copy()
         total[1:, 1:] += space.prior.T @ space.prior
         # Equations are written around the model's own coefficients; the prior is around the space's origin.
-        start = _free_numbers(space, model.magnetics.coefficients)
-        right[1:] += space.prior.T @ (space.prior @ start)
+        free_numbers = _free_numbers(space, model.magnetics.coefficients)
+        right[1:] += space.prior.T @ (space.prior @ free_numbers)
         solution = np.append(model.r_s, np.zeros(width - 1)) if held else -np.linalg.solve(total, right)
         effective = float(np.trace(np.linalg.solve(total, normal)))
         r_s, change = float(solution[0]), solution[1:]
         moved = space.directions @ change
         fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, model.magnetics.coefficients + moved))
         residual, volts = [], []
-        for piece, kept, row in zip(pieces, frame.pieces, rows, strict=True):
-            residual.append(row.white[:, 0] + row.white[:, 1] * r_s + kept.white_basis @ change)
-            raw = row.known + row.resistance * r_s + kept.basis @ moved
+        for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
+            residual.append(row.white[:, 0] + row.white[:, 1] * r_s + segment_frame.white_basis @ change)
+            raw = row.known + row.resistance * r_s + segment_frame.basis @ moved
             volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight())
         training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
         chi2 = float(sum(e @ e for e in training))
         log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
         priors = sum(a.coordinate(n) ** 2 for a, n in model.free)
-        rough = space.prior @ (start + change)
+        rough = space.prior @ (free_numbers + change)
         return Fit(
             model=fitted,
             frame=frame,

@@ -20,10 +20,10 @@ def newton_step(
     """
     free = fit.model.free
     x = np.array([a.coordinate(n) for a, n in free])
-    own, right = system
+    normal, gradient = system
     count = len(x)
-    slope = right[:count] + x
-    curvature = own[:count, :count] + np.eye(count)
+    slope = gradient[:count] + x
+    curvature = normal[:count, :count] + np.eye(count)
     curvature += damping * np.diag(np.diag(curvature))
     moving = np.flatnonzero(which) if which is not None else np.arange(count)
     move = np.zeros(count)

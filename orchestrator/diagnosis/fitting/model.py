@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import Whitener
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Signals
@@ -67,12 +67,12 @@ class Model:
 
 
 @dataclass(frozen=True)
-class PieceFrame:
+class SegmentFrame:
     """What is kept of one piece between steps."""
 
     base: Signals
     """As measured, with the model's resistance and flux."""
-    here: LocalMap
+    local: LocalMap
     """Where the effects are in the frame's model."""
     whitener: Whitener
     basis: Array
@@ -89,13 +89,13 @@ class Frame:
     """What is kept of a recording between steps."""
 
     space: MapSpace
-    pieces: tuple[PieceFrame, ...]
+    pieces: tuple[SegmentFrame, ...]
     gram: Array
     """white_basis^T white_basis over the training pieces."""
 
 
 @dataclass(frozen=True)
-class PieceRows:
+class SegmentRows:
     """One piece's equations where the model stands: y = known + r_s * resistance + basis @ (c - c_model)."""
 
     known: Array
@@ -110,7 +110,7 @@ class Fit:
 
     model: Model
     frame: Frame
-    prepared: Prepared
+    prepared: PreparedRecording
     chi2: float
     """Sum of squares of the whitened training residual."""
     objective: float
@@ -136,12 +136,12 @@ class Fit:
     def chi2_per_dof(self) -> float:
         return self.chi2 / self.dof
 
-    def chi2_of(self, use: Callable[[Piece], bool]) -> float | None:
+    def chi2_of(self, use: Callable[[SegmentSignals], bool]) -> float | None:
         """Mean square of the whitened residual of some pieces; None where there are none."""
         parts = [e for p, e in zip(self.prepared.pieces, self.residual, strict=True) if use(p)]
         return float(np.mean(np.concatenate(parts) ** 2)) if parts else None
 
-    def rms_v(self, use: Callable[[Piece], bool]) -> float | None:
+    def rms_v(self, use: Callable[[SegmentSignals], bool]) -> float | None:
         """rms of some pieces' residual in volts; None where there are none."""
         parts = [e for p, e in zip(self.prepared.pieces, self.volts, strict=True) if use(p)]
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
@@ -150,7 +150,7 @@ class Fit:
         """Normal matrix and gradient of all columns after R_s and the map have followed them."""
         width = self.normal.shape[0]
         count = self.columns[0].shape[1]
-        cross, own, right = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
+        cross, columns_normal, gradient = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
         for p, f, d, r, e in zip(
             self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True
         ):
@@ -158,12 +158,12 @@ class Fit:
                 continue
             cross[0] += r @ d
             cross[1:] += f.white_basis.T @ d
-            own += d.T @ d
-            right += d.T @ e
-        return own - cross.T @ np.linalg.solve(self.normal, cross), right
+            columns_normal += d.T @ d
+            gradient += d.T @ e
+        return columns_normal - cross.T @ np.linalg.solve(self.normal, cross), gradient
 
     def covariance(self) -> Array:
         """Posterior covariance of the free coordinates, in the order of `model.free`; noise as measured."""
         count = len(self.model.free)
-        own, _ = self.projected()
-        return np.asarray(np.linalg.inv(own[:count, :count] + np.eye(count)))
+        normal, _ = self.projected()
+        return np.asarray(np.linalg.inv(normal[:count, :count] + np.eye(count)))

@@ -11,7 +11,7 @@ from numba import njit
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.weak_form.equations import true_frame
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -40,13 +40,13 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
         fit.model.magnetics.patches,
         numbers,
         1.0 / piece.signals.sampling_frequency_hz,
-        0.2 * float(np.median(fit.frame.pieces[index].here.inductance[:, [0, 2]])),
+        0.2 * float(np.median(fit.frame.pieces[index].local.inductance[:, [0, 2]])),
         np.array([grid.low, grid.high, grid.reach]),
     )
     return predicted, i_dq[:n]
 
 
-def current_rms(fit: Fit, use: Callable[[Piece], bool] = lambda _: True) -> float | None:
+def current_rms(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True) -> float | None:
     """rms of predicted minus measured current over some pieces [A]; None where there are none."""
     total, count = 0.0, 0
     for index, piece in enumerate(fit.prepared.pieces):

@@ -74,8 +74,8 @@ def save_diagnosis(
     buffer = io.BytesIO()
     np.savez_compressed(buffer, allow_pickle=False, **_packed(steps))
     replace_file(results / STEPS_NAME, buffer.getvalue())
-    told = {"report": report.model_dump(mode="json"), "words": words.model_dump(mode="json")}
-    replace_file(results / REPORT_NAME, (json.dumps(told, indent=1, ensure_ascii=False) + "\n").encode())
+    content = {"report": report.model_dump(mode="json"), "words": words.model_dump(mode="json")}
+    replace_file(results / REPORT_NAME, (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode())
 
 
 def load_diagnosis(directory: Path) -> SavedDiagnosis | None:
@@ -176,8 +176,8 @@ def _unpacked(path: Path) -> tuple[DiagnosisStep, ...]:
 
 def _joined(fields: Mapping[str, Any], arrays: _Arrays) -> DiagnosisStep:
     def with_arrays(model: type[BaseModel], plain: Mapping[str, Any], prefix: str) -> dict[str, Any]:
-        own = {n: arrays[prefix + n] for n in model.model_fields if prefix + n in arrays}
-        return {**plain, **own}
+        of_model = {n: arrays[prefix + n] for n in model.model_fields if prefix + n in arrays}
+        return {**plain, **of_model}
 
     parts = dict(fields)
     names = parts.pop("stages")

@@ -16,7 +16,7 @@ from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.weak_form.equations import true_frame
-from orchestrator.diagnosis.weak_form.segments import AXES, Axis, Piece, swept_axis
+from orchestrator.diagnosis.weak_form.segments import AXES, Axis, SegmentSignals, swept_axis
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, Signals
@@ -42,7 +42,7 @@ def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
     return tuple(_loop(fit, best[axis][1], axis) for axis in AXES if axis in best)
 
 
-def ripple_pair(pieces: Sequence[Piece], ratio: float) -> tuple[int, ...]:
+def ripple_pair(pieces: Sequence[SegmentSignals], ratio: float) -> tuple[int, ...]:
     """Two injection segments at one point with amplitudes apart by a ratio, the smaller first; else one; else none."""
     points = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.INJECTION]
     if not points:
@@ -61,11 +61,11 @@ def ripple_pair(pieces: Sequence[Piece], ratio: float) -> tuple[int, ...]:
     return points[int(small)], points[int(large)]
 
 
-def _mean_current(piece: Piece) -> Array:
+def _mean_current(piece: SegmentSignals) -> Array:
     return np.asarray(to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0))
 
 
-def _amplitude(piece: Piece) -> float:
+def _amplitude(piece: SegmentSignals) -> float:
     """Of the injected voltage [V]: as asked for, else rms of its vector about the mean."""
     asked = piece.segment.settings.get("amplitude_v")
     if isinstance(asked, int | float) and asked > 0:
@@ -99,7 +99,7 @@ def _push(v: Array, half: int, shown: int) -> int:
     return int(np.argmax(2.0 * total[k + half] - total[k] - total[k + 2 * half]))
 
 
-def _trapezoid(pieces: Sequence[Piece]) -> Iterator[int]:
+def _trapezoid(pieces: Sequence[SegmentSignals]) -> Iterator[int]:
     """A held-out sweep, where there is one, as the most honest; else the first."""
     sweeps = [k for k, p in enumerate(pieces) if p.stage is SegmentStage.CLASSICAL]
     yield from sorted(sweeps, key=lambda k: (not pieces[k].held_out, k))[:1]
@@ -115,7 +115,9 @@ def _trapezoid_excerpt(fit: Fit, index: int) -> CurrentExcerpt:
     return _excerpt(piece, measured[first:], predicted[first:], stride, None)
 
 
-def _excerpt(piece: Piece, measured: Array, predicted: Array, stride: int, amplitude: float | None) -> CurrentExcerpt:
+def _excerpt(
+    piece: SegmentSignals, measured: Array, predicted: Array, stride: int, amplitude: float | None
+) -> CurrentExcerpt:
     i_d, i_q = measured.mean(axis=0)
     return CurrentExcerpt(
         segment=piece.segment.id,
@@ -151,15 +153,15 @@ def _believed(x_dq: Array, delta: Array) -> Array:
 def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     """Flux over one period in the believed frame: int (v - R i) dt with the effects' corrections, and psi(i)."""
     piece = fit.prepared.pieces[index]
-    kept = fit.frame.pieces[index]
-    corrected = apply_effects(kept.base, fit.model.active).signals
+    segment_frame = fit.frame.pieces[index]
+    corrected = apply_effects(segment_frame.base, fit.model.active).signals
     ts = 1.0 / piece.signals.sampling_frequency_hz
     i_true, delta = true_frame(piece, corrected)
     last = slice(len(i_true) - _period(piece), len(i_true))
     magnet = np.array([_magnet_wb(piece), 0.0])
     psi, _ = fit.model.magnetics.flux_and_inductance(i_true[last])
     model = _believed(psi + magnet, delta[last])
-    measured = _integral(corrected, fit.model.r_s / float(kept.base.resistance_ohm[0]), last, ts)
+    measured = _integral(corrected, fit.model.r_s / float(segment_frame.base.resistance_ohm[0]), last, ts)
     measured = to_dq(measured, piece.segment.rotor_angle_rad)
     i_dq = to_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
     stride = math.ceil(len(i_dq) / fit.criteria.pictures.most_points)
@@ -172,7 +174,7 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     )
 
 
-def _magnet_wb(piece: Piece) -> float:
+def _magnet_wb(piece: SegmentSignals) -> float:
     """The magnet's flux by the nameplate, 0 where unknown [Wb]."""
     motor = piece.signals.motor
     return (motor.pm_flux_wb if motor is not None else None) or 0.0
@@ -185,20 +187,20 @@ def _integral(signals: Signals, factor: float, part: slice, ts: float) -> Array:
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def _swept(piece: Piece, criteria: WeakFormCriteria) -> tuple[Axis, float]:
+def _swept(piece: SegmentSignals, criteria: WeakFormCriteria) -> tuple[Axis, float]:
     """The axis that a sweep moves, and the size of the current that it holds on the other."""
     axis = swept_axis(piece.segment, piece.signals.i_ab, criteria)
     i_d, i_q = np.abs(_mean_current(piece))
     return axis, {"d": float(i_q), "q": float(i_d), "dq": 0.0}[axis]
 
 
-def _period(piece: Piece) -> int:
+def _period(piece: SegmentSignals) -> int:
     """Samples in a period of a sweep; all of them where it does not say."""
     period = piece.segment.settings.get("period_s")
     asked = float(period) if isinstance(period, int | float) and period > 0 else math.inf
     return _samples(piece, asked)
 
 
-def _samples(piece: Piece, seconds: float) -> int:
+def _samples(piece: SegmentSignals, seconds: float) -> int:
     n = len(piece.signals.v_dc)
     return n if math.isinf(seconds) else min(n, round(seconds * piece.signals.sampling_frequency_hz) + 1)

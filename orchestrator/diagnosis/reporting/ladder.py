@@ -12,37 +12,37 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.uncertainty.trust import coordinate_spread
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
 from protocols import FoundEffect, ParameterValue, Rung, Verdict
 
 
-def training(piece: Piece) -> bool:
+def training(piece: SegmentSignals) -> bool:
     return not piece.held_out
 
 
-def held_out(piece: Piece) -> bool:
+def held_out(piece: SegmentSignals) -> bool:
     return piece.held_out
 
 
-def mean_rms_v(fit: Fit, use: Callable[[Piece], bool]) -> float | None:
+def mean_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool]) -> float | None:
     """rms of y_m / sum_k(w_mk Ts) over the windows that are means, carriers of the ripple aside [V]."""
     parts = [_means(p, e) for p, e in zip(fit.prepared.pieces, fit.volts, strict=True) if use(p)]
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
 
 
-def noise_rms_v(fit: Fit, use: Callable[[Piece], bool] = lambda _: True) -> float | None:
+def noise_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True) -> float | None:
     """The same figure if only the sensors' noise were left [V]."""
     parts = []
-    for piece, kept in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
+    for piece, segment_frame in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
         if use(piece):
             scale = piece.signals.sampling_frequency_hz / piece.windows.absolute_weight()
-            parts.append(_means(piece, kept.whitener.variance * scale**2))
+            parts.append(_means(piece, segment_frame.whitener.variance * scale**2))
     return float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else None
 
 
-def _means(piece: Piece, rows: Array) -> Array:
+def _means(piece: SegmentSignals, rows: Array) -> Array:
     carriers = len(piece.windows.carriers)
     return rows.reshape(-1, carriers, 2)[:, 0].ravel()
 
@@ -93,11 +93,11 @@ def found_effects(
     if not fit.model.active:
         return ()
     half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
-    found, k = [], 0
+    effects, k = [], 0
     for active in fit.model.active:
         widths = dict(zip(active.free, half[k : k + len(active.free)], strict=True))
         k += len(active.free)
-        found.append(
+        effects.append(
             FoundEffect(
                 name=active.name,
                 parameters={n: _interval(active, n, float(widths[n])) for n in active.free},
@@ -106,7 +106,7 @@ def found_effects(
                 log_evidence=evidence.get(active.name, 0.0),
             )
         )
-    return tuple(found)
+    return tuple(effects)
 
 
 def _interval(active: Active, name: str, half: float) -> ParameterValue:

@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.baseline import Start, map_space
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, map_space
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array, Mask
@@ -31,17 +31,17 @@ from protocols import (
 
 
 def kept_model(
-    start: Start, fit: Fit, baseline: Baseline, found: Sequence[FoundEffect], ladder: Sequence[Rung]
+    setup: DiagnosisSetup, fit: Fit, baseline: Baseline, found: Sequence[FoundEffect], ladder: Sequence[Rung]
 ) -> MotorModel:
     """A fit's model as it is kept, with the intervals of the effects that were found."""
     reports = {effect.name: effect for effect in found}
-    grid, manifest = fit.model.space.grid, start.prepared.manifest
+    grid, manifest = fit.model.space.grid, setup.prepared.manifest
     return MotorModel(
         recording=manifest.name,
         motor=manifest.motor,
         baseline=baseline,
         r_s_ohm=fit.model.r_s,
-        pm_flux_wb=start.fitter.pm_flux_wb,
+        pm_flux_wb=setup.fitter.pm_flux_wb,
         magnetics=CoEnergySpline(
             d_low_a=grid.low,
             d_high_a=grid.high,
@@ -73,7 +73,7 @@ def _kept_effect(active: Active, found: FoundEffect) -> ModelEffect:
     )
 
 
-def measured_hull(pieces: Sequence[Piece], samples: int = 200) -> tuple[tuple[float, float], ...]:
+def measured_hull(pieces: Sequence[SegmentSignals], samples: int = 200) -> tuple[tuple[float, float], ...]:
     """Convex hull of the currents that were measured and of their mirror images in i_q [A], counterclockwise.
 
     Some 200 `samples` of each segment show how far it went: a sweep or a turn of the injection has fewer corners.
@@ -91,7 +91,7 @@ def measured_hull(pieces: Sequence[Piece], samples: int = 200) -> tuple[tuple[fl
     return tuple((float(d), float(q)) for d, q in corners)
 
 
-def restored(start: Start, kept: MotorModel, baseline: Baseline, library: Mapping[str, Candidate]) -> Model:
+def restored(setup: DiagnosisSetup, kept: MotorModel, baseline: Baseline, library: Mapping[str, Candidate]) -> Model:
     """The model of a `model.json`, to be evaluated or fitted further.
 
     Parameters
@@ -107,7 +107,7 @@ def restored(start: Start, kept: MotorModel, baseline: Baseline, library: Mappin
         Where an effect of the model is not installed, or has other parameters.
     """
     magnetics = magnetics_of(kept.magnetics)
-    space = map_space(start, baseline, magnetics.grid, magnetics.coefficients)
+    space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients)
     return Model(space, magnetics, kept.r_s_ohm, tuple(_active(effect, library) for effect in kept.effects))
 
 

@@ -13,13 +13,13 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
@@ -28,7 +28,7 @@ from protocols import DiagnosisStep, ResistanceCourse, Rung, SegmentStage
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
-def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None = None) -> DiagnosisStep:
+def diagnosis_step(index: int, step: Step, setup: DiagnosisSetup, *, known: Rung | None = None) -> DiagnosisStep:
     """One rung of the ladder as streams, report and file take it.
 
     Parameters
@@ -36,7 +36,7 @@ def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None =
     index : int
         Place on the ladder; 0 is the model that it starts from.
     step : Step
-    start : Start
+    setup : DiagnosisSetup
     known : Rung, optional
         The step in numbers, where they are known already: the simulated current's error takes time.
 
@@ -49,9 +49,9 @@ def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None =
     numbers = known or rung(step)
     rows = [_Rows(fit, k) for k in range(len(fit.prepared.pieces))]
     stages = [row.piece.stage.value for row in rows for _ in range(len(row.time_s))]
-    kept = kept_rows(stages, fit.criteria.pictures.most_rows)
-    residual_ab = np.concatenate([row.residual_ab_v for row in rows])[kept]
-    i_ab = np.concatenate([row.i_ab for row in rows])[kept]
+    shown = kept_rows(stages, fit.criteria.pictures.most_rows)
+    residual_ab = np.concatenate([row.residual_ab_v for row in rows])[shown]
+    i_ab = np.concatenate([row.i_ab for row in rows])[shown]
     return DiagnosisStep(
         index=index,
         added=step.added,
@@ -61,11 +61,11 @@ def diagnosis_step(index: int, step: Step, start: Start, *, known: Rung | None =
         heldout_rms_v=numbers.heldout_rms_v,
         current_rms_a=numbers.current_rms_a,
         noise_rms_v=noise_rms_v(fit) or 0.0,
-        stage=tuple(stages[k] for k in kept),
-        time_s=np.concatenate([row.time_s for row in rows])[kept],
-        i_dq=np.concatenate([row.i_dq for row in rows])[kept],
-        residual_dq_v=np.concatenate([row.residual_dq_v for row in rows])[kept],
-        noise_v=np.concatenate([row.noise_v for row in rows])[kept],
+        stage=tuple(stages[k] for k in shown),
+        time_s=np.concatenate([row.time_s for row in rows])[shown],
+        i_dq=np.concatenate([row.i_dq for row in rows])[shown],
+        residual_dq_v=np.concatenate([row.residual_dq_v for row in rows])[shown],
+        noise_v=np.concatenate([row.noise_v for row in rows])[shown],
         i_abc=to_phases(i_ab),
         residual_abc_v=to_phases(residual_ab),
         excerpts=excerpts(fit),
@@ -88,8 +88,9 @@ def kept_rows(stages: list[str], most: int) -> NDArray[np.int64]:
     labels = np.array(stages)
     chosen = []
     for stage, part in share.items():
-        here = np.flatnonzero(labels == stage)
-        chosen.append(here[np.mod(np.arange(len(here)) * _GOLDEN, 1.0) < part] if part < 1.0 else here)
+        rows = np.flatnonzero(labels == stage)
+        taken = np.mod(np.arange(len(rows)) * _GOLDEN, 1.0) < part
+        chosen.append(rows[taken] if part < 1.0 else rows)
     return np.sort(np.concatenate(chosen)) if chosen else np.zeros(0, dtype=np.int64)
 
 
@@ -101,7 +102,7 @@ class _Rows:
     index: int
 
     @property
-    def piece(self) -> Piece:
+    def piece(self) -> SegmentSignals:
         return self.fit.prepared.pieces[self.index]
 
     @property
@@ -152,7 +153,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
     A dwell of current i and residual e = v - R i asks for R + e.i / i.i.
     """
     largest = max((float(np.linalg.norm(row.i_ab, axis=1).max(initial=0.0)) for row in rows), default=0.0)
-    found = []
+    dwells = []
     for row in rows:
         if row.piece.stage not in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
             continue
@@ -164,11 +165,11 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         corrected = apply_effects(base, fit.model.active).signals
         model = float(corrected.resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
         asked = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
-        found.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
-    if not found:
+        dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
+    if not dwells:
         return None
-    stride = math.ceil(len(found) / fit.criteria.pictures.most_dwells)
-    time_s, heat_j, measured, modelled = np.array(found[::stride]).T
+    stride = math.ceil(len(dwells) / fit.criteria.pictures.most_dwells)
+    time_s, heat_j, measured, modelled = np.array(dwells[::stride]).T
     return ResistanceCourse(
         time_s=np.ascontiguousarray(time_s),
         heat_j=np.ascontiguousarray(heat_j),

@@ -82,8 +82,8 @@ def log_evidence(fit: Fit, inflation: float) -> float:
     priors = sum(a.coordinate(n) ** 2 for a, n in fit.model.free)
     value = -0.5 * (fit.chi2 / inflation + fit.log_det + priors)
     if count:
-        own = fit.projected()[0][:count, :count]
-        value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + own / inflation)[1])
+        normal = fit.projected()[0][:count, :count]
+        value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + normal / inflation)[1])
     return value
 
 
@@ -97,22 +97,22 @@ def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> Li
 
 def score(view: LinearView) -> list[Score]:
     """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
-    kept = len(view.fit.model.free)
+    fitted = len(view.fit.model.free)
     scores = []
     for candidate in view.absent:
-        own = [k for k, (a, _) in enumerate(view.columns) if k >= kept and a.name == candidate.name]
-        scores.append(Score(candidate, *_linear(view.normal, view.right, kept, own)))
+        columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
+        scores.append(Score(candidate, *_linear(view.normal, view.right, fitted, columns)))
     return sorted(scores, key=lambda s: -s.gain)
 
 
-def _linear(normal: Array, right: Array, kept: int, own: Sequence[int]) -> tuple[float, Array]:
+def _linear(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
     """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
-    block, pull = normal[np.ix_(own, own)], right[own]
-    if kept:
-        inner, across = normal[:kept, :kept] + np.eye(kept), normal[np.ix_(range(kept), own)]
+    block, pull = normal[np.ix_(columns, columns)], right[columns]
+    if fitted:
+        inner, across = normal[:fitted, :fitted] + np.eye(fitted), normal[np.ix_(range(fitted), columns)]
         follow = np.linalg.solve(inner, across)
-        block, pull = block - across.T @ follow, pull - follow.T @ right[:kept]
-    x = np.asarray(-np.linalg.solve(block + np.eye(len(own)), pull), dtype=np.float64)
+        block, pull = block - across.T @ follow, pull - follow.T @ right[:fitted]
+    x = np.asarray(-np.linalg.solve(block + np.eye(len(columns)), pull), dtype=np.float64)
     return float(-pull @ x), x
 
 
@@ -256,12 +256,12 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
         variants = [candidate.absent().moved(shape, x) for x in fit.criteria.selection.shape_starts]
         columns = [(v, n) for v in variants for n in candidate.amplitudes]
         normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
-        kept, each = len(fit.model.free), len(candidate.amplitudes)
+        fitted, each = len(fit.model.free), len(candidate.amplitudes)
         for k, variant in enumerate(variants):
-            own = list(range(kept + k * each, kept + (k + 1) * each))
-            found = _linear(normal, right, kept, own)
-            if found[0] > gain:
-                best, gain, coordinates = variant, *found
+            amplitudes = list(range(fitted + k * each, fitted + (k + 1) * each))
+            estimate = _linear(normal, right, fitted, amplitudes)
+            if estimate[0] > gain:
+                best, gain, coordinates = variant, *estimate
     for name, x in zip(candidate.amplitudes, coordinates, strict=True):
         best = best.moved(name, float(x))
     return best

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.experiment_design.contrasts import holds
-from orchestrator.diagnosis.weak_form.segments import Prepared
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import Contrast, Effect
 
 
@@ -12,6 +12,6 @@ def parted_by(first: Effect, second: Effect) -> tuple[Contrast, ...]:
     return tuple(contrast for contrast in first.needs if contrast in second.needs)
 
 
-def separable(prepared: Prepared, first: Effect, second: Effect) -> bool:
+def separable(prepared: PreparedRecording, first: Effect, second: Effect) -> bool:
     """Whether the recording holds what it takes to tell two effects apart."""
     return all(holds(prepared, contrast) for contrast in parted_by(first, second))

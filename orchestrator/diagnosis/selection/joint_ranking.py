@@ -82,7 +82,7 @@ def _distinct(view: LinearView) -> list[int]:
     like = np.abs(view.normal / np.outer(scale, scale))
     taken = list(range(len(view.fit.model.free)))
     for scored in score(view):
-        own = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
-        if not taken or like[np.ix_(own, taken)].max() < view.fit.criteria.selection.one_column:
-            taken += own
+        columns = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
+        if not taken or like[np.ix_(columns, taken)].max() < view.fit.criteria.selection.one_column:
+            taken += columns
     return taken

@@ -82,20 +82,20 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
         index[shape.name] = list(range(len(wanted), len(wanted) + len(shape.fields)))
         wanted += shape.columns
     normal, right = fitter.evaluate(fit.model, fit.frame, wanted).projected()
-    kept = len(fit.model.free)
-    chosen = list(range(kept))
+    fitted = len(fit.model.free)
+    chosen = list(range(fitted))
     shares: list[tuple[ShapeGroup, float]] = []
     left = dict(index)
     explained = _explained(normal, right, chosen)
     while left:
         gains = {
-            name: _explained(normal, right, chosen + [kept + k for k in where]) - explained
+            name: _explained(normal, right, chosen + [fitted + k for k in where]) - explained
             for name, where in left.items()
         }
         name = max(gains, key=lambda n: gains[n])
         if gains[name] < max(limits.leftover_share * excess, limits.leftover_chi2):
             break
-        chosen += [kept + k for k in left.pop(name)]
+        chosen += [fitted + k for k in left.pop(name)]
         explained += gains[name]
         group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
         shares.append((group, min(gains[name] / excess, 1.0)))
@@ -261,10 +261,10 @@ def map_breaks(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float,
     layer = EffectLayer.IRON
     shape = _Shape("breaks", "i_m_ab", (_mixed(1.0), _mixed(-1.0)), current_a, 0.01 * current_a, layer=layer)
     normal, right = fitter.evaluate(fit.model, fit.frame, shape.columns).projected()
-    own = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
-    kept = len(fit.model.free)
-    own[:kept, :kept] += np.eye(kept)
-    x = -np.linalg.solve(own, right)[kept:] * _Addition.Parameters.declared()[0].prior_width * shape.size
+    regular = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
+    fitted = len(fit.model.free)
+    regular[:fitted, :fitted] += np.eye(fitted)
+    x = -np.linalg.solve(regular, right)[fitted:] * _Addition.Parameters.declared()[0].prior_width * shape.size
     inductance = fit.model.magnetics.flux_and_inductance(np.zeros((1, 2)))[1][0]
     mean = 0.5 * (inductance[0] + inductance[2])
     even, odd = abs(float(x[0])), abs(float(x[1])) / current_a

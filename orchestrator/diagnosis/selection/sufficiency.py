@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
@@ -20,7 +20,7 @@ _More = ParamSpec("_More")
 _Result = TypeVar("_Result")
 
 
-def require_enough(prepared: Prepared, noise: SensorNoise) -> None:
+def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     """Refuse what has fewer equations, or fewer currents, than any model has unknowns.
 
     Raises
@@ -73,7 +73,7 @@ def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[C
     return guarded
 
 
-def _views(prepared: Prepared) -> int:
+def _views(prepared: PreparedRecording) -> int:
     """How many places of the current plane were looked at for long enough."""
     low, high, q = prepared.current_range
     limits = prepared.criteria.selection
@@ -83,11 +83,11 @@ def _views(prepared: Prepared) -> int:
     return len(sweeps) + (limits.views_of_a_sweep - 1) * sum(sweeps)
 
 
-def _seconds(piece: Piece) -> float:
+def _seconds(piece: SegmentSignals) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _tells(piece: Piece, apart_a: float, limits: SelectionCriteria) -> bool:
+def _tells(piece: SegmentSignals, apart_a: float, limits: SelectionCriteria) -> bool:
     """Whether a segment is long enough, and a hold has settled too."""
     if piece.stage is not SegmentStage.RESISTANCE:
         return piece.windows.rows >= limits.least_rows
@@ -97,57 +97,55 @@ def _tells(piece: Piece, apart_a: float, limits: SelectionCriteria) -> bool:
     return _seconds(piece) >= limits.least_hold_s and float(np.abs(moved).max()) < apart_a
 
 
-def _different(pieces: Sequence[Piece], apart_a: float) -> list[Piece]:
+def _different(pieces: Sequence[SegmentSignals], apart_a: float) -> list[SegmentSignals]:
     """Those whose currents are not those of one before: another mean, or another swing."""
-    found: list[Piece] = []
+    different: list[SegmentSignals] = []
     marks: list[Array] = []
     for piece in pieces:
         i = piece.signals.i_ab
         mark = np.concatenate([i.mean(axis=0), i.std(axis=0)])
         if all(float(np.abs(mark - other).max()) > apart_a for other in marks):
-            found.append(piece)
+            different.append(piece)
             marks.append(mark)
-    return found
+    return different
 
 
-def what_is_missing(prepared: Prepared) -> list[Remark]:
+def what_is_missing(prepared: PreparedRecording) -> list[Remark]:
     """What cannot be told from this recording, whatever is found in it."""
     missing: list[Remark] = []
 
-    def told(code: str, text: str, **values: float) -> None:
+    def say(code: str, text: str, **values: float) -> None:
         missing.append(Remark.of(code, text, **values))
 
     stages = {p.stage for p in prepared.pieces}
     if (views := _views(prepared)) < prepared.criteria.selection.few_views:
-        told(
+        say(
             "few_places",
             "{places} places of the current plane only: what no effect explains may pass for several that do",
             places=views,
         )
     if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
-        told("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")
+        say("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")
     elif SegmentStage.CLASSICAL not in stages:
-        told("no_sweep", "no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
+        say("no_sweep", "no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
     if SegmentStage.RESISTANCE not in stages:
-        told(
+        say(
             "no_holds",
             "no holds: resistance, its drift and the inverter's errors rest on what moves, and are less sure",
         )
     if SegmentStage.GATES_OFF not in stages:
-        told("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be told apart")
+        say("no_gates_off", "no gates-off reading: a current offset and a voltage bias cannot be told apart")
     if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
-        told("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
+        say("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
     amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
     if not amplitudes:
-        told("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
+        say("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
     elif max(amplitudes) < prepared.criteria.selection.amplitudes_apart * min(amplitudes):
-        told("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
+        say("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
-        told(
-            "no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance"
-        )
+        say("no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")
     return missing
 
 
-def _swing(piece: Piece) -> float:
+def _swing(piece: SegmentSignals) -> float:
     return float(np.linalg.norm(np.std(piece.signals.v_ab, axis=0)))

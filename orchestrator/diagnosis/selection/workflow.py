@@ -6,14 +6,14 @@ import math
 from collections.abc import Mapping, Sequence
 
 from orchestrator.diagnosis.fitting.baseline import (
-    Start,
+    DiagnosisSetup,
     baseline_model,
     fitted_baseline,
     freed_further,
     given_model,
     with_detail,
 )
-from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAGNETIC, SATURATION, Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAP_RUNGS, SATURATION, Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import verdict_of
@@ -26,7 +26,7 @@ from orchestrator.diagnosis.selection.forward_search import (
     loss_without,
     settled,
 )
-from orchestrator.diagnosis.uncertainty.trust import certainty, foretold, inconstancy
+from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -47,31 +47,33 @@ def baseline_of(model: ModelChoice) -> Baseline:
     return Nameplate() if model == "linear" else Saturated()
 
 
-def first_steps(start: Start, model: ModelChoice, library: Mapping[str, Candidate]) -> list[Step]:
+def first_steps(setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, Candidate]) -> list[Step]:
     """The ladder's first rungs: the baseline's, and one for each effect of a whole model."""
     baseline = baseline_of(model)
     if isinstance(model, FluxMap):
-        return [Step(None, start.fitter.fit(given_model(start, model)))]
+        return [Step(None, setup.fitter.fit(given_model(setup, model)))]
     if isinstance(model, MotorModel):
-        whole = restored(start, model, baseline, library)
-        steps = [Step(None, start.fitter.fit(whole.with_active([])))]
+        whole = restored(setup, model, baseline, library)
+        steps = [Step(None, setup.fitter.fit(whole.with_active([])))]
         for active in whole.active:
             before = steps[-1].fit.model
-            steps.append(Step(active.name, start.fitter.fit(before.with_active([*before.active, active]))))
+            steps.append(Step(active.name, setup.fitter.fit(before.with_active([*before.active, active]))))
         return steps
     if isinstance(baseline, Nameplate):
-        return [Step(None, start.fitter.fit(baseline_model(start, baseline)))]
-    return [Step(None, fitted_baseline(start))]
+        return [Step(None, setup.fitter.fit(baseline_model(setup, baseline)))]
+    return [Step(None, fitted_baseline(setup))]
 
 
-def with_map_step(start: Start, fit: Fit, baseline: Nameplate) -> Fit:
+def with_map_step(setup: DiagnosisSetup, fit: Fit, baseline: Nameplate) -> Fit:
     """The nameplate's model refitted with its map so far let go."""
-    return start.fitter.fit(freed_further(start, fit.model, baseline))
+    return setup.fitter.fit(freed_further(setup, fit.model, baseline))
 
 
-def map_steps(start: Start, model: ModelChoice, library: Mapping[str, Candidate], without: Sequence[str]) -> list[Step]:
+def map_steps(
+    setup: DiagnosisSetup, model: ModelChoice, library: Mapping[str, Candidate], without: Sequence[str]
+) -> list[Step]:
     """`first_steps`, and from a linear baseline the map's own, as far as the data ask for them."""
-    steps = first_steps(start, model, library)
+    steps = first_steps(setup, model, library)
     if model != "linear":
         return steps
     baseline = Nameplate()
@@ -79,40 +81,40 @@ def map_steps(start: Start, model: ModelChoice, library: Mapping[str, Candidate]
         if name in without:
             break
         freed = freed_by(baseline, name)
-        fit = with_map_step(start, steps[-1].fit, freed)
+        fit = with_map_step(setup, steps[-1].fit, freed)
         gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
         gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
-        if gain > start.prepared.criteria.selection.log_evidence:
+        if gain > setup.prepared.criteria.selection.log_evidence:
             steps.append(Step(name, fit, gain))
             baseline = freed
     return steps
 
 
-def search_effects(start: Start, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
+def search_effects(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
-    part = start.coarse.fit(steps[-1].fit.model, renewals=0)
-    quick = forward(start.coarse, [Step(None, part)], library)
-    coarse_map = quick.fit.chi2_per_dof > start.criteria.finer_above_chi2 and quick.fit.model.space.is_free
+    part = setup.coarse_fitter.fit(steps[-1].fit.model, renewals=0)
+    quick = forward(setup.coarse_fitter, [Step(None, part)], library)
+    coarse_map = quick.fit.chi2_per_dof > setup.criteria.finer_above_chi2 and quick.fit.model.space.is_free
     if quick.fit.model.active and coarse_map:
-        quick = _finer(quick, with_detail(start, start.coarse, quick.fit), start.coarse, library)
+        quick = _finer(quick, with_detail(setup, setup.coarse_fitter, quick.fit), setup.coarse_fitter, library)
     fits = list(steps)
     for step in quick.steps[1:]:
         last = step is quick.steps[-1]
-        frame = start.fitter.frame(step.fit.model, fits[-1].fit.frame)
-        fit = start.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
+        frame = setup.fitter.frame(step.fit.model, fits[-1].fit.frame)
+        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
         fits.append(Step(step.added, fit, step.log_evidence))
-    found = forward(start.fitter, fits, library, rivals=quick.rivals)
-    found.traces = [n for n in dict.fromkeys([*quick.traces, *found.traces]) if n not in found.fit.model.names]
-    return found
+    search = forward(setup.fitter, fits, library, rivals=quick.rivals)
+    search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
+    return search
 
 
-def on_a_finer_map(start: Start, search: Search, library: Sequence[Candidate]) -> Search:
+def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:
     """Whether what is left is the map's own detail, which big effects hid at first."""
     fit = search.fit
     detected = fit.criteria.selection.detected_chi2
     if not fit.model.active or fit.chi2_per_dof < detected or not fit.model.space.is_free:
         return search
-    return _finer(search, with_detail(start, start.fitter, fit), start.fitter, library)
+    return _finer(search, with_detail(setup, setup.fitter, fit), setup.fitter, library)
 
 
 def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate]) -> Search:
@@ -125,58 +127,58 @@ def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate
     return again
 
 
-def without_doubtful(start: Start, search: Search) -> tuple[Search, list[str]]:
+def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
     """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named.
 
     Nor is one that takes away less than remains.
     """
     doubtful: list[str] = []
-    first, steady = search.steps[0].fit, start.prepared.criteria.selection.least_constancy
+    first, steady = search.steps[0].fit, setup.prepared.criteria.selection.least_constancy
     while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
-        drift = inconstancy(search.fit)
+        drift = block_scatter_ratio(search.fit)
         if verdict_of(first, search.fit, 1) == "unknown_remains":
             drift = {name: max(size, steady * _left_over_own(search, name)) for name, size in drift.items()}
         worst = max(drift, key=lambda name: drift[name])
         if drift[worst] <= steady:
             break
         doubtful.append(worst)
-        search = without(start, search, worst)
+        search = without(setup, search, worst)
     return search, doubtful
 
 
 def _left_over_own(search: Search, name: str) -> float:
     """What is left of chi2 over what one effect took away of it when it was added, as amplitudes."""
     at = next(k for k, step in enumerate(search.steps) if step.added == name)
-    own = search.steps[at - 1].fit.chi2_per_dof - search.steps[at].fit.chi2_per_dof
+    taken_away = search.steps[at - 1].fit.chi2_per_dof - search.steps[at].fit.chi2_per_dof
     left = search.fit.chi2_per_dof - 1.0
-    return math.sqrt(max(left, 0.0) / own) if own > 0.0 else math.inf
+    return math.sqrt(max(left, 0.0) / taken_away) if taken_away > 0.0 else math.inf
 
 
-def without(start: Start, search: Search, name: str, *, last: Fit | None = None) -> Search:
+def without(setup: DiagnosisSetup, search: Search, name: str, *, last: Fit | None = None) -> Search:
     """The search with one effect taken out and the rest fitted again; `last` where that fit is there already."""
-    kept = [a for a in search.fit.model.active if a.name != name]
-    steps = [s for s in search.steps if s.added is None or s.added in MAGNETIC]
-    for active in kept:
+    others = [a for a in search.fit.model.active if a.name != name]
+    steps = [s for s in search.steps if s.added is None or s.added in MAP_RUNGS]
+    for active in others:
         gain = next(s.log_evidence for s in search.steps if s.added == active.name)
-        if last is not None and active is kept[-1]:
+        if last is not None and active is others[-1]:
             fit = last
         else:
             model = steps[-1].fit.model
-            fit = start.fitter.fit(model.with_active([*model.active, active]), steps=4, renewals=0, tolerance=1e-3)
+            fit = setup.fitter.fit(model.with_active([*model.active, active]), steps=4, renewals=0, tolerance=1e-3)
         steps.append(Step(active.name, fit, gain))
     return Search(steps, search.traces, search.rivals)
 
 
-def converged(start: Start, search: Search) -> Search:
+def converged(setup: DiagnosisSetup, search: Search) -> Search:
     """The search with its last fit taken to its end."""
     if not search.fit.model.active or search.fit.model.names[-1] != search.steps[-1].added:
         return search
     last = search.steps[-1]
-    steps = [*search.steps[:-1], Step(last.added, settled(start.fitter, last.fit), last.log_evidence)]
+    steps = [*search.steps[:-1], Step(last.added, settled(setup.fitter, last.fit), last.log_evidence)]
     return Search(steps, search.traces, search.rivals, search.view)
 
 
-def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
+def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
     """The search without those effects that can be spared: what they took away may be the others' shape, or chance."""
     spared: list[str] = []
     first = search.steps[0].fit
@@ -185,10 +187,10 @@ def pruned(start: Start, search: Search) -> tuple[Search, list[str]]:
         doubted = sorted((a for a in full.model.active if _is_minor(first, full, a)), key=lambda a: a.relative_size)
         for active in doubted:
             others = full.model.with_active([a for a in full.model.active if a.name != active.name])
-            less = start.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
+            less = setup.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
             if _can_be_spared(first, less, full, active.name):
                 spared.append(active.name)
-                search = without(start, search, active.name, last=less)
+                search = without(setup, search, active.name, last=less)
                 break
         else:
             break
@@ -216,8 +218,14 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     if log_evidence(full, inflation) - log_evidence(without, inflation) < limits.log_evidence:
         return True
     undetected = without.chi2_per_dof < limits.detected_chi2
-    if undetected and (size < limits.undetected_size or not foretold(without, full)):
+    if undetected and (size < limits.undetected_size or not improves_held_out(without, full)):
         return True
     if len(full.model.active) < 2:
         return False
     return without.chi2_per_dof - 1.0 < _spare(first)
+
+
+def improves_held_out(without: Fit, full: Fit) -> bool:
+    """Whether an effect that the fitted part asks for makes the held-out part fit better too."""
+    before, after = (f.chi2_of(lambda p: p.held_out) for f in (without, full))
+    return before is None or after is None or after < before

@@ -56,13 +56,13 @@ def sum_basis(
     span = 0
     for k in range(n - 1):
         place = (k + 0.5) / step
-        here = math.floor(place)
-        if here != span:
+        hats_before = math.floor(place)
+        if hats_before != span:
             for b in range(n_bins):
                 if waiting[b]:
                     _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
                     waiting[b] = False
-            span = here
+            span = hats_before
         b = bins[k]
         u0 = (i_dq[k, 0] - numbers[0]) / numbers[1]
         v0 = (i_dq[k, 1] - numbers[2]) / numbers[3]
@@ -82,7 +82,7 @@ def sum_basis(
             _powers(u0 - where[b, 0], v0 - where[b, 1], now)
         _powers(u1 - where[b, 0], v1 - where[b, 1], after)
         last_bin = b
-        w1 = place - here
+        w1 = place - hats_before
         w0 = 1.0 - w1
         for m in range(6):
             for j in range(6):

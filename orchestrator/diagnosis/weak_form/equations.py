@@ -17,7 +17,7 @@ from numba import njit
 
 from orchestrator.diagnosis.weak_form.derivatives import sum_basis
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.tensor_spline import CARDINAL
@@ -50,14 +50,14 @@ class LocalMap:
     inductance: Array
 
 
-def local_map(piece: Piece, signals: Signals, magnetics: Magnetics) -> LocalMap:
+def local_map(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> LocalMap:
     """Evaluate the magnetics where the (corrected) signals of a piece are."""
     i_dq, delta = true_frame(piece, signals)
     psi, inductance = magnetics.flux_and_inductance(i_dq)
     return LocalMap(i_dq, delta, np.stack([np.cos(delta), np.sin(delta)], axis=1), psi, inductance)
 
 
-def true_frame(piece: Piece, signals: Signals) -> tuple[Array, Array]:
+def true_frame(piece: SegmentSignals, signals: Signals) -> tuple[Array, Array]:
     """Magnetising current in the true rotor frame (n, 2), and true minus believed angle (empty where zero)."""
     believed = float(piece.segment.rotor_angle_rad)
     delta = np.asarray(signals.theta_rad, dtype=np.float64) - believed
@@ -66,7 +66,9 @@ def true_frame(piece: Piece, signals: Signals) -> tuple[Array, Array]:
     return to_dq(signals.i_m_ab, signals.theta_rad), delta
 
 
-def voltage_and_resistance(piece: Piece, signals: Signals, here: LocalMap, pm_flux_wb: float) -> tuple[Array, Array]:
+def voltage_and_resistance(
+    piece: SegmentSignals, signals: Signals, local: LocalMap, pm_flux_wb: float
+) -> tuple[Array, Array]:
     """The weak form's known part and its R_s column, shapes (rows,) and (rows,).
 
     y = known + R_s * column + basis @ coefficients, with `signals.resistance_ohm` in units of R_s.
@@ -75,8 +77,8 @@ def voltage_and_resistance(piece: Piece, signals: Signals, here: LocalMap, pm_fl
         np.ascontiguousarray(signals.v_ab),
         np.ascontiguousarray(signals.i_ab),
         np.ascontiguousarray(signals.resistance_ohm),
-        here.turn,
-        here.inductance,
+        local.turn,
+        local.inductance,
         float(piece.segment.rotor_angle_rad),
         1.0 / signals.sampling_frequency_hz,
         pm_flux_wb,
@@ -85,21 +87,21 @@ def voltage_and_resistance(piece: Piece, signals: Signals, here: LocalMap, pm_fl
     return _summed(piece, v), _summed(piece, r)
 
 
-def basis(piece: Piece, here: LocalMap, magnetics: Magnetics) -> Array:
+def basis(piece: SegmentSignals, local: LocalMap, magnetics: Magnetics) -> Array:
     """The weak form's columns for the coefficients of the co-energy, shape (rows, coefficients)."""
     w = piece.windows
     numbers, counts = magnetics.grid.layout
-    return w.combine(sum_basis(here.i_dq, here.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, CARDINAL))
+    return w.combine(sum_basis(local.i_dq, local.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, CARDINAL))
 
 
-def flux_terms(piece: Piece, here: LocalMap) -> Array:
+def flux_terms(piece: SegmentSignals, local: LocalMap) -> Array:
     """The weak form's -(psi_k+1 - psi_k) by the present map, without the magnet's flux; shape (rows,)."""
-    psi = to_ab(here.psi, here.delta) if here.delta.size else here.psi
+    psi = to_ab(local.psi, local.delta) if local.delta.size else local.psi
     return _summed(piece, -np.diff(psi, axis=0))
 
 
 def difference(
-    piece: Piece, base: Signals, other: Signals, changed: Set[str], here: LocalMap, pm_flux_wb: float
+    piece: SegmentSignals, base: Signals, other: Signals, changed: Set[str], local: LocalMap, pm_flux_wb: float
 ) -> Array:
     """Change of y, to first order in the magnetics, when the signals change from `base` to `other`.
 
@@ -121,10 +123,10 @@ def difference(
         change("resistance_ohm"),
         change("i_m_ab"),
         change("theta_rad"),
-        here.i_dq,
-        here.turn,
-        here.psi,
-        here.inductance,
+        local.i_dq,
+        local.turn,
+        local.psi,
+        local.inductance,
         believed,
         1.0 / base.sampling_frequency_hz,
         pm_flux_wb,
@@ -133,7 +135,7 @@ def difference(
     return sum_intervals(x, w.step, w.hats, w.bins, w.n_bins)
 
 
-def _summed(piece: Piece, x: Array) -> Array:
+def _summed(piece: SegmentSignals, x: Array) -> Array:
     w = piece.windows
     return w.combine(sum_intervals(x, w.step, w.hats, w.bins, w.n_bins))
 

@@ -15,7 +15,7 @@ _SILENT = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
 
 
 @dataclass(frozen=True)
-class Heated:
+class SegmentHeat:
     """What is known of the current of one segment, for the heat it leaves.
 
     Attributes
@@ -39,31 +39,31 @@ def step_of(duration_s: float, criteria: WeakFormCriteria) -> float:
     return max(criteria.loss_step_s, duration_s / criteria.most_loss_steps)
 
 
-def heated(square: Array, start_s: float, end_s: float, fs: float, step_s: float, before: float) -> Heated:
+def segment_heat(square: Array, start_s: float, end_s: float, fs: float, step_s: float, before: float) -> SegmentHeat:
     """From the square of the current at each sample, shape (n,)."""
     starts = np.arange(0, len(square), max(1, round(step_s * fs)))
     means = np.add.reduceat(square, starts) / np.diff(np.append(starts, len(square)))
-    return Heated(start_s, end_s, start_s + starts / fs, np.asarray(means, dtype=np.float64), before)
+    return SegmentHeat(start_s, end_s, start_s + starts / fs, np.asarray(means, dtype=np.float64), before)
 
 
-def unread_heat(recording: RecordingReader, segments: Sequence[Segment], step_s: float) -> list[Heated]:
+def heat_of_unread(recording: RecordingReader, segments: Sequence[Segment], step_s: float) -> list[SegmentHeat]:
     """Of segments that are not fitted: as captured, injection points that were left out by what they aimed at."""
     fs = recording.manifest.drive.sampling_frequency_hz
-    found = []
+    heats = []
     for segment in segments:
         end = segment.start_s + segment.samples / fs
         target = [segment.settings.get(f"target_{axis}_a") for axis in "dq"]
         if segment.stage in _SILENT and segment.samples:
             i_ab = np.asarray(recording.load(segment).i_ab, dtype=np.float64)
             square = np.einsum("ij,ij->i", i_ab, i_ab)
-            found.append(heated(square, segment.start_s, end, fs, step_s, float(square[0])))
+            heats.append(segment_heat(square, segment.start_s, end, fs, step_s, float(square[0])))
         elif segment.stage is SegmentStage.INJECTION and None not in target:
             aimed = sum(float(x) ** 2 for x in target if x is not None)
-            found.append(Heated(segment.start_s, end, np.array([segment.start_s]), np.array([aimed]), aimed))
-    return found
+            heats.append(SegmentHeat(segment.start_s, end, np.array([segment.start_s]), np.array([aimed]), aimed))
+    return heats
 
 
-def loss_history(items: Sequence[Heated], resistance_ohm: float, settling_s: float) -> LossHistory:
+def loss_history(items: Sequence[SegmentHeat], resistance_ohm: float, settling_s: float) -> LossHistory:
     """All of them in order of time.
 
     In a gap the drive settles for `settling_s` to what flows next; the rest of a longer one is spent without current.

@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.equations import LocalMap
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
-from orchestrator.diagnosis.weak_form.spectral_lines import Line, added_noise, find_lines
+from orchestrator.diagnosis.weak_form.spectral_lines import SpectralLine, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.windows import hat_weights
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
@@ -42,21 +42,21 @@ class SensorNoise:
         The same while a ripple is injected, from repeated periods; jitter and PWM ripple show here.
     correlation : float
         From each reading to the next, as of a first-order process.
-    lines : tuple of Line
+    lines : tuple of SpectralLine
         Disturbances of a fixed frequency.
     """
 
     covariance: Array
     ripple: Array
     correlation: float
-    lines: tuple[Line, ...] = ()
+    lines: tuple[SpectralLine, ...] = ()
 
-    def of(self, piece: Piece) -> Array:
+    def of(self, piece: SegmentSignals) -> Array:
         """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
-        own = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
-        return np.asarray(own / piece.averaged)
+        covariance = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
+        return np.asarray(covariance / piece.averaged)
 
-    def colour(self, piece: Piece) -> Array:
+    def colour(self, piece: SegmentSignals) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
         w, rho = piece.windows, self.correlation
         if len(w.carriers) == 1 and self.lines:
@@ -66,7 +66,7 @@ class SensorNoise:
         turn = 2.0 * np.pi * np.array(w.orders) / max(w.period, 1.0)
         return np.asarray((1.0 - rho**2) / (1.0 - 2.0 * rho * np.cos(turn) + rho**2))
 
-    def _steady(self, piece: Piece) -> float:
+    def _steady(self, piece: SegmentSignals) -> float:
         """Of a hat: correlation, and switching ripple."""
         rho, s = self.correlation, piece.signals
         motor, variance = s.motor, 0.5 * float(np.trace(self.of(piece)))
@@ -77,7 +77,7 @@ class SensorNoise:
         return (1.0 + rho) / (1.0 - rho) + sum(more)
 
 
-def sensor_noise(pieces: Sequence[Piece], criteria: WeakFormCriteria) -> SensorNoise:
+def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -> SensorNoise:
     """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
 
     From holds and gates-off readings; where there are none, from trapezoids, then from the injection itself.
@@ -134,7 +134,7 @@ class Slopes:
 
 
 def banded_covariance(
-    piece: Piece, here: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
+    piece: SegmentSignals, local: LocalMap, resistance: Array, noise: SensorNoise, r_s: float, slopes: Slopes | None
 ) -> Array:
     """Covariance of a piece's rows in LAPACK's lower banded form, shape (bandwidth + 1, rows).
 
@@ -147,7 +147,7 @@ def banded_covariance(
     angle = float(piece.segment.rotor_angle_rad)
     turn = rotation(-angle)
     sums = _pair_sums(
-        here.inductance,
+        local.inductance,
         np.ascontiguousarray(resistance),
         slopes.current if slopes is not None else np.zeros((0, 2, 2)),
         slopes.voltage if slopes is not None else np.zeros((0, 2, 2)),

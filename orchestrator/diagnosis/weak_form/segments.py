@@ -10,7 +10,13 @@ from typing import Literal
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
-from orchestrator.diagnosis.weak_form.loss_history import Heated, heated, loss_history, step_of, unread_heat
+from orchestrator.diagnosis.weak_form.loss_history import (
+    SegmentHeat,
+    heat_of_unread,
+    loss_history,
+    segment_heat,
+    step_of,
+)
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_of
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
 from orchestrator.numerics.frames import to_dq
@@ -34,7 +40,7 @@ _SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
 
 
 @dataclass(frozen=True)
-class Piece:
+class SegmentSignals:
     """One segment.
 
     Attributes
@@ -67,11 +73,11 @@ class Piece:
 
 
 @dataclass(frozen=True)
-class Prepared:
+class PreparedRecording:
     """A recording as the diagnosis works on it."""
 
     manifest: Manifest
-    pieces: tuple[Piece, ...]
+    pieces: tuple[SegmentSignals, ...]
     remarks: tuple[Remark, ...]
     criteria: Criteria
 
@@ -88,7 +94,7 @@ class Prepared:
         return low, high, q
 
 
-def prepare(recording: RecordingReader, criteria: Criteria) -> Prepared:
+def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording:
     """Read every usable segment of a recording.
 
     Raises
@@ -106,7 +112,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> Prepared:
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
     # Not of a grid's first row or column, where the map would have to extrapolate.
     held_out = set(injections[2 :: cutting.held_out_every]) if len(injections) >= cutting.held_out_from else set()
-    pieces: list[Piece] = []
+    pieces: list[SegmentSignals] = []
     for segment in segments:
         piece = _piece(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
         if piece is None:
@@ -118,21 +124,21 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> Prepared:
     pieces.sort(key=lambda p: p.segment.start_s)
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
-    unread = unread_heat(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
-    return Prepared(manifest, _with_heat(pieces, unread, manifest, cutting), tuple(remarks), criteria)
+    unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
+    return PreparedRecording(manifest, _with_heat(pieces, unread, manifest, cutting), tuple(remarks), criteria)
 
 
-def coarse(prepared: Prepared) -> Prepared:
+def coarse(prepared: PreparedRecording) -> PreparedRecording:
     """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points."""
     cutting = prepared.criteria.weak_form
     points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
     most = min(cutting.coarse_points, len(points))
-    kept = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
-    pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in kept)
+    spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
+    pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces), remarks=())
 
 
-def _part(piece: Piece, criteria: WeakFormCriteria) -> Piece:
+def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     s, settings = piece.signals, piece.segment.settings
     n, fs = len(s.v_dc), s.sampling_frequency_hz
     count = n
@@ -160,15 +166,15 @@ def _thinned(
     turns = {s.id: criteria.thinned_turns * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
     wanted = {s.id: min(s.samples, max(round(turns[s.id]), criteria.thinned_least_samples)) for s in points}
     stride = max(1.0, sum(wanted.values()) / criteria.most_samples)
-    kept = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
-    told = "{used} of {points} injection points are used, evenly spread, and one turn of each"
-    remarks.append(Remark.of("thinned", told, used=len(kept), points=len(points)))
-    return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in kept], wanted
+    spread = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
+    text = "{used} of {points} injection points are used, evenly spread, and one turn of each"
+    remarks.append(Remark.of("thinned", text, used=len(spread), points=len(points)))
+    return [s for s in segments if s.stage is not SegmentStage.INJECTION or s.id in spread], wanted
 
 
 def _piece(
     recording: RecordingReader, segment: Segment, held_out: bool, samples: int | None, criteria: WeakFormCriteria
-) -> Piece | None:
+) -> SegmentSignals | None:
     drive = recording.manifest.drive
     capture = recording.load(segment)
     fs = drive.sampling_frequency_hz
@@ -207,7 +213,7 @@ def _piece(
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab, criteria) == "dq"
-    return Piece(segment, held_out or diagonal, signals, windows, scatter, width, before)
+    return SegmentSignals(segment, held_out or diagonal, signals, windows, scatter, width, before)
 
 
 def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:
@@ -300,8 +306,8 @@ def _delayed(v_ab: Array, samples: float) -> Array:
 
 
 def _with_heat(
-    pieces: Sequence[Piece], unread: Sequence[Heated], manifest: Manifest, criteria: WeakFormCriteria
-) -> tuple[Piece, ...]:
+    pieces: Sequence[SegmentSignals], unread: Sequence[SegmentHeat], manifest: Manifest, criteria: WeakFormCriteria
+) -> tuple[SegmentSignals, ...]:
     """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
     last = pieces[-1].signals
     step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz, criteria)
@@ -314,16 +320,16 @@ def _with_heat(
     )
 
 
-def _heated(piece: Piece, step_s: float, fs: float) -> Heated:
+def _heated(piece: SegmentSignals, step_s: float, fs: float) -> SegmentHeat:
     """Of one piece: as captured, and as at its end where the segment went on after what was read."""
     s = piece.signals
     square = np.einsum("ij,ij->i", s.i_ab, s.i_ab) if s.bridge_on else np.zeros(len(s.v_dc))
     end = max(s.start_s + len(square) / s.sampling_frequency_hz, piece.segment.start_s + piece.segment.samples / fs)
     before = float(piece.before_ab @ piece.before_ab) if s.bridge_on else 0.0
-    return heated(square, s.start_s, end, s.sampling_frequency_hz, step_s, before)
+    return segment_heat(square, s.start_s, end, s.sampling_frequency_hz, step_s, before)
 
 
-def _heat_of(piece: Piece, losses: LossHistory, energy: Array) -> Array:
+def _heat_of(piece: SegmentSignals, losses: LossHistory, energy: Array) -> Array:
     s = piece.signals
     now = s.start_s + np.arange(len(s.v_dc)) / s.sampling_frequency_hz
     return np.asarray(np.interp(now, losses.time_s, energy), dtype=np.float64)

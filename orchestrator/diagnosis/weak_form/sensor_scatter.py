@@ -42,8 +42,8 @@ def scatter_of(i_ab: Array, period: float | None) -> Scatter:
     if period is None:
         # Coefficients (1, -2, 1) cancel what is linear in time, and multiply the variance of white noise by six.
         d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
-        own = float(np.einsum("ij,ij->", d, d))
-        lag = float(np.einsum("ij,ij->", d[1:], d[:-1])) / own if own > 0.0 else float("nan")
+        power = float(np.einsum("ij,ij->", d, d))
+        lag = float(np.einsum("ij,ij->", d[1:], d[:-1])) / power if power > 0.0 else float("nan")
         return Scatter(d.T @ d / (6.0 * len(d)), lag, spectrum_of(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]

@@ -18,7 +18,7 @@ from orchestrator.numerics.types import Array
 
 
 @dataclass(frozen=True)
-class Line:
+class SpectralLine:
     """One line.
 
     Attributes
@@ -46,7 +46,9 @@ def spectrum_of(i_ab: Array) -> Array:
     return np.asarray(power.mean(axis=1) / float(window @ window))
 
 
-def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float, criteria: WeakFormCriteria) -> tuple[Line, ...]:
+def find_lines(
+    holds: Sequence[Array], off: Sequence[Array], fs: float, criteria: WeakFormCriteria
+) -> tuple[SpectralLine, ...]:
     """The lines that matter, strongest first.
 
     Parameters
@@ -64,7 +66,7 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float, criteria
     step_hz = fs / (2.0 * (length - 1))
     # A line is higher than both its neighbours; the tail of a current that is still settling only falls.
     beside = np.pad(mean, 1, constant_values=0.0)
-    left, found = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
+    left, lines = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
     for _ in range(criteria.most_lines):
         left[: max(2, math.ceil(criteria.line_least_hz / step_hz))] = 0.0
         at = int(np.argmax(left))
@@ -72,18 +74,18 @@ def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float, criteria
         around = np.concatenate([mean[low : max(at - near, low)], mean[min(at + near + 1, high) : high]])
         if left[at] < criteria.line_stands_out * float(np.median(around)):
             break
-        own = slice(max(at - near, 0), min(at + near + 1, length))
-        left[own] = 0.0
+        bins = slice(max(at - near, 0), min(at + near + 1, length))
+        left[bins] = 0.0
         # A Hann window spreads a line over bins that add up to its power times n / 2 (twice at the very end).
-        each = alike[:, own].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
+        each = alike[:, bins].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
         size = np.sqrt(np.maximum(each, 0.0))
         if size.max() < criteria.line_least_size * math.sqrt(noise):
             continue
         quiet = all(_height(s, at * step_hz, fs) < criteria.line_stands_out for s in off)
         steady = float(np.std(size)) < criteria.line_steady * float(np.mean(size))
         switching = bool(off) and quiet and steady and at < length - 2
-        found.append(Line(at * step_hz, float(each.mean()), switching))
-    return tuple(found)
+        lines.append(SpectralLine(at * step_hz, float(each.mean()), switching))
+    return tuple(lines)
 
 
 def _height(spectrum: Array, frequency_hz: float, fs: float) -> float:
@@ -92,7 +94,9 @@ def _height(spectrum: Array, frequency_hz: float, fs: float) -> float:
     return float(spectrum[max(at - 2, 0) : at + 3].max() / max(float(np.median(spectrum)), 1e-300))
 
 
-def added_noise(line: Line, fs: float, averaged: int, step: float, ohm: float, henry: float, variance: float) -> float:
+def added_noise(
+    line: SpectralLine, fs: float, averaged: int, step: float, ohm: float, henry: float, variance: float
+) -> float:
     """Power that a line adds to a hat's equation, over that of white readings.
 
     Parameters

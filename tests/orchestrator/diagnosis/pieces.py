@@ -18,7 +18,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared, injection_period, windows_of
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, injection_period, windows_of
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
 from orchestrator.numerics.tensor_spline import EvenSpline
 from protocols import DriveRecord, Manifest, Motor, Segment, SegmentStage, Signals
@@ -98,7 +98,7 @@ def plan(*, sparse: bool = False) -> list[Plan]:
     return made + [Plan(SegmentStage.INJECTION, ripple(*point, 40.0), settings=settings) for point in points]
 
 
-def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> Piece:
+def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> SegmentSignals:
     """A segment as the diagnosis has it; `noise` (n, 2) is added to the readings in the stator frame."""
     c, s = math.cos(angle), math.sin(angle)
     to_stator = np.array([[c, s], [-s, c]])
@@ -133,10 +133,12 @@ def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array
     windows = windows_of(segment, FS, i_ab, v_ab, cutting)
     assert windows is not None
     period = injection_period(segment, FS, v_ab, cutting) if asked.stage is SegmentStage.INJECTION else None
-    return Piece(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0])
+    return SegmentSignals(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0])
 
 
-def prepared(plans: Sequence[Plan], *, seed: int = 1, noise_a: float = NOISE_A, angle: float = 0.0) -> Prepared:
+def prepared(
+    plans: Sequence[Plan], *, seed: int = 1, noise_a: float = NOISE_A, angle: float = 0.0
+) -> PreparedRecording:
     """A campaign, its readings noisy."""
     rng = np.random.default_rng(seed)
     pieces, clock = [], 0.0
@@ -154,10 +156,10 @@ def prepared(plans: Sequence[Plan], *, seed: int = 1, noise_a: float = NOISE_A, 
         drive=DRIVE,
         segments=segments,
     )
-    return Prepared(manifest, tuple(pieces), (), CRITERIA)
+    return PreparedRecording(manifest, tuple(pieces), (), CRITERIA)
 
 
-def with_voltage(made: Prepared, change: Mapping[str, Array] | Array) -> Prepared:
+def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -> PreparedRecording:
     """The same where a voltage (2,) was commanded that the machine never felt; or each piece's own, by id."""
     pieces = []
     for p in made.pieces:
@@ -167,7 +169,7 @@ def with_voltage(made: Prepared, change: Mapping[str, Array] | Array) -> Prepare
     return replace(made, pieces=tuple(pieces))
 
 
-def fitter(made: Prepared) -> Fitter:
+def fitter(made: PreparedRecording) -> Fitter:
     return Fitter(made, sensor_noise(made.pieces, CRITERIA.weak_form), PM_WB, threads=1)
 
 

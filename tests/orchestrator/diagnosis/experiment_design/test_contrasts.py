@@ -11,8 +11,8 @@ import pytest
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS, Bench, holds, minutes, tidy
 from orchestrator.diagnosis.experiment_design.separation import planned_pieces
-from orchestrator.diagnosis.fitting.baseline import Start, baseline_model
-from orchestrator.diagnosis.weak_form.segments import Piece, Prepared
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.recording import Recording
 from protocols import Contrast, Saturated, SegmentStage
 
@@ -20,15 +20,15 @@ WITH_STAGES = [contrast for contrast in Contrast if contrast is not Contrast.SEC
 
 
 @pytest.fixture(scope="module")
-def start(clean: Recording) -> Start:
+def setup(clean: Recording) -> DiagnosisSetup:
     return open_for_diagnosis(clean)
 
 
-def only(prepared: Prepared, *pieces: Piece) -> Prepared:
+def only(prepared: PreparedRecording, *pieces: SegmentSignals) -> PreparedRecording:
     return replace(prepared, pieces=pieces)
 
 
-def bare(prepared: Prepared) -> Prepared:
+def bare(prepared: PreparedRecording) -> PreparedRecording:
     """One sweep, one hold of the largest current, and one ripple: no contrast at all."""
     sweep = next(p for p in prepared.pieces if p.stage is SegmentStage.CLASSICAL)
     dwells = (p for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE)
@@ -42,21 +42,21 @@ def test_every_contrast_is_declared() -> None:
 
 
 @pytest.mark.parametrize("contrast", Contrast)
-def test_a_recording_without_a_contrast_does_not_hold_it(start: Start, contrast: Contrast) -> None:
-    assert not holds(bare(start.prepared), contrast)
+def test_a_recording_without_a_contrast_does_not_hold_it(setup: DiagnosisSetup, contrast: Contrast) -> None:
+    assert not holds(bare(setup.prepared), contrast)
 
 
 @pytest.mark.parametrize("contrast", WITH_STAGES)
-def test_what_its_stages_measure_brings_a_contrast_about(start: Start, contrast: Contrast) -> None:
-    before = bare(start.prepared)
-    model = baseline_model(start, Saturated())
+def test_what_its_stages_measure_brings_a_contrast_about(setup: DiagnosisSetup, contrast: Contrast) -> None:
+    before = bare(setup.prepared)
+    model = baseline_model(setup, Saturated())
 
     @cache
-    def planned(number: int) -> tuple[Piece, ...]:
-        stage = CONTRASTS[contrast].stages(Bench.of(start))[number]
-        return tuple(piece for piece, _ in planned_pieces(start, model, stage))
+    def planned(number: int) -> tuple[SegmentSignals, ...]:
+        stage = CONTRASTS[contrast].stages(Bench.of(setup))[number]
+        return tuple(piece for piece, _ in planned_pieces(setup, model, stage))
 
-    for number in range(len(CONTRASTS[contrast].stages(Bench.of(start)))):
+    for number in range(len(CONTRASTS[contrast].stages(Bench.of(setup)))):
         pieces = planned(number)
         if contrast is Contrast.ANCHOR:
             # Measured at the end of an experiment whose first hold was the same.
@@ -73,26 +73,26 @@ def test_what_its_stages_measure_brings_a_contrast_about(start: Start, contrast:
             assert holds(only(before, *before.pieces, *pieces), contrast)
 
 
-def test_two_angles_are_recognised(start: Start) -> None:
-    before = bare(start.prepared)
+def test_two_angles_are_recognised(setup: DiagnosisSetup) -> None:
+    before = bare(setup.prepared)
     turned = replace(before.pieces[0], segment=before.pieces[0].segment.model_copy(update={"rotor_angle_rad": 1.05}))
     assert holds(only(before, *before.pieces, turned), Contrast.SECOND_ANGLE)
 
 
-def test_stages_are_scaled_from_the_injection_there_was(start: Start) -> None:
-    bench = Bench.of(start)
+def test_stages_are_scaled_from_the_injection_there_was(setup: DiagnosisSetup) -> None:
+    bench = Bench.of(setup)
     assert (bench.injection_hz, bench.injection_v) == (500.0, 40.0)
     (second,) = CONTRASTS[Contrast.SECOND_INJECTION_AMPLITUDE].stages(bench)
     assert (second["frequency_hz"], second["amplitudes_v"]) == (500.0, [20.0, 10.0])
-    without = replace(start, prepared=only(start.prepared, *start.prepared.pieces[:1]))
+    without = replace(setup, prepared=only(setup.prepared, *setup.prepared.pieces[:1]))
     likely = Bench.of(without)
     assert likely.injection_hz == 500.0
     # A square wave of this voltage swings the flux by a fifth of L_d I, both ways.
-    assert likely.injection_v / (4.0 * likely.injection_hz) == pytest.approx(0.2 * 0.04325 * start.current_a)
+    assert likely.injection_v / (4.0 * likely.injection_hz) == pytest.approx(0.2 * 0.04325 * setup.current_a)
 
 
-def test_ripple_of_twice_the_frequency_is_left_out_where_samples_are_too_few(start: Start) -> None:
-    bench = Bench.of(start)
+def test_ripple_of_twice_the_frequency_is_left_out_where_samples_are_too_few(setup: DiagnosisSetup) -> None:
+    bench = Bench.of(setup)
     stages = CONTRASTS[Contrast.SECOND_INJECTION_FREQUENCY].stages
     assert [s["frequency_hz"] for s in stages(bench)] == [250.0, 1000.0]
     assert [s["frequency_hz"] for s in stages(replace(bench, sampling_hz=3999.0))] == [250.0]

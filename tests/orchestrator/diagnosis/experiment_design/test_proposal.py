@@ -11,7 +11,7 @@ import pytest
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.experiment_design.proposal import catalogue, next_experiment
 from orchestrator.diagnosis.experiment_design.separation import planned_pieces, rivals, separation
-from orchestrator.diagnosis.fitting.baseline import Start
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
@@ -26,19 +26,19 @@ ONE_PWM, TWO_PWM = 0, 1
 
 
 @pytest.fixture(scope="module")
-def start(with_dead_time: Recording) -> Start:
+def setup(with_dead_time: Recording) -> DiagnosisSetup:
     return open_for_diagnosis(with_dead_time)
 
 
 @pytest.fixture(scope="module")
-def library(start: Start) -> dict[str, Candidate]:
+def library(setup: DiagnosisSetup) -> dict[str, Candidate]:
     effects: list[Effect] = [DeadTime(), DeviceDrop(), CurrentOffset()]
-    return {c.name: c for c in scaled_library(effects, start.prepared.manifest)}
+    return {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
 
 
 @pytest.fixture(scope="module")
-def fit(start: Start, library: dict[str, Candidate]) -> Fit:
-    return with_effect(start.fitter, first_steps(start, "saturated", library)[-1].fit, library["dead_time"])
+def fit(setup: DiagnosisSetup, library: dict[str, Candidate]) -> Fit:
+    return with_effect(setup.fitter, first_steps(setup, "saturated", library)[-1].fit, library["dead_time"])
 
 
 def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -49,51 +49,53 @@ def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]
 
 
 def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_one_does_not(
-    start: Start, fit: Fit, library: dict[str, Candidate]
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(start, fit.model, fit.model.active[-1], library["device_drop"])
+    pair = rivals(setup, fit.model, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     imitation = pair.model.active[-1].values["voltage_v"]
     assert imitation == pytest.approx(0.8, rel=0.15)  # the drop that looks like it at one PWM frequency
-    one, two = (separation(start, pair, stage) for stage in holds(catalogue(start)))
+    one, two = (separation(setup, pair, stage) for stage in holds(catalogue(setup)))
     assert two > 100.0 * max(one, 1.0)
 
 
 def test_what_is_already_told_apart_gains_little_by_reading_gates_off(
-    start: Start, fit: Fit, library: dict[str, Candidate]
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(start, fit.model, fit.model.active[-1], library["device_drop"])
+    pair = rivals(setup, fit.model, fit.model.active[-1], library["device_drop"])
     assert pair is not None
-    assert separation(start, pair, {"kind": "gates_off", "duration_s": 2.0}) < 1.0
+    assert separation(setup, pair, {"kind": "gates_off", "duration_s": 2.0}) < 1.0
 
 
-def test_more_time_separates_more(start: Start, fit: Fit, library: dict[str, Candidate]) -> None:
-    pair = rivals(start, fit.model, fit.model.active[-1], library["device_drop"])
+def test_more_time_separates_more(setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]) -> None:
+    pair = rivals(setup, fit.model, fit.model.active[-1], library["device_drop"])
     assert pair is not None
-    _, stage = holds(catalogue(start))
-    assert separation(start, pair, {**stage, "duration_s": 1.0}) > 1.2 * separation(start, pair, stage)
+    _, stage = holds(catalogue(setup))
+    assert separation(setup, pair, {**stage, "duration_s": 1.0}) > 1.2 * separation(setup, pair, stage)
 
 
-def test_the_best_a_minute_is_proposed_within_a_second(start: Start, fit: Fit, library: dict[str, Candidate]) -> None:
+def test_the_best_a_minute_is_proposed_within_a_second(
+    setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
+) -> None:
     began = time.process_time()
-    proposal = next_experiment(start, fit, list(library.values()), "dead_time", "device_drop")
+    proposal = next_experiment(setup, fit, list(library.values()), "dead_time", "device_drop")
     assert time.process_time() - began < 3.0  # one second on a machine with nothing else to do
     assert proposal is not None
-    assert proposal.stage == holds(catalogue(start))[1]
+    assert proposal.stage == holds(catalogue(setup))[1]
     assert proposal.minutes == pytest.approx(8 * 2 * 1.0 / 60.0, abs=0.01)
 
 
 def test_an_effect_that_is_not_in_the_model_is_told_apart_as_large_as_it_would_be(
-    start: Start, library: dict[str, Candidate]
+    setup: DiagnosisSetup, library: dict[str, Candidate]
 ) -> None:
-    bare = first_steps(start, "saturated", library)[-1].fit
-    proposal = next_experiment(start, bare, list(library.values()), "device_drop", "dead_time")
+    bare = first_steps(setup, "saturated", library)[-1].fit
+    proposal = next_experiment(setup, bare, list(library.values()), "device_drop", "dead_time")
     assert proposal is not None
     assert proposal.separates == ("device_drop", "dead_time")
     assert "pwm_frequencies_hz" in proposal.stage
 
 
-def test_what_no_stage_separates_is_what_both_effects_need(start: Start, fit: Fit) -> None:
+def test_what_no_stage_separates_is_what_both_effects_need(setup: DiagnosisSetup, fit: Fit) -> None:
     def needing(*contrasts: Contrast) -> list[Candidate]:
         class First(CurrentOffset):
             name: ClassVar[str] = "first"
@@ -103,10 +105,10 @@ def test_what_no_stage_separates_is_what_both_effects_need(start: Start, fit: Fi
             name: ClassVar[str] = "second"
 
         # The two do the very same: nothing tells them apart, whatever is measured.
-        return list(scaled_library([First(), Second()], start.prepared.manifest))
+        return list(scaled_library([First(), Second()], setup.prepared.manifest))
 
     def proposed(*contrasts: Contrast) -> str | None:
-        found = next_experiment(start, fit, needing(*contrasts), "first", "second")
+        found = next_experiment(setup, fit, needing(*contrasts), "first", "second")
         return None if found is None else found.stage["kind"]
 
     assert proposed() is None
@@ -115,9 +117,9 @@ def test_what_no_stage_separates_is_what_both_effects_need(start: Start, fit: Fi
     assert proposed(Contrast.SECOND_ANGLE) is None, "no stage by itself locks the rotor at another angle"
 
 
-def test_a_long_hold_is_predicted_to_warm_the_winding(start: Start, fit: Fit) -> None:
+def test_a_long_hold_is_predicted_to_warm_the_winding(setup: DiagnosisSetup, fit: Fit) -> None:
     (short, _), (long, _) = (
-        planned_pieces(start, fit.model, {"kind": "resistance", "points_a": [[2.0, 0.0]], "duration_s": seconds})[0]
+        planned_pieces(setup, fit.model, {"kind": "resistance", "points_a": [[2.0, 0.0]], "duration_s": seconds})[0]
         for seconds in (1.0, 31.0)
     )
     power = 1.5 * 4.25 * 2.0**2
@@ -125,10 +127,10 @@ def test_a_long_hold_is_predicted_to_warm_the_winding(start: Start, fit: Fit) ->
     losses = long.signals.losses
     assert losses is not None
     assert float(np.sum(losses.power_w[:-1] * np.diff(losses.time_s))) == pytest.approx(
-        float(start.prepared.pieces[-1].signals.heat_j[-1]) + 31.0 * power, rel=0.02
+        float(setup.prepared.pieces[-1].signals.heat_j[-1]) + 31.0 * power, rel=0.02
     )
 
 
-def test_every_stage_of_the_catalogue_is_a_procedure_s(start: Start) -> None:
-    for stage in catalogue(start):
+def test_every_stage_of_the_catalogue_is_a_procedure_s(setup: DiagnosisSetup) -> None:
+    for stage in catalogue(setup):
         parse_stage(stage, "catalogue", "stage")

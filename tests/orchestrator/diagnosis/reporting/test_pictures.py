@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.baseline import Start, baseline_model
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.diagnosis_file import REPORT_NAME, STEPS_NAME, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
@@ -33,7 +33,7 @@ from protocols import (
 )
 from tests.support.close import assert_close
 
-Ladder = tuple[tuple[Step, ...], Start, tuple[DiagnosisStep, ...]]
+Ladder = tuple[tuple[Step, ...], DiagnosisSetup, tuple[DiagnosisStep, ...]]
 
 RATIO = Criteria().selection.amplitudes_apart
 
@@ -41,11 +41,11 @@ RATIO = Criteria().selection.amplitudes_apart
 @pytest.fixture(scope="module")
 def ladder(with_dead_time: Recording) -> Ladder:
     """The map alone, then with the dead time that is really there."""
-    start = open_for_diagnosis(with_dead_time)
-    bare = start.fitter.fit(baseline_model(start, Saturated()), renewals=1)
-    candidate = scaled_library([DeadTime()], start.prepared.manifest)[0]
-    steps = (Step(None, bare), Step("dead_time", with_effect(start.fitter, bare, candidate)))
-    return steps, start, tuple(diagnosis_step(k, step, start) for k, step in enumerate(steps))
+    setup = open_for_diagnosis(with_dead_time)
+    bare = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=1)
+    candidate = scaled_library([DeadTime()], setup.prepared.manifest)[0]
+    steps = (Step(None, bare), Step("dead_time", with_effect(setup.fitter, bare, candidate)))
+    return steps, setup, tuple(diagnosis_step(k, step, setup) for k, step in enumerate(steps))
 
 
 def test_a_step_says_what_the_ladder_says(ladder: Ladder) -> None:
@@ -145,8 +145,8 @@ def test_small_stages_are_kept_whole_and_large_ones_evenly() -> None:
 
 
 def test_without_two_amplitudes_one_ripple_is_shown(ladder: Ladder) -> None:
-    _, start, _ = ladder
-    pieces = start.prepared.pieces
+    _, setup, _ = ladder
+    pieces = setup.prepared.pieces
     small, large = ripple_pair(pieces, RATIO)
     one = [pieces[large]]
     assert ripple_pair(one, RATIO) == (0,)

@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import Prepared
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import NotMeasuredError, SegmentStage
 from tests.orchestrator.diagnosis.pieces import NOISE_A, Plan, hold, plan, prepared
 
@@ -18,7 +18,7 @@ NOISE = SensorNoise(NOISE_A**2 * np.eye(2), NOISE_A**2 * np.eye(2), 0.0)
 ENOUGH = prepared(plan())
 
 
-def _only(*stages: SegmentStage) -> Prepared:
+def _only(*stages: SegmentStage) -> PreparedRecording:
     return replace(ENOUGH, pieces=tuple(p for p in ENOUGH.pieces if p.stage in stages))
 
 

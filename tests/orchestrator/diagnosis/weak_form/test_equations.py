@@ -16,7 +16,7 @@ from orchestrator.diagnosis.weak_form.equations import (
     voltage_and_resistance,
 )
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import plain_windows
 from orchestrator.numerics.frames import to_ab
 from protocols import SegmentStage, Signals
@@ -28,13 +28,13 @@ RIPPLE = Plan(
 )
 
 
-def _rows(one: Piece, signals: Signals, magnetics: Magnetics = TRUE_MAP) -> Array:
+def _rows(one: SegmentSignals, signals: Signals, magnetics: Magnetics = TRUE_MAP) -> Array:
     at = local_map(one, signals, magnetics)
     known, resistance = voltage_and_resistance(one, signals, at, PM_WB)
     return known + R_S * resistance + flux_terms(one, at)
 
 
-def _voltage(one: Piece) -> Array:
+def _voltage(one: SegmentSignals) -> Array:
     """What the rows consist of, to say how small what is left is."""
     return voltage_and_resistance(one, one.signals, local_map(one, one.signals, TRUE_MAP), PM_WB)[0]
 

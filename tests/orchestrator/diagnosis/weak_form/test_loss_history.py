@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
-from orchestrator.diagnosis.weak_form.loss_history import heated, loss_history, step_of
+from orchestrator.diagnosis.weak_form.loss_history import loss_history, segment_heat, step_of
 
 FS = 10_000.0
 
 
 def test_energy_of_the_history_is_that_of_what_flowed() -> None:
-    first = heated(np.full(5000, 4.0), 1.0, 1.5, FS, 0.05, 4.0)
-    second = heated(np.full(5000, 9.0), 1.75, 2.25, FS, 0.05, 9.0)
+    first = segment_heat(np.full(5000, 4.0), 1.0, 1.5, FS, 0.05, 4.0)
+    second = segment_heat(np.full(5000, 9.0), 1.75, 2.25, FS, 0.05, 9.0)
     losses = loss_history([second, first], 2.0, 1.0)
     energy = float(losses.power_w[:-1] @ np.diff(losses.time_s))
     # Settled for the whole second before the first, and for the quarter of a second between the two.
@@ -22,7 +22,7 @@ def test_energy_of_the_history_is_that_of_what_flowed() -> None:
 
 
 def test_a_long_gap_is_spent_without_current_until_the_drive_settles() -> None:
-    items = [heated(np.full(1000, 4.0), t, t + 0.1, FS, 0.05, 4.0) for t in (1.0, 60.0)]
+    items = [segment_heat(np.full(1000, 4.0), t, t + 0.1, FS, 0.05, 4.0) for t in (1.0, 60.0)]
     losses = loss_history(items, 1.0, 1.0)
     assert np.interp(30.0, losses.time_s, losses.power_w) < np.interp(59.5, losses.time_s, losses.power_w)
     assert float(losses.power_w[:-1] @ np.diff(losses.time_s)) == pytest.approx(1.5 * 4.0 * 2.2)
@@ -30,7 +30,7 @@ def test_a_long_gap_is_spent_without_current_until_the_drive_settles() -> None:
 
 def test_means_of_a_history_keep_the_energy_of_the_samples() -> None:
     square = np.random.default_rng(1).uniform(0.0, 9.0, 1234)
-    piece = heated(square, 2.0, 2.0 + 1234 / FS, FS, 0.05, 0.0)
+    piece = segment_heat(square, 2.0, 2.0 + 1234 / FS, FS, 0.05, 0.0)
     seconds = np.diff(np.append(piece.times_s, piece.end_s))
     assert float(piece.squares @ seconds) == pytest.approx(float(square.sum()) / FS)
 

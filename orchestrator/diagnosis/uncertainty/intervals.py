@@ -1,11 +1,7 @@
-"""How far a fitted effect is to be trusted: whether its size is the same all through, and how far off it may be.
-
-An effect that is only a stand-in for another drifts. Nothing is named or dropped here.
-"""
+"""How far a fitted effect may be off: its noise, what its segments disagree by, and what its form leaves out."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -13,41 +9,10 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.weak_form.segments import Piece
+from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SegmentStage
-
-
-def inconstancy(fit: Fit) -> dict[str, float]:
-    """How much each active effect's amplitude scatters between blocks of the recording, relative to itself.
-
-    The recording is cut, in order of time, into blocks that know equally much about the amplitude; in each the
-    amplitude is estimated anew with all else held. What the blocks want to add, beyond what noise alone makes them
-    want, is compared with the amplitude (the largest of them where an effect has several).
-    """
-    scatter = block_scatter(fit)
-    found: dict[str, float] = {}
-    k = 0
-    for active in fit.model.active:
-        worst, largest = 0.0, max(abs(active.coordinate(n)) for n in active.candidate.amplitudes)
-        for name in active.free:
-            if name in active.candidate.amplitudes and largest > 0.0:
-                worst = max(worst, scatter[k] / largest)
-            k += 1
-        found[active.name] = float(worst)
-    return found
-
-
-def certainty(fit: Fit) -> dict[str, float]:
-    """Each active effect's largest amplitude in standard deviations, disagreement between blocks included."""
-    between = block_scatter(fit) ** 2 / fit.criteria.uncertainty.blocks
-    spread = np.sqrt(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + between)
-    found: dict[str, float] = {}
-    for k, (active, name) in enumerate(fit.model.free):
-        if name in active.candidate.amplitudes:
-            size = abs(active.coordinate(name)) / float(spread[k])
-            found[active.name] = max(found.get(active.name, 0.0), size)
-    return found
 
 
 def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
@@ -60,12 +25,12 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     """
     rigid = [(a, n) for a in fit.model.active for n in _yielding(a)]
     loose = fitter.evaluate(fit.model, fit.frame, rigid)
-    own, _ = loose.projected()
-    inverse = np.linalg.inv(own + np.eye(len(own)))
+    normal, _ = loose.projected()
+    inverse = np.linalg.inv(normal + np.eye(len(normal)))
     count = len(fit.model.free)
     segments = following(loose)
     pulls = np.array([e @ rows for _, e, rows in segments])
-    sandwich = inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / max(len(pulls) - len(own), 1)
+    sandwich = inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / max(len(pulls) - len(normal), 1)
     plain = np.diag(inverse) * max(fit.chi2_per_dof, 1.0)
     share = ripple_share([(piece, rows @ inverse[:, :count]) for piece, _, rows in segments])
     criteria = fit.criteria.uncertainty
@@ -81,7 +46,7 @@ def _yielding(active: Active) -> list[str]:
     return [n for n in names if n not in active.free and active.values[n] > active.candidate.named(n).low]
 
 
-def following(fit: Fit) -> list[tuple[Piece, Array, Array]]:
+def following(fit: Fit) -> list[tuple[SegmentSignals, Array, Array]]:
     """Of each training segment: residual (rows,) and columns (rows, columns), R_s and the map following the columns."""
     width, count = fit.normal.shape[0], fit.columns[0].shape[1]
     cross = np.zeros((width, count))
@@ -94,7 +59,7 @@ def following(fit: Fit) -> list[tuple[Piece, Array, Array]]:
     return [(p, e, d - np.outer(r, follow[0]) - f.white_basis @ follow[1:]) for p, f, d, r, e in parts]
 
 
-def ripple_share(rows: Sequence[tuple[Piece, Array]]) -> Array:
+def ripple_share(rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:
     """What the ripple tells of each column, over what it and the means at rest tell together; shape (columns,)."""
     ripple, rest = np.zeros(rows[0][1].shape[1]), np.zeros(rows[0][1].shape[1])
     for piece, columns in rows:
@@ -109,33 +74,3 @@ def _extent(active: Active, name: str) -> float:
     """The coordinate of all that there is of a parameter; of a shape, which is never absent, of one e-fold."""
     p = active.candidate.named(name)
     return 1.0 / p.prior_width if p.role is ParameterRole.SHAPE else abs(active.coordinate(name))
-
-
-def foretold(without: Fit, full: Fit) -> bool:
-    """Whether an effect that the fitted part asks for makes the held-out part fit better too."""
-    before, after = (f.chi2_of(lambda p: p.held_out) for f in (without, full))
-    return before is None or after is None or after < before
-
-
-def block_scatter(fit: Fit) -> Array:
-    """rms of what the blocks want to add to each free coordinate, beyond noise; shape (free,)."""
-    return np.array([_scatter(fit, k) for k in range(len(fit.model.free))])
-
-
-def _scatter(fit: Fit, column: int) -> float:
-    weights, pulls = [], []
-    for piece, d, e in zip(fit.prepared.pieces, fit.columns, fit.residual, strict=True):
-        if not piece.held_out:
-            weights.append(float(d[:, column] @ d[:, column]))
-            pulls.append(float(d[:, column] @ e))
-    weight, pull = np.cumsum(weights), np.cumsum(pulls)
-    if weight[-1] <= 0.0:
-        return 0.0
-    blocks = fit.criteria.uncertainty.blocks
-    edges = np.searchsorted(weight, weight[-1] * (np.arange(1, blocks + 1) / blocks - 1e-12))
-    at = np.unique(np.minimum(edges, len(weight) - 1))
-    w = np.diff(np.concatenate([[0.0], weight[at]]))
-    p = np.diff(np.concatenate([[0.0], pull[at]]))
-    known = w > 0.0
-    beyond = float(np.mean((p[known] / w[known]) ** 2 - 1.0 / w[known]))
-    return math.sqrt(max(beyond, 0.0))

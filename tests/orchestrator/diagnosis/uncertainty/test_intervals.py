@@ -14,24 +14,13 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.uncertainty.trust import (
-    block_scatter,
-    certainty,
-    coordinate_spread,
-    following,
-    foretold,
-    inconstancy,
-    ripple_share,
-)
+from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread, following, ripple_share
 from orchestrator.recording import Recording, open_recording, write_manifest
-from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.inverter import DeadTime
 from plugins.effects.iron import EddyCurrents
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import Effect
-from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import fitter as fitter_of
-from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared, with_voltage
 
 LATE_SAMPLES = 0.1
 
@@ -39,9 +28,9 @@ DOUBT = Criteria().uncertainty
 
 
 def fitted(recording: Recording, effect: Effect) -> tuple[Fitter, Fit]:
-    start = open_for_diagnosis(recording)
-    (candidate,) = scaled_library([effect], start.prepared.manifest)
-    return start.fitter, with_effect(start.fitter, fitted_baseline(start), candidate)
+    setup = open_for_diagnosis(recording)
+    (candidate,) = scaled_library([effect], setup.prepared.manifest)
+    return setup.fitter, with_effect(setup.fitter, fitted_baseline(setup), candidate)
 
 
 @pytest.fixture(scope="module")
@@ -55,11 +44,11 @@ def delayed(clean: Recording, tmp_path_factory: pytest.TempPathFactory) -> tuple
 
 
 def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(clean: Recording) -> None:
-    start = open_for_diagnosis(clean)
-    fit = fitted_baseline(start)
+    setup = open_for_diagnosis(clean)
+    fit = fitted_baseline(setup)
     library = scaled_library([VoltageDelay(), EddyCurrents(), CurrentOffset(), CurrentGainMismatch()], clean.manifest)
     columns = absent_columns(library)
-    loose = start.fitter.evaluate(fit.model, fit.frame, columns)
+    loose = setup.fitter.evaluate(fit.model, fit.frame, columns)
     share = ripple_share([(piece, rows) for piece, _, rows in following(loose)])
     by_name = {active.name: float(s) for (active, _), s in zip(columns, share, strict=True)}
     assert by_name["voltage_delay"] > 0.98
@@ -91,42 +80,3 @@ def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Rec
     spread = float(coordinate_spread(fitter, fit)[0])
     assert DOUBT.form_doubt * active.coordinate(name) < spread < 0.2 * DOUBT.ripple_doubt * active.coordinate(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread
-
-
-def test_an_effect_that_is_the_same_all_through_does_not_scatter_and_one_that_grows_does() -> None:
-    made = prepared(plan())
-    steady = with_voltage(made, np.array([0.2, 0.0]))
-    last = made.pieces[-1].segment.start_s
-    growing = {p.segment.id: np.array([0.4 * p.segment.start_s / last, 0.0]) for p in made.pieces}
-    sizes = []
-    for recording in (steady, with_voltage(made, growing)):
-        maker = fitter_of(recording)
-        fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
-        sizes.append(inconstancy(fit)["voltage_bias"])
-        spread = coordinate_spread(maker, fit)
-        assert (spread >= np.sqrt(np.diag(fit.covariance()))).all()
-        assert certainty(fit)["voltage_bias"] > DOUBT.blocks
-    assert sizes[0] < 0.05
-    assert sizes[1] > 0.2
-
-
-def test_what_the_blocks_want_of_noise_alone_is_nothing() -> None:
-    beyond = []
-    for seed in range(4):
-        maker = fitter_of(with_voltage(prepared(plan(), seed=seed), np.array([0.2, 0.0])))
-        fit = maker.fit(with_free(free_model(), maker, VoltageBias()))
-        beyond.append(block_scatter_ratio(fit))
-    assert float(np.mean(beyond)) < 2.0
-
-
-def block_scatter_ratio(fit: Fit) -> float:
-    """Scatter between blocks over what noise makes of a block's own estimate."""
-    return float(np.max(block_scatter(fit) / np.sqrt(DOUBT.blocks * np.diag(fit.covariance()))))
-
-
-def test_an_effect_that_is_there_makes_what_was_held_out_fit_better() -> None:
-    maker = fitter_of(with_voltage(prepared(plan()), np.array([0.3, -0.1])))
-    bare = maker.fit(free_model())
-    full = maker.fit(with_free(bare.model, maker, VoltageBias()))
-    assert foretold(bare, full)
-    assert not foretold(full, bare)
