@@ -63,19 +63,19 @@ def test_flux_of_a_coarse_grid_is_right_to_a_thousandth() -> None:
     truth = flux_for(PLANE, saturated_current)
     assert np.linalg.norm(found.psi - truth, axis=1).max() < 2e-3 * np.linalg.norm(truth, axis=1).max()
     assert found.anchored
-    assert found.closure_rms_wb < 1e-3 * np.linalg.norm(truth, axis=1).max()
+    assert found.closure_rms_wb < 4.9e-4 * np.linalg.norm(truth, axis=1).max()
 
 
 def test_repeated_points_do_no_harm() -> None:
     twice = np.concatenate([PLANE, PLANE[12:14] + 1e-7])
-    assert_close(integrate(exact(twice), "test").psi[:25], integrate(exact(PLANE), "test").psi, 1e-3)
+    assert_close(integrate(exact(twice), "test").psi[:25], integrate(exact(PLANE), "test").psi, 4e-4)
 
 
 def test_zero_current_outside_the_points_is_said() -> None:
     found = integrate(exact(PLANE + np.array([3.5, 0.0])), "test")
     assert not found.anchored
     truth = flux_for(PLANE + np.array([3.5, 0.0]), saturated_current)
-    assert np.linalg.norm(found.psi - truth, axis=1).max() < 5e-3 * np.linalg.norm(truth, axis=1).max()
+    assert np.linalg.norm(found.psi - truth, axis=1).max() < 2.5e-3 * np.linalg.norm(truth, axis=1).max()
 
 
 def test_standard_deviations_are_those_of_repetitions() -> None:
@@ -133,7 +133,7 @@ def test_misfits_of_neighbours_add_up_along_the_way() -> None:
     wrong[:, 0] = 1e-3  # all L_dd by 1 mH: psi_d by 1 mH times i_d
     std = integrate(replace(points, misfit=wrong), "test").std - integrate(points, "test").std
     np.testing.assert_allclose(std[:, 0], 1e-3 * np.abs(PLANE[:, 0]), atol=1.2e-4)
-    assert_close(std[:, 1], np.zeros(len(PLANE)), 1e-3, of=std)
+    assert_close(std[:, 1], np.zeros(len(PLANE)), 2e-4, of=std)
 
 
 def test_points_in_line_are_refused() -> None:

@@ -110,7 +110,7 @@ def test_a_wrong_belief_turns_the_hessian() -> None:
 @pytest.mark.parametrize("resistance", [1.0, 4.3, 20.0, 100.0])
 def test_resistance_does_not_enter(resistance: float) -> None:
     ripple = demodulate(capture_of(injected(resistance=resistance, saturated=False), 0), 0.0, discard_s=0.1)
-    assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 5e-4)
+    assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 4e-4)
 
 
 @pytest.mark.parametrize("resistance", [30.0, 90.0])

@@ -60,7 +60,7 @@ def test_mtpv_of_constant_inductances_is_the_closed_form() -> None:
     a, b = PSI_M / L_D, 1 / L_D - 1 / L_Q
     cosine = (a - np.sqrt(a**2 + 8.0 * b**2 * fluxes**2)) / (4.0 * b * fluxes)
     psi_d, psi_q = fluxes * cosine, fluxes * np.sqrt(1.0 - cosine**2)
-    assert_close(curve.psi_dq, np.column_stack((psi_d, psi_q)), 1e-5)
+    assert_close(curve.psi_dq, np.column_stack((psi_d, psi_q)), 6e-6)
     assert_close(curve.i_dq, np.column_stack(((psi_d - PSI_M) / L_D, psi_q / L_Q)), 1e-5)
     np.testing.assert_allclose(curve.torque_nm, 1.5 * POLE_PAIRS * psi_q * (a - b * psi_d), rtol=1e-9)
     assert curve.interior.all()

@@ -71,7 +71,7 @@ def test_the_unit_ripple_is_the_integral_of_the_unit_wave(waveform: Waveform) ->
     slope = np.gradient(g, phase)[5:-5]
     inner = np.abs(np.abs(phase - 0.5) - 0.0)[5:-5] > 0.01
     ratio = 4.0 if waveform == "square" else 2.0 * math.pi
-    assert_close(slope[inner], ratio * f[5:-5][inner], 3e-4)
+    assert_close(slope[inner], ratio * f[5:-5][inner], 1.5e-4)
     assert abs(g.mean()) < 1e-9
     assert g.max() == pytest.approx(1.0, abs=1e-3)
     assert g.min() == pytest.approx(-1.0, abs=1e-3)

@@ -35,7 +35,7 @@ def test_inductances_of_a_linear_machine_are_found(delay: int, angle: float) -> 
     fit = fit_ripple(an_injection(delay, angle), angle, 0.0)
     assert fit is not None
     assert_close(fit.inductance_h, L, 2e-3)
-    assert_close(fit.fitted_a, fit.measured_a, 1e-2)
+    assert_close(fit.fitted_a, fit.measured_a, 4e-3)
 
 
 @pytest.mark.parametrize("capture", [an_injection(rows=10), an_injection(amplitude_v=0.0)])
