@@ -266,7 +266,7 @@ def windows_of(
 ) -> Windows | None:
     """The windows that suit a segment's stage; None where it is too short for one.
 
-    Two halves of a dwell, overlapping hats of a sweep, and of an injection hats times the period's Fourier modes.
+    One hat of a dwell, overlapping ones of a sweep, and of an injection hats times the period's Fourier modes.
     """
     intervals = len(i_ab) - 1
     if segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
