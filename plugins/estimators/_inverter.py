@@ -10,7 +10,7 @@ Nothing here knows what a recording is.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,13 +19,6 @@ from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 from orchestrator.numerics.types import Array
 from protocols import InverterLoss
-
-STRONG = 0.2
-"""Of the largest current: what is held at less says little of R_s."""
-
-_LONG = 8.0  # times the usual time between two holds
-
-_ABRUPTNESS = (-1.0, -0.5, 0.0, 0.4, 0.7, 1.0, 1.4)
 
 
 def step_ab(i_ab: Array, threshold_a: float, abruptness: float = 0.0) -> Array:
@@ -143,11 +136,11 @@ class _Held:
     def left(self, shape: tuple[float, float]) -> float:
         return self.walk.solve(self.design(shape), self.target)[0]
 
-    def best_shape(self, largest: float) -> tuple[float, float]:
+    def best_shape(self, largest: float, abruptness: Sequence[float]) -> tuple[float, float]:
         """Threshold and abruptness that leave least."""
         if not self.on:
             return 1.0, 0.0
-        return min(((self._best_threshold(largest, k), k) for k in _ABRUPTNESS), key=self.left)
+        return min(((self._best_threshold(largest, k), k) for k in abruptness), key=self.left)
 
     def _best_threshold(self, largest: float, abruptness: float) -> float:
         from scipy.optimize import minimize_scalar
@@ -158,14 +151,24 @@ class _Held:
         return float(minimize_scalar(lambda t: self.left((t, abruptness)), bounds=near, method="bounded").x)
 
 
-def _jumps(time_s: Array) -> list[Array]:
+def _jumps(time_s: Array, long_gap: float) -> list[Array]:
     """Steps where nothing was held for long: whatever happened then has nothing to do with the drift elsewhere."""
     gaps = np.diff(np.sort(time_s))
-    long = np.flatnonzero(gaps > _LONG * np.median(gaps))
+    long = np.flatnonzero(gaps > long_gap * np.median(gaps))
     return [(time_s > np.sort(time_s)[k]).astype(np.float64) for k in long[: len(time_s) // 6]]
 
 
-def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array, heat: Array | None = None) -> VoltageFit:
+def fit_voltage(
+    i_ab: Array,
+    v_ab: Array,
+    time_s: Array,
+    pwm_hz: Array,
+    heat: Array | None = None,
+    *,
+    strong_share: float = 0.2,
+    long_gap: float = 8.0,
+    abruptness: Sequence[float] = (-1.0, -0.5, 0.0, 0.4, 0.7, 1.0, 1.4),
+) -> VoltageFit:
     """Regress held voltages on held currents.
 
     Parameters
@@ -174,12 +177,18 @@ def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array, heat: Ar
     time_s, pwm_hz : array, shape (n,)
     heat : array, shape (n,), optional
         What the currents had brought the winding by then, in any unit: R_s may rise with it.
+    strong_share : float
+        Of the largest current: what is held at less says little of R_s.
+    long_gap : float
+        Times the usual time between two holds: the winding cools in a longer one, and R_s may jump.
+    abruptness : sequence of float
+        Shapes of the inverter's step that are tried; denser than what noise tells apart.
 
     Where different currents are few the model shrinks: no drift, no inverter, at last no bias.
     """
     length = np.linalg.norm(i_ab, axis=1)
     largest = float(length.max())
-    strong = length > STRONG * largest
+    strong = length > strong_share * largest
     sizes = len(np.unique(np.round(length / max(largest, 1e-12), 2)))
     frequencies = sorted(set(pwm_hz.tolist())) if sizes >= 3 and len(i_ab) >= 6 else []
     both_ways = len(i_ab) >= 2 and bool((i_ab @ i_ab[int(np.argmax(length))] < 0).any())
@@ -187,7 +196,7 @@ def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array, heat: Ar
     columns = [i_ab.ravel()]
     drifts = len(i_ab) >= 6 and np.ptp(late) > 0
     if drifts:
-        grown = [late, *([] if heat is None else [heat]), *_jumps(time_s)]
+        grown = [late, *([] if heat is None else [heat]), *_jumps(time_s, long_gap)]
         columns += [(i_ab * (one - one[strong].mean())[:, None]).ravel() for one in grown]
     drifted = len(columns)
     if both_ways:
@@ -199,10 +208,10 @@ def fit_voltage(i_ab: Array, v_ab: Array, time_s: Array, pwm_hz: Array, heat: Ar
         on=[np.repeat(pwm_hz == f, 2).astype(np.float64) for f in frequencies],
         walk=no_walk(v_ab.size),
     )
-    shape = held.best_shape(largest)
+    shape = held.best_shape(largest, abruptness)
     if drifts:
         held = replace(held, walk=random_walk(late, i_ab, strong).likeliest(held.design(shape), held.target))
-        shape = held.best_shape(largest)
+        shape = held.best_shape(largest, abruptness)
         held = replace(held, walk=held.walk.likeliest(held.design(shape), held.target))
     squares, answer = held.walk.solve(held.design(shape), held.target)
     # The shape was fitted as well; its share in the errors is that of two more columns.

@@ -7,13 +7,10 @@ from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 
-# Direction, and the longest step along it in units of the usual distance between neighbours. The diagonals of a
-# square grid are not lines of it.
-_DIRECTIONS = (((1.0, 0.0), 3.0), ((0.0, 1.0), 3.0), ((0.5**0.5, 0.5**0.5), 1.2))
-_CONE = 0.45  # how far a next point may lie off the line, relative to the step
 
-
-def straight_lines(current: Array) -> list[NDArray[np.intp]]:
+def straight_lines(
+    current: Array, *, longest: float = 3.0, diagonal: float = 1.2, cone: float = 0.45
+) -> list[NDArray[np.intp]]:
     """Indices of the points of each line of three or more along d, along q or along the diagonal, in order.
 
     Two points follow each other on a line where each is the other's nearest in that direction.
@@ -21,6 +18,11 @@ def straight_lines(current: Array) -> list[NDArray[np.intp]]:
     Parameters
     ----------
     current : array, shape (n, 2)
+    longest, diagonal : float
+        Longest step along an axis and along the diagonal, in units of the usual distance between neighbours: the
+        diagonals of a square grid are not lines of it.
+    cone : float
+        How far a next point may lie off the line, relative to the step.
     """
     from scipy.spatial import cKDTree
 
@@ -31,19 +33,19 @@ def straight_lines(current: Array) -> list[NDArray[np.intp]]:
     single = np.setdiff1d(np.arange(len(current)), doubles.max(axis=1, initial=-1))
     kept = current[single]
     lines = []
-    for direction, longest in _DIRECTIONS:
-        ahead = _nearest_ahead(kept, np.array(direction), longest * usual)
-        behind = _nearest_ahead(kept, -np.array(direction), longest * usual)
+    for direction, reach in (((1.0, 0.0), longest), ((0.0, 1.0), longest), ((0.5**0.5, 0.5**0.5), diagonal)):
+        ahead = _nearest_ahead(kept, np.array(direction), reach * usual, cone)
+        behind = _nearest_ahead(kept, -np.array(direction), reach * usual, cone)
         lines += [single[chain] for chain in _chains(ahead, behind)]
     return lines
 
 
-def _nearest_ahead(current: Array, direction: Array, longest: float) -> NDArray[np.intp]:
+def _nearest_ahead(current: Array, direction: Array, longest: float, cone: float) -> NDArray[np.intp]:
     """Index of the nearest point in a narrow cone ahead of each point; -1 where there is none."""
     step = current[None, :, :] - current[:, None, :]
     along = step @ direction
     across = np.abs(step @ np.array([-direction[1], direction[0]]))
-    follows = (along > 0.0) & (along <= longest) & (across < _CONE * along)
+    follows = (along > 0.0) & (along <= longest) & (across < cone * along)
     distance = np.where(follows, along + across, np.inf)
     nearest = np.argmin(distance, axis=1)
     return np.where(np.isfinite(distance[np.arange(len(current)), nearest]), nearest, -1)

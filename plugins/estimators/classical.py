@@ -45,15 +45,30 @@ from protocols import (
     SegmentStage,
 )
 
-_SMOOTHING = 1e-4  # of the surface through the paths, which disagree a little where they cross
-_THINNED = 3  # every third point of a path makes the surface
-_UNSEEN = 0.003  # of what an inverter does to a loop: its share in the mean that no loop shows
-_SAID = 0.005  # of R_s times the largest current: what an inverter must keep to be spoken of
-_DRAWS = 24  # of the flux's errors, for the errors of its derivatives
 
-
+@dataclass(frozen=True)
 class ClassicalEstimator:
-    """psi = integral of (v - R_s i), averaged over periods and over both directions of the sweep."""
+    """psi = integral of (v - R_s i), averaged over periods and over both directions of the sweep.
+
+    Attributes
+    ----------
+    smoothing : float
+        Of the surface through the paths, which disagree a little where they cross.
+    thinning : int
+        Every so manieth point of a path makes the surface: neighbours on a path tell the same.
+    unseen_share : float
+        Of what an inverter does to a loop: its share in the mean, which opens no loop and is not seen.
+    spoken_share : float
+        Of R_s times the largest current: an inverter that keeps less is not spoken of.
+    draws : int
+        Of the flux's errors, for the standard deviations of its derivatives, known to 1 / sqrt(2 draws) then.
+    """
+
+    smoothing: float = 1e-4
+    thinning: int = 3
+    unseen_share: float = 0.003
+    spoken_share: float = 0.005
+    draws: int = 24
 
     name: ClassVar[str] = "classical"
     summary: ClassVar[str] = "flux map by time integration of the voltage over swept currents"
@@ -66,12 +81,12 @@ class ClassicalEstimator:
         segments = recording.segments(SegmentStage.CLASSICAL)
         if not segments:
             raise NotMeasuredError(recording.manifest.name, "segments", "no segment of stage classical")
-        swept = _sweep(recording, segments, context.resistance)
+        swept = self._sweep(recording, segments, context.resistance)
         sweeps = swept.sweeps
         network = join_paths([sweep.path for sweep in sweeps])
         current = np.concatenate([path.current for path in network.paths])
         require_area(current, recording.manifest.name)
-        flux_map, origin = _gridded(recording, network)
+        flux_map, origin = self._gridded(recording, network)
         rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
         magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
         points = FluxPoints(
@@ -92,6 +107,62 @@ class ClassicalEstimator:
             loss=swept.losses.phase if swept.clear else NO_LOSS,
         )
 
+    def _sweep(
+        self, recording: RecordingReader, segments: Sequence[Segment], resistance: ResistanceEstimate | None
+    ) -> _Swept:
+        delay = voltage_delay(recording)
+        knots_a = KNOTS * float(np.linalg.norm(recording.load(segments[0]).i_ab, axis=1).max())
+        traces = each_capture(
+            recording,
+            segments,
+            lambda s, c: trace_sweep(c, s.rotor_angle_rad, delay=delay, knots_a=knots_a, where=s.id),
+        )
+        losses = close_loops(traces, knots_a)
+        return _Swept(
+            losses=losses,
+            with_model=[sweep_of(trace, losses.flux(trace)) for trace in traces],
+            bare=[sweep_of(t, flux_by_rests(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
+            unseen_share=self.unseen_share,
+            spoken_share=self.spoken_share,
+        )
+
+    def _gridded(self, recording: RecordingReader, network: Network) -> tuple[FluxMap, Array]:
+        """The map, and what has to be taken from the paths' flux so that zero current has none."""
+        where = recording.manifest.name
+        current = np.concatenate([path.current[:: self.thinning] for path in network.paths])
+        draws = self._error_draws(network)
+        values = np.concatenate([np.concatenate([path.psi[:: self.thinning] for path in network.paths]), draws], axis=1)
+        axes, nodes = grid_of(current)
+        inside = inside_hull(current, np.concatenate([nodes, np.zeros((1, 2))]), where)
+        if not inside[-1]:
+            raise NotMeasuredError(
+                where, "segments", "zero current lies outside the swept currents: no flux to start from"
+            )
+        surface = SmoothSurface(current, values, self.smoothing)
+        held = nodes[inside[:-1]]
+        level = surface(np.zeros((1, 2)))
+        psi, slopes = surface(held) - level, surface.gradient(held)
+        columns = np.full((len(nodes), 5), np.nan)
+        spreads = np.full((len(nodes), 5), np.nan)
+        columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
+        drawn = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
+        spreads[inside[:-1]] = np.sqrt(np.mean(np.square(drawn), axis=0))
+        return as_map("classical", Basis.INTEGRATION, recording.manifest.motor, axes, columns, spreads), level[0, :2]
+
+    def _error_draws(self, network: Network) -> Array:
+        """Random errors of the paths' flux as large as their scatter and their disagreement, columns (d, q) a draw."""
+        random = np.random.default_rng(1)
+        apart = np.sqrt(0.5 * (network.misfit**2).mean(axis=0)) if network.misfit is not None else np.zeros(2)
+        columns = []
+        for path in network.paths:
+            place = np.linspace(0.0, np.pi, len(path.current))[:: self.thinning]
+            # Scatter between branches is drift and noise integrated: smooth along the path.
+            shapes = np.stack([np.cos(k * place) for k in range(1, 5)], axis=1) / np.sqrt(2.0)
+            smooth = np.einsum("mk,bkx->mbx", shapes, random.normal(size=(self.draws, 4, 2))) * path.std
+            offset = random.normal(size=(1, self.draws, 2)) * apart
+            columns.append((smooth + offset).reshape(len(place), 2 * self.draws))
+        return np.concatenate(columns)
+
 
 @dataclass(frozen=True)
 class _Swept:
@@ -103,6 +174,8 @@ class _Swept:
     losses: VoltageLosses
     with_model: list[Sweep]
     bare: list[Sweep]
+    unseen_share: float
+    spoken_share: float
 
     @property
     def modelled(self) -> bool:
@@ -112,44 +185,28 @@ class _Swept:
     def clear(self) -> bool:
         """Whether the loops leave no doubt about an inverter."""
         drop_v = self.losses.node_ohm.max() * self.losses.knots_a[-1] / KNOTS[-1]
-        said = float(np.abs(self.losses.error_v).max()) > _SAID * drop_v
+        said = float(np.abs(self.losses.error_v).max()) > self.spoken_share * drop_v
         return said and self.modelled and _widest(self.with_model) < 0.5 * _widest(self.bare)
 
     @property
     def sweeps(self) -> list[Sweep]:
-        return (
-            [_widened(*both) for both in zip(self.with_model, self.bare, strict=True)] if self.modelled else self.bare
-        )
+        if not self.modelled:
+            return self.bare
+        return [_widened(*both, self.unseen_share) for both in zip(self.with_model, self.bare, strict=True)]
 
 
-def _widened(sweep: Sweep, bare: Sweep) -> Sweep:
+def _widened(sweep: Sweep, bare: Sweep, unseen_share: float) -> Sweep:
     """A sweep not known better than a share of what was taken out of it.
 
     Where a phase current stalls on its way through zero, it does so beyond zero in both directions: an error of the
     inverter's shape there opens no loop, and stays in the mean.
     """
-    path = replace(sweep.path, std=np.hypot(sweep.path.std, _UNSEEN * np.abs(bare.loop_wb - sweep.loop_wb)))
+    path = replace(sweep.path, std=np.hypot(sweep.path.std, unseen_share * np.abs(bare.loop_wb - sweep.loop_wb)))
     return replace(sweep, path=path)
 
 
 def _widest(sweeps: list[Sweep]) -> float:
     return max(float(sweep.loop_wb.max()) for sweep in sweeps)
-
-
-def _sweep(recording: RecordingReader, segments: Sequence[Segment], resistance: ResistanceEstimate | None) -> _Swept:
-    delay = voltage_delay(recording)
-    knots_a = KNOTS * float(np.linalg.norm(recording.load(segments[0]).i_ab, axis=1).max())
-    traces = each_capture(
-        recording,
-        segments,
-        lambda s, c: trace_sweep(c, s.rotor_angle_rad, delay=delay, knots_a=knots_a, where=s.id),
-    )
-    losses = close_loops(traces, knots_a)
-    return _Swept(
-        losses=losses,
-        with_model=[sweep_of(trace, losses.flux(trace)) for trace in traces],
-        bare=[sweep_of(t, flux_by_rests(t, _nearest_ohm(resistance, t.start_s))) for t in traces],
-    )
 
 
 def _nearest_ohm(resistance: ResistanceEstimate | None, start_s: float) -> float | None:
@@ -160,47 +217,10 @@ def _nearest_ohm(resistance: ResistanceEstimate | None, start_s: float) -> float
     return float(np.median([reading.value_ohm for reading in near])) if near else resistance.value_ohm
 
 
-def _gridded(recording: RecordingReader, network: Network) -> tuple[FluxMap, Array]:
-    """The map, and what has to be taken from the paths' flux so that zero current has none."""
-    where = recording.manifest.name
-    current = np.concatenate([path.current[::_THINNED] for path in network.paths])
-    draws = _error_draws(network)
-    values = np.concatenate([np.concatenate([path.psi[::_THINNED] for path in network.paths]), draws], axis=1)
-    axes, nodes = grid_of(current)
-    inside = inside_hull(current, np.concatenate([nodes, np.zeros((1, 2))]), where)
-    if not inside[-1]:
-        raise NotMeasuredError(where, "segments", "zero current lies outside the swept currents: no flux to start from")
-    surface = SmoothSurface(current, values, _SMOOTHING)
-    held = nodes[inside[:-1]]
-    level = surface(np.zeros((1, 2)))
-    psi, slopes = surface(held) - level, surface.gradient(held)
-    columns = np.full((len(nodes), 5), np.nan)
-    spreads = np.full((len(nodes), 5), np.nan)
-    columns[inside[:-1]] = _quantities(psi[:, :2], slopes[:, :2])
-    drawn = [_quantities(psi[:, k : k + 2], slopes[:, k : k + 2]) for k in range(2, values.shape[1], 2)]
-    spreads[inside[:-1]] = np.sqrt(np.mean(np.square(drawn), axis=0))
-    return as_map("classical", Basis.INTEGRATION, recording.manifest.motor, axes, columns, spreads), level[0, :2]
-
-
 def _quantities(psi: Array, slope: Array) -> Array:
     """psi_d, psi_q, l_dd, l_dq (mean of both mutual slopes), l_qq."""
     mutual = 0.5 * (slope[:, 0, 1] + slope[:, 1, 0])
     return np.column_stack([psi, slope[:, 0, 0], mutual, slope[:, 1, 1]])
-
-
-def _error_draws(network: Network) -> Array:
-    """Random errors of the paths' flux as large as their scatter and their disagreement, columns (d, q) a draw."""
-    random = np.random.default_rng(1)
-    apart = np.sqrt(0.5 * (network.misfit**2).mean(axis=0)) if network.misfit is not None else np.zeros(2)
-    columns = []
-    for path in network.paths:
-        place = np.linspace(0.0, np.pi, len(path.current))[::_THINNED]
-        # Scatter between branches is drift and noise integrated: smooth along the path.
-        shapes = np.stack([np.cos(k * place) for k in range(1, 5)], axis=1) / np.sqrt(2.0)
-        smooth = np.einsum("mk,bkx->mbx", shapes, random.normal(size=(_DRAWS, 4, 2))) * path.std
-        offset = random.normal(size=(1, _DRAWS, 2)) * apart
-        columns.append((smooth + offset).reshape(len(place), 2 * _DRAWS))
-    return np.concatenate(columns)
 
 
 def _remarks(swept: _Swept, network: Network, rated: float | None) -> tuple[Remark, ...]:

@@ -7,6 +7,7 @@ of electric motors", CDC 2014, doi:10.1109/CDC.2014.7040330, for the energy and 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -17,11 +18,20 @@ from plugins.estimators._energies import EnergyFlux, Measurements, energy_measur
 from plugins.estimators._maps import InjectedFlux, SweptFlux
 from protocols import Estimate, EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader, Remark
 
-_CORRELATED = 0.5
 
-
+@dataclass(frozen=True)
 class EnergyEstimator:
-    """One co-energy for all derivatives and fluxes that were measured, its smoothness chosen by the data."""
+    """One co-energy for all derivatives and fluxes that were measured, its smoothness chosen by the data.
+
+    Attributes
+    ----------
+    noises, correlated : float
+        What the energy leaves of the inductances is spoken of where it is so many times their noise, and so much alike
+        at neighbouring points: noise is neither.
+    """
+
+    noises: float = 3.0
+    correlated: float = 0.5
 
     name: ClassVar[str] = "energy"
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
@@ -43,9 +53,54 @@ class EnergyEstimator:
                 segment=measured.segments,
             ),
             checks=_checked(flux_map, rated, fit, measured),
-            remarks=tuple(_remarks(fit, flux_map, rated, measured.current)),
+            remarks=tuple(self._remarks(fit, flux_map, rated, measured.current)),
             fit=fit,
         )
+
+    def _remarks(self, fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Array) -> list[Remark]:
+        remarks: list[Remark] = []
+
+        def told(code: str, text: str, **values: float) -> None:
+            remarks.append(Remark.of(code, text, **values))
+
+        if rated:
+            spread = np.sqrt(np.nanmean(flux_map.psi_d_std**2 + flux_map.psi_q_std**2))
+            text = "the flux is known to +-{half_percent:.2f} % of the rated flux (95 %, over the map)"
+            told("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
+        if fit.angle_rad:
+            text = (
+                "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
+                "believed d axis: is the rotor angle right? The map stays in the believed frame"
+            )
+            told("axis_turned", text, angle_deg=float(np.degrees(fit.angle_rad)))
+        inductance = fit.inductance(current)[0]
+        if fit.stiffening_per_h:
+            less = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
+            text = (
+                "injection gives {less_percent:.1f} % less flux than the sweeps: hysteresis, whose loops a small "
+                "ripple does not pass; the map has the sweeps' flux, its inductances are those along the map"
+            )
+            told("hysteresis", text, less_percent=less)
+        if fit.scales[0] > self.noises and fit.correlation > self.correlated:
+            text = (
+                "what the energy leaves of the inductances is {noises:.0f} times their noise and alike at "
+                "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
+            )
+            told("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
+        if fit.inverter_step:
+            most = 100.0 * float(np.abs(fit.taken_out[:, [0, 2]] / inductance[: len(fit.taken_out), [0, 2]]).max())
+            text = (
+                "where a phase current passes zero, dead time makes injection's inductances look up to "
+                "{most_percent:.1f} % wrong; taken out"
+            )
+            told("inverter_step", text, most_percent=most)
+        doubted = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
+        if doubted > 0.0:
+            text = "{points_percent:.0f} % of the injection's points are confirmed by no others and count for less"
+            told("doubted_points", text, points_percent=100.0 * doubted)
+        if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
+            told("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
+        return remarks
 
 
 def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: Measurements) -> MapChecks:
@@ -58,49 +113,3 @@ def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: M
     if injected is None or injected.checks.crossings is None:
         return checks
     return checks.model_copy(update={"crossings": injected.checks.crossings})
-
-
-def _remarks(fit: EnergyFit, flux_map: FluxMap, rated: float | None, current: Array) -> list[Remark]:
-    remarks: list[Remark] = []
-
-    def told(code: str, text: str, **values: float) -> None:
-        remarks.append(Remark.of(code, text, **values))
-
-    if rated:
-        spread = np.sqrt(np.nanmean(flux_map.psi_d_std**2 + flux_map.psi_q_std**2))
-        text = "the flux is known to +-{half_percent:.2f} % of the rated flux (95 %, over the map)"
-        told("flux_error", text, half_percent=1.96 * 100 * float(spread) / rated)
-    if fit.angle_rad:
-        text = (
-            "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
-            "believed d axis: is the rotor angle right? The map stays in the believed frame"
-        )
-        told("axis_turned", text, angle_deg=float(np.degrees(fit.angle_rad)))
-    inductance = fit.inductance(current)[0]
-    if fit.stiffening_per_h:
-        less = 50.0 * fit.stiffening_per_h * float((inductance[:, 0] + inductance[:, 2]).mean())
-        text = (
-            "injection gives {less_percent:.1f} % less flux than the sweeps: hysteresis, whose loops a small ripple "
-            "does not pass; the map has the sweeps' flux, its inductances are those along the map"
-        )
-        told("hysteresis", text, less_percent=less)
-    if fit.scales[0] > 3.0 and fit.correlation > _CORRELATED:
-        text = (
-            "what the energy leaves of the inductances is {noises:.0f} times their noise and alike at "
-            "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
-        )
-        told("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
-    if fit.inverter_step:
-        most = 100.0 * float(np.abs(fit.taken_out[:, [0, 2]] / inductance[: len(fit.taken_out), [0, 2]]).max())
-        text = (
-            "where a phase current passes zero, dead time makes injection's inductances look up to {most_percent:.1f} "
-            "% wrong; taken out"
-        )
-        told("dead_time", text, most_percent=most)
-    doubted = float(np.mean(fit.trust < 0.5)) if len(fit.trust) else 0.0
-    if doubted > 0.0:
-        text = "{points_percent:.0f} % of the injection's points are confirmed by no others and count for less"
-        told("doubted_points", text, points_percent=100.0 * doubted)
-    if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
-        told("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
-    return remarks

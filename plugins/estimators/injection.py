@@ -47,9 +47,6 @@ from protocols import (
     SegmentStage,
 )
 
-_PROBES = 3  # points that are asked how long a transient lasts
-_SAME_FREQUENCY, _SAME_RIPPLE = 0.03, 0.2  # relative differences within one group
-
 
 @dataclass(frozen=True)
 class _Group:
@@ -62,24 +59,32 @@ class _Group:
     def size(self) -> float:
         return float(np.median([r.flux_rms_wb for r in self.ripples]))
 
-    def takes(self, ripple: Ripple) -> bool:
-        """Whether a ripple is of this frequency and size."""
-        first = self.ripples[0]
-        return math.isclose(ripple.frequency_hz, first.frequency_hz, rel_tol=_SAME_FREQUENCY) and math.isclose(
-            ripple.flux_rms_wb, first.flux_rms_wb, rel_tol=_SAME_RIPPLE
-        )
-
     def __str__(self) -> str:
         first = self.ripples[0]
         return f"{first.amplitude_v:.3g} V rms at {first.frequency_hz:.4g} Hz"
 
 
+@dataclass(frozen=True)
 class InjectionEstimator:
     """H at each point reached, L = H^-1, psi by least squares over the graph of neighbouring points.
 
     Amplitudes and frequencies are kept apart: the map is of the smallest ripple among those that cover nearly
-    (four fifths of) the most points, the others are compared with it.
+    the most points, the others are compared with it.
+
+    Attributes
+    ----------
+    same_frequency, same_ripple : float
+        Relative differences within which injections are one: what a drive's clock and a point's inductance change.
+    coverage : float
+        Of the most points: with fewer an injection makes no map, however small its ripple.
+    probes : int
+        Points that are asked how long a transient lasts; the slowest counts.
     """
+
+    same_frequency: float = 0.03
+    same_ripple: float = 0.2
+    coverage: float = 0.8
+    probes: int = 3
 
     name: ClassVar[str] = "injection"
     summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
@@ -89,12 +94,12 @@ class InjectionEstimator:
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> InjectedFlux:
         """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
-        groups, skipped = _groups(recording, _known_loss(context))
+        groups, skipped = self._groups(recording, _known_loss(context))
         if not groups:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
         most = max(len(group.ripples) for group in groups)
-        chosen = min((g for g in groups if len(g.ripples) >= 0.8 * most), key=lambda g: g.size)
+        chosen = min((g for g in groups if len(g.ripples) >= self.coverage * most), key=lambda g: g.size)
         points = invert(chosen.ripples)
         flux = integrate(points, recording.manifest.name)
         flux_map = _gridded(recording, points, flux)
@@ -108,39 +113,42 @@ class InjectionEstimator:
             inductances=points,
         )
 
+    def _groups(self, recording: RecordingReader, loss: PhaseLoss) -> tuple[list[_Group], list[str]]:
+        """Demodulate every point; group by frequency and ripple, largest group first."""
+        segments = recording.segments(SegmentStage.INJECTION)
+        time_constant_s = self._time_constant(recording, segments)
+        found: list[_Group] = []
+        skipped = []
+        ripples = each_capture(
+            recording, segments, lambda s, c: _ripple(recording, s, c, time_constant_s=time_constant_s, loss=loss)
+        )
+        for segment, ripple in zip(segments, ripples, strict=True):
+            if isinstance(ripple, str):
+                skipped.append(ripple)
+                continue
+            group = next((g for g in found if self._alike(g.ripples[0], ripple)), None)
+            if group is None:
+                found.append(group := _Group([], []))
+            group.segments.append(segment.id)
+            group.ripples.append(ripple)
+        return sorted(found, key=lambda g: -len(g.ripples)), skipped
+
+    def _time_constant(self, recording: RecordingReader, segments: Sequence[Segment]) -> float | None:
+        """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
+        probes = segments[:: max(1, math.ceil(len(segments) / self.probes))]
+        told = each_capture(recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0))
+        return max((1.0 / one.decay_per_s for one in told if not isinstance(one, str)), default=None)
+
+    def _alike(self, one: Ripple, other: Ripple) -> bool:
+        """Whether two ripples are of one frequency and size."""
+        same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.same_frequency)
+        return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.same_ripple)
+
 
 def _known_loss(context: EstimationContext) -> PhaseLoss:
     """What the inverter keeps, where sweeps told it already."""
     swept = context.latest(SweptFlux)
     return NO_LOSS if swept is None else swept.loss
-
-
-def _groups(recording: RecordingReader, loss: PhaseLoss) -> tuple[list[_Group], list[str]]:
-    """Demodulate every point; group by frequency and ripple, largest group first."""
-    segments = recording.segments(SegmentStage.INJECTION)
-    time_constant_s = _time_constant(recording, segments)
-    found: list[_Group] = []
-    skipped = []
-    ripples = each_capture(
-        recording, segments, lambda s, c: _ripple(recording, s, c, time_constant_s=time_constant_s, loss=loss)
-    )
-    for segment, ripple in zip(segments, ripples, strict=True):
-        if isinstance(ripple, str):
-            skipped.append(ripple)
-            continue
-        group = next((g for g in found if g.takes(ripple)), None)
-        if group is None:
-            found.append(group := _Group([], []))
-        group.segments.append(segment.id)
-        group.ripples.append(ripple)
-    return sorted(found, key=lambda g: -len(g.ripples)), skipped
-
-
-def _time_constant(recording: RecordingReader, segments: Sequence[Segment]) -> float | None:
-    """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
-    probes = segments[:: max(1, math.ceil(len(segments) / _PROBES))]
-    told = each_capture(recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0))
-    return max((1.0 / one.decay_per_s for one in told if not isinstance(one, str)), default=None)
 
 
 def _ripple(

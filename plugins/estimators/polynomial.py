@@ -7,6 +7,7 @@ doi:10.1109/CDC.2014.7040330).
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
@@ -26,11 +27,19 @@ from protocols import (
     Remark,
 )
 
-_ENOUGH_PERCENT = 0.5  # of the rated flux, rms, off the flexible energy
 
-
+@dataclass(frozen=True)
 class PolynomialEstimator:
-    """H(psi) as a polynomial, its degree chosen by the data; psi(i) by Newton's method at every current."""
+    """H(psi) as a polynomial, its degree chosen by the data; psi(i) by Newton's method at every current.
+
+    Attributes
+    ----------
+    enough_percent : float
+        Of the rated flux, rms: a polynomial that is nearer to the flexible energy can stand for it; that is what maps
+        by different methods differ by on a sound bench.
+    """
+
+    enough_percent: float = 0.5
 
     name: ClassVar[str] = "polynomial"
     summary: ClassVar[str] = "flux map of the paper's polynomial energy, with its coefficients"
@@ -60,7 +69,7 @@ class PolynomialEstimator:
             ),
             checks=check_map(flux_map, rated, measured.misfit(fit)),
             form=_form(fit),
-            remarks=_remarks(fit, energy, measured.current, rated),
+            remarks=_remarks(fit, energy, measured.current, rated, self.enough_percent),
         )
 
 
@@ -78,7 +87,9 @@ def _form(fit: PolynomialFit) -> ClosedForm:
     return ClosedForm(formula=formula, coefficients=tuple(told))
 
 
-def _remarks(fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float | None) -> tuple[Remark, ...]:
+def _remarks(
+    fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float | None, enough_percent: float
+) -> tuple[Remark, ...]:
     """Which degree was chosen, and whether the polynomial can stand for the flexible energy."""
     best = min(fit.criteria.values())
     tried = ", ".join(f"{degree}: {value - best:.0f}" for degree, value in fit.criteria.items())
@@ -90,7 +101,7 @@ def _remarks(fit: PolynomialFit, energy: EnergyFit, current: Array, rated: float
     if rated:
         apart = fit.flux(current)[0] - energy.flux(current)[0]
         off = 100.0 / rated * float(np.sqrt((apart**2).sum(axis=1).mean()))
-        good = off < _ENOUGH_PERCENT
+        good = off < enough_percent
         text += " and is {off_percent:.2f} % of the rated flux off the flexible energy (rms): "
         text += "good enough to stand for it" if good else "this motor saturates in another way: use the map"
         values["off_percent"] = off

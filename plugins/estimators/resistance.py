@@ -5,13 +5,14 @@ Heating is told as a drift of readings, not modelled; a common gain of both kind
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 
 from orchestrator.analysis import COPPER_PER_K, Dwell, dwell, each_capture, find_dwells, temperature_rise
 from orchestrator.numerics.types import Array
-from plugins.estimators._inverter import STRONG, VoltageFit, fit_voltage
+from plugins.estimators._inverter import VoltageFit, fit_voltage
 from protocols import (
     Capture,
     Estimate,
@@ -25,16 +26,8 @@ from protocols import (
     SegmentStage,
 )
 
-_INJECTED = 60  # of the injection's points make readings, at most
-_LONGEST_S = 1.0  # of each of them
-_FEWEST = 100  # samples
-_OTHERWISE = 2.0  # what the inverter's shape errs by shows in a ripple otherwise than in what it was told from
-_WORTHLESS = 0.02  # of R_s
-_SAME_PWM = 0.01
-_HEATED = 2.0  # times its length a current has flowed before it was watched, at most
-_SETTLING = 1 / 3  # share of a hold that is left out: foreign loggers begin before the current has settled
 
-
+@dataclass(frozen=True)
 class ResistanceEstimator:
     """R_s as the slope of mean voltage over mean current, the inverter's step taken out.
 
@@ -42,7 +35,38 @@ class ResistanceEstimator:
     rests where nothing was held, and the 95 % interval is that of this mean; where R_s was at other times the readings
     say, of which `first_ohm` and `last_ohm` are the first and the last. Currents of less than a fifth of the largest
     tell of the inverter, and are neither readings nor in the mean.
+
+    Attributes
+    ----------
+    settling_share : float
+        Of a hold, left out: foreign loggers begin before the current has settled.
+    strong_share : float
+        Of the largest current: what is held at less tells of the inverter.
+    heated_holds : float
+        Before it was watched a current has flowed for no more than so many times its hold's length.
+    injected_readings : int
+        So many of the injection's points make readings, at most: more tell nothing new of a drift.
+    injected_s : float
+        Of each of them, at most [s].
+    fewest_samples : int
+        With less than these a mean is no reading.
+    shape_doubt : float
+        Times the holds' noise: what the inverter's shape errs by shows in a ripple otherwise than in the holds.
+    worthless_share : float
+        Of R_s: a reading whose standard deviation is larger tells nothing.
+    same_pwm : float
+        Relative difference within which PWM frequencies are one.
     """
+
+    settling_share: float = 1.0 / 3.0
+    strong_share: float = 0.2
+    heated_holds: float = 2.0
+    injected_readings: int = 60
+    injected_s: float = 1.0
+    fewest_samples: int = 100
+    shape_doubt: float = 2.0
+    worthless_share: float = 0.02
+    same_pwm: float = 0.01
 
     name: ClassVar[str] = "resistance"
     summary: ClassVar[str] = "R_s from held direct currents, and its drift over the recording"
@@ -52,7 +76,7 @@ class ResistanceEstimator:
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> ResistanceEstimate:
         """Estimate R_s; raises `NotMeasuredError` without a segment that rests at a current."""
-        holds, rests = _holds(recording), _rests(recording)
+        holds, rests = self._holds(recording), _rests(recording)
         used = holds or rests
         largest = max((float(np.linalg.norm(d.i_ab)) for _, d in used), default=0.0)
         if largest <= 0.0:
@@ -63,11 +87,12 @@ class ResistanceEstimator:
             np.array([d.v_ab for _, d in used]),
             np.array([d.start_s + 0.5 * d.seconds for _, d in used]),
             np.array([_pwm_hz(recording, s) for s, _ in used]),
-            _heat([d for _, d in used]),
+            self._heat([d for _, d in used]),
+            strong_share=self.strong_share,
         )
-        strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > STRONG * largest]
+        strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_share * largest]
         found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
-        found += _injected(recording, fit, STRONG * largest)
+        found += self._injected(recording, fit, self.strong_share * largest)
         readings = tuple(sorted(found, key=lambda reading: reading.start_s))
         half = _student_95(fit.freedom) * fit.std_ohm
         return ResistanceEstimate(
@@ -82,21 +107,69 @@ class ResistanceEstimator:
             remarks=_remarks(fit, [d for _, d in used], bool(holds), readings),
         )
 
+    def constant_currents(self, recording: RecordingReader) -> list[Dwell]:
+        """The stretches over whose instants `value_ohm` is the mean."""
+        used = [d for _, d in self._holds(recording) or _rests(recording)]
+        largest = max((float(np.linalg.norm(d.i_ab)) for d in used), default=0.0)
+        return [d for d in used if np.linalg.norm(d.i_ab) > self.strong_share * largest]
 
-def constant_currents(recording: RecordingReader) -> list[Dwell]:
-    """The stretches over whose instants `value_ohm` is the mean."""
-    used = [d for _, d in _holds(recording) or _rests(recording)]
-    largest = max((float(np.linalg.norm(d.i_ab)) for d in used), default=0.0)
-    return [d for d in used if np.linalg.norm(d.i_ab) > STRONG * largest]
+    def _holds(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
+        delay = recording.manifest.drive.voltage_delay_samples or 0.0
+        return each_capture(
+            recording,
+            recording.segments(SegmentStage.RESISTANCE),
+            lambda s, c: (s, dwell(c, round(self.settling_share * len(c)), None, delay)),
+        )
 
+    def _heat(self, dwells: list[Dwell]) -> Array:
+        """Integral of the squared current up to the middle of each dwell, as far as it was seen.
 
-def _holds(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
-    delay = recording.manifest.drive.voltage_delay_samples or 0.0
-    return each_capture(
-        recording,
-        recording.segments(SegmentStage.RESISTANCE),
-        lambda s, c: (s, dwell(c, round(_SETTLING * len(c)), None, delay)),
-    )
+        What flowed before a dwell, since the one before it, was its own current settling.
+        """
+        start, seconds = np.array([d.start_s for d in dwells]), np.array([d.seconds for d in dwells])
+        squares = np.array([d.i_ab @ d.i_ab for d in dwells])
+        before = np.diff(start, prepend=-np.inf) - np.concatenate([[0.0], seconds[:-1]])
+        gained = squares * (np.clip(before, 0.0, self.heated_holds * seconds) + seconds)
+        return np.asarray(np.cumsum(gained) - 0.5 * squares * seconds)
+
+    def _injected(self, recording: RecordingReader, fit: VoltageFit, least_a: float) -> list[ResistanceReading]:
+        """Readings at some of the injection's points, as far as the inverter is known at their PWM frequency."""
+        known = [
+            s
+            for s in recording.segments(SegmentStage.INJECTION)
+            if any(abs(_pwm_hz(recording, s) - f) <= self.same_pwm * f for f in fit.error_v)
+        ]
+        some = known[:: max(1, -(-len(known) // self.injected_readings))]
+        found = each_capture(recording, some, lambda s, c: self._mean_reading(fit, c, _pwm_hz(recording, s), least_a))
+        return [reading for reading in found if reading is not None]
+
+    def _mean_reading(
+        self, fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float
+    ) -> ResistanceReading | None:
+        """R_s of the means, in which the ripple cancels; what the inverter keeps follows it and is averaged too.
+
+        The means are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
+        """
+        rate = capture.sampling_frequency_hz
+        first = max(round(self.settling_share * len(capture)), len(capture) - round(self.injected_s * rate))
+        if len(capture) - first < self.fewest_samples:
+            return None
+        i, v = (x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
+        weight = np.hanning(len(i) + 2)[1:-1]
+        weight /= weight.sum()
+        mean_i = weight @ i
+        length = float(np.linalg.norm(mean_i))
+        if length <= least_a:
+            return None
+        # Between two samples the current runs straight: Simpson's rule.
+        middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
+        lost = weight @ (fit.lost(i, pwm_hz) + 2.0 * fit.lost(middle, pwm_hz)) / 3.0
+        along = mean_i / length
+        std = float(np.hypot(self.shape_doubt * fit.noise_v, fit.lost_std(i, pwm_hz, along))) / length
+        if std > self.worthless_share * fit.resistance_ohm:
+            return None
+        value = float(along @ (weight @ v - lost)) / length
+        return ResistanceReading(start_s=capture.start_s + first / rate, value_ohm=value, std_ohm=std)
 
 
 def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
@@ -104,18 +177,6 @@ def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
     sweeps = recording.segments(SegmentStage.CLASSICAL)
     found = each_capture(recording, sweeps, lambda s, c: find_dwells(c, s.rotor_angle_rad, delay))
     return [(s, d) for s, dwells in zip(sweeps, found, strict=True) for d in dwells]
-
-
-def _heat(dwells: list[Dwell]) -> Array:
-    """Integral of the squared current up to the middle of each dwell, as far as it was seen.
-
-    What flowed before a dwell, since the one before it, was its own current settling.
-    """
-    start, seconds = np.array([d.start_s for d in dwells]), np.array([d.seconds for d in dwells])
-    squares = np.array([d.i_ab @ d.i_ab for d in dwells])
-    before = np.diff(start, prepend=-np.inf) - np.concatenate([[0.0], seconds[:-1]])
-    gained = squares * (np.clip(before, 0.0, _HEATED * seconds) + seconds)
-    return np.asarray(np.cumsum(gained) - 0.5 * squares * seconds)
 
 
 def _pwm_hz(recording: RecordingReader, segment: Segment) -> float:
@@ -130,45 +191,6 @@ def _reading(fit: VoltageFit, rest: Dwell, pwm_hz: float) -> ResistanceReading:
     own = max(float(np.sqrt(along @ rest.v_covariance @ along)), fit.noise_v)
     std = np.hypot(own, fit.lost_std(rest.i_ab[None], pwm_hz, along)) / length
     return ResistanceReading(start_s=rest.start_s, value_ohm=float(along @ voltage) / length, std_ohm=float(std))
-
-
-def _injected(recording: RecordingReader, fit: VoltageFit, least_a: float) -> list[ResistanceReading]:
-    """Readings at some of the injection's points, as far as the inverter is known at their PWM frequency."""
-    known = [
-        s
-        for s in recording.segments(SegmentStage.INJECTION)
-        if any(abs(_pwm_hz(recording, s) - f) <= _SAME_PWM * f for f in fit.error_v)
-    ]
-    some = known[:: max(1, -(-len(known) // _INJECTED))]
-    found = each_capture(recording, some, lambda s, c: _mean_reading(fit, c, _pwm_hz(recording, s), least_a))
-    return [reading for reading in found if reading is not None]
-
-
-def _mean_reading(fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float) -> ResistanceReading | None:
-    """R_s of the means, in which the ripple cancels; what the inverter keeps follows the ripple, and is averaged too.
-
-    The means are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
-    """
-    rate = capture.sampling_frequency_hz
-    first = max(round(_SETTLING * len(capture)), len(capture) - round(_LONGEST_S * rate))
-    if len(capture) - first < _FEWEST:
-        return None
-    i, v = (x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
-    weight = np.hanning(len(i) + 2)[1:-1]
-    weight /= weight.sum()
-    mean_i = weight @ i
-    length = float(np.linalg.norm(mean_i))
-    if length <= least_a:
-        return None
-    # Between two samples the current runs straight: Simpson's rule.
-    middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
-    lost = weight @ (fit.lost(i, pwm_hz) + 2.0 * fit.lost(middle, pwm_hz)) / 3.0
-    along = mean_i / length
-    std = float(np.hypot(_OTHERWISE * fit.noise_v, fit.lost_std(i, pwm_hz, along))) / length
-    if std > _WORTHLESS * fit.resistance_ohm:
-        return None
-    value = float(along @ (weight @ v - lost)) / length
-    return ResistanceReading(start_s=capture.start_s + first / rate, value_ohm=value, std_ohm=std)
 
 
 def _student_95(freedom: int) -> float:

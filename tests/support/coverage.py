@@ -16,7 +16,7 @@ from orchestrator.config import load_procedure
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
-from plugins.estimators.resistance import ResistanceEstimator, constant_currents
+from plugins.estimators.resistance import ResistanceEstimator
 from protocols import EstimationContext, FluxMap, FluxMapEstimate, Procedure
 from tests.orchestrator.analysis.plant import Array
 from tests.support.simulated import Measured, measure
@@ -158,7 +158,7 @@ def judged(measured: Measured) -> Coverage:
 
 def _held_ohm(measured: Measured) -> float:
     """Mean of R_s over the instants that its estimate is the mean over."""
-    used = constant_currents(measured.recording)
+    used = ResistanceEstimator().constant_currents(measured.recording)
     return float(np.mean(measured.ohm_at(np.array([d.start_s + 0.5 * d.seconds for d in used]))))
 
 

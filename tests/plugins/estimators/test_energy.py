@@ -13,11 +13,10 @@ from plugins.estimators._maps import InjectedFlux, SweptFlux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
-from plugins.estimators.polynomial import PolynomialEstimator
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import EstimationContext, Estimator, FluxMapEstimate, NotMeasuredError, SegmentStage
 from tests.orchestrator.analysis.plant import Array, flux_for, saturated_current, saturated_hessian
-from tests.plugins.estimators.test_estimators import (
+from tests.plugins.estimators.recordings import (
     behind_dead_time,
     classical_of,
     clean,
@@ -106,20 +105,3 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
     assert "energy.flux_error" in {remark.code for remark in report.remarks}
     assert flux_error_percent(load_flux_map(tmp_path / "results" / "flux_map.nc"))[1] < 0.3
     assert (tmp_path / "results" / "flux_map_injection.nc").is_file()
-
-
-def test_the_polynomial_gives_its_coefficients_and_says_how_good_it_is() -> None:
-    context = EstimationContext((injection_of(False), classical_of(False), energy_of(False)))
-    found = PolynomialEstimator().estimate(clean(), context)
-    assert found.map.method == "polynomial"
-    rms, worst = flux_error_percent(found.map)
-    assert rms < 0.1
-    assert worst < 0.3
-    inside = np.isfinite(energy_of(False).map.psi_d)
-    assert np.isfinite(found.map.psi_d[inside]).all()
-    assert found.form is not None
-    coefficients = {one.name: one for one in found.form.coefficients}
-    assert coefficients["alpha30"].unit == "A/Wb^2"
-    assert coefficients["L_d"].value == pytest.approx(0.0432, abs=3.0 * coefficients["L_d"].std + 5e-4)
-    (goodness,) = found.remarks
-    assert goodness.values["off_percent"] == pytest.approx(0.05, abs=0.05)
