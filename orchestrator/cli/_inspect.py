@@ -33,10 +33,10 @@ def plugins(as_json: bool) -> int:
 
 def _row(kind: PluginKind, name: str) -> dict[str, Any]:
     try:
-        load_plugin(kind, name)
+        plugin = load_plugin(kind, name)
     except PluginError as error:
-        return {"kind": kind.value, "loads": False, "problem": str(error)}
-    return {"kind": kind.value, "loads": True, "problem": None}
+        return {"kind": kind.value, "loads": False, "problem": str(error), "summary": None}
+    return {"kind": kind.value, "loads": True, "problem": None, "summary": getattr(plugin, "summary", None)}
 
 
 def procedures(name: str | None) -> int:

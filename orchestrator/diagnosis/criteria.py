@@ -275,6 +275,12 @@ class DesignCriteria(Strict):
     """The same, to be held at two PWM frequencies: within the knee of an inverter's error, and beyond it."""
     directions: int = _is(12, "1", "practice")
     """Of held currents all around: twice those of a three-phase winding's axes."""
+    few_points: tuple[tuple[float, float], ...] = _is(((0, 0), (0.5, 0), (0, 0.5), (-0.5, 0)), "1", "practice")
+    """In parts of the current, where ripple of another amplitude or frequency is injected: zero, and off it."""
+    axis_points: tuple[tuple[float, float], ...] = _is(
+        ((-1, 0), (-0.5, 0), (0.5, 0), (0, 0.5), (0, 1)), "1", "practice"
+    )
+    """The same where the ripple is to be seen along both axes."""
     samples_per_period: float = _is(20.0, "1", "practice")
     """Of an injected wave, where there was none yet."""
     injected_flux: float = _is(0.2, "1", "practice")

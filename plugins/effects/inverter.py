@@ -15,13 +15,11 @@ from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
-_TABLE_STEP, _TABLE_END = 0.01, 40.0
-
 
 @lru_cache(maxsize=32)
-def _soft_sign(softness: float, variance: float) -> Array:
-    """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(sqrt(variance)), over x = 0..40."""
-    x, sharpness = np.arange(0.0, _TABLE_END + 1.5 * _TABLE_STEP, _TABLE_STEP), 1.0 / softness
+def _soft_sign(softness: float, variance: float, step: float, end: float) -> Array:
+    """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(sqrt(variance)), over x = 0..end."""
+    x, sharpness = np.arange(0.0, end + 1.5 * step, step), 1.0 / softness
     if variance == 0.0:
         return _knee(x, sharpness)
     spread = math.sqrt(variance)
@@ -46,11 +44,10 @@ def _look_up(table: Array, place: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _without_sign(v_ab: Array, i_ab: Array, volts: Array, threshold: float, table: Array) -> Array:
-    """v - volts s(i_abc / threshold), s averaged over each interval by Simpson's rule."""
+def _without_sign(v_ab: Array, i_ab: Array, volts: Array, steps: float, table: Array) -> Array:
+    """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the table are one ampere."""
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    steps = 1.0 / (threshold * 0.01)
     a0 = 0.0
     b0 = 0.0
     c0 = 0.0
@@ -83,11 +80,17 @@ class Knee(EffectParameters):
     variance: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=2.25)
 
 
-def _less_step(signals: Signals, volts: Array, threshold_a: float, knee: Knee) -> Correction:
-    """The voltage without `volts` (n,) against the sign of each phase current."""
+def _less_step(
+    signals: Signals, volts: Array, threshold_a: float, knee: Knee, *, step: float = 0.01, end: float = 40.0
+) -> Correction:
+    """The voltage without `volts` (n,) against the sign of each phase current.
+
+    s is read, linearly between entries, from a table of this `step` and `end`, in thresholds; beyond it is flat.
+    """
+    table = _soft_sign(knee.softness, knee.variance, step, end)
     v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
     i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
-    return Correction(v_ab=_without_sign(v_ab, i_ab, volts, threshold_a, _soft_sign(knee.softness, knee.variance)))
+    return Correction(v_ab=_without_sign(v_ab, i_ab, volts, 1.0 / (threshold_a * step), table))
 
 
 class DeadTime:

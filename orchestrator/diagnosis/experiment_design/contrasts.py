@@ -193,8 +193,8 @@ def _two_ripple_frequencies(prepared: PreparedRecording) -> bool:
 
 def _other_frequencies(bench: Bench) -> list[Stage]:
     # Twice the frequency asks for twice the voltage to swing the flux as far, and for samples to see its edges.
-    faster = 8.0 * bench.injection_hz <= bench.sampling_hz
-    return [bench.injections(_FEW, 0.5, 0.5), *([bench.injections(_FEW, 2.0, 1.0)] if faster else [])]
+    few, faster = bench.design.few_points, 8.0 * bench.injection_hz <= bench.sampling_hz
+    return [bench.injections(few, 0.5, 0.5), *([bench.injections(few, 2.0, 1.0)] if faster else [])]
 
 
 def _along_both_axes(prepared: PreparedRecording) -> bool:
@@ -205,9 +205,6 @@ def _along_both_axes(prepared: PreparedRecording) -> bool:
 def _two_angles(prepared: PreparedRecording) -> bool:
     return len({round(p.segment.rotor_angle_rad, 3) for p in prepared.pieces}) > 1
 
-
-_FEW = ((0.0, 0.0), (0.5, 0.0), (0.0, 0.5), (-0.5, 0.0))
-_ON_AXES = ((-1.0, 0.0), (-0.5, 0.0), (0.5, 0.0), (0.0, 0.5), (0.0, 1.0))
 
 CONTRASTS: Mapping[Contrast, Declared] = {
     Contrast.GATES_OFF: Declared(
@@ -231,13 +228,15 @@ CONTRASTS: Mapping[Contrast, Declared] = {
         lambda bench: [bench.holds([(1.0, 0.0)], duration_s=bench.design.long_hold_s)],
     ),
     Contrast.SECOND_INJECTION_AMPLITUDE: Declared(
-        "ripple of a second amplitude", _two_amplitudes, lambda bench: [bench.injections(_FEW, 1.0, 0.5, 0.25)]
+        "ripple of a second amplitude",
+        _two_amplitudes,
+        lambda bench: [bench.injections(bench.design.few_points, 1.0, 0.5, 0.25)],
     ),
     Contrast.SECOND_INJECTION_FREQUENCY: Declared(
         "ripple of a second frequency", _two_ripple_frequencies, _other_frequencies
     ),
     Contrast.OPERATING_POINTS: Declared(
-        "ripple along both axes", _along_both_axes, lambda bench: [bench.injections(_ON_AXES, 1.0, 1.0)]
+        "ripple along both axes", _along_both_axes, lambda bench: [bench.injections(bench.design.axis_points, 1.0, 1.0)]
     ),
     Contrast.SECOND_ANGLE: Declared("the rotor locked at a second angle", _two_angles, lambda bench: []),
 }

@@ -129,6 +129,7 @@ def test_a_damaged_capture_is_named(tmp_path: Path) -> None:
 def test_plugins_are_listed_with_where_they_are_from() -> None:
     rows = json.loads(fluxbench("plugins", "--json").stdout)
     assert all(row["loads"] for row in rows), rows
+    assert all(row["summary"].endswith(".") for row in rows if row["kind"] == "effects")
     assert {"simulated", "injection", "classical", "resistance", "console", "report"} <= {row["name"] for row in rows}
 
 

@@ -1,102 +1,20 @@
-"""Every built-in effect keeps the contract of effects."""
+"""Every built-in effect keeps the contract of effects: one class of checks for each that is registered."""
 
 from __future__ import annotations
 
+from orchestrator.registry import PluginKind, installed, load_plugin
 from orchestrator.testing import EffectConformance
-from plugins.effects.frame import BrakeCompliance, RotorMisalignment
-from plugins.effects.inverter import BusSag, DeadTime, DeviceDrop, VoltageBias
-from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating, SlotHarmonics
-from plugins.effects.resistance import PhaseResistanceImbalance, SkinEffect, WindingHeating
-from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset
-from plugins.effects.timing import CurrentFilter, VoltageDelay
-from protocols import Effect
 
 
-class TestDeadTime(EffectConformance):
-    def make_effect(self) -> Effect:
-        return DeadTime()
+def _kit(name: str) -> type[EffectConformance]:
+    made = {"make_effect": lambda self: load_plugin(PluginKind.EFFECTS, name)()}
+    return type(f"Test_{name}", (EffectConformance,), made)
 
 
-class TestDeviceDrop(EffectConformance):
-    def make_effect(self) -> Effect:
-        return DeviceDrop()
+for _info in installed(PluginKind.EFFECTS):
+    if _info.module.startswith("plugins."):
+        globals()[f"Test_{_info.name}"] = _kit(_info.name)
 
 
-class TestVoltageBias(EffectConformance):
-    def make_effect(self) -> Effect:
-        return VoltageBias()
-
-
-class TestBusSag(EffectConformance):
-    def make_effect(self) -> Effect:
-        return BusSag()
-
-
-class TestVoltageDelay(EffectConformance):
-    def make_effect(self) -> Effect:
-        return VoltageDelay()
-
-
-class TestCurrentFilter(EffectConformance):
-    def make_effect(self) -> Effect:
-        return CurrentFilter()
-
-
-class TestCurrentGainMismatch(EffectConformance):
-    def make_effect(self) -> Effect:
-        return CurrentGainMismatch()
-
-
-class TestCurrentOffset(EffectConformance):
-    def make_effect(self) -> Effect:
-        return CurrentOffset()
-
-
-class TestCurrentNonlinearity(EffectConformance):
-    def make_effect(self) -> Effect:
-        return CurrentNonlinearity()
-
-
-class TestPhaseResistanceImbalance(EffectConformance):
-    def make_effect(self) -> Effect:
-        return PhaseResistanceImbalance()
-
-
-class TestWindingHeating(EffectConformance):
-    def make_effect(self) -> Effect:
-        return WindingHeating()
-
-
-class TestSkinEffect(EffectConformance):
-    def make_effect(self) -> Effect:
-        return SkinEffect()
-
-
-class TestRotorMisalignment(EffectConformance):
-    def make_effect(self) -> Effect:
-        return RotorMisalignment()
-
-
-class TestBrakeCompliance(EffectConformance):
-    def make_effect(self) -> Effect:
-        return BrakeCompliance()
-
-
-class TestEddyCurrents(EffectConformance):
-    def make_effect(self) -> Effect:
-        return EddyCurrents()
-
-
-class TestHysteresis(EffectConformance):
-    def make_effect(self) -> Effect:
-        return Hysteresis()
-
-
-class TestMagnetHeating(EffectConformance):
-    def make_effect(self) -> Effect:
-        return MagnetHeating()
-
-
-class TestSlotHarmonics(EffectConformance):
-    def make_effect(self) -> Effect:
-        return SlotHarmonics()
+def test_none_is_left_out() -> None:
+    assert sum(issubclass(kit, EffectConformance) for n, kit in globals().items() if n.startswith("Test_")) == 18
