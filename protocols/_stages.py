@@ -100,7 +100,7 @@ class Stage(Strict):
         return ()
 
     def after_point(self, run: StageRun, segment: Segment) -> None:
-        """What to look at after each point (a thermometer), shortly: the drive still holds it."""
+        """What to look at with each point (a thermometer), shortly: the drive still holds it."""
 
     def work(self, run: StageRun) -> None:
         """What is left to do when all points are measured; not done again once the run is beyond it."""

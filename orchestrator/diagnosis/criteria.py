@@ -283,8 +283,6 @@ class DesignCriteria(Strict):
     """The same where the ripple is to be seen along both axes."""
     samples_per_period: float = _is(20.0, "1", "practice")
     """Of an injected wave, where there was none yet."""
-    injected_flux: float = _is(0.2, "1", "practice")
-    """Half the flux that it swings, in parts of L_d times the current."""
     most_segments: int = _is(36, "1", "budget")
     """Of the recording, evenly spread: what is known already need not be known to the last digit."""
     planned_hold_s: float = _is(0.2, "s", "budget")

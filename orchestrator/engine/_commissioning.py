@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Literal
 
 from orchestrator.config import Plan, PlannedPoint
@@ -168,8 +169,7 @@ class Commissioning:
             for point in self._within_limits(index, left):
                 if self._interrupts.pause_wanted:
                     self._pause(stage.measuring)
-                segment = self._measure_point(point)
-                stage.after_point(at_work, segment)
+                self._measure_point(point, partial(stage.after_point, at_work))
         if self._agenda.has_work(index):
             stage.work(at_work)
 
@@ -185,7 +185,7 @@ class Commissioning:
                 self._log.say(Note(level="info", text=told))
         return [weakened(point, factor) for point in left]
 
-    def _measure_point(self, point: PlannedPoint) -> Segment:
+    def _measure_point(self, point: PlannedPoint, after: Callable[[Segment], None]) -> None:
         target_d_a, target_q_a = point.target if point.target is not None else (None, None)
         self._log.say(
             PointStarted(
@@ -197,6 +197,7 @@ class Commissioning:
             )
         )
         segment, (achieved_d_a, achieved_q_a) = self._measurement.measure(point)
+        after(segment)  # a kill in between has the point measured again, and nothing of it lost
         if isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.checkpoint(point.id)
@@ -214,7 +215,6 @@ class Commissioning:
             ),
             durable=True,
         )
-        return segment
 
     def _conclude(self, estimates: EstimationReport) -> None:
         self._summary = estimates

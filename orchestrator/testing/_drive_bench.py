@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from orchestrator.stages import injection_voltage_v
 from orchestrator.testing._kit import Kit, bounded
 from protocols import (
     Capabilities,
@@ -51,13 +52,13 @@ class Sizes:
 
     @classmethod
     def of(cls, motor: Motor, capabilities: Capabilities) -> Sizes:
-        """Two fifths of the rated current; an injection that swings the flux by a fifth of the rated one."""
+        """Two fifths of the rated current; an injection as strong as a procedure's."""
         rated = min(motor.rated_current_a or 0.5 * capabilities.max_current_a, capabilities.max_current_a)
         longest = capabilities.longest_capture_s or 1.2
         frequency = capabilities.sampling_frequency_hz / SAMPLES_PER_PERIOD
         amplitude = 0.1 * capabilities.max_voltage_v
         if motor.d_inductance_h is not None:
-            amplitude = 4.0 * frequency * 0.2 * motor.d_inductance_h * rated
+            amplitude = injection_voltage_v(rated, motor.d_inductance_h, frequency)
         periods = max(FEWEST_PERIODS, int(0.5 * frequency))
         if capabilities.longest_capture_s is not None:
             periods = max(1, min(periods, int(capabilities.longest_capture_s * frequency)))

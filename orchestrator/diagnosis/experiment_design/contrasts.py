@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
+from orchestrator.stages import injection_voltage_v
 from protocols import Contrast, SegmentStage
 
 Stage = dict[str, Any]
@@ -47,8 +48,7 @@ class Bench:
         prepared, design = setup.prepared, setup.prepared.criteria.design
         fs = prepared.manifest.drive.sampling_frequency_hz
         frequency = fs / design.samples_per_period
-        # A square wave of this voltage swings the flux by a share of L_d I.
-        volts = 4.0 * frequency * design.injected_flux * setup.l_d_h * setup.current_a
+        volts = injection_voltage_v(setup.current_a, setup.l_d_h, frequency)
         for piece in _of(prepared, SegmentStage.INJECTION):
             settings = piece.segment.settings
             if settings.get("frequency_hz") and settings.get("amplitude_v"):
