@@ -5,7 +5,8 @@ windowed integrals of the record, whitened by the sensors' own noise. Effects ar
 """
 
 from orchestrator.diagnosis._compare import compare_recording
-from orchestrator.diagnosis._diagnose import Diagnosis, add_effects, diagnose_recording, remove_effect
+from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
+from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.guarded import guarded

@@ -15,8 +15,8 @@ from orchestrator.diagnosis.experiment_design.separation import rivals, separati
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import linear_view, score
 from orchestrator.diagnosis.selection.identifiability import parted_by
+from orchestrator.diagnosis.selection.scoring import linear_view, score
 from protocols import NextExperiment
 
 

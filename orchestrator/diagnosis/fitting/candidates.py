@@ -6,9 +6,10 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
+from orchestrator._validation import suggestion
 from orchestrator.diagnosis.fitting.guarded import require_effect
 from orchestrator.diagnosis.fitting.machine_scale import MachineScale
-from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole
+from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
@@ -96,6 +97,14 @@ def scaled_library(effects: Sequence[Effect], manifest: Manifest, without: Seque
         for effect in effects
         if effect.name not in without
     )
+
+
+def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:
+    """Raise `PluginError` where a name is no effect's and no rung of the map."""
+    have = [e.name for e in effects] + list(MAP_RUNGS)
+    for name in names:
+        if name not in have:
+            raise PluginError("effects", name, f"no such effect; {suggestion(name, have)}")
 
 
 def coordinate_of(p: EffectParameter, value: float) -> float:

@@ -11,32 +11,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TypeVar
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate, typical_coordinate
-from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
-from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, SegmentFrame, SegmentRows
-from orchestrator.diagnosis.weak_form.equations import (
-    LocalMap,
-    basis,
-    difference,
-    flux_terms,
-    local_map,
-    voltage_and_resistance,
-)
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
-from orchestrator.diagnosis.weak_form.observer import smooth_flux
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
-from orchestrator.numerics.frames import rotation
-from orchestrator.numerics.tensor_spline import EvenSpline
-from orchestrator.numerics.types import Array
-from protocols import EffectLayer, ParameterRole, Signals
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
+from orchestrator.diagnosis.fitting.model import Fit, Frame, Model
+from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
+from orchestrator.diagnosis.fitting.solution import solved
+from orchestrator.diagnosis.weak_form.noise import SensorNoise
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
@@ -67,6 +54,7 @@ class Fitter:
         Of all fits; a search ends where it is exhausted.
     poll : callable
         Called before each evaluation; what it raises ends the fit.
+    equations : SegmentEquations
     """
 
     prepared: PreparedRecording
@@ -75,7 +63,10 @@ class Fitter:
     threads: int = 2
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
-    _raw_basis: dict[str, tuple[EvenSpline, Array]] = field(default_factory=dict)
+    equations: SegmentEquations = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria)
 
     @property
     def criteria(self) -> FittingCriteria:
@@ -155,7 +146,7 @@ class Fitter:
             old = None
         before = old.pieces if old is not None else (None,) * len(self.prepared.pieces)
         jobs = list(zip(self.prepared.pieces, before, strict=True))
-        pieces = tuple(self._map(lambda job: self._segment_frame(model, *job), jobs))
+        pieces = tuple(self._map(lambda job: self.equations.frame(model, *job), jobs))
         if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
             return Frame(model.space, pieces, old.gram)
         free = model.space.directions.shape[1]
@@ -177,8 +168,8 @@ class Fitter:
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * (len(wanted) + self.criteria.evaluation_columns)
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
-        rows = self._map(lambda job: self.segment_rows(model, job[0], job[1], wanted), jobs)
-        return self._solve(model, frame, rows, held)
+        rows = self._map(lambda job: self.equations.rows(model, *job, wanted), jobs)
+        return solved(self.prepared, model, frame, rows, held)
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.
@@ -192,189 +183,6 @@ class Fitter:
             return [work(job) for job in jobs]
         with ThreadPoolExecutor(self.threads) as pool:
             return list(pool.map(work, jobs))
-
-    def _segment_frame(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> SegmentFrame:
-        s = piece.signals
-        scale = model.r_s / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
-        losses = s.losses and s.losses.model_copy(update={"power_w": s.losses.power_w * scale})
-        base = s.model_copy(
-            update={"resistance_ohm": np.full(len(s.v_dc), model.r_s), "losses": losses, "heat_j": s.heat_j * scale}
-        )
-        flux, seen = self._flux(piece, base, model)
-        base = base.model_copy(update=flux)
-        corrected = apply_effects(base, model.active)
-        same = not corrected.changed & {"i_m_ab", "theta_rad"}
-        local = seen if same else local_map(piece, corrected.signals, model.magnetics)
-        mean = local.inductance.mean(axis=0)
-        slopes = self._slopes(piece, base, model)
-        alike = old is not None and not old.shaped_noise and slopes is None
-        bearable = self.criteria.same_inductance * float(mean[[0, 2]].min())
-        if old is not None and alike and np.abs(mean - old.mean_inductance).max() < bearable:
-            whitener, mean = old.whitener, old.mean_inductance
-        else:
-            factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
-            whitener = Whitener(banded_covariance(piece, local, factor, self.noise, model.r_s, slopes))
-        raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
-        if old is not None and whitener is old.whitener and raw is old.basis:
-            white = old.white_basis
-        else:
-            white = whitener(raw if model.space.is_free else raw @ model.space.directions)
-        return SegmentFrame(base, local, whitener, raw, white, mean, slopes is not None)
-
-    def _untouched_basis(self, piece: SegmentSignals, local: LocalMap, model: Model) -> Array:
-        known = self._raw_basis.get(piece.segment.id)
-        if known is None or known[0] != model.space.grid:
-            known = (model.space.grid, basis(piece, local, model.magnetics))
-            self._raw_basis[piece.segment.id] = known
-        return known[1]
-
-    def _flux(self, piece: SegmentSignals, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
-        """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from."""
-        outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
-        inner = apply_effects(base, outer).signals
-        local = local_map(piece, inner, model.magnetics)
-        psi_ab, smooth, i_smooth = smooth_flux(
-            local.psi,
-            local.inductance,
-            np.ascontiguousarray(inner.v_ab),
-            np.ascontiguousarray(inner.i_ab),
-            np.ascontiguousarray(inner.resistance_ohm),
-            float(piece.segment.rotor_angle_rad),
-            self.pm_flux_wb,
-            1.0 / base.sampling_frequency_hz,
-            self.prepared.criteria.weak_form.observer_time_constant_s,
-        )
-        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, local
-
-    def _slopes(self, piece: SegmentSignals, base: Signals, model: Model) -> Slopes | None:
-        """How the inverter's effects multiply current noise, by shifting the measured current by its noise."""
-        inverter = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER]
-        if not inverter or not base.bridge_on:
-            return None
-        turn = rotation(-piece.segment.rotor_angle_rad)
-        voltage = np.empty((len(base.v_dc), 2, 2))
-        sensor = self.noise.of(piece)
-        for axis in range(2):
-            shift = np.zeros(2)
-            shift[axis] = math.sqrt(sensor[axis, axis])
-            ahead, behind = (
-                apply_effects(base.model_copy(update={"i_ab": base.i_ab + side * shift}), inverter).signals
-                for side in (1.0, -1.0)
-            )
-            voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])
-        return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ voltage @ turn.T))
-
-    def segment_rows(
-        self, model: Model, piece: SegmentSignals, segment_frame: SegmentFrame, parameters: Sequence[tuple[Active, str]]
-    ) -> SegmentRows:
-        base, ordered = segment_frame.base, sorted(model.active, key=lambda a: a.candidate.effect.layer)
-        chain = [Corrected(base)]
-        for active in ordered:
-            chain.append(apply_effects(chain[-1].signals, [active]))
-        corrected = chain[-1].signals
-        local = local_map(piece, corrected, model.magnetics)
-        known, resistance = voltage_and_resistance(
-            piece,
-            corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / base.resistance_ohm[0]}),
-            local,
-            self.pm_flux_wb,
-        )
-        known = known + flux_terms(piece, local)
-        sums = [self._column(piece, chain, ordered, local, a, n) for a, n in parameters]
-        columns = [piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
-        white = segment_frame.whitener(np.column_stack([known, resistance, *columns]))
-        return SegmentRows(known, resistance, white)
-
-    def _column(
-        self,
-        piece: SegmentSignals,
-        chain: Sequence[Corrected],
-        ordered: Sequence[Active],
-        local: LocalMap,
-        active: Active,
-        name: str,
-    ) -> Array:
-        """Derivative of y by one parameter's coordinate, summed over samples; to typical size where it is absent.
-
-        `chain` has the signals before each of the `ordered` effects and after the last, each with what the effect
-        before it changed: those outside of the one that is moved need not be applied again.
-        """
-        p = active.candidate.named(name)
-        x = active.coordinate(name)
-        if p.role is not ParameterRole.AMPLITUDE:
-            step = self.criteria.column_step * max(abs(x), 1.0)
-        elif active.is_absent:
-            step = typical_coordinate(p)
-        else:
-            step = self.criteria.column_step * max(abs(x), self.criteria.least_amplitude)
-        if is_stuck(active, name, x + step):
-            step = -step
-        at = next((k for k, a in enumerate(ordered) if a.name == active.name), None)
-        if at is None:
-            at = sum(a.candidate.effect.layer <= active.candidate.effect.layer for a in ordered)
-            inner = ordered[at:]
-        else:
-            inner = ordered[at + 1 :]
-        other = apply_effects(chain[at].signals, [active.moved(name, x + step), *inner])
-        changed = other.changed.union(*(c.changed for c in chain[at + 1 :]))
-        return difference(piece, chain[-1].signals, other.signals, changed, local, self.pm_flux_wb) / step
-
-    def _solve(self, model: Model, frame: Frame, rows: Sequence[SegmentRows], held: bool) -> Fit:
-        space, pieces = model.space, self.prepared.pieces
-        width = 1 + space.directions.shape[1]
-        normal, right = np.zeros((width, width)), np.zeros(width)
-        normal[1:, 1:] = frame.gram
-        for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
-            if piece.held_out:
-                continue
-            e, r = row.white[:, 0], row.white[:, 1]
-            normal[0, 0] += r @ r
-            normal[0, 1:] += r @ segment_frame.white_basis
-            right[0] += r @ e
-            right[1:] += segment_frame.white_basis.T @ e
-        normal[1:, 0] = normal[0, 1:]
-        total = normal.copy()
-        total[1:, 1:] += space.prior.T @ space.prior
-        # Equations are written around the model's own coefficients; the prior is around the space's origin.
-        free_numbers = _free_numbers(space, model.magnetics.coefficients)
-        right[1:] += space.prior.T @ (space.prior @ free_numbers)
-        solution = np.append(model.r_s, np.zeros(width - 1)) if held else -np.linalg.solve(total, right)
-        effective = float(np.trace(np.linalg.solve(total, normal)))
-        r_s, change = float(solution[0]), solution[1:]
-        moved = space.directions @ change
-        fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, model.magnetics.coefficients + moved))
-        residual, volts = [], []
-        for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
-            residual.append(row.white[:, 0] + row.white[:, 1] * r_s + segment_frame.white_basis @ change)
-            raw = row.known + row.resistance * r_s + segment_frame.basis @ moved
-            volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight())
-        training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
-        chi2 = float(sum(e @ e for e in training))
-        log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
-        priors = sum(a.coordinate(n) ** 2 for a, n in model.free)
-        rough = space.prior @ (free_numbers + change)
-        return Fit(
-            model=fitted,
-            frame=frame,
-            prepared=self.prepared,
-            chi2=chi2,
-            objective=chi2 + log_det + priors + float(rough @ rough),
-            log_det=log_det,
-            dof=max(sum(len(e) for e in training) - effective - len(model.free), 1.0),
-            residual=tuple(residual),
-            volts=tuple(volts),
-            normal=total,
-            columns=tuple(row.white[:, 2:] for row in rows),
-            resistance=tuple(row.white[:, 1] for row in rows),
-        )
-
-
-def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
-    if space.directions.shape[1] == 0:
-        return np.zeros(0)
-    if space.is_free:
-        return coefficients - space.origin
-    return np.asarray(np.linalg.lstsq(space.directions, coefficients - space.origin, rcond=None)[0])
 
 
 def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:

@@ -1,21 +1,18 @@
-"""From fits to what is reported: the ladder's rungs, effects with intervals, the fraction that is left."""
+"""The ladder's rungs: the error of each fit in volts, and what noise alone would make of it."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, value_at
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.selection.forward_search import Step
-from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
-from protocols import FoundEffect, ParameterValue, Rung, Verdict
+from protocols import Rung
 
 
 def training(piece: SegmentSignals) -> bool:
@@ -58,59 +55,6 @@ def rung(step: Step) -> Rung:
     )
 
 
-def left_fraction(before_chi2: float, after: Fit) -> float:
-    """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    if before_chi2 <= after.criteria.selection.detected_chi2:
-        return 0.0
-    return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before_chi2 - 1.0))
-
-
-def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
-    """The verdict on what is left: it has to be small beside what was found, and small in itself.
-
-    The fraction alone would forgive a large second error beside a huge first one. A wrong shape of the right effect
-    leaves some of it, the more the stronger it shows; what is beyond that is another effect's.
-    """
-    limits = after.criteria.selection
-    if after.chi2_per_dof <= limits.detected_chi2:
-        return "explained" if effects else "clean"
-    fraction = left_fraction(before.chi2_per_dof, after)
-    if not effects or fraction > limits.mostly_explained or not small_remainder(before, after):
-        return "unknown_remains"
-    return "explained" if fraction <= limits.explained else "mostly_explained"
-
-
-def small_remainder(before: Fit, after: Fit) -> bool:
-    """Whether what is left may be due to the found effects' shape."""
-    limits, first = after.criteria.selection, math.sqrt(max(before.chi2_per_dof - 1.0, 0.0))
-    return after.chi2_per_dof - 1.0 <= max(limits.least_left, limits.shape_error * first)
-
-
-def found_effects(
-    fitter: Fitter, fit: Fit, evidence: Mapping[str, float | None], rivals: Mapping[str, Sequence[str]]
-) -> tuple[FoundEffect, ...]:
-    """The active effects with 95 % intervals; see `coordinate_spread`."""
-    if not fit.model.active:
-        return ()
-    half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
-    effects, k = [], 0
-    for active in fit.model.active:
-        widths = dict(zip(active.free, half[k : k + len(active.free)], strict=True))
-        k += len(active.free)
-        effects.append(
-            FoundEffect(
-                name=active.name,
-                parameters={n: _interval(active, n, float(widths[n])) for n in active.free},
-                twins=tuple(rivals.get(active.name, ())),
-                relative_size=active.relative_size,
-                log_evidence=evidence.get(active.name, 0.0),
-            )
-        )
-    return tuple(effects)
-
-
-def _interval(active: Active, name: str, half: float) -> ParameterValue:
-    p = active.candidate.named(name)
-    x = active.coordinate(name)
-    ends = sorted((value_at(p, x - half), value_at(p, x + half)))
-    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit)
+def kept_rungs(setup: DiagnosisSetup, steps: Sequence[Step]) -> tuple[Rung, ...]:
+    """The rungs of some steps with their models as they would be kept, so that a comparison finds them again."""
+    return tuple(rung(Step(step.added, setup.fitter.hold(step.fit.model))) for step in steps)

@@ -10,45 +10,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
-from orchestrator.numerics.types import Array
+from orchestrator.diagnosis.selection.refining import polished, repolished
+from orchestrator.diagnosis.selection.scoring import LinearView, Score, linear_gain, linear_view, log_evidence, score
 from protocols import ParameterRole
-
-
-@dataclass(frozen=True)
-class Score:
-    """What an effect would bring, by a linear estimate."""
-
-    candidate: Candidate
-    gain: float
-    """Fall of chi2."""
-    coordinates: Array
-
-
-@dataclass(frozen=True)
-class LinearView:
-    """What every effect of the library would do to a fit, to first order.
-
-    Attributes
-    ----------
-    absent : tuple of Candidate
-        Effects that are not in the model.
-    columns : tuple of (Active, str)
-        The model's free parameters, then the amplitudes of the absent effects.
-    normal, right : array
-        Normal matrix and gradient of the columns, R_s and the map following.
-    """
-
-    fit: Fit
-    absent: tuple[Candidate, ...]
-    columns: tuple[tuple[Active, str], ...]
-    normal: Array
-    right: Array
 
 
 @dataclass(frozen=True)
@@ -74,46 +42,6 @@ class Search:
     @property
     def fit(self) -> Fit:
         return self.steps[-1].fit
-
-
-def log_evidence(fit: Fit, inflation: float) -> float:
-    """Laplace's approximation to the log evidence of a fit, up to a constant of the recording."""
-    count = len(fit.model.free)
-    priors = sum(a.coordinate(n) ** 2 for a, n in fit.model.free)
-    value = -0.5 * (fit.chi2 / inflation + fit.log_det + priors)
-    if count:
-        normal = fit.projected()[0][:count, :count]
-        value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + normal / inflation)[1])
-    return value
-
-
-def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
-    """All effects that are not in the model beside those that are, to first order."""
-    absent = tuple(c for c in candidates if c.name not in fit.model.names)
-    columns = absent_columns(absent)
-    normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
-    return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
-
-
-def score(view: LinearView) -> list[Score]:
-    """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
-    fitted = len(view.fit.model.free)
-    scores = []
-    for candidate in view.absent:
-        columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
-        scores.append(Score(candidate, *_linear(view.normal, view.right, fitted, columns)))
-    return sorted(scores, key=lambda s: -s.gain)
-
-
-def _linear(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
-    """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
-    block, pull = normal[np.ix_(columns, columns)], right[columns]
-    if fitted:
-        inner, across = normal[:fitted, :fitted] + np.eye(fitted), normal[np.ix_(range(fitted), columns)]
-        follow = np.linalg.solve(inner, across)
-        block, pull = block - across.T @ follow, pull - follow.T @ right[:fitted]
-    x = np.asarray(-np.linalg.solve(block + np.eye(len(columns)), pull), dtype=np.float64)
-    return float(-pull @ x), x
 
 
 def forward(
@@ -259,74 +187,9 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
         fitted, each = len(fit.model.free), len(candidate.amplitudes)
         for k, variant in enumerate(variants):
             amplitudes = list(range(fitted + k * each, fitted + (k + 1) * each))
-            estimate = _linear(normal, right, fitted, amplitudes)
+            estimate = linear_gain(normal, right, fitted, amplitudes)
             if estimate[0] > gain:
                 best, gain, coordinates = variant, *estimate
     for name, x in zip(candidate.amplitudes, coordinates, strict=True):
         best = best.moved(name, float(x))
     return best
-
-
-def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
-    """The newest effect's flexible form where the evidence asks for it, fitted to the end."""
-    plain = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
-    flexible = _flexible(fitter, plain, len(plain.model.active) - 1, inflation)
-    return plain if flexible is None else flexible
-
-
-def repolished(fitter: Fitter, fit: Fit) -> Fit:
-    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
-    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
-        trial = _flexible(fitter, fit, index, 1.0)
-        fit = fit if trial is None else trial
-    return fit
-
-
-def settled(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
-    best = fitter.fit(fit.model, fit.frame, steps=4, renewals=0, tolerance=1e-3)
-    for index, active in enumerate(best.model.active):
-        names = active.candidate.of_role(ParameterRole.REFINEMENT)
-        if fitter.effort.exhausted or not set(names) & set(active.free):
-            continue
-        if loss_without(best, active, names) > fit.criteria.selection.flexible_form_needed:
-            continue
-        simple = replace(active, free=tuple(n for n in active.free if n not in names))
-        for name in names:
-            simple = simple.moved(name, 0.0)
-        models = list(best.model.active)
-        models[index] = simple
-        trial = fitter.fit(best.model.with_active(models), best.frame, steps=8, renewals=0, tolerance=3e-4)
-        inflation = max(1.0, min(best.chi2_per_dof, trial.chi2_per_dof))
-        if log_evidence(trial, inflation) > log_evidence(best, inflation) - fit.criteria.selection.tie:
-            best = trial
-    return best
-
-
-def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:
-    """How much chi2 would rise, to first order, if some parameters were put back to neutral and all others followed.
-
-    Wald's test, in units of the noise that is left.
-    """
-    free = fit.model.free
-    which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
-    away = np.array([active.coordinate(free[k][1]) for k in which])
-    block = fit.covariance()[np.ix_(which, which)] * max(fit.chi2_per_dof, 1.0)
-    return float(away @ np.linalg.solve(block, away))
-
-
-def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
-    """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
-    active = list(fit.model.active)
-    names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
-    if fitter.effort.exhausted or set(names) <= set(active[index].free):
-        return None
-    active[index] = active[index].freeing(*names)
-    # Whether it pays shows early; the last fit of all is taken to its end.
-    trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
-    tie = fit.criteria.selection.tie
-    if fitter.promise(trial) < tie * inflation:
-        return None
-    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
-    inflation = max(1.0, min(inflation, trial.chi2_per_dof))
-    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + tie else None

@@ -14,7 +14,8 @@ from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import LinearView, Search, linear_view, score
+from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, score
 from protocols import FoundEffect, JointEntry, Remark
 
 

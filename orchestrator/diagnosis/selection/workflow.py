@@ -16,16 +16,11 @@ from orchestrator.diagnosis.fitting.baseline import (
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAP_RUNGS, SATURATION, Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.ladder import verdict_of
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
-from orchestrator.diagnosis.selection.forward_search import (
-    Search,
-    Step,
-    forward,
-    log_evidence,
-    loss_without,
-    settled,
-)
+from orchestrator.diagnosis.selection.forward_search import Search, Step, forward
+from orchestrator.diagnosis.selection.refining import settled
+from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
+from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 

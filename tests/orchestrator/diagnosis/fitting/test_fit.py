@@ -9,7 +9,6 @@ from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Effort, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from plugins.effects.inverter import DeadTime, VoltageBias
-from plugins.effects.timing import VoltageDelay
 from protocols import Effect
 from tests.orchestrator.diagnosis.pieces import (
     L_D,
@@ -54,16 +53,6 @@ def test_what_was_held_out_is_noise_too(clean: Fitter) -> None:
     assert chi2 == pytest.approx(1.0, abs=0.5)
 
 
-def test_the_start_does_not_matter_to_what_is_linear(clean: Fitter) -> None:
-    near = free_model()
-    far = Model(near.space, near.magnetics, 1.3 * R_S)
-    one, other = clean.fit(near), clean.fit(far)
-    assert other.model.r_s == pytest.approx(one.model.r_s, rel=1e-5)
-    at = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 1.5], [-1.0, 1.0]])
-    (psi, _), (again, _) = (fit.model.magnetics.flux_and_inductance(at) for fit in (one, other))
-    np.testing.assert_allclose(again - again[0], psi - psi[0], atol=1e-3 * float(np.ptp(psi)))
-
-
 def test_a_wrong_voltage_is_found_as_large_as_it_is(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     fit = biased.fit(with_free(bare.model, biased, VoltageBias()))
@@ -83,34 +72,6 @@ def test_more_steps_never_raise_the_objective(biased: Fitter, steps: int) -> Non
     more = biased.fit(model, frame, steps=steps + 1, renewals=0).objective
     assert one <= start + biased.criteria.slack
     assert more <= one + biased.criteria.slack
-
-
-@pytest.mark.parametrize(
-    ("effect", "values"),
-    [(VoltageBias(), {"bias_a_v": 0.1}), (DeadTime(), {"voltage_v": 0.4}), (VoltageDelay(), {"delay_s": 5e-6})],
-)
-def test_gradient_of_the_objective_is_that_of_finite_differences(
-    biased: Fitter, effect: Effect, values: dict[str, float]
-) -> None:
-    (name, _), *_ = values.items()
-    fit = biased.evaluate(model := with_free(free_model(), biased, effect, **values), biased.frame(model))
-    k = [n for _, n in model.free].index(name)
-    x, h = model.active[0].coordinate(name), 1e-2 * abs(model.active[0].coordinate(name))
-
-    def objective(at: float) -> float:
-        return biased.evaluate(model.with_active([model.active[0].moved(name, at)]), fit.frame).objective
-
-    slope = (objective(x + h) - objective(x - h)) / (2.0 * h)
-    # The column is a secant a twentieth of the size long, and an inverter's form bends.
-    assert 2.0 * (fit.projected()[1][k] + x) == pytest.approx(slope, rel=0.05)
-
-
-def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None:
-    bare = biased.fit(free_model())
-    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
-    asked = biased.evaluate(bare.model, bare.frame, [(candidate.absent(), n) for n in candidate.amplitudes])
-    assert asked.chi2 == pytest.approx(biased.evaluate(bare.model, bare.frame).chi2, rel=1e-12)
-    assert asked.columns[0].shape[1] == 2
 
 
 def test_effort_counts_samples_and_columns_and_what_poll_raises_ends_the_fit() -> None:

@@ -1,0 +1,152 @@
+"""A kept model refitted with one more effect, or with one less; the ladder goes on from where it was."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate, require_known, scaled_library
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
+from orchestrator.diagnosis.reporting.ladder import kept_rungs
+from orchestrator.diagnosis.reporting.motor_model import flux_of, freed_by, kept_model, reduced, restored
+from orchestrator.diagnosis.selection.forward_search import Step, with_effect
+from orchestrator.diagnosis.selection.sufficiency import solvable
+from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
+from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
+from protocols import AddReport, Baseline, Effect, MotorModel, Nameplate, PluginError, Remark, Rung, Saturated
+
+
+def add_effects(
+    recording: Recording,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    *,
+    model: ModelChoice | None = None,
+    out: Path | None = None,
+) -> AddReport:
+    """Refit with these effects beside those that the model has already; the ladder grows.
+
+    Parameters
+    ----------
+    model : optional
+        Where the ladder starts; by default the model of `model.json` as it stands, else ``saturated``.
+
+    Raises
+    ------
+    PluginError
+        Where a name is not in the library.
+    """
+    require_known([n for n in names if n not in MAP_RUNGS], effects)
+    kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
+    return _added(recording, names, effects, kept, model or "saturated", out)
+
+
+@solvable
+def _added(
+    recording: Recording,
+    names: Sequence[str],
+    effects: Sequence[Effect],
+    kept: MotorModel | None,
+    model: ModelChoice,
+    out: Path | None,
+) -> AddReport:
+    setup = open_for_diagnosis(recording, pm_flux_wb=flux_of(kept or model))
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
+    baseline = kept.baseline if kept is not None else baseline_of(model)
+    if kept is None:
+        steps = first_steps(setup, model, library)
+    else:
+        fit = setup.fitter.fit(restored(setup, kept, baseline, library))
+        steps = [Step(kept.ladder[-1].added, fit)]
+    remarks = list(setup.remarks)
+    for name in sorted(dict.fromkeys(names), key=lambda n: n not in MAP_RUNGS):
+        fit = steps[-1].fit
+        if name in fit.model.names:
+            remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
+        elif name in library:
+            steps.append(Step(name, with_effect(setup.fitter, fit, library[name])))
+        elif isinstance(baseline, Nameplate) and name not in baseline.freed:
+            baseline = freed_by(baseline, name)
+            steps.append(Step(name, with_map_step(setup, fit, baseline)))
+        else:
+            text = "{effect}: in the map {map} already"
+            remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
+    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+
+
+def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *, out: Path | None = None) -> AddReport:
+    """Refit without one of the effects that `model.json` has; what was added before it stays as it was.
+
+    Raises
+    ------
+    PluginError
+        Where the model has no such effect.
+    """
+    directory = out or recording.path
+    kept = read_model(directory) if has_model(directory) else None
+    have = [] if kept is None else [r.added for r in kept.ladder if r.added is not None]
+    if kept is None or name not in have:
+        raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
+    return _removed(recording, name, effects, kept, out)
+
+
+@solvable
+def _removed(
+    recording: Recording, name: str, effects: Sequence[Effect], kept: MotorModel, out: Path | None
+) -> AddReport:
+    setup = open_for_diagnosis(recording, pm_flux_wb=kept.pm_flux_wb)
+    library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
+    at = next(k for k, r in enumerate(kept.ladder) if r.added == name)
+    left = [r.added for r in kept.ladder if r.added not in (None, name)]
+    steps = []
+    # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
+    for count in range(at - 1, len(left) + 1):
+        baseline, model = _as_of(setup, reduced(kept, [name]), left[:count], library)
+        if count == 0 and isinstance(baseline, Saturated):
+            steps += first_steps(setup, "saturated", library)
+        else:
+            steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
+    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, setup.remarks, out)
+
+
+def _as_of(
+    setup: DiagnosisSetup, kept: MotorModel, names: Sequence[str | None], library: Mapping[str, Candidate]
+) -> tuple[Baseline, Model]:
+    """The model with no more than these rungs, as free as its map was then."""
+    baseline = kept.baseline
+    if isinstance(baseline, Nameplate):
+        baseline = Nameplate(freed=tuple(n for n in baseline.freed if n in names))
+    model = restored(setup, kept, baseline, library)
+    if isinstance(baseline, Nameplate):
+        model = freed_further(setup, model, baseline)
+    return baseline, model.with_active([a for a in model.active if a.name in names])
+
+
+def _keep_refit(
+    recording: Recording,
+    setup: DiagnosisSetup,
+    fit: Fit,
+    baseline: Baseline,
+    before: MotorModel | None,
+    ladder: Sequence[Rung],
+    remarks: Sequence[Remark],
+    out: Path | None,
+) -> AddReport:
+    """The model written to `model.json`, and what there is to say of it; raises `StorageError`."""
+    evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
+    twins = {e.name: e.twins for e in before.effects} if before is not None else {}
+    found = found_effects(setup.fitter, fit, evidence, twins)
+    write_model(out or recording.path, kept_model(setup, fit, baseline, found, ladder))
+    freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
+    return AddReport(
+        effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,
+        ladder=tuple(ladder),
+        unexplained=unexplained(setup, ladder[0].chi2 or math.inf, fit),
+        remarks=tuple(remarks),
+    )

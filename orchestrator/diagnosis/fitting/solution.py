@@ -1,0 +1,72 @@
+"""R_s and the map that fit best where the effects stand: the equations are linear in both. Moves no effect."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, SegmentRows
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.numerics.types import Array
+
+
+def solved(prepared: PreparedRecording, model: Model, frame: Frame, rows: Sequence[SegmentRows], held: bool) -> Fit:
+    """The fit with R_s and the map solved for; with `held` they stay the model's."""
+    space, pieces = model.space, prepared.pieces
+    width = 1 + space.directions.shape[1]
+    normal, right = np.zeros((width, width)), np.zeros(width)
+    normal[1:, 1:] = frame.gram
+    for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
+        if piece.held_out:
+            continue
+        e, r = row.white[:, 0], row.white[:, 1]
+        normal[0, 0] += r @ r
+        normal[0, 1:] += r @ segment_frame.white_basis
+        right[0] += r @ e
+        right[1:] += segment_frame.white_basis.T @ e
+    normal[1:, 0] = normal[0, 1:]
+    total = normal.copy()
+    total[1:, 1:] += space.prior.T @ space.prior
+    # Equations are written around the model's own coefficients; the prior is around the space's origin.
+    free_numbers = _free_numbers(space, model.magnetics.coefficients)
+    right[1:] += space.prior.T @ (space.prior @ free_numbers)
+    solution = np.append(model.r_s, np.zeros(width - 1)) if held else -np.linalg.solve(total, right)
+    effective = float(np.trace(np.linalg.solve(total, normal)))
+    r_s, change = float(solution[0]), solution[1:]
+    moved = space.directions @ change
+    fitted = replace(model, r_s=r_s, magnetics=Magnetics(space.grid, model.magnetics.coefficients + moved))
+    residual, volts = [], []
+    for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
+        residual.append(row.white[:, 0] + row.white[:, 1] * r_s + segment_frame.white_basis @ change)
+        raw = row.known + row.resistance * r_s + segment_frame.basis @ moved
+        volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight())
+    training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
+    chi2 = float(sum(e @ e for e in training))
+    log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
+    priors = sum(a.coordinate(n) ** 2 for a, n in model.free)
+    rough = space.prior @ (free_numbers + change)
+    return Fit(
+        model=fitted,
+        frame=frame,
+        prepared=prepared,
+        chi2=chi2,
+        objective=chi2 + log_det + priors + float(rough @ rough),
+        log_det=log_det,
+        dof=max(sum(len(e) for e in training) - effective - len(model.free), 1.0),
+        residual=tuple(residual),
+        volts=tuple(volts),
+        normal=total,
+        columns=tuple(row.white[:, 2:] for row in rows),
+        resistance=tuple(row.white[:, 1] for row in rows),
+    )
+
+
+def _free_numbers(space: MapSpace, coefficients: Array) -> Array:
+    if space.directions.shape[1] == 0:
+        return np.zeros(0)
+    if space.is_free:
+        return coefficients - space.origin
+    return np.asarray(np.linalg.lstsq(space.directions, coefficients - space.origin, rcond=None)[0])

@@ -1,0 +1,79 @@
+"""What was found, as it is reported: effects with intervals, the map that was let go, and what is left."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, Active, value_at
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.leftover import leftover_shape
+from orchestrator.diagnosis.selection.verdict import left_fraction
+from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
+from protocols import FoundEffect, ParameterValue, ShapeShare, Unexplained
+
+
+def found_effects(
+    fitter: Fitter, fit: Fit, evidence: Mapping[str, float | None], rivals: Mapping[str, Sequence[str]]
+) -> tuple[FoundEffect, ...]:
+    """The active effects with 95 % intervals; see `coordinate_spread`."""
+    if not fit.model.active:
+        return ()
+    half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
+    effects, k = [], 0
+    for active in fit.model.active:
+        widths = dict(zip(active.free, half[k : k + len(active.free)], strict=True))
+        k += len(active.free)
+        effects.append(
+            FoundEffect(
+                name=active.name,
+                parameters={n: _interval(active, n, float(widths[n])) for n in active.free},
+                twins=tuple(rivals.get(active.name, ())),
+                relative_size=active.relative_size,
+                log_evidence=evidence.get(active.name, 0.0),
+            )
+        )
+    return tuple(effects)
+
+
+def _interval(active: Active, name: str, half: float) -> ParameterValue:
+    p = active.candidate.named(name)
+    x = active.coordinate(name)
+    ends = sorted((value_at(p, x - half), value_at(p, x + half)))
+    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit)
+
+
+def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, ...]:
+    """Saturation and cross-saturation as effects, where the map was let go: by how much the inductances vary."""
+    grid = fit.model.space.grid
+    d = np.linspace(grid.low, grid.high, 25)
+    q = np.linspace(-grid.reach, grid.reach, 25)
+    nodes = np.stack([g.ravel() for g in np.meshgrid(d, q)], axis=1)
+    inductance = fit.model.magnetics.flux_and_inductance(nodes)[1]
+    mean = inductance[:, [0, 2]].mean()
+    sizes = {
+        SATURATION: (float(np.ptp(inductance[:, [0, 2]], axis=0).max() / mean), 0.4),
+        CROSS_SATURATION: (float(np.abs(inductance[:, 1]).max() / mean), 0.1),
+    }
+    return tuple(
+        FoundEffect(
+            name=name,
+            parameters={"relative_change": ParameterValue(value=sizes[name][0], low=None, high=None, unit="1")},
+            twins=(),
+            relative_size=sizes[name][0] / sizes[name][1],
+            log_evidence=gain,
+        )
+        for name, gain in evidence.items()
+    )
+
+
+def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplained:
+    detected = last.chi2_per_dof > last.criteria.selection.detected_chi2
+    shape = leftover_shape(setup.fitter, last, setup.current_a) if detected else []
+    return Unexplained(
+        fraction=left_fraction(first_chi2, last),
+        shape=tuple(ShapeShare(group=group, share=share) for group, share in shape),
+    )

@@ -1,0 +1,66 @@
+"""Effects' flexible forms: freed where the evidence asks for them, and taken back where the simple form will do.
+
+The wrong shape of the right effect causes most spurious second ones.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
+from protocols import ParameterRole
+
+
+def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
+    """The newest effect's flexible form where the evidence asks for it, fitted to the end."""
+    plain = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+    flexible = _flexible(fitter, plain, len(plain.model.active) - 1, inflation)
+    return plain if flexible is None else flexible
+
+
+def repolished(fitter: Fitter, fit: Fit) -> Fit:
+    """The earlier effects' flexible forms, where what hid their worth is now in the model."""
+    for index in range(0 if fitter.effort.exhausted else len(fit.model.active) - 1):
+        trial = _flexible(fitter, fit, index, 1.0)
+        fit = fit if trial is None else trial
+    return fit
+
+
+def settled(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
+    best = fitter.fit(fit.model, fit.frame, steps=4, renewals=0, tolerance=1e-3)
+    for index, active in enumerate(best.model.active):
+        names = active.candidate.of_role(ParameterRole.REFINEMENT)
+        if fitter.effort.exhausted or not set(names) & set(active.free):
+            continue
+        if loss_without(best, active, names) > fit.criteria.selection.flexible_form_needed:
+            continue
+        simple = replace(active, free=tuple(n for n in active.free if n not in names))
+        for name in names:
+            simple = simple.moved(name, 0.0)
+        models = list(best.model.active)
+        models[index] = simple
+        trial = fitter.fit(best.model.with_active(models), best.frame, steps=8, renewals=0, tolerance=3e-4)
+        inflation = max(1.0, min(best.chi2_per_dof, trial.chi2_per_dof))
+        if log_evidence(trial, inflation) > log_evidence(best, inflation) - fit.criteria.selection.tie:
+            best = trial
+    return best
+
+
+def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
+    """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
+    active = list(fit.model.active)
+    names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
+    if fitter.effort.exhausted or set(names) <= set(active[index].free):
+        return None
+    active[index] = active[index].freeing(*names)
+    # Whether it pays shows early; the last fit of all is taken to its end.
+    trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
+    tie = fit.criteria.selection.tie
+    if fitter.promise(trial) < tie * inflation:
+        return None
+    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
+    inflation = max(1.0, min(inflation, trial.chi2_per_dof))
+    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + tie else None

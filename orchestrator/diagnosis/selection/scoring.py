@@ -1,0 +1,96 @@
+"""What an effect is worth: to first order where it is not in the model, by evidence where it is. Decides nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.numerics.types import Array
+
+
+@dataclass(frozen=True)
+class Score:
+    """What an effect would bring, by a linear estimate."""
+
+    candidate: Candidate
+    gain: float
+    """Fall of chi2."""
+    coordinates: Array
+
+
+@dataclass(frozen=True)
+class LinearView:
+    """What every effect of the library would do to a fit, to first order.
+
+    Attributes
+    ----------
+    absent : tuple of Candidate
+        Effects that are not in the model.
+    columns : tuple of (Active, str)
+        The model's free parameters, then the amplitudes of the absent effects.
+    normal, right : array
+        Normal matrix and gradient of the columns, R_s and the map following.
+    """
+
+    fit: Fit
+    absent: tuple[Candidate, ...]
+    columns: tuple[tuple[Active, str], ...]
+    normal: Array
+    right: Array
+
+
+def log_evidence(fit: Fit, inflation: float) -> float:
+    """Laplace's approximation to the log evidence of a fit, up to a constant of the recording."""
+    count = len(fit.model.free)
+    priors = sum(a.coordinate(n) ** 2 for a, n in fit.model.free)
+    value = -0.5 * (fit.chi2 / inflation + fit.log_det + priors)
+    if count:
+        normal = fit.projected()[0][:count, :count]
+        value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + normal / inflation)[1])
+    return value
+
+
+def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
+    """All effects that are not in the model beside those that are, to first order."""
+    absent = tuple(c for c in candidates if c.name not in fit.model.names)
+    columns = absent_columns(absent)
+    normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+    return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
+
+
+def score(view: LinearView) -> list[Score]:
+    """Linear scores of effects that are not in the model, best first; those that are follow, as the map does."""
+    fitted = len(view.fit.model.free)
+    scores = []
+    for candidate in view.absent:
+        columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
+        scores.append(Score(candidate, *linear_gain(view.normal, view.right, fitted, columns)))
+    return sorted(scores, key=lambda s: -s.gain)
+
+
+def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
+    """Fall of chi2 and coordinates of some columns under their priors; the first `kept` columns follow."""
+    block, pull = normal[np.ix_(columns, columns)], right[columns]
+    if fitted:
+        inner, across = normal[:fitted, :fitted] + np.eye(fitted), normal[np.ix_(range(fitted), columns)]
+        follow = np.linalg.solve(inner, across)
+        block, pull = block - across.T @ follow, pull - follow.T @ right[:fitted]
+    x = np.asarray(-np.linalg.solve(block + np.eye(len(columns)), pull), dtype=np.float64)
+    return float(-pull @ x), x
+
+
+def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:
+    """How much chi2 would rise, to first order, if some parameters were put back to neutral and all others followed.
+
+    Wald's test, in units of the noise that is left.
+    """
+    free = fit.model.free
+    which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
+    away = np.array([active.coordinate(free[k][1]) for k in which])
+    block = fit.covariance()[np.ix_(which, which)] * max(fit.chi2_per_dof, 1.0)
+    return float(away @ np.linalg.solve(block, away))

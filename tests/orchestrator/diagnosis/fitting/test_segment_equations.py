@@ -1,0 +1,58 @@
+"""One segment's equations: their columns are derivatives, and effects that are absent only add columns."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
+from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.timing import VoltageDelay
+from protocols import Effect
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+
+
+@pytest.fixture(scope="module")
+def biased() -> Fitter:
+    return fitter(with_voltage(prepared(plan()), np.array([0.3, -0.2])))
+
+
+@pytest.mark.parametrize(
+    ("effect", "values"),
+    [(VoltageBias(), {"bias_a_v": 0.1}), (DeadTime(), {"voltage_v": 0.4}), (VoltageDelay(), {"delay_s": 5e-6})],
+)
+def test_gradient_of_the_objective_is_that_of_finite_differences(
+    biased: Fitter, effect: Effect, values: dict[str, float]
+) -> None:
+    (name, _), *_ = values.items()
+    fit = biased.evaluate(model := with_free(free_model(), biased, effect, **values), biased.frame(model))
+    k = [n for _, n in model.free].index(name)
+    x, h = model.active[0].coordinate(name), 1e-2 * abs(model.active[0].coordinate(name))
+
+    def objective(at: float) -> float:
+        return biased.evaluate(model.with_active([model.active[0].moved(name, at)]), fit.frame).objective
+
+    slope = (objective(x + h) - objective(x - h)) / (2.0 * h)
+    # The column is a secant a twentieth of the size long, and an inverter's form bends.
+    assert 2.0 * (fit.projected()[1][k] + x) == pytest.approx(slope, rel=0.05)
+
+
+def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
+    asked = biased.evaluate(bare.model, bare.frame, [(candidate.absent(), n) for n in candidate.amplitudes])
+    assert asked.chi2 == pytest.approx(biased.evaluate(bare.model, bare.frame).chi2, rel=1e-12)
+    assert asked.columns[0].shape[1] == 2
+
+
+def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> None:
+    model = free_model()
+    equations, piece = biased.equations, biased.prepared.pieces[-1]
+    frame = equations.frame(model, piece, None)
+    again = equations.frame(model, piece, frame)
+    assert again.whitener is frame.whitener
+    assert again.white_basis is frame.white_basis
+    turned = equations.frame(with_free(model, biased, VoltageDelay(), delay_s=1e-5), piece, frame)
+    assert turned.basis is frame.basis

@@ -1,0 +1,42 @@
+"""A flexible form is freed where it pays, and nowhere else; what is settled is not worse."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.selection.refining import polished, settled
+from plugins.effects.inverter import DeadTime
+from protocols import ParameterRole, Signals
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
+
+
+def _machine(flexible: float) -> Fitter:
+    """With an inverter's error of the effect's own form, its refinements that far from neutral."""
+    made = prepared(plan())
+    (candidate,) = scaled_library([DeadTime()], made.manifest)
+    active = candidate.absent().moved(candidate.amplitudes[0], 4.0)
+    for name in candidate.of_role(ParameterRole.REFINEMENT):
+        active = active.moved(name, active.coordinate(name) + flexible)
+    errors = {p.segment.id: _error(active, made.pieces[k].signals) for k, p in enumerate(made.pieces)}
+    return fitter(with_voltage(made, errors))
+
+
+def _error(active: Active, signals: Signals) -> Array:
+    corrected = active.candidate.effect.correct(signals, active.parameters)
+    return np.asarray(signals.v_ab - np.asarray(corrected.v_ab))
+
+
+@pytest.mark.parametrize(("flexible", "freed"), [(0.0, False), (3.0, True)])
+def test_the_flexible_form_is_freed_where_the_simple_one_will_not_do(flexible: float, freed: bool) -> None:
+    maker = _machine(flexible)
+    simple = maker.fit(with_free(free_model(), maker, DeadTime(), voltage_v=0.5))
+    better = polished(maker, simple, 1.0)
+    refinements = set(simple.model.active[0].candidate.of_role(ParameterRole.REFINEMENT))
+    assert bool(refinements & set(better.model.active[0].free)) is freed
+    assert better.chi2_per_dof < 1.3
+    end = settled(maker, better)
+    assert end.objective <= better.objective + maker.criteria.slack

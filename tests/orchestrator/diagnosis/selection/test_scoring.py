@@ -1,0 +1,50 @@
+"""Worth to first order, and by evidence: that of a linear Gaussian model, in closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.selection.scoring import linear_view, log_evidence, loss_without, score
+from plugins.effects.inverter import VoltageBias
+from plugins.effects.timing import VoltageDelay
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+
+
+@pytest.fixture(scope="module")
+def biased() -> Fitter:
+    return fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.1, -0.05])))
+
+
+def test_gain_in_evidence_is_the_integral_over_a_linear_effects_amplitudes(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    view = linear_view(biased, bare, scaled_library([VoltageBias()], biased.prepared.manifest))
+    full = biased.fit(bare.model.with_active([view.absent[0].absent()]), bare.frame, renewals=0, tolerance=0.0)
+    # int exp(-1/2 |e + A x|^2) N(x; 0, 1) dx, in closed form: pull' (I + A'A)^-1 pull and the determinant.
+    spread = np.eye(2) + view.normal
+    expected = 0.5 * view.right @ np.linalg.solve(spread, view.right) - 0.5 * np.linalg.slogdet(spread)[1]
+    gain = log_evidence(full, 1.0) - log_evidence(replace(bare, chi2=view.fit.chi2), 1.0)
+    assert gain == pytest.approx(expected, rel=1e-3)
+
+
+def test_linear_score_is_the_fall_of_the_objective(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    library = scaled_library([VoltageBias(), VoltageDelay()], biased.prepared.manifest)
+    best, other = score(linear_view(biased, bare, library))
+    assert (best.candidate.name, other.candidate.name) == ("voltage_bias", "voltage_delay")
+    model = bare.model.with_active([best.candidate.absent()])
+    fit = biased.fit(model, bare.frame, renewals=0)
+    assert best.gain == pytest.approx(bare.objective - fit.objective, rel=1e-3)
+
+
+def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> None:
+    bare = biased.fit(free_model())
+    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
+    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
+    lost = loss_without(full, full.model.active[0], candidate.amplitudes)
+    # Wald's test counts in units of the noise that is left.
+    assert lost * max(full.chi2_per_dof, 1.0) == pytest.approx(bare.chi2 - full.chi2, rel=0.05)

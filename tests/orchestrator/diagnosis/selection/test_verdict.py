@@ -1,0 +1,46 @@
+"""The verdict asks for little beside the first error, and little in itself."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
+from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
+from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    return fitted_bias(fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0]))))
+
+
+def _with_chi2(fit: Fit, chi2: float) -> Fit:
+    return replace(fit, chi2=chi2 * fit.dof)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "effects", "verdict"),
+    [
+        (1.02, 1.02, 0, "clean"),
+        (500.0, 1.05, 1, "explained"),
+        (900.0, 2.0, 1, "explained"),  # a thirtieth of the error
+        (101.0, 2.0, 1, "mostly_explained"),  # a tenth
+        (11.0, 2.2, 1, "unknown_remains"),  # a third
+        (1e6, 150.0, 1, "unknown_remains"),  # a hundredth, but more than a wrong shape leaves
+        (500.0, 500.0, 0, "unknown_remains"),
+    ],
+)
+def test_verdict_asks_for_little_beside_the_first_error_and_little_in_itself(
+    fit: Fit, before: float, after: float, effects: int, verdict: str
+) -> None:
+    assert verdict_of(_with_chi2(fit, before), _with_chi2(fit, after), effects) == verdict
+
+
+def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
+    assert left_fraction(101.0, _with_chi2(fit, 2.0)) == pytest.approx(0.1)
+    assert left_fraction(1.05, _with_chi2(fit, 1.05)) == 0.0
+    assert left_fraction(101.0, _with_chi2(fit, 0.9)) == 0.0
