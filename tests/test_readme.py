@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -26,6 +28,10 @@ def test_every_command_of_the_readme_works(tmp_path: Path) -> None:
     lines = console_lines(ROOT / "README.md")
     assert len(lines) > 5
     type_in([line for line in lines if not MYSTERY.search(line)], tmp_path)
+    shown = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.DOTALL | re.MULTILINE)
+    assert len(shown) == 1
+    done = subprocess.run([sys.executable, "-c", shown[0]], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
 
 
 @pytest.mark.slow

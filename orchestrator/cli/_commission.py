@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,9 +23,9 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
-from orchestrator.runs import refuse_file
 from orchestrator.streaming import StreamTally
-from protocols import FluxbenchError, InputError
+from orchestrator.workbench import run_directory
+from protocols import FluxbenchError
 
 
 @dataclass(frozen=True)
@@ -71,10 +70,7 @@ def run(
 ) -> int:
     """Commission into a new directory; returns the exit code."""
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
-    path = out if out is not None else Path("runs") / f"{loaded.procedure.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    if not path.name:
-        raise InputError("--out", "", "expected a folder of its own")
-    refuse_file(path)
+    path = run_directory(loaded.procedure.name, out)
     with loaded.naming_its_places():
         return _with_crew(lambda crew: start_run(loaded.procedure, path, crew), audience)
 

@@ -4,36 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
+from orchestrator import workbench
 from orchestrator.cli._interrupting import prompt_interrupt
 from orchestrator.cli._output import say, say_notes, say_table, stage_as_yaml
-from orchestrator.diagnosis import (
-    CROSS_SATURATION,
-    SATURATION,
-    ModelChoice,
-    add_effects,
-    compare_recording,
-    diagnose_and_keep,
-    guarded,
-    remove_effect,
-)
-from orchestrator.exporting import load_map
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
 from orchestrator.presentation.results import ladder_rows, parameter_rows
 from orchestrator.presentation.sentences import columns, text_table
-from orchestrator.recording import read_model
-from orchestrator.registry import PluginKind, load_effects_file, make_plugins
-from orchestrator.runs import open_any, refuse_file
-from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, Effect, PluginError
+from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords
 
 
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Hold the model against the measurements."""
-    _refuse_files(out)
     with prompt_interrupt():
-        report = compare_recording(open_any(path), _library(effects), model=_model(model), out=out)
+        report = workbench.compare(path, model=model, effects=effects or (), out=out)
     if as_json:
         print(report.model_dump_json(indent=2))
     else:
@@ -45,15 +30,12 @@ def diagnose(
     path: Path, model: str | None, effects: Path | None, without: Sequence[str], out: Path | None, as_json: bool
 ) -> int:
     """Name what the model lacks."""
-    _refuse_files(out)
     with prompt_interrupt():
-        diagnosis, kept = diagnose_and_keep(
-            open_any(path), _library(effects), model=_model(model) or "saturated", without=without, out=out
-        )
+        kept = workbench.diagnose(path, model=model or "saturated", effects=effects or (), without=without, out=out)
     if as_json:
-        print(diagnosis.report.model_dump_json(indent=2))
+        print(kept.report.model_dump_json(indent=2))
     else:
-        _print_diagnosis(diagnosis.report, kept.words)
+        _print_diagnosis(kept.report, kept.words)
     return 0
 
 
@@ -61,51 +43,18 @@ def add(
     path: Path, names: Sequence[str], model: str | None, effects: Path | None, out: Path | None, as_json: bool
 ) -> int:
     """Refit with these effects."""
-    _refuse_files(out)
     with prompt_interrupt():
-        report = add_effects(open_any(path), names, _library(effects), model=_model(model), out=out)
+        report = workbench.add(path, *names, model=model, effects=effects or (), out=out)
     _say_added(report, as_json)
     return 0
 
 
 def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Refit without this effect."""
-    _refuse_files(out)
     with prompt_interrupt():
-        report = remove_effect(open_any(path), name, _library(effects), out=out)
+        report = workbench.remove(path, name, effects=effects or (), out=out)
     _say_added(report, as_json)
     return 0
-
-
-def _refuse_files(out: Path | None) -> None:
-    if out is not None:
-        refuse_file(out)
-
-
-def _library(extra: Path | None) -> list[Effect]:
-    """The installed effects, and those of a file; raises `PluginError` where two have one name."""
-    effects: list[Effect] = make_plugins(PluginKind.EFFECTS)
-    for made in load_effects_file(extra) if extra is not None else []:
-        effect = guarded(_made(made, extra))
-        if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
-            raise PluginError(str(extra), effect.name, "there is an effect of that name already: choose another")
-        effects.append(effect)
-    return effects
-
-
-def _made(kind: type[Any], file: Path | None) -> Effect:
-    try:
-        effect: Effect = kind()
-    except (Exception, SystemExit) as error:  # somebody else's code may raise anything
-        raise PluginError(str(file), kind.__name__, f"cannot be made: {type(error).__name__}: {error}") from error
-    return effect
-
-
-def _model(choice: str | None) -> ModelChoice | None:
-    if choice in (None, "linear", "saturated"):
-        return choice
-    path = Path(str(choice))
-    return read_model(path) if path.suffix == ".json" else load_map(path)
 
 
 def _print_comparison(report: CompareReport) -> None:

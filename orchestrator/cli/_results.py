@@ -5,23 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from orchestrator import workbench
 from orchestrator.cli._output import say, say_notes, say_table
-from orchestrator.estimation import estimate_recording
 from orchestrator.presentation.names import PAPER_CROSSINGS
 from orchestrator.presentation.quantities import UNKNOWN, axes_percent
 from orchestrator.presentation.results import check_rows, coefficient_rows, resistance, resistance_course
-from orchestrator.registry import PluginKind, make_plugins
-from orchestrator.runs import open_any, refuse_file
 from protocols import EstimationReport
 
 
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the estimators; results go into the recording's own results/, or below `out`."""
-    target = out if out is not None else path
-    refuse_file(target)
-    refuse_file(target / "results")
-    estimators = make_plugins(PluginKind.ESTIMATORS, names or None)
-    report = estimate_recording(open_any(path, keep=out is None), estimators, target)
+    report = workbench.estimate(path, estimators=names, out=out)
     if as_json:
         print(report.model_dump_json(indent=2))
     else:

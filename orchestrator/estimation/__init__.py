@@ -1,6 +1,14 @@
 """One pass of the estimators over a recording, and its results as files."""
 
 from orchestrator.estimation.estimation import estimate_recording
-from orchestrator.estimation.flux_map_file import load_flux_map, save_flux_map
+from orchestrator.estimation.flux_map_file import flux_dataset, load_flux_map, save_flux_map
+from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates
 
-__all__ = ["estimate_recording", "load_flux_map", "save_flux_map"]
+__all__ = [
+    "RECOMMENDED_MAP",
+    "estimate_recording",
+    "flux_dataset",
+    "load_estimates",
+    "load_flux_map",
+    "save_flux_map",
+]

@@ -45,6 +45,12 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     StorageError
         Where it cannot be written.
     """
+    # Made in memory: on a full disk the HDF5 library takes the whole process with it.
+    replace_file(path, bytes(flux_dataset(flux_map, motor=motor, recording=recording).to_netcdf(engine="h5netcdf")))
+
+
+def flux_dataset(flux_map: FluxMap, *, motor: str = "", recording: str = "") -> xr.Dataset:
+    """A map with named dimensions, units and conventions: what `save_flux_map` writes."""
     import xarray as xr
 
     fields = {}
@@ -64,9 +70,7 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
         "recording": recording,
         "conventions": _CONVENTIONS,
     }
-    # Made in memory: on a full disk the HDF5 library takes the whole process with it.
-    content = bytes(xr.Dataset(fields, axes, attributes).to_netcdf(engine="h5netcdf"))
-    replace_file(path, content)
+    return xr.Dataset(fields, axes, attributes)
 
 
 def load_flux_map(path: Path) -> FluxMap:

@@ -6,11 +6,32 @@ from collections.abc import Mapping
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from pydantic import ValidationError
+
 from orchestrator.estimation.flux_map_file import save_flux_map
 from orchestrator.recording import replace_file
-from protocols import EstimationReport, FluxMap, StorageError
+from protocols import EstimationReport, FluxMap, RecordingError, StorageError
 
 REPORT_NAME = "estimates.json"
+RECOMMENDED_MAP = Path("results") / "flux_map.nc"
+
+
+def load_estimates(directory: Path) -> EstimationReport:
+    """What `write_results` wrote into the ``results/`` of a run or recording.
+
+    Raises
+    ------
+    RecordingError
+        Where it is missing, or what is wrong in it.
+    """
+    path = directory / "results" / REPORT_NAME
+    try:
+        return EstimationReport.model_validate_json(path.read_bytes())
+    except OSError as error:
+        raise RecordingError(str(path), "", f"{error.strerror or error}; `fluxbench estimate` makes it") from None
+    except ValidationError as error:
+        first = error.errors()[0]
+        raise RecordingError(str(path), ".".join(map(str, first["loc"])), str(first["msg"])) from None
 
 
 def write_results(

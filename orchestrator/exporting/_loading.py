@@ -13,14 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.estimation import load_flux_map
+from orchestrator.estimation import RECOMMENDED_MAP, load_flux_map
 from orchestrator.exporting._numeric_files import CSV_UNITS
 from orchestrator.exporting._surface import MapSurface, require_usable
 from orchestrator.numerics.types import Array
 from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
-RUN_MAP = Path("results") / "flux_map.nc"
 _DAMAGE = (
     ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError, TypeError,
     ValueError, struct.error, zipfile.BadZipFile, zlib.error,
@@ -46,9 +45,9 @@ def load_map(path: Path) -> FluxMap:
         Where the file is missing, of another kind, or does not hold a flux map on a grid.
     """
     if path.is_dir():
-        if not (path / RUN_MAP).is_file():
-            raise InputError(str(path), str(RUN_MAP), "no such file; `fluxbench estimate` makes it")
-        return _read_netcdf(path / RUN_MAP)
+        if not (path / RECOMMENDED_MAP).is_file():
+            raise InputError(str(path), str(RECOMMENDED_MAP), "no such file; `fluxbench estimate` makes it")
+        return _read_netcdf(path / RECOMMENDED_MAP)
     if path.suffix == ".json":
         from orchestrator.diagnosis import flux_map_of  # not before it is needed: it compiles
 

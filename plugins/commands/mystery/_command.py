@@ -112,13 +112,13 @@ def procedure_of(number: int) -> Procedure:
     """The campaign on the motor behind a number; nothing in it but the sealed plant depends on what is hidden."""
     from orchestrator.config import load_procedure
     from plugins.commands.mystery._drawing import draw
-    from protocols import DriveChoice, Limits, ProcedureMotor
+    from protocols import DriveChoice, ProcedureMotor
 
     drawn = draw(number)
     return load_procedure(str(Path(__file__).with_name("campaign.yaml"))).model_copy(
         update={
             "motor": ProcedureMotor.model_validate(drawn.motor),
-            "limits": Limits.model_validate(drawn.limits),
+            "limits": drawn.limits,
             "drive": DriveChoice.model_validate({"name": "simulated", "plant": drawn.plant}),
             "seed": drawn.seed,
         }

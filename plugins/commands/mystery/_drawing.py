@@ -9,6 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from plugins.drives.simulated import usual_limits
+from protocols import Limits, Motor
+
 Rng = np.random.Generator
 Parameters = dict[str, float]
 
@@ -22,7 +25,7 @@ class Mystery:
 
     motor: Mapping[str, Any]
     """The nameplate, as a procedure has it."""
-    limits: Mapping[str, float]
+    limits: Limits
     plant: Mapping[str, Any]
     """The simulated drive's sealed option."""
     seed: int
@@ -45,8 +48,7 @@ def draw(number: int) -> Mystery:
         "resistance_ohm": _digits(motor["stator_resistance_ohm"] * rng.uniform(0.96, 1.1)),
         "effects": {name: _SIZES[name](rng, motor) for name in names},
     }
-    current = math.sqrt(2.0) * motor["rated_current_rms_a"]
-    limits = {"current_a": _digits(2.2 * current), "voltage_v": _digits(1.05 * motor["rated_voltage_rms_v"])}
+    limits = usual_limits(Motor.model_validate(motor))
     return Mystery(motor, limits, plant, seed=int(rng.integers(1, 2**31)))
 
 

@@ -9,9 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
-from pydantic import ValidationError
 
-from orchestrator.estimation import load_flux_map
+from orchestrator.estimation import load_estimates, load_flux_map
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, JournalRecord, RunDirectory, RunRecord
@@ -116,7 +115,7 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     recording = attempt(lambda: open_recording(directory), wanted=(directory / "recording.json").is_file())
     journal = attempt(lambda: Journal(directory / "journal.jsonl").read(), wanted=True) or []
     estimates_file = directory / "results" / "estimates.json"
-    estimates = attempt(lambda: _estimates(estimates_file), wanted=estimates_file.is_file())
+    estimates = attempt(lambda: load_estimates(directory), wanted=estimates_file.is_file())
     maps: dict[str, FluxMap] = {}
     for file in sorted((directory / "results").glob("flux_map*.nc"), key=lambda f: (f.name != "flux_map.nc", f.name)):
         found = attempt(partial(load_flux_map, file), wanted=True)
@@ -135,15 +134,6 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), diagnosis, tuple(problems)
     )
-
-
-def _estimates(file: Path) -> EstimationReport:
-    try:
-        return EstimationReport.model_validate_json(file.read_bytes())
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise RecordingError(str(file), where, str(first["msg"])) from None
 
 
 def _paths(

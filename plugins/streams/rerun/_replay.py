@@ -9,10 +9,9 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
-from pydantic import ValidationError
 
 from orchestrator.diagnosis import load_diagnosis
-from orchestrator.estimation import load_flux_map
+from orchestrator.estimation import load_estimates, load_flux_map
 from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, open_recording
 from orchestrator.runs import Journal, RunDirectory, is_run
@@ -31,6 +30,7 @@ from protocols import (
     PointDone,
     PointStarted,
     RealArray,
+    RecordingError,
     Remark,
     RunEnded,
     RunStarted,
@@ -156,8 +156,8 @@ def _maps(directory: Path) -> Iterator[Message]:
 def _report(directory: Path) -> EstimationReport | None:
     """What the estimators said together, of the recommended map; None where it is missing or not theirs."""
     try:
-        return EstimationReport.model_validate_json((directory / "results" / "estimates.json").read_bytes())
-    except (OSError, ValidationError):
+        return load_estimates(directory)
+    except RecordingError:
         return None
 
 

@@ -1,0 +1,163 @@
+"""Measurements in, results out: estimates, comparison, diagnosis and the model's effects, by whatever names them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orchestrator.recording import read_model
+from orchestrator.registry import PluginKind, load_effects_file, make_plugins
+from orchestrator.runs import open_any, refuse_file
+from orchestrator.workbench.threads import one_thread
+from protocols import AddReport, CompareReport, Effect, EstimationReport, FluxMap, MotorModel, PluginError
+
+if TYPE_CHECKING:
+    import xarray as xr
+
+    from orchestrator.diagnosis import ModelChoice, SavedDiagnosis
+
+Place = str | PathLike[str]
+"""A run or recording: its directory, or `Measurements`."""
+Model = Place | FluxMap | MotorModel
+"""``saturated``, ``linear``, a flux map or a whole model, or the file that either is in."""
+Effects = Place | Sequence[Effect]
+"""Candidates of one's own beside the installed ones: a Python file, or the effects themselves."""
+
+
+@one_thread()
+def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Place | None = None) -> EstimationReport:
+    """R_s, flux and inductance maps, and how far they agree with themselves; written to ``results/``.
+
+    Parameters
+    ----------
+    estimators : sequence of str, optional
+        Names of those to ask; all that are installed by default.
+    out : path, optional
+        Where ``results/`` goes; into the recording by default.
+
+    Raises
+    ------
+    RecordingError, NotMeasuredError, StorageError
+    """
+    from orchestrator.estimation import estimate_recording
+
+    path = Path(place)
+    target = Path(out) if out is not None else path
+    refuse_file(target)
+    refuse_file(target / "results")
+    plugins = make_plugins(PluginKind.ESTIMATORS, estimators or None)
+    return estimate_recording(open_any(path, keep=out is None), plugins, target)
+
+
+@one_thread()
+def compare(
+    place: Place, *, model: Model | None = None, effects: Effects = (), out: Place | None = None
+) -> CompareReport:
+    """Where a model fails; see `orchestrator.diagnosis.compare_recording`."""
+    from orchestrator.diagnosis import compare_recording
+
+    return compare_recording(
+        open_any(Path(place)), chosen_effects(effects), model=chosen_model(model), out=_directory(out)
+    )
+
+
+@one_thread()
+def diagnose(
+    place: Place,
+    *,
+    model: Model = "saturated",
+    effects: Effects = (),
+    without: Sequence[str] = (),
+    out: Place | None = None,
+) -> SavedDiagnosis:
+    """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model."""
+    from orchestrator.diagnosis import diagnose_and_keep
+
+    return diagnose_and_keep(
+        open_any(Path(place)),
+        chosen_effects(effects),
+        model=chosen_model(model) or "saturated",
+        without=without,
+        out=_directory(out),
+    )[1]
+
+
+@one_thread()
+def add(
+    place: Place, *names: str, model: Model | None = None, effects: Effects = (), out: Place | None = None
+) -> AddReport:
+    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Kept in `model.json`."""
+    from orchestrator.diagnosis import add_effects
+
+    return add_effects(
+        open_any(Path(place)), names, chosen_effects(effects), model=chosen_model(model), out=_directory(out)
+    )
+
+
+@one_thread()
+def remove(place: Place, name: str, *, effects: Effects = (), out: Place | None = None) -> AddReport:
+    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Kept in `model.json`."""
+    from orchestrator.diagnosis import remove_effect
+
+    return remove_effect(open_any(Path(place)), name, chosen_effects(effects), out=_directory(out))
+
+
+def map_of(model: MotorModel | Place) -> xr.Dataset:
+    """The map of a model, effects out, over ``i_d`` and ``i_q``; NaN where nothing was measured.
+
+    Parameters
+    ----------
+    model : MotorModel or path
+        A whole model, the `model.json` that it is in, or the run or recording that has one.
+    """
+    from orchestrator.diagnosis import flux_map_of
+    from orchestrator.estimation import flux_dataset
+
+    whole = model if isinstance(model, MotorModel) else read_model(Path(model))
+    return flux_dataset(flux_map_of(whole), motor=whole.motor.name, recording=whole.recording)
+
+
+def chosen_model(choice: Model | None) -> ModelChoice | None:
+    """The baseline or model that is meant, read from its file where it is in one; raises `InputError`."""
+    if choice is None or isinstance(choice, FluxMap | MotorModel):
+        return choice
+    path = Path(choice)
+    if str(path) in ("linear", "saturated"):
+        return str(path)
+    from orchestrator.exporting import load_map
+
+    return read_model(path) if path.suffix == ".json" else load_map(path)
+
+
+def chosen_effects(more: Effects = ()) -> list[Effect]:
+    """The installed effects and more; raises `PluginError` where two have one name."""
+    from orchestrator.diagnosis import CROSS_SATURATION, SATURATION, guarded
+
+    effects: list[Effect] = make_plugins(PluginKind.EFFECTS)
+    if isinstance(more, str | PathLike):
+        where = str(more)
+        own = [_made(kind, where) for kind in load_effects_file(Path(more))]
+    else:
+        where, own = "effects", list(more)
+    for effect in map(guarded, own):
+        if effect.name in {SATURATION, CROSS_SATURATION, *(e.name for e in effects)}:
+            raise PluginError(where, effect.name, "there is an effect of that name already: choose another")
+        effects.append(effect)
+    return effects
+
+
+def _made(kind: type[Any], where: str) -> Effect:
+    try:
+        effect: Effect = kind()
+    except (Exception, SystemExit) as error:  # somebody else's code may raise anything
+        raise PluginError(where, kind.__name__, f"cannot be made: {type(error).__name__}: {error}") from error
+    return effect
+
+
+def _directory(out: Place | None) -> Path | None:
+    if out is None:
+        return None
+    refuse_file(Path(out))
+    return Path(out)

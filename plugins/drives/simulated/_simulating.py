@@ -1,0 +1,70 @@
+"""Measurements of a motor that is not there, with effects that nobody but their author knows of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from os import PathLike
+from typing import Any
+
+from orchestrator.workbench import Measurements, run
+from protocols import InputError, Limits, Motor
+
+
+def simulate(
+    motor: str | PathLike[str] | Motor | None = None,
+    effects: Mapping[str, Mapping[str, float]] | None = None,
+    *,
+    plant: Mapping[str, Any] | None = None,
+    procedure: str | PathLike[str] = "quick",
+    settings: Mapping[str, Any] | None = None,
+    out: str | PathLike[str] | None = None,
+    streams: Sequence[str] = (),
+) -> Measurements:
+    """Run a procedure on the simulated drive; the truth is sealed, as in any run.
+
+    Parameters
+    ----------
+    motor : path or Motor, optional
+        A YAML file with the nameplate (and limits, where it has some), or the nameplate, whose `usual_limits` are
+        taken; by default the procedure's own.
+    effects : mapping, optional
+        What motor and drive suffer from: ``{"dead_time": {"voltage_v": 1.5}}``; by default nothing.
+    plant : mapping, optional
+        Other options of the plant: ``{"model": "runs/x/model.json"}``, ``{"sensors": {"noise_a": 0.002}}``.
+    procedure, settings, out, streams
+        As `run` takes them.
+
+    Raises
+    ------
+    FluxbenchError
+        As `run`.
+    """
+    laid_over: dict[str, Any] = {
+        "drive.plant": {**(plant or {}), "effects": dict(effects or {})},
+        "drive.watchdog_s": 10.0,  # there is nobody to be hurt: a busy machine may be late
+    }
+    if isinstance(motor, Motor):
+        laid_over["motor"] = motor.model_dump(mode="json", exclude_none=True)
+        laid_over["limits"] = usual_limits(motor).model_dump(mode="json", exclude_none=True)
+        motor = None
+    return run(
+        procedure, drive="simulated", motor=motor, settings={**laid_over, **(settings or {})}, out=out, streams=streams
+    )
+
+
+def usual_limits(motor: Motor) -> Limits:
+    """Limits that let a motor saturate: 2.2 times its rated current, and a twentieth above its rated voltage.
+
+    Raises
+    ------
+    InputError
+        Where the nameplate lacks either.
+    """
+    if motor.rated_current_a is None or motor.rated_voltage_rms_v is None:
+        field = "rated_voltage_rms_v" if motor.rated_voltage_rms_v is None else "rated_current_rms_a"
+        raise InputError("motor", field, "limits follow from it: give it, or a file with limits of their own")
+
+    def rounded(value: float) -> float:
+        return float(f"{value:.3g}")
+
+    return Limits(current_a=rounded(2.2 * motor.rated_current_a), voltage_v=rounded(1.05 * motor.rated_voltage_rms_v))
