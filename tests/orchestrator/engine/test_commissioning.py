@@ -351,7 +351,7 @@ def test_a_drive_that_leaves_in_the_middle_of_a_run_is_a_fault(
 def test_an_estimator_that_leaves_does_not_take_the_run_with_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("orchestrator.analysis.estimate_recording", lambda *_, **__: sys.exit(0))
+    monkeypatch.setattr("orchestrator.estimation.estimate_recording", lambda *_, **__: sys.exit(0))
     result = run_tiny(tmp_path, stages=[STAGES[0], {"kind": "estimate"}])
     assert result.outcome.ending == "faulted"
     assert isinstance(result.outcome.error, PluginError)
