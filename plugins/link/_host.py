@@ -64,13 +64,16 @@ class Host:
 
         Raises `DriveFault`: no_answer, or link_lost where the drive does not know this session any more.
         """
-        patience_s = patience_s or self._answer_s
+        reply = self._ask(request, patience_s or self._answer_s)
+        if isinstance(reply, Ack) and reply.status is AckStatus.STALE_SESSION:
+            told = "the drive does not know this session any more: it has restarted, or has another host"
+            raise self.link.lose(DriveFault(FaultCause.LINK_LOST, told))
+        return reply
+
+    def _ask(self, request: Command | ParameterRead | ParameterWrite, patience_s: float) -> Ack | ParameterValue:
         for _ in range(math.ceil(patience_s / PATIENCE.repeat_s)):
             self.link.send(request)
             reply = self.link.reply(lambda message: answers(message, request), PATIENCE.repeat_s)
-            if isinstance(reply, Ack) and reply.status is AckStatus.STALE_SESSION:
-                told = "the drive does not know this session any more: it has restarted, or has another host"
-                raise self.link.lose(DriveFault(FaultCause.LINK_LOST, told))
             if reply is not None:
                 return reply
         where = self.link.port.where
@@ -129,18 +132,27 @@ class Host:
     def identify(self, patience_s: float) -> None:
         """Open a session; a drive that is silent, or that another host has armed, is asked again for so long.
 
+        A number that chance gave to an earlier session is closed to this one: another is drawn.
         Raises `DriveRefused` where it stays busy, or speaks another version.
         """
         deadline = time.monotonic() + patience_s
-        while (ack := self.command(Op.IDENTIFY, PROTOCOL_MAJOR, patience_s)).status is AckStatus.BUSY:
+        while (ack := self._introduce(patience_s)).status in (AckStatus.BUSY, AckStatus.STALE_SESSION):
             if time.monotonic() > deadline:
                 raise DriveRefused("another host has the drive armed")
-            time.sleep(PATIENCE.repeat_s)
+            if ack.status is AckStatus.STALE_SESSION:
+                self.conversation = Conversation()
+            else:
+                time.sleep(PATIENCE.repeat_s)
         if ack.status is AckStatus.WRONG_VERSION:
             major = ack.value >> 8
             raise DriveRefused(f"the drive speaks version {major} of the protocol, this host version {PROTOCOL_MAJOR}")
         if ack.status is not AckStatus.OK:
             raise DriveRefused(f"the drive refuses to talk: {words(ack.status)}")
+
+    def _introduce(self, patience_s: float) -> Ack:
+        ack = self._ask(self.conversation.command(Op.IDENTIFY, PROTOCOL_MAJOR), patience_s)
+        assert isinstance(ack, Ack)
+        return ack
 
     def own_registers(self) -> dict[str, float]:
         """All that the drive says of itself."""

@@ -28,10 +28,10 @@ def failures(kit: object, directory: Path, only: str = "") -> dict[str, str]:
             continue
         tmp_path = directory / f"{number:03d}"
         tmp_path.mkdir(parents=True)
-        if "tmp_path" in inspect.signature(getattr(kit, name)).parameters:
-            arguments = {**arguments, "tmp_path": tmp_path}
+        wanted = inspect.signature(getattr(kit, name)).parameters
         try:
-            getattr(kit, name)(**arguments)
+            fixtures = {key: _fixture(kit, key, tmp_path) for key in wanted if key not in arguments}
+            getattr(kit, name)(**arguments, **fixtures)
         except pytest.skip.Exception:
             continue
         except (Exception, pytest.fail.Exception) as error:
@@ -49,6 +49,10 @@ def _cases(kit: object) -> Iterator[tuple[str, dict[str, Any]]]:
             yield name, {key: value for part in combination for key, value in part.items()}
 
 
+def _fixture(kit: object, name: str, tmp_path: Path) -> Any:
+    """A directory, or what a fixture of the kit's own class makes."""
+    return tmp_path if name == "tmp_path" else inspect.unwrap(inspect.getattr_static(kit, name))(type(kit))
+
+
 def _label(arguments: dict[str, Any]) -> str:
-    told = [str(value) for key, value in arguments.items() if key != "tmp_path"]
-    return f"[{'-'.join(told)}]" if told else ""
+    return f"[{'-'.join(map(str, arguments.values()))}]" if arguments else ""

@@ -179,6 +179,16 @@ def test_a_drive_that_another_host_has_armed_is_left_alone() -> None:
         assert len(taken(b.drive, HOLD)) == FS
 
 
+def test_a_session_number_that_an_earlier_host_had_is_drawn_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    drawn = iter([4711, 0, 815, 0])
+    with bench() as b:
+        for session in (4712, 4713):
+            b.device.hear([encode(Command(session, 1, Op.IDENTIFY, PROTOCOL_MAJOR))])
+        monkeypatch.setattr("plugins.wire._session.secrets.randbelow", lambda _: next(drawn))
+        b.drive.connect()
+        assert b.device.ledger.session == 816
+
+
 def test_a_drive_without_ripple_is_not_asked_for_it() -> None:
     with (
         bench(script=Script(bits=Capability.RAW_CAPTURE), capture="demodulated") as b,
@@ -344,6 +354,7 @@ def test_a_silent_drive_is_lost_within_three_periods_and_not_armed_again(link: s
         assert time.monotonic() - begun < 0.6
         assert fault.value.cause is FaultCause.LINK_LOST
         b.script.mute = False
+        time.sleep(0.1)  # what was on its way has come
         beats = b.device.beats
         for call in (b.drive.ramp_down, b.drive.disarm, lambda: b.drive.arm(LIMITS), b.drive.telemetry):
             with pytest.raises(DriveFault, match="silent"):
