@@ -30,7 +30,7 @@ def block_means(
     i, v = for_kernels(i_ab, v_ab)
     whole = math.floor(delay)
     out = np.zeros((3, len(i) // block, 2))
-    _accumulate(i, v, sampling_s, whole, delay - whole, block, out)
+    _accumulate(i, v, sampling_s, whole, float(delay - whole), block, out)
     return out[0], out[1], out[2]
 
 

@@ -35,8 +35,9 @@ def _integrate(i_ab: Samples, knots: Array, sampling_s: float, block: int, block
     for b in range(blocks):
         for k in range(b * block, (b + 1) * block):
             currents = phases_of(np.float64(i_ab[k, 0]), np.float64(i_ab[k, 1]))
-            share[:] = 0.0
             for phase in range(3):
+                for m in range(n):
+                    share[m, phase] = 0.0
                 size, sign = abs(currents[phase]), np.sign(currents[phase])
                 if size >= knots[n - 1]:
                     share[n - 1, phase] = sign
@@ -52,11 +53,10 @@ def _integrate(i_ab: Samples, knots: Array, sampling_s: float, block: int, block
             for m in range(n):
                 alpha, beta = vector_of(share[m, 0], share[m, 1], share[m, 2])
                 # A trapezoid: half of this sample's share now, half after the instant.
-                out[b, m, 0] += total[m, 0] + 0.5 * sampling_s * alpha
-                out[b, m, 1] += total[m, 1] + 0.5 * sampling_s * beta
+                out[b, m, 0] += (total[m, 0] + 0.5 * sampling_s * alpha) / block
+                out[b, m, 1] += (total[m, 1] + 0.5 * sampling_s * beta) / block
                 total[m, 0] += sampling_s * alpha
                 total[m, 1] += sampling_s * beta
-        out[b] /= block
     return out
 
 
@@ -84,7 +84,7 @@ def take_out(
                 loss[phase] = (now - area[phase]) / step
             before[phase], area[phase] = currents[phase], now
         if k < 0:
-            loss[:] = 0.0
+            loss[0], loss[1], loss[2] = 0.0, 0.0, 0.0
             continue
         alpha, beta = vector_of(loss[0], loss[1], loss[2])
         d, q = dq_of(alpha, beta, cos, sin)

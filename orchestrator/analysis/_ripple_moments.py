@@ -70,7 +70,7 @@ def ripple_moments(
     windows = (len(i_ab) - first) // width
     i, v = for_kernels(i_ab, v_ab)
     frame = (math.cos(angle_rad), math.sin(angle_rad))
-    lag = (whole, delay - whole)
+    lag = (whole, float(delay - whole))
     inverter = (loss.knots_a, loss.error_v, loss.areas)
     around = (drop_ohm, centre_i, inductance_h)
     normal, squares, mean_i, square_i, v2 = _accumulate(
@@ -103,8 +103,9 @@ def _accumulate(
     # ripple P - R Q (3), third-order ones (4); then the two currents, and a ramp.
     z = np.empty((14, width))
     ramp = 13
-    z[ramp] = np.arange(width) - 0.5 * (width - 1)
-    tt = (z[ramp] * z[ramp]).sum()
+    for k in range(width):
+        z[ramp, k] = k - 0.5 * (width - 1)
+    tt = width * (width * width - 1) / 12.0
     v = np.empty((2, width))
     product, level = np.empty((14, 14)), np.zeros(13)
     for window in range(windows):
@@ -112,13 +113,12 @@ def _accumulate(
         if len(loss[0]):
             take_out(i_ab, first + window * width, frame, loss[0], loss[1], loss[2], v)
         for axis in range(2):
-            i_mean, v_mean = z[11 + axis].mean(), v[axis].mean()
+            i_mean = _take_out_mean(z, 11 + axis)
             mean_i[axis] += i_mean
             square_i[axis] += i_mean * i_mean
             off[axis] = i_mean - centre[axis]
-            z[11 + axis] -= i_mean
-            v[axis] -= v_mean
-            v2 += (v[axis] * v[axis]).sum()
+            _take_out_mean(v, axis)
+            v2 += _times(v, axis, v, axis, z, axis)
         for axis in range(2):
             place[axis] = inductance[axis, 0] * off[0] + inductance[axis, 1] * off[1]
         _fill_features(z, v, drop_ohm, place, sampling_s, level)
@@ -127,7 +127,8 @@ def _accumulate(
             along, up = level[a] / width, product[ramp, a] / tt
             for b in range(a + 1):
                 normal[a, b] += product[a, b] - along * level[b] - up * product[ramp, b]
-        squares += level[4:7]
+        for a in range(3):
+            squares[a] += level[4 + a]
     for a in range(13):
         for b in range(a):
             normal[b, a] = normal[a, b]
@@ -168,14 +169,27 @@ def _fill_features(z: Array, v: Array, drop_ohm: Array, place: Array, sampling_s
         q_d += sampling_s * z[11, k]
         q_q += sampling_s * z[12, k]
     for row in range(4):
-        z[row] -= z[row].mean()
+        _take_out_mean(z, row)
     # The voltage has done its work: its rows hold the flux from the centre from here on.
     for k in range(v.shape[1]):
         v[0, k] = place[0] + z[0, k] - drop_ohm[0, 0] * z[2, k] - drop_ohm[0, 1] * z[3, k]
         v[1, k] = place[1] + z[1, k] - drop_ohm[1, 0] * z[2, k] - drop_ohm[1, 1] * z[3, k]
-    level[4], level[5], level[6] = _times(v, 0, v, 0, z, 4), _times(v, 0, v, 1, z, 5), _times(v, 1, v, 1, z, 6)
-    level[7], level[8] = _times(z, 4, v, 0, z, 7), _times(z, 4, v, 1, z, 8)
-    level[9], level[10] = _times(z, 6, v, 0, z, 9), _times(z, 6, v, 1, z, 10)
+    for row, a, b in ((4, 0, 0), (5, 0, 1), (6, 1, 1)):
+        level[row] = _times(v, a, v, b, z, row)
+    for row, a, b in ((7, 4, 0), (8, 4, 1), (9, 6, 0), (10, 6, 1)):
+        level[row] = _times(z, a, v, b, z, row)
+
+
+@njit(cache=True, nogil=True, fastmath=True)
+def _take_out_mean(x: Array, row: int) -> float:
+    """Makes a row's mean zero; what it was. A loop: numba takes seconds to compile what it says in numpy's words."""
+    total = 0.0
+    for k in range(x.shape[1]):
+        total += x[row, k]
+    mean: float = total / x.shape[1]
+    for k in range(x.shape[1]):
+        x[row, k] -= mean
+    return mean
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -15,9 +15,9 @@ from protocols import RealArray
 def low_pass(x: Array, decay: float) -> Array:
     """y_k+1 = decay y_k + (1 - decay)(x_k + x_k+1)/2 on each column of (n, m), from y_0 = x_0."""
     y = np.empty_like(x)
-    y[0] = x[0]
-    for k in range(1, x.shape[0]):
-        for m in range(x.shape[1]):
+    for m in range(x.shape[1]):
+        y[0, m] = x[0, m]
+        for k in range(1, x.shape[0]):
             y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * 0.5 * (x[k - 1, m] + x[k, m])
     return y
 
@@ -26,9 +26,9 @@ def low_pass(x: Array, decay: float) -> Array:
 def held_lag(x: Array, decay: float) -> Array:
     """y_k = decay y_k-1 + (1 - decay) x_k on each column of (n, m), from y_0 = x_0."""
     y = np.empty_like(x)
-    y[0] = x[0]
-    for k in range(1, x.shape[0]):
-        for m in range(x.shape[1]):
+    for m in range(x.shape[1]):
+        y[0, m] = x[0, m]
+        for k in range(1, x.shape[0]):
             y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * x[k, m]
     return y
 

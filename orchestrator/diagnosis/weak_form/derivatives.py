@@ -53,7 +53,7 @@ def sum_basis(
     now = np.empty((2, 6))
     after = np.empty((2, 6))
     last_bin = -1
-    span = 0
+    span = math.floor(0.5 / step)
     for k in range(n - 1):
         place = (k + 0.5) / step
         hats_before = math.floor(place)
@@ -133,10 +133,8 @@ def _flush(
     slope = np.empty(6)
     for side in range(2):
         hat = span - 1 + side
-        if hat < 0 or hat >= hats:
-            continue
         m = moments[side]
-        for r in range(6):
+        for r in range(6 if 0 <= hat < hats else 0):
             # Along d first: sums over the powers of t_d, with and without the derivative.
             for j in range(6):
                 plain[j] = 0.0
@@ -157,4 +155,6 @@ def _flush(
                 col = (cell[0] + r) * nq + counts[2 + cell[1] + s]
                 out[hat, slot, 0, col] -= cos * d - sin * q
                 out[hat, slot, 1, col] -= sin * d + cos * q
-    moments[:] = 0.0
+        for a in range(6):
+            for j in range(6):
+                m[a, j] = 0.0

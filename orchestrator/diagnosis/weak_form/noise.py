@@ -225,7 +225,6 @@ def _pair_sums(
     g = np.empty((4, 2, 2))
     a = np.empty((2, 2))
     b = np.empty((2, 2))
-    m = np.empty((2, 2))
     last_j = 0
     last_w0 = 0.0
     last_w1 = 0.0
@@ -282,9 +281,9 @@ def _pair_sums(
         last_j, last_w0, last_w1 = j, w0, w1
         for e in range(used):
             for x in range(2):
+                p0, p1 = g[e, x, 0], g[e, x, 1]
                 for y in range(2):
-                    m[x, y] = g[e, x, 0] * sensor_factor[0, y] + g[e, x, 1] * sensor_factor[1, y]
-            g[e, :, :] = m
+                    g[e, x, y] = p0 * sensor_factor[0, y] + p1 * sensor_factor[1, y]
         for e in range(used):
             for f in range(used):
                 t = hat[f] - hat[e]
