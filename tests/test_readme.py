@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.processes import fluxbench
+from tests.support.processes import called
 
 ROOT = Path(__file__).parents[1]
 MYSTERY = re.compile(r"\bmystery\b|mystery-4")
@@ -44,7 +44,7 @@ def type_in(lines: list[str], tmp_path: Path) -> None:
         command, _, target = line.partition(" > ")
         name, *words = shlex.split(command)
         assert name == "fluxbench"
-        done = fluxbench(*words, cwd=tmp_path)
+        done = called(*words, cwd=tmp_path)
         assert done.returncode == 0, f"{line}: {done.stderr}"
         if target:
             (tmp_path / target).write_text(done.stdout)

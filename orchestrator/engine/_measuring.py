@@ -55,6 +55,7 @@ class Measurement:
     ) -> None:
         self._run, self._power, self._log = run, power, log
         self._interrupts, self._capabilities, self._limits = interrupts, capabilities, limits
+        SegmentWriter.warm_up()
 
     def measure(self, point: PlannedPoint) -> tuple[Segment, tuple[float, float]]:
         """Execute and write one point.

@@ -37,6 +37,8 @@ from protocols import (
     StreamSetup,
 )
 
+STREAMS_READY_S = 5.0
+"""How long streams may take to be made before a run begins without waiting for them."""
 NOTHING_LEFT = "the run is finished: there is nothing left to do"
 
 
@@ -202,6 +204,8 @@ def _commission(
     crew: Crew,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
+    # While streams load what they draw with, a heartbeat comes late: not with the drive energised.
+    dispatcher.drain(STREAMS_READY_S)
     log = RunLog(run.journal, dispatcher)
     commissioning = Commissioning(run, plan, drive, capabilities, plugins, crew.operator, crew.interrupts, log)
     outcome = commissioning.execute()

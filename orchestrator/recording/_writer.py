@@ -60,6 +60,11 @@ class SegmentWriter:
         self._pending: dict[str, RealArray] = {}
         self._fill = 0
 
+    @staticmethod
+    def warm_up() -> None:
+        """Load what encodes: on a busy machine that takes seconds, and no drive shall be energised meanwhile."""
+        import pyarrow.parquet  # noqa: F401
+
     def __enter__(self) -> Self:
         try:
             self._path.parent.mkdir(parents=True, exist_ok=True)

@@ -12,7 +12,7 @@ import yaml
 from orchestrator.diagnosis import save_diagnosis
 from protocols import Diagnosed, PointDone, StagesAppended
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
-from tests.support.processes import fluxbench, start_fluxbench, wait_until
+from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_document, tiny_file
 
 EXPERIMENT: dict[str, Any] = {
@@ -36,9 +36,7 @@ def diagnosis_in(run: Path, experiment: dict[str, Any] | None) -> None:
 def measured(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A finished run, its diagnosis beside it, which nobody changes."""
     folder = tmp_path_factory.mktemp("measured")
-    done = fluxbench(
-        "run", tiny_file(folder, drive={"plant": PLANT}, stages=STAGES[:-1]), "--out", folder / "run", "-q"
-    )
+    done = called("run", tiny_file(folder, drive={"plant": PLANT}, stages=STAGES[:-1]), "--out", folder / "run", "-q")
     assert done.returncode == 0, done.stderr
     diagnosis_in(folder / "run", EXPERIMENT)
     return folder / "run"
@@ -53,7 +51,7 @@ def run(measured: Path, tmp_path: Path) -> Path:
 
 
 def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(run: Path) -> None:
-    done = fluxbench("run", "--from", run / "results" / "diagnosis.json", "--unattended")
+    done = called("run", "--from", run / "results" / "diagnosis.json", "--unattended")
     assert done.returncode == 0, done.stderr
     messages = messages_of(run)
     assert [m.by for m in messages if isinstance(m, StagesAppended)] == [None]
@@ -61,7 +59,7 @@ def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(run: Path) 
     assert "has the rotor been held" in done.stdout.lower()
     (diagnosed,) = (m for m in messages if isinstance(m, Diagnosed))
     assert [(e.name, e.twins) for e in diagnosed.report.effects] == [("dead_time", ())]
-    again = fluxbench("run", "--from", run)
+    again = called("run", "--from", run)
     assert (again.returncode, again.stderr.count("\n")) == (2, 1)
     assert "nothing to decide" in again.stderr
 
@@ -69,7 +67,7 @@ def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(run: Path) 
 def test_where_nothing_is_to_be_decided_nothing_is_energised(run: Path) -> None:
     diagnosis_in(run, None)
     before = (run / "journal.jsonl").read_bytes()
-    done = fluxbench("run", "--from", run)
+    done = called("run", "--from", run)
     assert done.returncode == 2
     assert "nothing to decide" in done.stderr
     assert (run / "journal.jsonl").read_bytes() == before
@@ -77,7 +75,7 @@ def test_where_nothing_is_to_be_decided_nothing_is_energised(run: Path) -> None:
 
 def test_a_foreign_recording_gets_the_stage_to_paste_into_a_procedure(run: Path, tmp_path: Path) -> None:
     (run / "run.json").unlink()
-    done = fluxbench("run", "--from", run)
+    done = called("run", "--from", run)
     assert done.returncode == 2
     assert done.stderr.count("\n") == 1
     assert "run.json" in done.stderr
@@ -85,19 +83,19 @@ def test_a_foreign_recording_gets_the_stage_to_paste_into_a_procedure(run: Path,
     assert stages == [EXPERIMENT]
     mine = tmp_path / "mine.yaml"
     mine.write_text(yaml.safe_dump({**tiny_document(), "stages": [STAGES[0], *stages]}))
-    assert fluxbench("check", mine).returncode == 0
+    assert called("check", mine).returncode == 0
 
 
 def test_an_experiment_that_is_no_stage_is_named(run: Path) -> None:
     diagnosis_in(run, {"kind": "resistance", "points": []})
-    done = fluxbench("run", "--from", run)
+    done = called("run", "--from", run)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1), done.stderr
     assert "next_experiment" in done.stderr
 
 
 @pytest.mark.parametrize("words", [("demo",), ("--out", "x"), ("--drive", "simulated"), ("--set", "seed=2")])
 def test_a_run_goes_on_with_its_own_procedure_only(words: tuple[str, ...], tmp_path: Path) -> None:
-    done = fluxbench("run", "--from", tmp_path, *words)
+    done = called("run", "--from", tmp_path, *words)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "--from" in done.stderr
 
@@ -119,7 +117,7 @@ def test_a_run_killed_within_an_appended_stage_goes_on_exactly_there(tmp_path: P
     process.communicate()
     before = points()
     assert 19 + 5 <= len(before) < 19 + 16
-    done = fluxbench("resume", run)
+    done = called("resume", run)
     assert done.returncode == 0, done.stderr
     assert points()[: len(before)] == before
     assert len(points()) == len(set(points())) == 19 + 16

@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.recording import open_recording
 from protocols import StateChanged
-from tests.support.processes import fluxbench, start_fluxbench, wait_until
+from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_file
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
@@ -89,7 +89,7 @@ def test_a_signal_while_diagnosing_ends_the_run_and_keeps_the_recording(tmp_path
     assert time.monotonic() - began < 6.0
     assert len(open_recording(run).segments()) > 10
     assert not (run / "results" / "diagnosis.json").exists()
-    assert fluxbench("resume", run, "--quiet").returncode == 0
+    assert called("resume", run, "--quiet").returncode == 0
     assert (run / "results" / "diagnosis.json").exists()
 
 

@@ -15,7 +15,7 @@ import xarray as xr
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import Note, PointDone, RunEnded, StateChanged
-from tests.support.processes import FLUXBENCH, fluxbench, start_fluxbench, wait_until
+from tests.support.processes import FLUXBENCH, called, start_fluxbench, wait_until
 from tests.support.tiny import messages_of, tiny_file
 
 STATES = (
@@ -108,7 +108,7 @@ def kill_and_resume_until_done(procedure: Path, run: Path, kills: int, rng: rand
             return done
         done += 1
         words = ("resume", run)
-    last = fluxbench(*words)
+    last = called(*words)
     assert last.returncode == 0, last.stderr
     return done
 
@@ -117,7 +117,7 @@ def killed_run_is_whole(tmp_path: Path, kills: int, seed: int) -> None:
     procedure = tiny_file(tmp_path, drive={"realtime_factor": 1.5})
     killed, whole = tmp_path / "killed", tmp_path / "whole"
     assert kill_and_resume_until_done(procedure, killed, kills, random.Random(seed)) > 0
-    assert fluxbench("run", procedure, "--out", whole, "--set", "drive.realtime_factor=null").returncode == 0
+    assert called("run", procedure, "--out", whole, "--set", "drive.realtime_factor=null").returncode == 0
     ids = [message.id for message in messages_of(killed) if isinstance(message, PointDone)]
     expected = [segment.id for segment in open_recording(whole).segments()]
     assert sorted(ids) == sorted(expected)
@@ -148,7 +148,7 @@ def test_an_estimate_of_a_killed_run_needs_no_resume(tmp_path: Path) -> None:
     wait_until(lambda: reached(run, "sweeping_classical"))
     process.kill()
     process.communicate()
-    done = fluxbench("estimate", run, "--estimator", "resistance", "--json")
+    done = called("estimate", run, "--estimator", "resistance", "--json")
     assert done.returncode == 0, done.stderr
     assert len(open_recording(run).segments()) == len(RunDirectory.open(run).completed())
 

@@ -21,7 +21,7 @@ from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import PointDone, RunEnded
 from tests.support.emulator import Emulator, emulator
-from tests.support.processes import fluxbench, start_fluxbench, wait_until
+from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_file
 
 TIMES = int(os.environ.get("FLUXBENCH_KILLS", "3"))
@@ -134,7 +134,7 @@ class Bench:
             recording.load(segment)
         starts = [segment.start_s for segment in recording.segments()]
         assert starts == sorted(starts)
-        assert fluxbench("estimate", self.run, "--estimator", "resistance").returncode == 0
+        assert called("estimate", self.run, "--estimator", "resistance").returncode == 0
 
     def report(self, what: str) -> None:
         worst = f", safe {max(self.latencies_s):.3f} s after the last heartbeat at worst" if self.latencies_s else ""

@@ -1,0 +1,54 @@
+"""What a run gets ready before anything is energised."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[3]
+WATCHED = """
+import sys
+from pathlib import Path
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from plugins.drives.simulated import SimulatedDrive
+from tests.support.tiny import STAGES, tiny_procedure
+
+armed = []
+late = set()
+
+def arm(self, limits, arm=SimulatedDrive.arm):
+    arm(self, limits)
+    armed.append(True)
+
+def disarm(self, disarm=SimulatedDrive.disarm):
+    armed.clear()
+    disarm(self)
+
+def watch(event, arguments):
+    if armed and event == "import":
+        late.add(arguments[0].partition(".")[0])
+    elif armed and event == "open" and str(arguments[0]).endswith((".nbi", ".nbc")):
+        late.add(Path(arguments[0]).name.partition("-")[0])
+
+SimulatedDrive.arm, SimulatedDrive.disarm = arm, disarm
+sys.addaudithook(watch)
+folder = Path(sys.argv[1])
+stages = [stage for stage in STAGES if stage["kind"] in ("gates_off", "resistance", "injection")]
+crew = Crew(AbsentOperator(), Interrupts(), {name: {} for name in sys.argv[2:]})
+result = start_run(tiny_procedure(folder, stages=stages), folder / "run", crew)
+assert result.outcome.ending == "finished", result.outcome
+print(*sorted(late))
+"""
+
+
+@pytest.mark.parametrize("stream", ["rerun"])
+def test_nothing_is_loaded_while_the_drive_is_armed(stream: str, tmp_path: Path) -> None:
+    """A heartbeat waits for whoever loads a library or a kernel, and the drive's dead man does not wait for it."""
+    done = subprocess.run(
+        [sys.executable, "-c", WATCHED, str(tmp_path), stream], cwd=ROOT, capture_output=True, text=True
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == []
