@@ -5,6 +5,7 @@ Every number is finite or null. What other versions have written is read: keys t
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any, Literal, Self
 
 from pydantic import Field, computed_field
@@ -13,7 +14,7 @@ from protocols._base import Lenient
 from protocols._estimates import AxisPercent, Basis, ClosedForm, MapChecks, ResistanceEstimate
 from protocols._remarks import Number, Remark, Remarks
 
-Verdict = Literal["clean", "explained", "mostly_explained", "unknown_remains"]
+Verdict = Literal["clean", "explained", "mostly_explained", "unknown_remains", "convention", "cannot_tell"]
 ShapeGroup = Literal[
     "odd_phase_current",
     "even_phase_current",
@@ -117,6 +118,32 @@ class NextExperiment(Lenient):
     minutes: float
 
 
+class ManifestCorrection(Lenient):
+    """What to change in manifest or mapping; a program can apply it where `field` is given."""
+
+    text: str
+    field: (
+        Literal["currents", "voltages", "sampling_frequency_hz", "voltage_delay_samples", "rotor_angle_rad"] | None
+    ) = None
+    """What is to be corrected."""
+    factor: float | None = None
+    """By which its values are to be multiplied."""
+    matrix: tuple[tuple[float, float], tuple[float, float]] | None = None
+    """By which (alpha, beta) are to be multiplied, rows first."""
+    add: float | None = None
+    """What is to be added to its value."""
+
+
+class Convention(Lenient):
+    """Something that manifest or logger have another way than it is: named before any physics is."""
+
+    kind: str
+    """What it is about, in snake_case: ``scaled_currents``."""
+    what: str
+    evidence: str
+    correction: ManifestCorrection
+
+
 class DiagnosisReport(Remarked):
     """`fluxbench diagnose --json`."""
 
@@ -130,6 +157,8 @@ class DiagnosisReport(Remarked):
     ladder: tuple[Rung, ...]
     unexplained: Unexplained
     next_experiment: NextExperiment | None
+    convention: Convention | None = None
+    """With the verdict ``convention``: nothing was looked for beside it."""
     seconds: Number
     criteria: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """The thresholds that it was made with, by room."""
@@ -220,6 +249,9 @@ class MapCriteria(Lenient):
     """Injection's flux is so much larger or smaller than integration's, as a ratio less 1, where that is worth one."""
     flux_ratio_stds: float = 2.0
     """And by so many standard deviations of the ratio."""
+    nameplate_factor: float = 1.5
+    """Ratio to the nameplate, of R_s and the inductances at the least current, that is worth a remark; all of them off
+    the same way are a scale of the readings."""
 
 
 class EstimationReport(Lenient):
@@ -252,6 +284,12 @@ class EstimationReport(Lenient):
     def reasons(self) -> tuple[str, ...]:
         """The remarks' sentences."""
         return tuple(remark.text for remark in self.remarks)
+
+    def objected(self, against: Sequence[Remark]) -> Self:
+        """The same with remarks that speak against its use, before all others; as it is where there are none."""
+        if not against:
+            return self
+        return self.model_copy(update={"usable": False, "remarks": (*against, *self.remarks)})
 
     @property
     def recommended(self) -> MapReport | None:

@@ -90,7 +90,8 @@ def _say_added(report: AddReport, as_json: bool) -> None:
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
-    say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
+    if rungs := ladder_rows(report.ladder):
+        say_table(("model", "chi2", "rms error", "held out", "current error"), rungs)
     rows = [(effect.name, *row) for effect in report.effects for row in parameter_rows(effect)]
     if rows:
         say("", text_table(("effect", "parameter", "value", "95 %"), rows, numbers=False))

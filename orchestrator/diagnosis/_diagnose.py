@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis.conventions import convention_report, find_convention
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.experiment_design.proposal import next_experiment
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
@@ -56,7 +57,8 @@ class Diagnosis:
     Attributes
     ----------
     report : DiagnosisReport
-    setup : DiagnosisSetup
+    setup : DiagnosisSetup or None
+        None where the diagnosis ended with a convention: then nothing was fitted.
     search : Search
         Its steps are the rungs of the ladder.
     library : sequence of Candidate
@@ -64,7 +66,7 @@ class Diagnosis:
     """
 
     report: DiagnosisReport
-    setup: DiagnosisSetup
+    setup: DiagnosisSetup | None
     search: Search
     library: Sequence[Candidate]
 
@@ -111,6 +113,10 @@ def diagnose_recording(
     """
     began = time.monotonic()
     require_known(without, effects)
+    if (named := find_convention(recording, (criteria or Criteria()).conventions)) is not None:
+        seconds = time.monotonic() - began
+        report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
+        return Diagnosis(report, None, Search([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model))
     library = scaled_library(effects, setup.prepared.manifest, without)
     if isinstance(model, MotorModel):

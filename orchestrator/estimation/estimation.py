@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from orchestrator.diagnosis.conventions import find_convention
 from orchestrator.estimation.judgement import Found, judged
+from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.order import in_order
 from orchestrator.estimation.results import write_results
 from orchestrator.recording._recording_checks import SoundRecording
@@ -53,12 +55,13 @@ def estimate_recording(
     ------
     NotMeasuredError
         Where nothing at all can be estimated, or currents and voltages cannot be a motor's; no file is written then.
+        What a wrong convention makes of them is said with it.
     PluginError
         Where an estimator returns something else than it says that it produces, or estimators require each other.
     StorageError
         Where a result cannot be written.
     """
-    SoundRecording(recording).read_through()
+    against = _conventions(recording)
     made: list[tuple[Estimator, Estimate]] = []
     missing: list[Remark] = []
     for estimator in in_order(estimators):
@@ -83,5 +86,31 @@ def estimate_recording(
     report = judged(
         Found(resistances, maps, tuple(missing)), recording.manifest.motor.rated_current_a, criteria or MapCriteria()
     )
+    report = beside_nameplate(report, maps, recording.manifest.motor).objected(against)
     about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
     return write_results(report, {method: found.map for method, found in maps.items()}, out / "results", **about)
+
+
+def _conventions(recording: RecordingReader) -> list[Remark]:
+    """What manifest or logging have wrong, as an objection; raises `NotMeasuredError` where it makes no motor."""
+    named = find_convention(recording)
+    try:
+        SoundRecording(recording).read_through()
+    except NotMeasuredError as error:
+        if named is None:
+            raise
+        problem = f"{named.what}: {named.correction.text}"
+        raise NotMeasuredError(recording.manifest.name, named.correction.field or "captures", problem) from error
+    if named is None:
+        return []
+    text = "{what}, by what was captured ({evidence}): {correction}"
+    return [
+        Remark.of(
+            "convention",
+            text,
+            kind=named.kind,
+            what=named.what,
+            evidence=named.evidence,
+            correction=named.correction.text,
+        )
+    ]

@@ -36,6 +36,8 @@ VERDICTS = {
     "explained": Verdict("Explained", "with the effects below, the model fits", "good"),
     "mostly_explained": Verdict("Mostly explained", "the effects below account for most of the error", "warning"),
     "unknown_remains": Verdict("Unknown remains", "no effect of the library accounts for what is left", "bad"),
+    "convention": Verdict("Convention", "manifest or logging say something else than the readings: see below", "bad"),
+    "cannot_tell": Verdict("Cannot tell", "too little was measured, or too much of it is noise", "bad"),
 }
 OUTCOME_MOODS = {"finished": "good", "aborted": "warning", "faulted": "bad"}
 

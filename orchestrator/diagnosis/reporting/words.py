@@ -9,6 +9,7 @@ from operator import is_
 import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
+from orchestrator.diagnosis.conventions import convention_words
 from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
 from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.selection.identifiability import parted_by
@@ -39,6 +40,8 @@ _LOOKS = {
 def in_words(diagnosis: Diagnosis) -> DiagnosisWords:
     """The five slots, each a sentence or two with units."""
     report = diagnosis.report
+    if report.convention is not None:
+        return convention_words(report.convention)
     clean = report.verdict == "clean"
     return DiagnosisWords(
         where_it_fails="nowhere beyond the noise" if clean else _where(diagnosis),

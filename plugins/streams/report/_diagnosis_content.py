@@ -41,8 +41,8 @@ def filled_slots(found: SavedDiagnosis) -> Iterator[tuple[str, str]]:
 
 def ladder_rows(found: SavedDiagnosis) -> Rows:
     """The error after each added effect; the last line is the noise floor."""
-    floor = quantity(found.report.noise_floor.rms_v, "V")
-    return [*rungs(found.report.ladder), ("noise alone", "1", floor, floor, "")]
+    floor, fitted = quantity(found.report.noise_floor.rms_v, "V"), rungs(found.report.ladder)
+    return [*fitted, ("noise alone", "1", floor, floor, "")] if fitted else []
 
 
 def effect_rows(found: SavedDiagnosis) -> Rows:

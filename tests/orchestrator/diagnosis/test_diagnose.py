@@ -42,7 +42,7 @@ LIBRARY: list[Effect] = [
     Hysteresis(),
 ]
 REPORT = {
-    "recording", "noise_floor", "verdict", "effects", "traces", "joint", "ladder", "unexplained",
+    "recording", "noise_floor", "verdict", "effects", "traces", "joint", "ladder", "unexplained", "convention",
     "next_experiment", "remarks", "notes", "seconds", "criteria",
 }  # fmt: skip
 

@@ -106,7 +106,7 @@ def test_a_recording_sampled_too_slowly_is_refused(clean: Recording, tmp_path: P
         open_for_diagnosis(open_recording(tmp_path))
 
 
-def test_currents_read_ten_times_too_small_can_be_diagnosed(clean: Recording, tmp_path: Path) -> None:
+def test_currents_read_ten_times_too_small_are_named_and_can_be_read(clean: Recording, tmp_path: Path) -> None:
     (tmp_path / "captures").mkdir()
     for segment in clean.manifest.segments:
         whole = clean.load(segment)
@@ -115,8 +115,10 @@ def test_currents_read_ten_times_too_small_can_be_diagnosed(clean: Recording, tm
             writer.finish()
     segments = tuple(s.model_copy(update={"sha256": None}) for s in clean.manifest.segments)
     write_manifest(tmp_path, clean.manifest.model_copy(update={"segments": segments}))
-    report = diagnose_recording(open_recording(tmp_path), [])
-    assert report.search.fit.model.r_s == pytest.approx(43.1, rel=0.01)
+    report = diagnose_recording(open_recording(tmp_path), []).report
+    assert report.convention is not None
+    assert report.convention.correction.factor == pytest.approx(10.0)
+    assert open_for_diagnosis(open_recording(tmp_path)).prepared.pieces
 
 
 def test_equations_without_a_solution_are_one_line(clean: Recording) -> None:

@@ -1,0 +1,142 @@
+"""Channels of the logger that show nothing, or only a part: noise for a current, a dead phase, readings cut off."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from orchestrator.diagnosis.conventions.responses import shares
+from orchestrator.diagnosis.conventions.survey import Survey, Vectors, parts
+from orchestrator.diagnosis.conventions.vector_maps import AXES, PHASES
+from orchestrator.numerics.types import Array
+from protocols import Convention, ManifestCorrection, NotMeasuredError
+
+_CHANNELS = ("alpha", "beta", *PHASES)
+
+
+def require_response(survey: Survey) -> None:
+    """Refuse what stands in the place of a current and has nothing to do with the voltage.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the voltage was moved and the readings show none of it, at rest or under injection.
+    """
+    limits = survey.criteria
+    seen = [*survey.holds, *survey.injections]
+    if len(seen) < limits.looked_at_segments:
+        return
+    i, v = (np.array([getattr(s, name) for s in seen]) for name in ("mean_i", "mean_v"))
+    told = shares(survey.injections)
+    moving = max((float(np.std(s.v)) for s in survey.injections), default=0.0)
+    if moving == 0.0 or told is None or max(told) > limits.silent:
+        return
+    size = float(np.linalg.norm(i) * np.linalg.norm(v))
+    if size > 0.0 and max(abs(np.vdot(i, v)), abs(np.sum(i * v))) > limits.speaking * size:
+        return
+    problem = "the readings show nothing of the voltage, neither at rest nor under injection: noise, and no current"
+    raise NotMeasuredError(survey.manifest.name, "i_alpha, i_beta", problem)
+
+
+def dead_channel(survey: Survey) -> Convention | None:
+    """One phase, or one of alpha and beta, that shows no current though there must be one."""
+    limits = survey.criteria
+    columns = [s.phases for s in survey.seen if s.phases is not None]
+    if columns:
+        swing = np.ptp(np.concatenate(columns), axis=0)
+        if swing.min() < limits.flat * swing.max():
+            return _dead(f"phase {PHASES[int(np.argmin(swing))]}", "its column is constant in every segment")
+    seen = survey.injections or survey.seen
+    currents, volts = (np.concatenate([x for s in seen for x in (getattr(s, name),)] or [[]]) for name in ("i", "v"))
+    if len(currents) < limits.least_looked_at:
+        return None
+    line = _line(currents)
+    if line is not None and line[0] < limits.flat < (_line(volts) or (0.0, 0.0))[0]:
+        across = np.exp(1j * (line[1] + np.pi / 2.0))
+        apart = [abs(np.imag(across * np.conj(axis))) for axis in AXES]
+        nearest = int(np.argmin(apart))
+        name = f"phase {PHASES[nearest]}" if apart[nearest] < limits.unlike else "i_beta"
+        return _dead(name, "all readings lie on one line, while the voltage has both directions")
+    told = shares(survey.injections)
+    if told is not None and min(told) < limits.silent and max(told) > limits.speaking:
+        name = "i_alpha" if told[0] < told[1] else "i_beta"
+        evidence = (
+            f"the voltage explains {100 * min(told):.0f} % of its steps, and {100 * max(told):.0f} % of the other's"
+        )
+        return _dead(name, evidence)
+    return None
+
+
+def _dead(name: str, evidence: str) -> Convention:
+    return Convention(
+        kind="dead_channel",
+        what=f"the current of {name} looks dead" if name.startswith("phase") else f"{name} looks dead",
+        evidence=evidence,
+        correction=ManifestCorrection(text=f"measure again with {name} connected; three sensors could spare one"),
+    )
+
+
+def _line(z: Vectors) -> tuple[float, float] | None:
+    """Width over length of a cloud, and the direction of its length [rad]; None where it is a point."""
+    x = parts(z) - parts(z).mean(axis=0)
+    values, vectors = np.linalg.eigh(x.T @ x)
+    if values[1] <= 0.0:
+        return None
+    return float(np.sqrt(max(values[0], 0.0) / values[1])), float(np.arctan2(vectors[1, 1], vectors[0, 1]))
+
+
+def clipped(survey: Survey) -> Convention | None:
+    """Readings or commands that stand at one and the same limit where they should move."""
+    limits = survey.criteria
+    for field, unit, name in (("i", "A", "currents"), ("v", "V", "voltages")):
+        for channel, at, share in _piled(survey, field):
+            # A bridge has a limit of its own, and what it commands there is true.
+            if field == "v" and (
+                _as_asked(survey) or at > limits.bridge_limit * survey.manifest.drive.dc_bus_voltage_v
+            ):
+                continue
+            return Convention(
+                kind=f"clipped_{name}",
+                what=f"the {name} look clipped at {at:.4g} {unit}",
+                evidence=f"{100 * share:.2g} % of the moving readings of {channel} stand at exactly this limit",
+                correction=ManifestCorrection(text=f"record again with a wider range of the {name}, or smaller {name}"),
+            )
+    return None
+
+
+def _piled(survey: Survey, field: str) -> Iterator[tuple[str, float, float]]:
+    """Channels that pile up at both ends: name, limit, share of the readings."""
+    limits = survey.criteria
+    for channel, x in _moving(survey, field).items():
+        most = float(np.abs(x).max(initial=0.0))
+        if most == 0.0:
+            continue
+        size = np.abs(x)
+        at_limit = size >= most * (1.0 - 1e-6)
+        below = int(np.count_nonzero(size >= most * (1.0 - limits.strip)) - np.count_nonzero(at_limit))
+        both = min(np.count_nonzero(at_limit & (x > 0.0)), np.count_nonzero(at_limit & (x < 0.0)))
+        # What is cut off is flat; a peak is one reading.
+        flat = int(np.count_nonzero(at_limit[1:] & at_limit[:-1]))
+        share = np.count_nonzero(at_limit) / len(x)
+        if both and share > limits.least_piled and flat > limits.piled_up * max(below, 1):
+            yield channel, most, share
+
+
+def _moving(survey: Survey, field: str) -> dict[str, Array]:
+    """alpha, beta and the phases of the injections, whose readings never rest."""
+    seen = [getattr(s, field) for s in survey.injections]
+    if not seen:
+        return {}
+    z = np.concatenate(seen)
+    return {name: np.real(z * np.conj(axis)) for name, axis in zip(_CHANNELS, (1.0, 1j, *AXES), strict=True)}
+
+
+def _as_asked(survey: Survey) -> bool:
+    """Whether the injected amplitude is the one that was asked for, so that nothing was cut off."""
+    ratios = [
+        float(np.sqrt(np.mean(np.abs(s.ripple_v) ** 2))) / asked
+        for s in survey.injections
+        if (asked := s.asked("amplitude_v")) and s.segment.settings.get("waveform") != "sine"
+    ]
+    return bool(ratios) and min(ratios) > 1.0 - survey.criteria.alike

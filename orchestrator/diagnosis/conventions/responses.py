@@ -1,0 +1,191 @@
+"""How the current answers the voltage: by its resistance at rest, and sample by sample under injection. Judges nothing.
+
+Under injection, with u the ripple of the voltage and n the declared delay,
+
+    i_k+1 - i_k = sum_j h_j u_k-n-j - r i_k
+
+is fitted to all segments at once, h real and over lags before and after the declared delay: L is Ts / sum h along the
+mean axis, and the first h that is not nil says when the voltage truly acts.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors, parts
+from orchestrator.diagnosis.conventions.vector_maps import AXES, SAME, VectorMap
+from orchestrator.numerics.types import Array
+
+
+@dataclass(frozen=True)
+class AtRest:
+    """Mean currents and voltages of holds and injections: v = a i + b conj(i) + what does not grow with the current.
+
+    Attributes
+    ----------
+    i, v : complex arrays, shape (n,)
+    whole_plane : bool
+        False where the currents lie on a line: b is then taken for nil.
+    """
+
+    i: Vectors
+    v: Vectors
+    whole_plane: bool
+
+    def law(self, i_map: VectorMap = SAME, v_map: VectorMap = SAME) -> tuple[complex, complex]:
+        """a and b [ohm], with the readings mapped first: R_s and nil in a motor."""
+        i, v = i_map(self.i), v_map(self.v)
+        columns = [i, np.conj(i), np.ones(len(i)), _signs(i)]
+        if not self.whole_plane:
+            del columns[1]
+        real = np.concatenate([np.stack([c, 1j * c], axis=1) for c in columns], axis=1)
+        rows, wanted = (np.concatenate([x.real, x.imag]) for x in (real, v))
+        found = np.linalg.lstsq(rows, wanted, rcond=1e-9)[0].reshape(-1, 2) @ [1.0, 1j]
+        return complex(found[0]), complex(found[1]) if self.whole_plane else 0j
+
+
+def _signs(i: Vectors) -> Vectors:
+    """The vectors of the phase currents' signs, which is what an inverter's dead time and drops take."""
+    phases = np.real(i[:, None] * np.conj(AXES))
+    knee = 0.02 * np.abs(i).max()
+    return np.asarray(np.tanh(phases / max(knee, 1e-300)) @ AXES * (2.0 / 3.0))
+
+
+def at_rest(survey: Survey) -> AtRest | None:
+    """Of holds and injections with enough current; None where there are too few."""
+    limits = survey.criteria
+    means = [(s.mean_i, s.mean_v) for s in (*survey.holds, *survey.injections)]
+    i, v = (np.array(x, dtype=np.complex128) for x in (zip(*means, strict=True) if means else ((), ())))
+    if not np.any(i):
+        return None
+    reach = np.abs(i).max()
+    large = np.abs(i) > limits.least_set_point * reach
+    i, v = i[large], v[large]
+    if len(i) < limits.looked_at_segments:
+        return None
+    width = float(np.linalg.svd(parts(i), compute_uv=False).min())
+    return AtRest(i, v, width > limits.least_set_point * reach)
+
+
+@dataclass(frozen=True)
+class Answer:
+    """The current's answer under injection.
+
+    Attributes
+    ----------
+    lags : array, shape (m,)
+        Samples after the declared delay.
+    weights : array, shape (m,)
+        h_j [A/V], and their standard deviations.
+    deviations : array, shape (m,)
+    l_h : float
+        What the steps of the current say of the inductance, of 1/L the mean over both axes.
+    """
+
+    lags: Array
+    weights: Array
+    deviations: Array
+    l_h: float
+
+
+def answer(survey: Survey, injections: Sequence[Sighting]) -> Answer | None:
+    """Of some injections; None where there is nothing that shows it."""
+    fs, reach = survey.sampling_frequency_hz, survey.criteria.delay_lags
+    declared = math.floor(survey.manifest.drive.voltage_delay_samples or 0.0)
+    lags = np.arange(-reach, reach + 1, dtype=np.int64)
+    moments = np.zeros((len(lags) + 1, len(lags) + 1))
+    right = np.zeros(len(lags) + 1)
+    power, count = 0.0, 0
+    for seen in injections:
+        columns, steps = _columns(seen, declared, lags)
+        if steps is None:
+            continue
+        moments += columns @ columns.T
+        right += columns @ steps
+        power += float(steps @ steps)
+        count += len(steps)
+    if count < 100 or not np.all(np.diag(moments) > 0.0):
+        return None
+    try:
+        inverse = np.linalg.inv(moments)
+    except np.linalg.LinAlgError:
+        return None
+    found = inverse @ right
+    left = max(power - float(found @ right), 0.0) / count
+    total = float(found[:-1].sum())
+    if total == 0.0:
+        return None
+    deviations = np.sqrt(np.maximum(np.diag(inverse) * left, 0.0))
+    return Answer(lags.astype(np.float64), found[:-1], deviations[:-1], 1.0 / (fs * total))
+
+
+def _columns(seen: Sighting, declared: int, lags: NDArray[np.int64]) -> tuple[Array, Array | None]:
+    """Rows of alpha and beta one after the other: u at each lag, and i."""
+    n, u, i = len(seen.i), seen.ripple_v, seen.i - seen.i.mean()
+    first, last = int(declared + lags[-1]), int(n - 1 + min(declared + lags[0], 0))
+    if last - first < 50:
+        return np.empty((len(lags) + 1, 0)), None
+    rows = slice(first, last)
+    late = [u[first - declared - int(lag) : last - declared - int(lag)] for lag in lags]
+    return np.stack([parts(c).ravel() for c in (*late, i[rows])]), parts(np.diff(i)[rows]).ravel()
+
+
+class Responses:
+    """A survey, and what its currents say of the motor, worked out where it is first asked for."""
+
+    def __init__(self, survey: Survey) -> None:
+        self.survey = survey
+
+    @cached_property
+    def rest(self) -> AtRest | None:
+        return at_rest(self.survey)
+
+    @cached_property
+    def answer(self) -> Answer | None:
+        return answer(self.survey, self.survey.injections)
+
+    @cached_property
+    def resistance_ohm(self) -> float | None:
+        return None if self.rest is None else self.rest.law()[0].real
+
+    @cached_property
+    def resistance_ratio(self) -> float | None:
+        """R_s over the nameplate's; None where either is not known or none is there."""
+        return _ratio(self.resistance_ohm, self.survey.manifest.motor.stator_resistance_ohm)
+
+    @cached_property
+    def inductance_ratio(self) -> float | None:
+        """Inductance over the nameplate's, both of the mean of 1/L; by the least currents, where little saturates."""
+        motor, seen = self.survey.manifest.motor, self.survey.injections
+        few = [s for s in seen if abs(s.mean_i) < self.survey.criteria.least_set_point * self.survey.reach_a]
+        found = answer(self.survey, few or seen)
+        if found is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
+            return None
+        return _ratio(found.l_h, 2.0 / (1.0 / motor.d_inductance_h + 1.0 / motor.q_inductance_h))
+
+
+def _ratio(value: float | None, unit: float | None) -> float | None:
+    return value / unit if value is not None and unit is not None and value > 0.0 else None
+
+
+def shares(injections: Sequence[Sighting]) -> tuple[float, float] | None:
+    """How much of the steps of i_alpha and of i_beta the voltage explains, whichever way; None without injection."""
+    power, told = np.zeros(2), np.zeros(2)
+    for seen in injections:
+        steps = parts(np.diff(seen.i))
+        u = parts(seen.ripple_v)
+        late = np.concatenate([u[2 - k : len(u) - 2 - k] for k in (-1, 0, 1)], axis=1)
+        wanted = steps[2 : len(steps) - 1]
+        found = np.linalg.lstsq(late.T @ late, late.T @ wanted, rcond=1e-9)[0]
+        power += np.square(wanted).sum(axis=0)
+        told += np.einsum("ij,ij->j", found, late.T @ wanted)
+    if not np.any(power):
+        return None
+    alpha, beta = told / np.where(power > 0.0, power, 1.0)
+    return float(alpha), float(beta)

@@ -1,0 +1,82 @@
+"""Rows that were lost, doubled, held or interpolated on their way into the file: by edges that are a row off, and by
+readings that no sensor with noise gives."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from orchestrator.diagnosis.conventions.survey import Sighting, Survey
+from orchestrator.diagnosis.criteria import ConventionCriteria
+from orchestrator.numerics.types import Array
+from protocols import Convention, ManifestCorrection
+
+
+def broken_rows(survey: Survey) -> Convention | None:
+    """The first kind that there are too many of to be chance."""
+    seen, limits = survey.injections, survey.criteria
+    if not seen:
+        return None
+    early, late, edges = np.sum([_edges(s, limits) for s in seen], axis=0)
+    repeated, by_chance, rows = np.sum([_repeated(s) for s in seen], axis=0)
+    middle, middle_chance, _ = np.sum([_in_the_middle(s) for s in seen], axis=0)
+    at_rest = np.sum([_repeated(s) for s in survey.holds], axis=0) if survey.holds else np.zeros(3)
+    too_many = repeated > limits.repeated * rows + limits.by_chance * by_chance
+    # A converter that does not follow small steps repeats far more at rest; rows are repeated wherever they are.
+    too_many &= at_rest[0] < (repeated / max(rows, 1.0) + limits.many_repeated) * max(at_rest[2], 1.0)
+    share = f"{100 * repeated / max(rows, 1.0):.2g} % of the rows under injection repeat the one before"
+    if too_many and late - early > limits.irregular * edges:
+        return _broken("doubled", "rows look doubled", f"{share}, and edges of the voltage come late")
+    if too_many:
+        return _broken("held", "rows look held: their readings are the row before's", share)
+    if middle > limits.repeated * rows + limits.by_chance * middle_chance:
+        share = (
+            f"{100 * middle / max(rows, 1.0):.2g} % of the rows under injection are the very mean of their neighbours"
+        )
+        return _broken("interpolated", "rows look interpolated", share)
+    if early - late > limits.irregular * edges:
+        share = f"{100 * early / max(edges, 1.0):.2g} % of the injected edges come a row early, and none late"
+        return _broken("lost", "rows look lost", share)
+    return None
+
+
+def _broken(kind: str, what: str, evidence: str) -> Convention:
+    text = "record again: time is told by the number of a row, and what was there cannot be restored"
+    return Convention(kind=f"rows_{kind}", what=what, evidence=evidence, correction=ManifestCorrection(text=text))
+
+
+def _edges(seen: Sighting, limits: ConventionCriteria) -> tuple[int, int, int]:
+    """Edges of an injected square wave that come early and late, of how many; none of any other wave."""
+    steps = np.abs(np.diff(seen.v))
+    jump = float(np.quantile(steps, 0.999)) if len(steps) else 0.0
+    at = np.flatnonzero(steps > limits.edge * jump)
+    if len(at) < 10 or np.median(steps) > limits.still * jump or len(at) > len(steps) / 3:
+        return 0, 0, 0
+    # Both halves of an edge with a row in its middle are one.
+    at = at[np.concatenate([[True], np.diff(at) > 1])]
+    between = np.diff(at)
+    usual = float(np.median(between))
+    mean = float(np.mean(between[np.abs(between - usual) <= 1.0]))
+    # A period that is no whole number of rows has two lengths.
+    low, high = (usual, usual) if abs(mean - usual) < 0.2 else (math.floor(mean), math.ceil(mean))
+    return int(np.count_nonzero(between < low)), int(np.count_nonzero(between > high)), len(between)
+
+
+def _repeated(seen: Sighting) -> tuple[int, int, int]:
+    """Rows that repeat the current of the row before, of the one before that, and how many rows there are."""
+    i = seen.i
+    return int(np.count_nonzero(i[1:] == i[:-1])), int(np.count_nonzero(i[2:] == i[:-2])), len(i)
+
+
+def _in_the_middle(seen: Sighting) -> tuple[int, int, int]:
+    """Rows whose current is the mean of both neighbours, that of the second neighbours, and how many rows there are."""
+    return _bends(seen, 1), _bends(seen, 2), len(seen.i)
+
+
+def _bends(seen: Sighting, apart: int) -> int:
+    i = seen.i
+    before, now, after = i[: -2 * apart], i[apart:-apart], i[2 * apart :]
+    rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(i).max(initial=0.0))
+    moved: Array = np.abs(after - before)
+    return int(np.count_nonzero((np.abs(before - 2.0 * now + after) <= rounding) & (moved > 10.0 * rounding)))

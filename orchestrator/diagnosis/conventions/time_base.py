@@ -1,0 +1,126 @@
+"""The time base: a sampling frequency that is not the one in the manifest, and a voltage that acts earlier or later."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+
+import numpy as np
+
+from orchestrator.diagnosis.conventions.responses import Responses
+from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors
+from protocols import Convention, ManifestCorrection, SegmentStage
+
+FACTORS = (2.0, 10.0, 4.0, 5.0, 8.0, 16.0, 20.0, 100.0, 1000.0)
+"""By which sampling rates are mistaken: bases of ten, averaging, double update."""
+
+
+def sampling_rate(seen: Responses) -> Convention | None:
+    """A time base that puts every period that was asked for off by the same factor."""
+    survey, limits = seen.survey, seen.survey.criteria
+    ratios = {
+        "injected frequencies": _median(_ripple_ratio(s, survey) for s in survey.injections),
+        "turns of the injected direction": _median(_turn_ratio(s, survey) for s in survey.injections),
+        "periods of the sweeps": _median(_sweep_ratio(s, survey) for s in survey.of(SegmentStage.CLASSICAL)),
+    }
+    found = {name: ratio for name, ratio in ratios.items() if ratio is not None}
+    inductance = seen.inductance_ratio
+    resistance = seen.resistance_ratio
+    # L goes with the time base and R_s does not.
+    if len(found) == 1 and inductance and resistance and abs(math.log(resistance)) < abs(math.log(inductance)):
+        found["L, beside the nameplate's"] = inductance
+    if len(found) < 2:
+        return None
+    factor = next((f for k in FACTORS for f in (k, 1.0 / k) if _all_near(found, f, limits.same_rate)), None)
+    if factor is None:
+        return None
+    rate = survey.sampling_frequency_hz * factor
+    return Convention(
+        kind="sampling_rate",
+        what=f"the sampling frequency looks wrong by {1.0 / factor:.4g}",
+        evidence=f"{' and '.join(found)} fit {rate:.6g} Hz, and not {survey.sampling_frequency_hz:.6g} Hz",
+        correction=ManifestCorrection(
+            text=f"set drive.sampling_frequency_hz to {rate:.6g}", field="sampling_frequency_hz", factor=factor
+        ),
+    )
+
+
+def _all_near(found: dict[str, float], factor: float, same: float) -> bool:
+    """The first to some percent, what backs it so that no other factor is meant."""
+    first, *others = found.values()
+    return abs(first / factor - 1.0) < same and all(1.0 / 1.5 < other / factor < 1.5 for other in others)
+
+
+def _median(ratios: Iterable[float | None]) -> float | None:
+    there = [r for r in ratios if r is not None]
+    return float(np.median(there)) if there else None
+
+
+def _ripple_ratio(seen: Sighting, survey: Survey) -> float | None:
+    """True sampling frequency over the manifest's, by the injected frequency."""
+    asked = seen.asked("frequency_hz")
+    cycles = _line_per_sample(seen.ripple_v)
+    return None if not asked or cycles is None else asked / (cycles * survey.sampling_frequency_hz)
+
+
+def _turn_ratio(seen: Sighting, survey: Survey) -> float | None:
+    """The same, by the injected direction: the square of the ripple turns twice as fast, whatever its wave."""
+    asked = seen.asked("rotation_hz")
+    if not asked:
+        return None
+    square = seen.ripple_v**2
+    n = len(square)
+    spectrum = np.abs(np.fft.fft(square * np.hanning(n), 4 * n))
+    spectrum[: 2 * 4] = spectrum[-2 * 4 + 1 :] = 0.0  # what does not turn
+    line = int(np.argmax(spectrum))
+    turns = min(line, 4 * n - line) / (4 * n) / 2.0
+    # A turn that the segment holds less than once is not seen.
+    return None if turns * n < 0.8 else asked / (turns * survey.sampling_frequency_hz)
+
+
+def _sweep_ratio(seen: Sighting, survey: Survey) -> float | None:
+    period, periods = seen.asked("period_s"), seen.asked("periods")
+    if not period or not periods:
+        return None
+    return seen.segment.samples / (period * periods * survey.sampling_frequency_hz)
+
+
+def _line_per_sample(u: Vectors) -> float | None:
+    """Frequency of an injected wave whose direction turns: the mean of the two strongest lines on either side."""
+    n = len(u)
+    spectrum = np.abs(np.fft.fft(u * np.hanning(n)))
+    spectrum[:3] = spectrum[-2:] = 0.0
+    ahead, behind = int(np.argmax(spectrum[: n // 2])), int(np.argmax(spectrum[: n // 2 : -1])) + 1
+    if spectrum[ahead] == 0.0:
+        return None
+    if max(ahead, behind) > 2 * min(ahead, behind):
+        return None
+    return 0.5 * (ahead + behind) / n
+
+
+def delay(seen: Responses) -> Convention | None:
+    """A voltage that acts whole samples earlier or later than the manifest says."""
+    limits, found = seen.survey.criteria, seen.answer
+    if found is None or found.deviations.max() > limits.no_answer * abs(found.weights.sum()) / 4.0:
+        return None
+    weights = found.weights / found.weights.sum()
+    answered = np.flatnonzero(weights > limits.answer)
+    if not len(answered):
+        return None
+    first = int(answered[0])
+    if np.any(np.abs(weights[:first]) > limits.no_answer) or found.lags[first] == 0.0:
+        return None
+    off = int(found.lags[first])
+    declared = seen.survey.manifest.drive.voltage_delay_samples or 0.0
+    samples, way = f"{abs(off)} sample{'s' if abs(off) > 1 else ''}", "later" if off > 0 else "earlier"
+    text = f"set drive.voltage_delay_samples to {declared + off:g}"
+    correction = ManifestCorrection(text=text, field="voltage_delay_samples", add=float(off))
+    if declared + off < 0.0:
+        text = f"shift the voltage's column by {samples}: row k has the voltage of the one before"
+        correction = ManifestCorrection(text=text, field="voltage_delay_samples", add=float(off))
+    return Convention(
+        kind="delay",
+        what=f"the voltage acts {samples} {way} than voltage_delay_samples = {declared:g}",
+        evidence=f"{100 * weights[first]:.0f} % of the current's answer to injected edges is there, none before",
+        correction=correction,
+    )

@@ -1,0 +1,51 @@
+"""Rows that were lost, doubled, held or interpolated."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.conventions import find_convention
+from protocols import Capture
+from tests.support.rewriting import Rewritten
+
+Numbers = NDArray[np.int64]
+
+
+def _lost(count: int, rng: np.random.Generator) -> Numbers:
+    return np.flatnonzero(rng.random(count) > 0.01)
+
+
+def _doubled(count: int, rng: np.random.Generator) -> Numbers:
+    return np.sort(np.concatenate([np.arange(count), np.flatnonzero(rng.random(count) < 0.05)]))
+
+
+def _held(count: int, rng: np.random.Generator) -> Numbers:
+    return np.maximum(np.arange(count) - (rng.random(count) < 0.05), 0)
+
+
+@pytest.mark.parametrize("which", [_lost, _doubled, _held])
+def test_broken_rows_are_named(right: Rewritten, which: Any) -> None:
+    found = find_convention(right.rows(which))
+    assert found is not None
+    assert found.kind == f"rows{which.__name__}"
+
+
+def test_interpolated_rows_are_named(right: Rewritten, rng: np.random.Generator) -> None:
+    def interpolated(c: Capture) -> dict[str, Any]:
+        rows = 1 + np.flatnonzero(rng.random(len(c) - 2) < 0.05)
+        i = np.array(c.i_ab, dtype=np.float64)
+        i[rows] = 0.5 * (c.i_ab[rows - 1] + c.i_ab[rows + 1])
+        return {"i_ab": i.astype(np.float32)}
+
+    found = find_convention(right.captured(interpolated))
+    assert found is not None
+    assert found.kind == "rows_interpolated"
+
+
+def test_a_converter_of_coarse_steps_holds_no_rows(right: Rewritten) -> None:
+    coarse = right.captured(lambda c: {"i_ab": (np.round(c.i_ab / 0.02) * 0.02).astype(np.float32)})
+    assert find_convention(coarse) is None
