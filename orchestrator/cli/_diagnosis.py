@@ -72,7 +72,8 @@ def _print_comparison(report: CompareReport) -> None:
 
 def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     say(f"{report.recording}: {plain(report.verdict)}", "", *columns(list(slots(words))), "")
-    _print_ladder(report)
+    if report.convention is None:
+        _print_ladder(report)
     if report.traces:
         say(f"traces, below what deserves a name: {', '.join(report.traces)}")
     say_notes(report.notes)
@@ -90,8 +91,7 @@ def _say_added(report: AddReport, as_json: bool) -> None:
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
-    if rungs := ladder_rows(report.ladder):
-        say_table(("model", "chi2", "rms error", "held out", "current error"), rungs)
+    say_table(("model", "chi2", "rms error", "held out", "current error"), ladder_rows(report.ladder))
     rows = [(effect.name, *row) for effect in report.effects for row in parameter_rows(effect)]
     if rows:
         say("", text_table(("effect", "parameter", "value", "95 %"), rows, numbers=False))

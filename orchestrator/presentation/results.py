@@ -57,7 +57,7 @@ def coefficient_rows(form: ClosedForm) -> list[tuple[str, ...]]:
 
 
 def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]:
-    """Rungs of the ladder that were fitted: what was added, chi2, rms error fitted, held out, and of the current."""
+    """Rungs of the ladder: what was added, chi2, rms error fitted and held out, error of the simulated current."""
     return [
         (
             rung_name(rung.added, k),
@@ -67,7 +67,6 @@ def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]
             quantity(rung.current_rms_a, "A"),
         )
         for k, rung in enumerate(ladder)
-        if rung.chi2 is not None
     ]
 
 

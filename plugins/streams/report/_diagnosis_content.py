@@ -40,9 +40,11 @@ def filled_slots(found: SavedDiagnosis) -> Iterator[tuple[str, str]]:
 
 
 def ladder_rows(found: SavedDiagnosis) -> Rows:
-    """The error after each added effect; the last line is the noise floor."""
-    floor, fitted = quantity(found.report.noise_floor.rms_v, "V"), rungs(found.report.ladder)
-    return [*fitted, ("noise alone", "1", floor, floor, "")] if fitted else []
+    """The error after each added effect; the last line is the noise floor. None where nothing was fitted."""
+    if found.report.convention is not None:
+        return []
+    floor = quantity(found.report.noise_floor.rms_v, "V")
+    return [*rungs(found.report.ladder), ("noise alone", "1", floor, floor, "")]
 
 
 def effect_rows(found: SavedDiagnosis) -> Rows:
