@@ -5,6 +5,11 @@ BIN := $(VENV)/bin
 
 # Two cores are busy enough without threads that wait for each other by spinning.
 export OPENBLAS_NUM_THREADS ?= 1
+# Programs under test find the modules compiled that another one has imported before.
+unexport PYTHONDONTWRITEBYTECODE
+
+# Two workers, each with one half of the suite: a recording that a folder of tests shares is made once.
+PYTEST := $(BIN)/pytest -q -n 2 --dist worksteal
 STAMP := $(VENV)/.installed
 
 .PHONY: demo test test-all test-socketcan bench blind pictures lint lock clean
@@ -13,10 +18,10 @@ demo: $(STAMP)
 	$(BIN)/fluxbench run demo
 
 test: $(STAMP) lint
-	$(BIN)/pytest -q -n 2
+	$(PYTEST)
 
 test-all: $(STAMP) lint
-	$(BIN)/pytest -q -n 2 -m "slow or not slow"
+	$(PYTEST) -m "slow or not slow"
 
 # Real SocketCAN in a virtual machine: qemu-system-x86, busybox-static and a Debian kernel (docs/robustness.md).
 test-socketcan: $(STAMP)

@@ -1,5 +1,6 @@
 """What all tests share."""
 
+import os
 import signal
 
 from hypothesis import settings
@@ -7,6 +8,10 @@ from hypothesis import settings
 # A busy machine is no reason to fail: pytest's own timeout bounds a test.
 settings.register_profile("fluxbench", deadline=None)
 settings.load_profile("fluxbench")
+
+
+# As the command line does for itself: before numpy is there, and for the programs that tests start.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
 def pytest_configure() -> None:

@@ -15,6 +15,9 @@ from tests.support.processes import called
 ROOT = Path(__file__).parents[1]
 MYSTERY = re.compile(r"\bmystery\b|mystery-4")
 """Its commands fit a model again and again: a minute or two."""
+DEMO = re.compile(r"^fluxbench run demo\b")
+ONCE = " --set stages.11.rounds=0"
+"""The demo without the experiment that its diagnosis asks for: half of the time."""
 
 
 def console_lines(page: Path) -> list[str]:
@@ -23,11 +26,12 @@ def console_lines(page: Path) -> list[str]:
     return [line for block in blocks for line in block.splitlines() if line]
 
 
-def test_every_command_of_the_readme_works(tmp_path: Path) -> None:
+@pytest.mark.parametrize("added", [ONCE, pytest.param("", marks=pytest.mark.slow)], ids=["once", "as it stands"])
+def test_every_command_of_the_readme_works(added: str, tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(ROOT / "docs")
     lines = console_lines(ROOT / "README.md")
     assert len(lines) > 5
-    type_in([line for line in lines if not MYSTERY.search(line)], tmp_path)
+    type_in([line + (added if DEMO.match(line) else "") for line in lines if not MYSTERY.search(line)], tmp_path)
     shown = re.findall(r"^```python\n(.*?)^```", (ROOT / "README.md").read_text(), flags=re.DOTALL | re.MULTILINE)
     assert len(shown) == 1
     done = subprocess.run([sys.executable, "-c", shown[0]], cwd=tmp_path, capture_output=True, text=True)

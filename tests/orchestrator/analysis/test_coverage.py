@@ -25,6 +25,7 @@ def test_intervals_hold_the_truth_and_are_not_vacuous() -> None:
         assert (coverage.width_over_error[maps] < 3.0).all(), told
 
 
+@pytest.mark.slow
 def test_an_interval_that_is_ten_times_too_wide_or_too_narrow_shows() -> None:
     honest = cover("cold", 1)
     maps = slice(0, QUANTITIES.index("R_s"))

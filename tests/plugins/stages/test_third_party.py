@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -18,7 +19,7 @@ from orchestrator.runs import RunDirectory
 from protocols import Note, PointDone, SegmentStage, StageStarted, StateChanged
 from tests.orchestrator.testing.test_plugins_page import ROOT, snippets
 from tests.plugins.streams.rerun.reading import rows
-from tests.support.processes import FLUXBENCH, wait_until
+from tests.support.processes import FLUXBENCH, called, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_file
 
 SOAK = {"kind": "thermal_soak", "current_a": 2.0, "soak_s": 3.0, "every_s": 0.5, "duration_s": 0.2}
@@ -63,6 +64,15 @@ def told(package: Path, *words: str | Path) -> str:
     out, err = process.communicate(timeout=240)
     assert process.returncode == 0, err
     return out
+
+
+@pytest.fixture
+def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """The same in this process."""
+    monkeypatch.syspath_prepend(str(package))
+    yield
+    for name in [name for name in sys.modules if name.startswith("bench_plugins")]:
+        del sys.modules[name]
 
 
 def soaked(run: Path) -> list[str]:
@@ -130,15 +140,17 @@ def test_console_report_and_viewer_speak_of_it(package: Path, run: Path) -> None
     assert states.count("soaking") >= 2, "drawn, with a name and a colour of its own"
 
 
-def test_check_counts_it_and_the_schema_has_it(package: Path, tmp_path: Path) -> None:
-    summary = json.loads(told(package, "check", tiny_file(tmp_path, stages=PROCEDURE), "--json"))
+@pytest.mark.usefixtures("installed")
+def test_check_counts_it_and_the_schema_has_it(tmp_path: Path) -> None:
+    summary = json.loads(called("check", tiny_file(tmp_path, stages=PROCEDURE), "--json").stdout)
     (row,) = [row for row in summary["stages"] if row["stage"] == "thermal_soak"]
     assert row["points"] == POINTS
     assert row["duration_s"] == pytest.approx(3.0)
-    schema = json.loads(told(package, "schema", "procedure"))
+    schema = json.loads(called("schema", "procedure").stdout)
     assert schema["$defs"]["ThermalSoakStage"]["properties"]["kind"] == {"const": "thermal_soak", "type": "string"}
 
 
+@pytest.mark.usefixtures("installed")
 @pytest.mark.parametrize(
     ("change", "complaint"),
     [
@@ -148,22 +160,17 @@ def test_check_counts_it_and_the_schema_has_it(package: Path, tmp_path: Path) ->
         ({"kind": "thermal_soa"}, "did you mean 'thermal_soak'?"),
     ],
 )
-def test_a_mistake_in_its_settings_is_one_line(
-    package: Path, tmp_path: Path, change: dict[str, object], complaint: str
-) -> None:
+def test_a_mistake_in_its_settings_is_one_line(tmp_path: Path, change: dict[str, object], complaint: str) -> None:
     stages = [PROCEDURE[0], {**SOAK, **change}, PROCEDURE[2]]
-    process = start(package, "check", tiny_file(tmp_path, stages=stages))
-    _, err = process.communicate(timeout=120)
-    assert process.returncode == 2
-    assert err.count("\n") == 1
-    assert complaint in err
+    done = called("check", tiny_file(tmp_path, stages=stages))
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert complaint in done.stderr
 
 
 def test_where_its_package_is_missing_the_run_is_told_so_in_one_line(run: Path, tmp_path: Path) -> None:
-    done = subprocess.run(
-        [FLUXBENCH, "check", tiny_file(tmp_path, stages=PROCEDURE)], capture_output=True, text=True, timeout=120
-    )
+    done = called("check", tiny_file(tmp_path, stages=PROCEDURE))
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "stages.1.kind: no stage plugin 'thermal_soak' is installed" in done.stderr
-    view = subprocess.run([FLUXBENCH, "report", run], capture_output=True, text=True, timeout=120)
+    view = called("report", run)
     assert view.returncode == 0, view.stderr  # what was measured can be looked at without it
