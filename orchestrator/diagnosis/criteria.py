@@ -319,6 +319,8 @@ class ConventionCriteria(Strict):
     """Relative difference of a time base to the factor that is named."""
     delay_lags: int = _is(3, "1", "practice")
     """Samples before and after the declared delay at which the current's answer to the voltage is looked for."""
+    told_apart: float = _is(1e3, "1", "theory")
+    """Condition of the voltages at these lags up to which they are told apart; a square of ten samples has fifty."""
     no_answer: float = _is(0.12, "1", "simulated")
     """Part of the whole answer to a step of voltage that is none."""
     answer: float = _is(0.3, "1", "simulated")

@@ -95,12 +95,20 @@ class Answer:
 
 
 def answer(survey: Survey, injections: Sequence[Sighting]) -> Answer | None:
-    """Of some injections; None where there is nothing that shows it."""
-    fs, reach = survey.sampling_frequency_hz, survey.criteria.delay_lags
+    """Of some injections; None where there is nothing that shows it.
+
+    A wave tells as many lags apart as half its period has samples, a sine two: there are fewer where it must be.
+    """
+    for reach in range(survey.criteria.delay_lags, -1, -1):
+        found = _answer(survey, injections, np.arange(-reach, reach + 1, dtype=np.int64))
+        if found is not None:
+            return found
+    return None
+
+
+def _answer(survey: Survey, injections: Sequence[Sighting], lags: NDArray[np.int64]) -> Answer | None:
     declared = math.floor(survey.manifest.drive.voltage_delay_samples or 0.0)
-    lags = np.arange(-reach, reach + 1, dtype=np.int64)
-    moments = np.zeros((len(lags) + 1, len(lags) + 1))
-    right = np.zeros(len(lags) + 1)
+    moments, right = np.zeros((len(lags) + 1, len(lags) + 1)), np.zeros(len(lags) + 1)
     power, count = 0.0, 0
     for seen in injections:
         columns, steps = _columns(seen, declared, lags)
@@ -110,19 +118,20 @@ def answer(survey: Survey, injections: Sequence[Sighting]) -> Answer | None:
         right += columns @ steps
         power += float(steps @ steps)
         count += len(steps)
-    if count < 100 or not np.all(np.diag(moments) > 0.0):
+    size = np.sqrt(np.diag(moments))
+    if count < survey.criteria.least_looked_at or not np.all(size > 0.0):
         return None
-    try:
-        inverse = np.linalg.inv(moments)
-    except np.linalg.LinAlgError:
+    alike = moments / np.outer(size, size)
+    if np.linalg.cond(alike) > survey.criteria.told_apart:
         return None
+    inverse = np.linalg.inv(alike) / np.outer(size, size)
     found = inverse @ right
     left = max(power - float(found @ right), 0.0) / count
     total = float(found[:-1].sum())
     if total == 0.0:
         return None
-    deviations = np.sqrt(np.maximum(np.diag(inverse) * left, 0.0))
-    return Answer(lags.astype(np.float64), found[:-1], deviations[:-1], 1.0 / (fs * total))
+    deviations = np.sqrt(np.maximum(np.diag(inverse) * left, 0.0))[:-1]
+    return Answer(lags.astype(np.float64), found[:-1], deviations, 1.0 / (survey.sampling_frequency_hz * total))
 
 
 def _columns(seen: Sighting, declared: int, lags: NDArray[np.int64]) -> tuple[Array, Array | None]:

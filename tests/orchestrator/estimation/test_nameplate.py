@@ -1,0 +1,62 @@
+"""Estimates far from the nameplate are said to be, and a scale of all of them is an objection."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.estimation import estimate_recording
+from protocols import EstimationReport, Motor
+from tests.orchestrator.analysis.campaign import MemoryRecording
+from tests.orchestrator.analysis.test_checks import exact_map
+from tests.orchestrator.estimation.made_up import R_S, RECORDING, Resistance, Ripples
+
+EXACT = exact_map("ripples")
+AT_REST = np.unravel_index(np.argmin(np.add.outer(EXACT.i_d**2, EXACT.i_q**2)), EXACT.l_dd.shape)
+
+
+def report(folder: Path, **times: float) -> EstimationReport:
+    """Of a motor whose nameplate is so many times what is estimated."""
+    values = {
+        "stator_resistance_ohm": R_S.value_ohm,
+        "d_inductance_h": float(EXACT.l_dd[AT_REST]),
+        "q_inductance_h": float(EXACT.l_qq[AT_REST]),
+    }
+    plate = {name: times[name] * value for name, value in values.items() if name in times}
+    motor = Motor.model_validate({**RECORDING.manifest.motor.model_dump(), **plate})
+    manifest = RECORDING.manifest.model_copy(update={"motor": motor})
+    return estimate_recording(MemoryRecording(manifest, {}), [Resistance(), Ripples()], folder)
+
+
+def far(found: EstimationReport) -> dict[str, float]:
+    return {
+        str(remark.values["name"]): float(remark.values["ratio"] or 0.0)
+        for remark in found.remarks
+        if remark.code == "far_from_nameplate"
+    }
+
+
+def test_what_is_near_the_nameplate_needs_no_word(tmp_path: Path) -> None:
+    found = report(tmp_path, stator_resistance_ohm=1.4, d_inductance_h=0.7, q_inductance_h=1.0)
+    assert far(found) == {}
+    assert found.usable
+
+
+def test_a_resistance_far_off_is_said_and_the_map_may_be_used(tmp_path: Path) -> None:
+    found = report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=1.0, q_inductance_h=1.0)
+    assert far(found) == {"R_s": pytest.approx(2.0)}
+    assert found.usable
+
+
+def test_all_off_the_same_way_is_a_scale_of_the_readings(tmp_path: Path) -> None:
+    found = report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=0.5, q_inductance_h=0.5)
+    assert set(far(found)) == {"R_s", "L_d", "L_q"}
+    assert not found.usable
+    assert far(report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=2.0, q_inductance_h=2.0))
+    assert report(tmp_path, stator_resistance_ohm=0.5, d_inductance_h=2.0, q_inductance_h=2.0).usable
+
+
+def test_no_nameplate_is_no_remark(tmp_path: Path) -> None:
+    assert far(report(tmp_path)) == {}
