@@ -13,7 +13,6 @@ import pytest
 from orchestrator.diagnosis import (
     Diagnosis,
     add_effects,
-    compare_recording,
     diagnose_recording,
     in_words,
     remove_effect,
@@ -156,16 +155,6 @@ def test_effects_are_added_and_removed_by_name(misaligned: Recording, tmp_path: 
     assert not removed.effects
     assert removed.ladder[-1].chi2 == pytest.approx(added.ladder[0].chi2, rel=1e-6)
     assert _digest(misaligned) == before
-
-
-def test_comparison_says_where_the_model_fails(misaligned: Recording, tmp_path: Path) -> None:
-    report = compare_recording(misaligned, out=tmp_path)
-    stages = {s.stage: s for s in report.stages}
-    assert report.chi2 is not None
-    assert report.chi2 > 5.0
-    assert (stages["classical"].chi2 or 0.0) > (stages["resistance"].chi2 or 99.0)
-    assert report.worst[0].segment.startswith("classical")
-    assert (report.parity.d_percent or 0.0) > 5.0 * (report.reciprocity_percent or 99.0)
 
 
 def test_unknown_name_is_refused_with_the_nearest_one(clean: Recording, tmp_path: Path) -> None:

@@ -1,11 +1,9 @@
 """A rung of the ladder as pictures take it: rows that add up to the ladder, waveforms that meet where the model is
-right, files that come back as they were written."""
+right."""
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,23 +12,13 @@ from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.reporting.diagnosis_file import REPORT_NAME, STEPS_NAME, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
-from protocols import (
-    DiagnosisReport,
-    DiagnosisStep,
-    DiagnosisWords,
-    NoiseFloor,
-    RecordingError,
-    Saturated,
-    StorageError,
-    Unexplained,
-)
+from protocols import DiagnosisStep, Saturated
 from tests.support.close import assert_close
 
 Ladder = tuple[tuple[Step, ...], DiagnosisSetup, tuple[DiagnosisStep, ...]]
@@ -153,109 +141,3 @@ def test_without_two_amplitudes_one_ripple_is_shown(ladder: Ladder) -> None:
     assert ripple_pair([p for p in pieces if p.stage.value == "resistance"], RATIO) == ()
     other = replace(pieces[small], segment=pieces[small].segment.model_copy(update={"settings": {"amplitude_v": 41.0}}))
     assert len(ripple_pair([other, pieces[large]], RATIO)) == 1
-
-
-def a_report(steps: tuple[DiagnosisStep, ...]) -> DiagnosisReport:
-    rungs = [
-        {"added": s.added, "chi2": s.chi2, "rms_v": s.rms_v, "heldout_rms_v": s.heldout_rms_v, "current_rms_a": None}
-        for s in steps
-    ]
-    return DiagnosisReport.model_validate(
-        {
-            "recording": "on-paper",
-            "noise_floor": NoiseFloor(rms_v=0.001),
-            "verdict": "explained",
-            "effects": (),
-            "traces": (),
-            "joint": (),
-            "ladder": tuple(rungs),
-            "unexplained": Unexplained(fraction=0.01, shape=()),
-            "next_experiment": None,
-            "notes": ("a note − with a true minus",),
-            "seconds": 1.0,
-        }
-    )
-
-
-WORDS = DiagnosisWords(where_it_fails="a", what_it_looks_like="b", likely_cause="c", if_added="d", to_decide="e")
-
-
-def test_what_was_saved_comes_back(ladder: Ladder, tmp_path: Path) -> None:
-    steps = ladder[2]
-    report = a_report(steps)
-    save_diagnosis(tmp_path, report, WORDS, steps)
-    kept = load_diagnosis(tmp_path)
-    assert kept is not None
-    assert kept.report == report
-    assert kept.words == WORDS
-    assert json.loads((tmp_path / "results" / REPORT_NAME).read_text()).keys() == {"report", "words"}
-    for have, want in zip(kept.steps, steps, strict=True):
-        assert have.stage == want.stage
-        assert (have.index, have.added, have.effects, have.chi2) == (want.index, want.added, want.effects, want.chi2)
-        for name in ("time_s", "i_dq", "residual_dq_v", "noise_v", "i_abc", "residual_abc_v"):
-            assert_close(getattr(have, name), getattr(want, name), 1e-6)
-        assert have.excerpts[0].segment == want.excerpts[0].segment
-        assert_close(have.excerpts[0].predicted_a, want.excerpts[0].predicted_a, 1e-5)
-        assert_close(have.loops[1].psi_measured, want.loops[1].psi_measured, 1e-5)
-        assert have.resistance is not None
-        assert want.resistance is not None
-        assert np.allclose(have.resistance.measured_ohm, want.resistance.measured_ohm, rtol=1e-6)
-    assert (tmp_path / "results" / STEPS_NAME).stat().st_size < 120 * Criteria().pictures.most_rows
-
-
-def test_a_directory_without_a_diagnosis_has_none(tmp_path: Path) -> None:
-    assert load_diagnosis(tmp_path) is None
-
-
-def test_a_diagnosis_without_pictures_has_no_steps(ladder: Ladder, tmp_path: Path) -> None:
-    save_diagnosis(tmp_path, a_report(ladder[2]), WORDS, ladder[2])
-    (tmp_path / "results" / STEPS_NAME).unlink()
-    kept = load_diagnosis(tmp_path)
-    assert kept is not None
-    assert kept.steps == ()
-
-
-@pytest.mark.parametrize(
-    ("name", "damage"),
-    [
-        (REPORT_NAME, lambda whole: b"{"),
-        (REPORT_NAME, lambda whole: b"[1, 2]"),
-        (REPORT_NAME, lambda whole: whole.replace(b'"explained"', b'"solved"')),
-        (REPORT_NAME, lambda whole: b"\xff" + whole),
-        (STEPS_NAME, lambda whole: b"not a zip"),
-        (STEPS_NAME, lambda whole: whole[: len(whole) // 2]),
-        (STEPS_NAME, lambda whole: b""),
-        (STEPS_NAME, lambda whole: whole[:5000] + bytes(200) + whole[5200:]),
-    ],
-)
-def test_a_damaged_file_is_one_line_that_names_it(ladder: Ladder, tmp_path: Path, name: str, damage: object) -> None:
-    save_diagnosis(tmp_path, a_report(ladder[2]), WORDS, ladder[2])
-    file = tmp_path / "results" / name
-    assert callable(damage)
-    file.write_bytes(damage(file.read_bytes()))
-    with pytest.raises(RecordingError) as raised:
-        load_diagnosis(tmp_path)
-    assert str(file) in str(raised.value)
-    assert "\n" not in str(raised.value)
-
-
-def test_pickled_arrays_are_refused(ladder: Ladder, tmp_path: Path) -> None:
-    save_diagnosis(tmp_path, a_report(ladder[2]), WORDS, ladder[2])
-    np.savez(tmp_path / "results" / STEPS_NAME, steps=np.array([{"added": None}], dtype=object))
-    with pytest.raises(RecordingError, match=STEPS_NAME):
-        load_diagnosis(tmp_path)
-
-
-def test_pictures_of_another_diagnosis_are_refused(ladder: Ladder, tmp_path: Path) -> None:
-    save_diagnosis(tmp_path, a_report(ladder[2]), WORDS, ladder[2])
-    kept = (tmp_path / "results" / REPORT_NAME).read_bytes()
-    save_diagnosis(tmp_path, a_report(ladder[2][:1]), WORDS, ladder[2][:1])
-    (tmp_path / "results" / REPORT_NAME).write_bytes(kept)
-    with pytest.raises(RecordingError, match="not of the diagnosis"):
-        load_diagnosis(tmp_path)
-
-
-def test_where_nothing_can_be_written_one_line_says_so(ladder: Ladder, tmp_path: Path) -> None:
-    (tmp_path / "results").write_text("a file where a folder should be")
-    with pytest.raises(StorageError, match="results"):
-        save_diagnosis(tmp_path, a_report(ladder[2]), WORDS, ladder[2])

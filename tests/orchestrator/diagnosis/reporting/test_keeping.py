@@ -1,0 +1,71 @@
+"""A diagnosis is kept with its words and pictures; where the disk does not take it, it is told all the same."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from orchestrator.diagnosis import Diagnosis
+from orchestrator.diagnosis.reporting import keeping
+from orchestrator.diagnosis.reporting.diagnosis_file import load_diagnosis
+from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.recording import Recording
+from protocols import DiagnosisStep
+from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis, some_steps
+
+REPORT, STEPS = a_diagnosis(), some_steps()
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> dict[str, Any]:
+    """What the diagnosis was asked for; it finds the example at once."""
+    seen: dict[str, Any] = {}
+
+    def diagnose(
+        recording: Recording, effects: object, *, on_step: Callable[[DiagnosisStep], None], **asked: Any
+    ) -> Any:
+        seen.update(asked)
+        for step in STEPS:
+            on_step(step)
+        return Diagnosis(REPORT, None, Search([]), ())
+
+    monkeypatch.setattr(keeping, "diagnose_recording", diagnose)
+    monkeypatch.setattr(keeping, "in_words", lambda diagnosis: WORDS)
+    return seen
+
+
+def test_report_words_and_every_step_are_kept_where_it_was_said(
+    asked: dict[str, Any], clean: Recording, tmp_path: Path
+) -> None:
+    seen: list[DiagnosisStep] = []
+    diagnosis, saved = keeping.diagnose_and_keep(clean, (), model="linear", out=tmp_path, on_step=seen.append)
+    assert (asked["model"], asked["out"]) == ("linear", tmp_path)
+    assert tuple(seen) == saved.steps == STEPS
+    assert diagnosis.report is saved.report is REPORT
+    kept = load_diagnosis(tmp_path)
+    assert kept is not None
+    assert (kept.report, kept.words, len(kept.steps)) == (REPORT, WORDS, 2)
+    assert load_diagnosis(clean.path) is None
+
+
+def test_a_step_that_raises_ends_it_and_nothing_is_kept(
+    asked: dict[str, Any], clean: Recording, tmp_path: Path
+) -> None:
+    def stop(step: DiagnosisStep) -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        keeping.diagnose_and_keep(clean, (), out=tmp_path, on_step=stop)
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_cannot_be_written_is_told_all_the_same(asked: dict[str, Any], clean: Recording, tmp_path: Path) -> None:
+    (tmp_path / "results").write_text("a file where a folder should be")
+    diagnosis, saved = keeping.diagnose_and_keep(clean, (), out=tmp_path)
+    (remark,) = (r for r in diagnosis.report.remarks if r.code == "not_written")
+    assert str(tmp_path / "results") in remark.text
+    assert saved.report == diagnosis.report
+    assert (saved.words, saved.steps) == (WORDS, STEPS)

@@ -1,0 +1,112 @@
+"""A diagnosis in words: five slots, with units, names and what to do next."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis import Diagnosis, in_words
+from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.reporting.ladder import rung
+from orchestrator.diagnosis.selection.forward_search import Search, Step
+from plugins.effects.inverter import VoltageBias
+from plugins.effects.sensors import CurrentOffset
+from protocols import Contrast
+from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
+from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
+from tests.plugins.streams.report.example_diagnosis import a_diagnosis
+
+MAKER = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
+BIAS: dict[str, Any] = {
+    "name": "voltage_bias",
+    "parameters": {"bias_a_v": {"value": 0.3, "low": 0.299, "high": 0.301, "unit": "V"}},
+    "twins": [],
+    "relative_size": 0.05,
+    "log_evidence": 5e5,
+}
+
+
+@pytest.fixture(scope="module")
+def search() -> Search:
+    """The map alone, then with the bias that is really there."""
+    return Search([Step(None, MAKER.fit(free_model())), Step("voltage_bias", fitted_bias(MAKER))])
+
+
+def said(search: Search, **changes: Any) -> Any:
+    """The words for a report of this search."""
+    ladder = [rung(step).model_dump() for step in search.steps]
+    report = a_diagnosis(**{"ladder": ladder, "effects": [BIAS], "next_experiment": None, **changes})
+    setup = DiagnosisSetup(MAKER.prepared, MAKER, MAKER, L_D, L_Q, 2.5, ())
+    library = scaled_library([VoltageBias(), CurrentOffset()], MAKER.prepared.manifest)
+    return in_words(Diagnosis(report, setup, search, library))
+
+
+def test_a_clean_recording_has_nothing_to_say(search: Search) -> None:
+    words = said(Search(search.steps[:1]), verdict="clean", effects=[], ladder=[rung(search.steps[0]).model_dump()])
+    assert words.where_it_fails == "nowhere beyond the noise"
+    assert words.what_it_looks_like == "noise"
+    assert words.likely_cause == "none: the model fits within the noise"
+    assert words.if_added == "nothing was added"
+    assert words.to_decide == "nothing left to decide"
+
+
+def test_what_was_found_is_named_with_its_size_and_its_signature(search: Search) -> None:
+    words = said(search)
+    assert words.likely_cause == "voltage_bias (bias a 300.0 mV, 95 %: 299.0 to 301.0)"
+    assert words.what_it_looks_like == VoltageBias.signature
+    assert words.to_decide == "nothing left to decide"
+
+
+def test_the_worst_segment_is_named_with_its_currents_and_the_noise(search: Search) -> None:
+    where = said(search).where_it_fails
+    assert any(where.startswith(f"worst in {piece.segment.id} (") for piece in MAKER.prepared.pieces)
+    assert not where.startswith("worst in gates_off")
+    assert "|i_d| to " in where
+    assert "where noise alone makes" in where
+
+
+def test_what_adding_it_does_is_said_of_data_that_were_held_out(search: Search) -> None:
+    gain = said(search).if_added
+    assert gain.startswith("held-out error ")
+    assert "the model's R_s" in gain
+    nothing = [{**rung(step).model_dump(), "heldout_rms_v": None} for step in search.steps]
+    assert said(search, ladder=nothing).if_added.startswith("error ")
+
+
+def test_twins_are_named_with_what_would_tell_them_apart(search: Search) -> None:
+    words = said(search, effects=[{**BIAS, "twins": ["current_offset"]}])
+    needed = CONTRASTS[Contrast.GATES_OFF].text
+    assert "cannot be told from current_offset here" in words.likely_cause
+    assert f"What would tell it from current_offset, {needed}, was not measured." in words.what_it_looks_like
+    assert needed in words.to_decide
+
+
+def test_the_next_experiment_is_a_stage_with_its_time_and_its_purpose(search: Search) -> None:
+    proposal = {"stage": {"kind": "gates_off"}, "separates": ["voltage_bias", "current_offset"], "minutes": 0.5}
+    words = said(search, next_experiment=proposal)
+    assert words.to_decide == "gates_off stage of 30 s, tells voltage_bias from current_offset"
+
+
+@pytest.mark.parametrize(
+    ("verdict", "cause", "next_step"),
+    [
+        ("unknown_remains", "and something that no effect of the library explains", "no experiment of the catalogue"),
+        ("mostly_explained", "% of the error remains", "a part of the error remains that nothing"),
+    ],
+)
+def test_what_is_left_unexplained_is_said(search: Search, verdict: str, cause: str, next_step: str) -> None:
+    words = said(search, verdict=verdict)
+    assert words.likely_cause.startswith("voltage_bias (")
+    assert cause in words.likely_cause
+    assert words.to_decide.startswith(next_step)
+
+
+def test_an_unknown_is_described_by_its_shape(search: Search) -> None:
+    shape = [{"group": "periodic", "share": 0.8}, {"group": "constant", "share": 0.2}]
+    words = said(search, verdict="unknown_remains", effects=[], unexplained={"fraction": 0.9, "shape": shape})
+    assert words.what_it_looks_like.startswith("80 % periodic at the mains frequency; 20 % constant")
+    assert words.likely_cause == "something that no effect of the library explains"

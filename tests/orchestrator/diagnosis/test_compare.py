@@ -1,0 +1,74 @@
+"""A model held against a recording: where it fails, in numbers, and nothing written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from orchestrator.diagnosis import add_effects, compare_recording
+from orchestrator.recording import Recording, read_model
+from plugins.effects.frame import RotorMisalignment
+from protocols import MotorModel, RecordingError
+
+ALWAYS = ["one_pwm_frequency"]
+"""What these recordings lack."""
+
+
+@pytest.fixture(scope="module")
+def linear(misaligned: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with a model without saturation, but with the misalignment that there is."""
+    out = tmp_path_factory.mktemp("linear")
+    add_effects(misaligned, ["rotor_misalignment"], [RotorMisalignment()], model="linear", out=out)
+    return out
+
+
+def test_comparison_says_where_the_model_fails(misaligned: Recording, tmp_path: Path) -> None:
+    report = compare_recording(misaligned, out=tmp_path)
+    stages = {s.stage: s for s in report.stages}
+    assert report.chi2 is not None
+    assert report.chi2 > 5.0
+    assert (stages["classical"].chi2 or 0.0) > (stages["resistance"].chi2 or 99.0)
+    assert report.worst[0].segment.startswith("classical")
+    assert (report.parity.d_percent or 0.0) > 5.0 * (report.reciprocity_percent or 99.0)
+
+
+def test_what_is_right_is_noise_everywhere(clean: Recording, tmp_path: Path) -> None:
+    report = compare_recording(clean, out=tmp_path)
+    assert report.model == "saturated"
+    assert report.chi2 == pytest.approx(1.0, abs=0.05)
+    assert {s.stage for s in report.stages} == {s.stage.value for s in clean.segments()}
+    assert all((s.chi2 or 0.0) < 1.5 for s in report.stages)
+    assert report.noise_floor.rms_v is not None
+    # A mean over a window has its own noise: the worst of some forty is not many times the usual one.
+    assert (report.worst[0].rms_v or 99.0) < 4.0 * report.noise_floor.rms_v
+    errors = [segment.rms_v or 0.0 for segment in report.worst]
+    assert errors == sorted(errors, reverse=True)
+    assert [remark.code for remark in report.remarks] == [*ALWAYS, "no_model"]
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_linear_model_s_flux_wanders_from_what_the_sweeps_integrate(clean: Recording) -> None:
+    linear, saturated = (compare_recording(clean, model=model).crossings for model in ("linear", "saturated"))
+    for axis in ("d_percent", "q_percent"):
+        assert getattr(linear, axis) > 3.0 * getattr(saturated, axis) > 0.0
+
+
+def test_the_model_that_lies_there_is_taken_as_it_is(misaligned: Recording, linear: Path) -> None:
+    report = compare_recording(misaligned, [RotorMisalignment()], out=linear)
+    assert report.model == "linear + rotor_misalignment"
+    assert report.chi2 == pytest.approx(read_model(linear).ladder[-1].chi2, rel=1e-9)
+    assert [remark.code for remark in report.remarks] == ALWAYS
+
+
+def test_a_model_of_another_recording_is_said_to_be_one(clean: Recording, linear: Path) -> None:
+    model: MotorModel = read_model(linear).model_copy(update={"recording": "another"})
+    report = compare_recording(clean, [RotorMisalignment()], model=model)
+    assert [remark.code for remark in report.remarks] == [*ALWAYS, "model_of_another"]
+    assert "fitted to another" in report.remarks[-1].text
+
+
+def test_a_model_that_cannot_be_read_is_named(clean: Recording, tmp_path: Path) -> None:
+    (tmp_path / "model.json").write_text("{")
+    with pytest.raises(RecordingError, match=r"model\.json"):
+        compare_recording(clean, out=tmp_path)
