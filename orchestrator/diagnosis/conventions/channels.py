@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from orchestrator.diagnosis.conventions.responses import shares
-from orchestrator.diagnosis.conventions.survey import Survey, Vectors, parts
+from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors, parts
 from orchestrator.diagnosis.conventions.vector_maps import AXES, PHASES
+from orchestrator.diagnosis.criteria import ConventionCriteria
 from orchestrator.numerics.types import Array
 from protocols import Convention, ManifestCorrection, NotMeasuredError
 
@@ -44,28 +45,32 @@ def dead_channel(survey: Survey) -> Convention | None:
     limits = survey.criteria
     columns = [s.phases for s in survey.seen if s.phases is not None]
     if columns:
-        swing = np.ptp(np.concatenate(columns), axis=0)
-        if swing.min() < limits.flat * swing.max():
+        phases = np.concatenate(columns)
+        swing, total = np.ptp(phases, axis=0), float(np.ptp(phases.sum(axis=1)))
+        # Where a phase is at rest because nothing flows in it, the other two are each other's negative.
+        if swing.min() < limits.flat * swing.max() < total:
             return _dead(f"phase {PHASES[int(np.argmin(swing))]}", "its column is constant in every segment")
     seen = survey.injections or survey.seen
-    currents, volts = (np.concatenate([x for s in seen for x in (getattr(s, name),)] or [[]]) for name in ("i", "v"))
-    if len(currents) < limits.least_looked_at:
+    if sum(len(s.i) for s in seen) < limits.least_looked_at or not _moves_both_ways(seen, limits):
         return None
-    line = _line(currents)
-    if line is not None and line[0] < limits.flat < (_line(volts) or (0.0, 0.0))[0]:
-        across = np.exp(1j * (line[1] + np.pi / 2.0))
+    width, direction = _line(np.concatenate([s.i for s in seen])) or (1.0, 0.0)
+    if width < limits.flat:
+        across = np.exp(1j * (direction + np.pi / 2.0))
         apart = [abs(np.imag(across * np.conj(axis))) for axis in AXES]
         nearest = int(np.argmin(apart))
         name = f"phase {PHASES[nearest]}" if apart[nearest] < limits.unlike else "i_beta"
         return _dead(name, "all readings lie on one line, while the voltage has both directions")
     told = shares(survey.injections)
     if told is not None and min(told) < limits.silent and max(told) > limits.speaking:
-        name = "i_alpha" if told[0] < told[1] else "i_beta"
-        evidence = (
-            f"the voltage explains {100 * min(told):.0f} % of its steps, and {100 * max(told):.0f} % of the other's"
-        )
-        return _dead(name, evidence)
+        name, least, most = "i_alpha" if told[0] < told[1] else "i_beta", 100.0 * min(told), 100.0 * max(told)
+        return _dead(name, f"the voltage explains {least:.0f} % of its steps, and {most:.0f} % of the other's")
     return None
+
+
+def _moves_both_ways(seen: Sequence[Sighting], limits: ConventionCriteria) -> bool:
+    """Whether the voltage goes in both directions, so that a motor's current does."""
+    line = _line(np.concatenate([s.ripple_v for s in seen]))
+    return line is not None and line[0] > limits.speaking
 
 
 def _dead(name: str, evidence: str) -> Convention:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orchestrator.diagnosis.conventions import find_convention
 from protocols import Capture, NotMeasuredError
-from tests.support.rewriting import Field, Rewritten, gain
+from tests.support.rewriting import TO_PHASES, Field, Rewritten, gain
 
 
 @pytest.mark.parametrize(("phase", "sensors"), [("a", "ab"), ("b", "ab"), ("c", "ac"), ("a", "abc"), ("c", "abc")])
@@ -55,3 +57,29 @@ def test_noise_in_the_place_of_one_channel_is_named(right: Rewritten, rng: np.ra
     )
     assert found is not None
     assert found.what == "i_beta looks dead"
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.9, 0.5 * math.pi])
+def test_a_current_that_is_asked_for_along_one_line_is_not_dead(right: Rewritten, angle_rad: float) -> None:
+    along = _along_one_axis(right, angle_rad)
+    assert find_convention(along) is None
+    phases = along.captured(lambda c: {"i_abc": c.i_ab @ TO_PHASES.T})
+    assert find_convention(phases) is None
+
+
+def _along_one_axis(right: Rewritten, angle_rad: float) -> Rewritten:
+    """The same segments of an R-L winding whose voltage never leaves a line, with some noise."""
+    ohm, henry = right.manifest.motor.stator_resistance_ohm, right.manifest.motor.d_inductance_h
+    assert ohm is not None
+    assert henry is not None
+    keep = math.exp(-ohm / henry / right.manifest.drive.sampling_frequency_hz)
+    rng, axis = np.random.default_rng(3), np.array([math.cos(angle_rad), math.sin(angle_rad)])
+
+    def change(c: Capture) -> dict[str, Any]:
+        level = float(rng.uniform(-3.0, 3.0))
+        square = np.where(np.arange(len(c)) % 20 < 10, 40.0, -40.0)
+        volts = ohm * level + square
+        i = level + lfilter([0.0, (1.0 - keep) / ohm], [1.0, -keep], square)
+        return {"i_ab": i[:, None] * axis + rng.normal(0.0, 0.004, (len(c), 2)), "v_ab": volts[:, None] * axis}
+
+    return right.captured(change).asked(lambda _: {"settings": {}, "rotor_angle_rad": angle_rad})
