@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from orchestrator.diagnosis.conventions import find_convention
 from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.order import in_order
@@ -93,6 +92,9 @@ def estimate_recording(
 
 def _conventions(recording: RecordingReader) -> list[Remark]:
     """What manifest or logging have wrong, as an objection; raises `NotMeasuredError` where it makes no motor."""
+    # Who only reads results has no need of the diagnosis.
+    from orchestrator.diagnosis.conventions import find_convention
+
     named = find_convention(recording)
     try:
         SoundRecording(recording).read_through()
