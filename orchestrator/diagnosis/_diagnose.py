@@ -113,7 +113,7 @@ def diagnose_recording(
     """
     began = time.monotonic()
     require_known(without, effects)
-    if (named := find_convention(recording, (criteria or Criteria()).conventions)) is not None:
+    if (named := find_convention(recording, (criteria or Criteria()).conventions, poll)) is not None:
         seconds = time.monotonic() - began
         report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())

@@ -32,8 +32,12 @@ HYPOTHESES: tuple[Callable[[Responses], Convention | None], ...] = (
 """In this order: what is not in the file at all, what spoils every other look at it, and the rest."""
 
 
-def find_convention(recording: RecordingReader, criteria: ConventionCriteria | None = None) -> Convention | None:
+def find_convention(
+    recording: RecordingReader, criteria: ConventionCriteria | None = None, poll: Callable[[], None] = lambda: None
+) -> Convention | None:
     """The first convention that the recording speaks for; None where it has none of those that are known.
+
+    What `poll` raises ends the search; it is called with each segment and each hypothesis.
 
     Raises
     ------
@@ -43,6 +47,11 @@ def find_convention(recording: RecordingReader, criteria: ConventionCriteria | N
         Where what stands in the place of the current is noise.
     """
     SoundRecording(recording)
-    seen = Responses(survey(recording, criteria or ConventionCriteria()))
+    seen = Responses(survey(recording, criteria or ConventionCriteria(), poll))
     require_response(seen.survey)
-    return next((found for hypothesis in HYPOTHESES if (found := hypothesis(seen)) is not None), None)
+    for hypothesis in HYPOTHESES:
+        poll()
+        found = hypothesis(seen)
+        if found is not None:
+            return found
+    return None

@@ -7,7 +7,7 @@ then all of the form i -> a i + b conj(i).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -107,7 +107,7 @@ class Survey:
         return max((abs(s.mean_i) for s in self.seen), default=0.0)
 
 
-def survey(recording: RecordingReader, criteria: ConventionCriteria) -> Survey:
+def survey(recording: RecordingReader, criteria: ConventionCriteria, poll: Callable[[], None] = lambda: None) -> Survey:
     """Read holds, sweeps and injections, evenly spread and of so many samples in all.
 
     Raises
@@ -122,7 +122,11 @@ def survey(recording: RecordingReader, criteria: ConventionCriteria) -> Survey:
         few = max(min(len(segments), round(most)), min(len(segments), criteria.looked_at_segments))
         chosen += [segments[round(k)] for k in np.linspace(0, len(segments) - 1, few)]
     chosen.sort(key=lambda s: s.start_s)
-    return Survey(recording.manifest, [_sighting(recording, s, criteria) for s in chosen], criteria)
+    seen = []
+    for segment in chosen:
+        poll()
+        seen.append(_sighting(recording, segment, criteria))
+    return Survey(recording.manifest, seen, criteria)
 
 
 def _sighting(recording: RecordingReader, segment: Segment, criteria: ConventionCriteria) -> Sighting:

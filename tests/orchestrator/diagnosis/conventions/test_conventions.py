@@ -25,6 +25,14 @@ def test_a_right_recording_has_none(right: Rewritten) -> None:
     assert find_convention(right) is None
 
 
+def test_what_is_asked_in_between_ends_the_search(right: Rewritten) -> None:
+    def stop() -> None:
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        find_convention(right, poll=stop)
+
+
 def test_settings_are_not_needed(right: Rewritten) -> None:
     assert find_convention(right.asked(lambda _: {"settings": {}})) is None
 
