@@ -169,8 +169,17 @@ def test_a_directory_that_is_taken_is_not_touched(whole: Path) -> None:
     assert sorted(whole.rglob("*")) == before
 
 
-@pytest.mark.parametrize("stage", FIRST_EXCITATIONS)
-@pytest.mark.parametrize("fault", FAULTS, ids=lambda fault: "-".join(str(v) for v in fault.values()))
+@pytest.mark.parametrize(
+    ("fault", "stage"),
+    [
+        # Each fault and each stage once; every fault at every stage where there is time.
+        pytest.param(
+            fault, stage, marks=() if k == n else pytest.mark.slow, id=f"{'-'.join(map(str, fault.values()))}-{stage}"
+        )
+        for k, fault in enumerate(FAULTS)
+        for n, stage in enumerate(FIRST_EXCITATIONS)
+    ],
+)
 def test_a_drive_that_fails_at_any_stage_is_left_safe_and_its_points_are_kept(
     fault: dict[str, Any], stage: str, tmp_path: Path, at_close: list[Telemetry | DriveFault]
 ) -> None:
@@ -220,7 +229,7 @@ def slowly(check: int) -> Any:
     return pytest.param(check, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize("check", [4, slowly(11), 16, slowly(23), 29, slowly(35)])
+@pytest.mark.parametrize("check", [slowly(4), slowly(11), 16, slowly(23), slowly(29), slowly(35)])
 def test_a_resumed_run_has_every_point_once(check: int, tmp_path: Path, whole: Path) -> None:
     path = stopped_and_resumed(tmp_path, check)
     done = points_done(path)
@@ -228,7 +237,7 @@ def test_a_resumed_run_has_every_point_once(check: int, tmp_path: Path, whole: P
     assert sorted(done) == sorted(points_done(whole))
 
 
-@pytest.mark.parametrize("check", [23, slowly(29), 35])
+@pytest.mark.parametrize("check", [slowly(23), slowly(29), 35])
 def test_a_run_resumed_within_a_sweep_has_the_very_samples_of_one_that_was_never_stopped(
     check: int, tmp_path: Path, whole: Path
 ) -> None:
