@@ -79,9 +79,9 @@ def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.Capture
 @pytest.mark.parametrize(
     ("kind", "index"),
     [
-        ("clean", 0),
         ("single", number_of("voltage_bias", CATALOGUE)),
-        ("foreign", number_of("mains_hum", FOREIGN)),
+        pytest.param("clean", 0, marks=pytest.mark.slow),
+        pytest.param("foreign", number_of("mains_hum", FOREIGN), marks=pytest.mark.slow),
     ],
 )
 def test_the_right_thing_is_said(kind: str, index: int) -> None:

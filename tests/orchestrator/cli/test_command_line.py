@@ -191,7 +191,8 @@ def test_two_runs_into_one_directory_leave_one_of_them_whole(tmp_path: Path) -> 
 
 
 def test_a_run_prints_its_estimates_as_json(tmp_path: Path) -> None:
-    done = called("run", tiny_file(tmp_path), "--out", tmp_path / "run", "--json")
+    stages = [*STAGES[:6], {"kind": "estimate", "estimators": ["resistance"]}]
+    done = called("run", tiny_file(tmp_path, stages=stages), "--out", tmp_path / "run", "--json")
     found = json.loads(done.stdout)
     assert found["outcome"] == "finished"
     assert found["estimates"]["resistance"]["value_ohm"] == pytest.approx(4.25, rel=0.1)

@@ -289,7 +289,7 @@ def test_any_number_can_be_set(value: float) -> None:
     assert load_procedure("demo", overrides=[f"limits.current_a={value!r}"]).limits.current_a == value
 
 
-@settings(max_examples=150)
+@settings(max_examples=60)
 @given(override=st.text(max_size=20) | st.from_regex(r"(limits|stages|drive)(\.[a-z0-9_]{1,9}){0,3}=[^\n]{0,9}"))
 def test_any_override_gives_a_procedure_or_the_projects_error(override: str) -> None:
     try:
@@ -352,7 +352,7 @@ plain = st.recursive(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_damaged_yaml_never_gives_anything_but_the_projects_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -368,7 +368,7 @@ def test_damaged_yaml_never_gives_anything_but_the_projects_error(
         expect_named(error, str(path))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=60, deadline=None)
 @given(data=st.data(), value=plain)
 def test_any_value_at_any_key_gives_a_procedure_or_the_projects_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, value: object
