@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from os import PathLike
 from pathlib import Path
 
 from pydantic import ValidationError
@@ -96,7 +97,7 @@ def read_procedure(
     return LoadedProcedure(procedure, document)
 
 
-def load_motor(path: Path) -> Motor:
+def load_motor(path: str | PathLike[str]) -> Motor:
     """The ``motor`` section of a YAML file: a motor file, a procedure, or a mapping.
 
     Raises
@@ -104,7 +105,7 @@ def load_motor(path: Path) -> Motor:
     ProcedureError
         Where there is none, or it is wrong; in one line.
     """
-    document = parse_document(_text_of(path), str(path))
+    document = parse_document(_text_of(Path(path)), str(path))
     raw = document.data.get("motor")
     if raw is None:
         raise ProcedureError(str(path), "motor", "missing")

@@ -13,7 +13,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orchestrator.config import check_plan, load_procedure, make_plan, read_procedure
+from orchestrator.config import check_plan, load_motor, load_procedure, make_plan, read_procedure
 from protocols import CapabilityError, Procedure, ProcedureError, shipped_procedure, shipped_procedures
 
 TEXT = """\
@@ -313,6 +313,14 @@ def test_a_motor_file_goes_over_the_nameplate_and_the_limits_whole(write: Write)
     assert procedure.motor.rated_current_rms_a is None
     assert procedure.limits.energy_j is None
     assert procedure.drive.options == load_procedure("demo").drive.options
+
+
+def test_a_motor_is_read_from_whatever_names_its_file(write: Write) -> None:
+    file = write(SERVO)
+    assert load_motor(file) == load_motor(str(file))
+    assert load_motor(str(file)).name == "servo"
+    with pytest.raises(ProcedureError, match="motor: missing"):
+        load_motor(write("limits: {}\n"))
 
 
 def test_a_motor_file_without_limits_keeps_the_procedures(write: Write) -> None:
