@@ -35,10 +35,10 @@ MOTOR_RANGES: Mapping[str, Range] = {
 }
 """In the fields' own units: from the smallest watch's motor to the largest ship's, and some decades more."""
 DRIVE_RANGES: Mapping[str, Range] = {
-    "sampling_frequency_hz": (100.0, 1e6),
+    "sampling_frequency_hz": (1.0, 1e6),
     "pwm_frequency_hz": (100.0, 1e6),
 }
-"""What means the same in every drive that has it."""
+"""What means the same in every drive that has it; a board that is asked for each reading samples from 1 Hz on."""
 HEXAGON = 2.0 / 3.0
 """Longest voltage vector of a bridge, in bus voltages: the hexagon's corner."""
 

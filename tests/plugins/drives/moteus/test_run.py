@@ -36,7 +36,7 @@ def test_the_page_s_procedure_runs_and_its_holds_show_the_resistance(tmp_path: P
         result = start_run(load_procedure(str(file)), tmp_path / "run", Crew(AbsentOperator(), Interrupts()))
         assert port.servo.mode == 0, "the power stage is still on"
         assert port.servo.configuration["servo.max_current_A"] == 20.0
-    assert result.outcome.ending == "finished"
+    assert result.outcome.ending == "finished", result.outcome.reason
     assert result.outcome.estimates is not None
     assert result.outcome.estimates.resistance is not None
     recording = open_recording(tmp_path / "run")
