@@ -236,8 +236,7 @@ class Correction:
     @property
     def arrays(self) -> dict[str, RealArray]:
         """What is changed, by its name."""
-        named = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: array for name, array in named.items() if array is not None}
+        return {name: array for name, array in vars(self).items() if array is not None}
 
 
 class Signals(ArrayModel):

@@ -123,6 +123,14 @@ class FittingCriteria(Strict):
     """Part of its promise that a damped step keeps where the next one may be damped less."""
     least_promise: float = _is(2.0, "1", "theory")
     """A promise that is not worth a second try where the first did not keep it: one in log evidence."""
+    widest_step: float = _is(1.0, "1", "theory")
+    """How far a shape moves in one step along kept columns, in standard deviations of its prior: they hold no further."""
+    good_step: float = _is(0.5, "1", "practice")
+    """Part of its promise that such a step keeps where the next one may be made along the same columns, and wider."""
+    shorter_step: float = _is(0.3, "1", "practice")
+    """By how much the next step is shorter after one that did not keep it, ..."""
+    shortest_step: float = _is(0.01, "1", "practice")
+    """... and the one below which no more is tried."""
     same_inductance: float = _is(0.01, "1", "simulated")
     """Relative change of the mean inductance that the noise's covariance bears."""
     column_step: float = _is(0.05, "1", "practice")
@@ -159,6 +167,12 @@ class SelectionCriteria(Strict):
     log_evidence: float = _is(16.0, "nat", "theory")
     """Gain for an effect to be added: chance alone reaches this once in some 1e6 tries, and some twenty effects with
     shapes to choose from are tried on each recording."""
+    joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
+    """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
+    joint_tolerance: float = _is(1e-2, "1", "simulated")
+    """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
+    prior_probability: float = _is(0.2, "1", "practice")
+    """That any one effect of the library shows in a recording, before it is looked at."""
     tie: float = _is(3.0, "nat", "theory")
     """Rivals this near in log evidence cannot be told apart: odds of twenty to one."""
     least_size: float = _is(0.02, "1", "simulated")

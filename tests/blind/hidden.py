@@ -59,8 +59,9 @@ class Case:
     @property
     def hidden(self) -> str:
         """In words."""
-        words = [str(truth) for truth in self.truths[:3]] + [w for w in (self.foreign, self.nuisance) if w]
-        words += [f"and {len(self.truths) - 3} at 5 %"] if len(self.truths) > 3 else []
+        largest = sorted(self.truths, key=lambda truth: -truth.size)
+        words = [str(truth) for truth in largest[:3]] + [w for w in (self.foreign, self.nuisance) if w]
+        words += [f"and {len(largest) - 3} up to {largest[3].size:.2g}"] if len(largest) > 3 else []
         words += [f"without {name}" for name in self.without]
         return ", ".join(words) or "nothing"
 
@@ -72,9 +73,11 @@ NUISANCES: tuple[str, ...] = (
 SILENT = ("too_short", "no_excitation")
 """Nuisances that leave nothing to diagnose."""
 
-KINDS = ("clean", "single", "double", "clutter", "left_out", "foreign", "nuisance", "faint")
+KINDS = ("clean", "single", "double", "clutter", "ordinary", "left_out", "foreign", "nuisance", "faint")
 FAINT = (0.02, 0.2)
 """Sizes of faint effects, in units of the typical one."""
+ORDINARY = (0.01, 1.0)
+"""The same of the effects of an ordinary bench, on which a little of everything is present."""
 
 
 def draw_case(kind: str, index: int, seed: int) -> Case:
@@ -100,6 +103,8 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
     if kind == "clutter":
         rest = [(name, 0.05) for name in names if name != first]
         return _case(kind, index, first, rng, [(first, None), *rest])
+    if kind == "ordinary":
+        return _case(kind, index, "", rng, [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in names])
     if kind == "faint":
         return _case(kind, index, first, rng, [(first, float(np.exp(rng.uniform(*np.log(FAINT)))))])
     without = (first,) if kind == "left_out" else ()

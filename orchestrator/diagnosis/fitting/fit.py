@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TypeVar
 
 import numpy as np
@@ -24,6 +24,7 @@ from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.numerics.types import Array
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
@@ -157,19 +158,27 @@ class Fitter:
         return Frame(model.space, pieces, gram)
 
     def evaluate(
-        self, model: Model, frame: Frame, extra: Sequence[tuple[Active, str]] = (), *, held: bool = False
+        self,
+        model: Model,
+        frame: Frame,
+        extra: Sequence[tuple[Active, str]] = (),
+        *,
+        held: bool = False,
+        columns: Sequence[Array] | None = None,
     ) -> Fit:
         """Solve for R_s and the map with the effects where they are; `extra` asks for more columns.
 
-        With `held` nothing is solved for: R_s and the map stay the model's too.
+        With `held` nothing is solved for: R_s and the map stay the model's too. With `columns` those of an earlier
+        fit stand for the ones that would have to be made.
         """
         self.poll()
-        wanted = [*model.free, *extra]
+        wanted = [*model.free, *extra] if columns is None else []
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * (len(wanted) + self.criteria.evaluation_columns)
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
         rows = self._map(lambda job: self.equations.rows(model, *job, wanted), jobs)
-        return solved(self.prepared, model, frame, rows, held)
+        fit = solved(self.prepared, model, frame, rows, held)
+        return fit if columns is None else replace(fit, columns=tuple(columns))
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.

@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
 
-from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.types import Array
+from protocols import ParameterRole
 
 
 def newton_step(
@@ -36,6 +40,38 @@ def newton_step(
         moving = moving[~stuck]
         move[:] = 0.0
     return move, -float(slope @ move)
+
+
+def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[Array, float]:
+    """Best step of all free coordinates within their bounds, no shape moving further than a radius; and its promise.
+
+    Amplitudes, in which the residual is nearly linear, follow where the shapes stop (bounded least squares).
+    """
+    free = fit.model.free
+    x = np.array([a.coordinate(n) for a, n in free])
+    normal, gradient = system
+    count = len(x)
+    slope, curvature = gradient[:count] + x, normal[:count, :count] + np.eye(count)
+    lows, highs = np.array([reach(a, n) for a, n in free]).T - x
+    shapes = np.array([n not in a.candidate.amplitudes for a, n in free])
+    lows[shapes], highs[shapes] = np.maximum(lows[shapes], -radius), np.minimum(highs[shapes], radius)
+    # The map follows by subtraction: what rounding leaves of a column that the map can stand in for may be negative.
+    values, vectors = np.linalg.eigh(curvature)
+    root = np.sqrt(np.maximum(values, 1.0))[:, None] * vectors.T
+    target = -(vectors.T @ slope) / np.sqrt(np.maximum(values, 1.0))
+    # A coordinate that stands at its bound by rounding alone still has a range to speak of.
+    lows, highs = np.minimum(lows, -1e-12), np.maximum(highs, 1e-12)
+    move = lsq_linear(root, target, (lows, highs), method="bvls").x
+    return move, -float(2.0 * slope @ move + move @ curvature @ move)
+
+
+def reach(active: Active, name: str) -> tuple[float, float]:
+    """The coordinates within which a parameter may be."""
+    p = active.candidate.named(name)
+    if p.role is ParameterRole.SHAPE:
+        return -math.inf, math.inf
+    ends = coordinate_of(p, p.low), coordinate_of(p, p.high)
+    return min(ends), max(ends)
 
 
 def is_stuck(active: Active, name: str, wanted: float) -> bool:

@@ -1,0 +1,58 @@
+"""Descent with many parameters of which few move: columns are kept from step to step while they keep their promise.
+
+A column costs as much as the residual itself, and all effects together have dozens. Decides nothing.
+"""
+
+from __future__ import annotations
+
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
+from orchestrator.diagnosis.fitting.model import Fit, Model
+
+
+def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: float) -> Fit:
+    """Fit R_s, the map and every free parameter, from where the model stands.
+
+    Parameters
+    ----------
+    rounds : int
+        How often columns and frame are made anew.
+    tolerance : float
+        Gain of a round, as a part of the excess chi2, below which the fit ends.
+    """
+    limits, radius = fitter.criteria, fitter.criteria.widest_step
+    best = fitter.evaluate(model, fitter.frame(model))
+    for _ in range(rounds):
+        enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
+        trial, radius = _stepped(fitter, best, radius, enough)
+        if trial is best:
+            break
+        renewed = fitter.evaluate(trial.model, fitter.frame(trial.model, best.frame))
+        gain = best.objective - renewed.objective
+        if gain < 0.0:
+            radius *= limits.shorter_step
+            if radius < limits.shortest_step:
+                break
+            continue
+        best = renewed
+        if gain < enough:
+            break
+    return best
+
+
+def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float) -> tuple[Fit, float]:
+    """As many steps along the columns as keep their promise, the last that gained at all, and the radius then."""
+    limits = fitter.criteria
+    while radius >= limits.shortest_step:
+        move, promised = bounded_step(best, best.projected(), radius)
+        if promised < enough:
+            break
+        trial = fitter.evaluate(moved_by(best.model, move), best.frame, columns=best.columns)
+        kept = (best.objective - trial.objective) / promised
+        if kept > limits.good_step:
+            best, radius = trial, min(2.0 * radius, limits.widest_step)
+            continue
+        radius *= limits.shorter_step
+        if kept > 0.0:
+            return trial, radius
+    return best, radius

@@ -1,0 +1,178 @@
+"""All effects in the model from the start, then downwards by evidence. Words nothing.
+
+Forward search takes first what errs most; with a little of everything present, its wrong shape draws others. A joint
+fit under the priors does not mind the order: amplitudes first, then the shapes and flexible forms of those effects that
+show, then out with those that the data do not ask for (Savage and Dickey, doi:10.1214/aoms/1177693507).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.chords import fit_along_chords
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.selection.scoring import linear_gain, log_evidence
+from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
+from orchestrator.numerics.types import Array
+from protocols import ParameterRole
+
+
+def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
+    """Everything in the library fitted together, and what the data do not ask for taken out again.
+
+    Parameters
+    ----------
+    start : Model
+        Its map is where the fit begins; its effects, where they are.
+    """
+    limits = fitter.prepared.criteria.selection
+    known = {active.name: active for active in start.active}
+    everything = start.with_active([known.get(c.name, c.absent()) for c in library])
+    fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+    for freed in (with_shapes, with_flexible_forms):
+        model = freed(fitter, fit)
+        fit = fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance)
+    return exchanged(fitter, downwards(fitter, fit), library)
+
+
+def with_shapes(_: Fitter, fit: Fit) -> Model:
+    """The model with the shapes of those effects free that show."""
+    shown, least = log_bayes_factors(fit), fit.criteria.selection.log_evidence
+    shapes = (ParameterRole.SHAPE,)
+    return fit.model.with_active(
+        [a.freeing(*a.candidate.of_role(*shapes)) if shown[a.name] > least else a for a in fit.model.active]
+    )
+
+
+def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
+    """The model with those effects' flexible forms free that promise, to first order, to be worth it."""
+    rigid = [(a, n) for a in fit.model.active for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
+    normal, right = fitter.evaluate(fit.model, fit.frame, rigid).projected()
+    fitted, least = len(fit.model.free), 2.0 * fit.criteria.selection.tie * max(fit.chi2_per_dof, 1.0)
+    active = []
+    for one in fit.model.active:
+        columns = [fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name]
+        pays = bool(columns) and linear_gain(normal, right, fitted, columns)[0] > least
+        active.append(one.freeing(*one.candidate.of_role(ParameterRole.REFINEMENT)) if pays else one)
+    return fit.model.with_active(active)
+
+
+def downwards(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit without those effects that the data do not ask for, refitted; asked again until all that stay are."""
+    limits = fit.criteria.selection
+    while out := dispensable(fit):
+        kept = fit.model.with_active([a for a in fit.model.active if a.name not in out])
+        fit = fit_along_chords(fitter, kept, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+    return fit
+
+
+def dispensable(fit: Fit) -> list[str]:
+    """Effects that can go, one after the other, the least asked for first, the others following linearly."""
+    mean, covariance, names = _posterior(fit)
+    columns = _places(names)
+    out: list[str] = []
+    while columns:
+        factors = {name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)]) for name, k in columns.items()}
+        least = min(factors, key=lambda name: factors[name])
+        if factors[least] >= fit.criteria.selection.log_evidence:
+            break
+        # The others' distribution where this effect is not there.
+        gone = columns.pop(least)
+        follow = np.linalg.solve(covariance[np.ix_(gone, gone)], covariance[gone]).T
+        mean = mean - follow @ mean[gone]
+        covariance = covariance - follow @ covariance[gone]
+        out.append(least)
+    return out
+
+
+def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
+    """The fit with each effect replaced by an absent one that does better in its place, and those that do as well."""
+    limits, rivals = fit.criteria.selection, dict[str, list[str]]()
+    for name, other in _look_alikes(fitter, fit, library):
+        if name not in fit.model.names or other.name in fit.model.names:
+            continue
+        others = [a for a in fit.model.active if a.name != name]
+        shapes = other.candidate.of_role(ParameterRole.SHAPE)
+        replaced = fit.model.with_active([*others, other.freeing(*shapes)])
+        trial = fit_along_chords(fitter, replaced, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+        inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
+        gain = log_evidence(trial, inflation) - log_evidence(fit, inflation)
+        if gain > 0.0:
+            fit = trial
+            rivals[other.name] = [*rivals.pop(name, []), name] if gain < limits.tie else []
+        elif gain > -limits.tie:
+            rivals.setdefault(name, []).append(other.name)
+    return fit, rivals
+
+
+def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list[tuple[str, Active]]:
+    """Effects that are there, each with an absent one at its best size that makes good most of their loss, linearly."""
+    absent = [c for c in library if c.name not in fit.model.names]
+    columns = absent_columns(absent)
+    normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+    free = fit.model.free
+    amplitudes = [k for k, (a, n) in enumerate(free) if n in a.candidate.amplitudes]
+    pairs = []
+    for one in fit.model.active:
+        stay = [k for k in amplitudes if free[k][0].name != one.name]
+        go = [k for k in amplitudes if free[k][0].name == one.name]
+        away = -np.array([one.coordinate(free[k][1]) for k in go])
+        pull = right + normal[:, go] @ away
+        worth, _ = linear_gain(normal, right + normal[:, go] @ away, 0, go)
+        for c in absent:
+            place = [len(free) + k for k, (a, _) in enumerate(columns) if a.name == c.name]
+            order = [*stay, *place]
+            gain, x = linear_gain(normal[np.ix_(order, order)], pull[order], len(stay), range(len(stay), len(order)))
+            if gain > fit.criteria.selection.stand_in * worth:
+                other = c.absent()
+                for n, value in zip(c.amplitudes, x, strict=True):
+                    other = other.moved(n, float(value))
+                pairs.append((gain / worth, one.name, other))
+    return [(name, other) for _, name, other in sorted(pairs, key=lambda pair: -pair[0])]
+
+
+def log_bayes_factors(fit: Fit) -> dict[str, float]:
+    """How much more likely the data are with each active effect than without, as a logarithm."""
+    mean, covariance, names = _posterior(fit)
+    return {name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)]) for name, k in _places(names).items()}
+
+
+def probabilities(fit: Fit) -> dict[str, float]:
+    """Of each active effect, that it is there."""
+    prior = fit.criteria.selection.prior_probability
+    odds = math.log(prior / (1.0 - prior))
+    return {name: 0.5 * (1.0 + math.tanh(0.5 * (f + odds))) for name, f in log_bayes_factors(fit).items()}
+
+
+def _log_bayes_factor(mean: Array, covariance: Array) -> float:
+    """Savage and Dickey's density ratio at zero, for amplitudes with the prior N(0, 1)."""
+    return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
+
+
+def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:
+    """Mean and covariance of the amplitudes, shapes as they are, and whose each is.
+
+    Noise is as large as it turned out to be, and what blocks disagree by comes on top.
+    """
+    which = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
+    free = [fit.model.free[k] for k in which]
+    normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)
+    between = block_scatter(fit)[which] ** 2 / fit.criteria.uncertainty.blocks
+    covariance = np.linalg.inv(normal + np.eye(len(which))) + np.diag(between)
+    return np.array([a.coordinate(n) for a, n in free]), covariance, [a.name for a, _ in free]
+
+
+def _places(names: Sequence[str]) -> dict[str, list[int]]:
+    return {name: [k for k, other in enumerate(names) if other == name] for name in names}
+
+
+def without_effect(fitter: Fitter, fit: Fit, name: str) -> Fit:
+    """R_s and the map where one effect is not there and the others stay as they are."""
+    others = [replace(a, free=()) for a in fit.model.active if a.name != name]
+    return fitter.evaluate(fit.model.with_active(others), fit.frame)
