@@ -30,6 +30,7 @@ from orchestrator.diagnosis.selection.workflow import (
     pruned,
     search_effects,
     without_doubtful,
+    without_stand_ins,
 )
 from orchestrator.recording import Recording, write_model
 from protocols import (
@@ -123,12 +124,18 @@ def diagnose_recording(
         model = reduced(model, without)
     search = search_effects(setup, map_steps(setup, model, {c.name: c for c in library}, without), library)
     search = on_a_finer_map(setup, search, library)
-    search, spared = pruned(setup, converged(setup, search))
-    search, doubtful = without_doubtful(setup, search)
+    if search.shares:
+        search, doubtful = without_stand_ins(search)
+        spared: list[str] = []
+    else:
+        search, spared = pruned(setup, converged(setup, search))
+        search, doubtful = without_doubtful(setup, search)
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
-    found = map_effects(last, freed) + found_effects(setup.fitter, last, evidence, search.rivals)
+    active = found_effects(setup.fitter, last, evidence, search.rivals)
+    of_map = map_effects(last, freed)
+    found = of_map + tuple(e for e in active if e.name not in search.minor)
     periodic = any(not line.switching for line in setup.fitter.noise.lines)
     verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
     left = unexplained(setup, first.chi2_per_dof, last)
@@ -143,7 +150,7 @@ def diagnose_recording(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
         verdict=verdict,
         effects=found,
-        traces=tuple(dict.fromkeys([*doubtful, *spared, *search.traces])),
+        traces=tuple(dict.fromkeys([*search.minor, *doubtful, *spared, *search.traces])),
         joint=joint,
         ladder=ladder,
         unexplained=left,
@@ -159,7 +166,7 @@ def diagnose_recording(
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
     try:
-        write_model(out or recording.path, kept_model(setup, last, baseline, found, ladder))
+        write_model(out or recording.path, kept_model(setup, last, baseline, (*of_map, *active), ladder))
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
     return Diagnosis(report, setup, search, library)

@@ -124,7 +124,7 @@ class FittingCriteria(Strict):
     least_promise: float = _is(2.0, "1", "theory")
     """A promise that is not worth a second try where the first did not keep it: one in log evidence."""
     widest_step: float = _is(1.0, "1", "theory")
-    """How far a shape moves in one step along kept columns, in standard deviations of its prior: they hold no further."""
+    """How far a shape moves in one step along kept columns, in standard deviations of its prior."""
     good_step: float = _is(0.5, "1", "practice")
     """Part of its promise that such a step keeps where the next one may be made along the same columns, and wider."""
     shorter_step: float = _is(0.3, "1", "practice")
@@ -167,6 +167,14 @@ class SelectionCriteria(Strict):
     log_evidence: float = _is(16.0, "nat", "theory")
     """Gain for an effect to be added: chance alone reaches this once in some 1e6 tries, and some twenty effects with
     shapes to choose from are tried on each recording."""
+    few_effects: int = _is(2, "1", "budget")
+    """Effects that are looked for one by one; where they do not explain the error, all are fitted together."""
+    named_share: float = _is(0.05, "1", "practice")
+    """Part of the first model's error, rms in any kind of stage, from which on an effect is named as a cause."""
+    material_flux: float = _is(0.002, "1", "practice")
+    """Part of the rated flux by which an effect has to move the map to be material, ..."""
+    material_voltage: float = _is(0.005, "1", "practice")
+    """... or part of the excitation's rms voltage that it has to make in any kind of stage."""
     joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
     """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
     joint_tolerance: float = _is(1e-2, "1", "simulated")

@@ -16,6 +16,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
 from orchestrator.diagnosis.selection.refining import polished, repolished
 from orchestrator.diagnosis.selection.scoring import LinearView, Score, linear_gain, linear_view, log_evidence, score
+from orchestrator.diagnosis.selection.shares import Share
 from protocols import ParameterRole
 
 
@@ -38,6 +39,10 @@ class Search:
     """Effects that do as well as an accepted one in its place."""
     view: LinearView | None = None
     """Of the last fit."""
+    minor: tuple[str, ...] = ()
+    """Effects of the last fit that are in the model, but no causes."""
+    shares: Mapping[str, Share] = field(default_factory=dict)
+    """Of the effects of a joint fit."""
 
     @property
     def fit(self) -> Fit:
@@ -50,6 +55,7 @@ def forward(
     candidates: Sequence[Candidate],
     *,
     rivals: Mapping[str, Sequence[str]] | None = None,
+    most: int | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Search:
     """Add effects to the last of the steps until the data ask for no more.
@@ -58,12 +64,15 @@ def forward(
     ----------
     rivals : mapping, optional
         Of the effects that the steps have already.
+    most : int, optional
+        Effects that the model may have, where that is less than the criteria's.
     """
     limits = fitter.prepared.criteria.selection
+    most = limits.most_effects if most is None else most
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
-    while len(search.fit.model.active) < limits.most_effects and not fitter.effort.exhausted:
+    while len(search.fit.model.active) < most and not fitter.effort.exhausted:
         fit = search.fit
         rejected |= _alike(fit, candidates)
         if search.view is None or search.view.fit.model is not fit.model:

@@ -17,10 +17,11 @@ from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.chords import fit_along_chords
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
-from orchestrator.diagnosis.selection.scoring import linear_gain, log_evidence
+from orchestrator.diagnosis.selection.identifiability import separable
+from orchestrator.diagnosis.selection.scoring import linear_gain, linear_view, log_evidence, score
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
-from protocols import ParameterRole
+from protocols import Effect, ParameterRole
 
 
 def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
@@ -36,9 +37,32 @@ def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> 
     everything = start.with_active([known.get(c.name, c.absent()) for c in library])
     fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
     for freed in (with_shapes, with_flexible_forms):
-        model = freed(fitter, fit)
-        fit = fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance)
-    return exchanged(fitter, downwards(fitter, fit), library)
+        fit = refitted(fitter, freed(fitter, fit))
+    fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
+    return downwards(fitter, with_overlooked(fitter, fit, library)), rivals
+
+
+def refitted(fitter: Fitter, model: Model) -> Fit:
+    """The model with many effects fitted to its end, as far as that is worth its time."""
+    limits = fitter.prepared.criteria.selection
+    return fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance)
+
+
+def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Fit:
+    """The fit with those absent effects that it asks for, to first order, now that the others are as they are.
+
+    An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there.
+    """
+    view = linear_view(fitter, fit, library)
+    least = 2.0 * fit.criteria.selection.log_evidence * max(fit.chi2_per_dof, 1.0)
+    overlooked = []
+    for one in score(view):
+        if one.gain > least:
+            active = one.candidate.absent().freeing(*one.candidate.of_role(ParameterRole.SHAPE))
+            for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
+                active = active.moved(name, float(x))
+            overlooked.append(active)
+    return refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked])) if overlooked else fit
 
 
 def with_shapes(_: Fitter, fit: Fit) -> Model:
@@ -104,11 +128,16 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
         gain = log_evidence(trial, inflation) - log_evidence(fit, inflation)
         if gain > 0.0:
-            fit = trial
-            rivals[other.name] = [*rivals.pop(name, []), name] if gain < limits.tie else []
-        elif gain > -limits.tie:
+            effect = _effect(fit, name)
+            fit, tied = trial, gain < limits.tie or not separable(fit.prepared, other.candidate.effect, effect)
+            rivals[other.name] = [*rivals.pop(name, []), name] if tied else []
+        elif gain > -limits.tie or not separable(fit.prepared, other.candidate.effect, _effect(fit, name)):
             rivals.setdefault(name, []).append(other.name)
     return fit, rivals
+
+
+def _effect(fit: Fit, name: str) -> Effect:
+    return next(a.candidate.effect for a in fit.model.active if a.name == name)
 
 
 def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list[tuple[str, Active]]:
@@ -164,7 +193,7 @@ def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:
     free = [fit.model.free[k] for k in which]
     normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)
     between = block_scatter(fit)[which] ** 2 / fit.criteria.uncertainty.blocks
-    covariance = np.linalg.inv(normal + np.eye(len(which))) + np.diag(between)
+    covariance = np.asarray(np.linalg.inv(normal + np.eye(len(which))) + np.diag(between), dtype=np.float64)
     return np.array([a.coordinate(n) for a, n in free]), covariance, [a.name for a, _ in free]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
@@ -18,9 +19,11 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward
+from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
 from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
-from orchestrator.diagnosis.selection.verdict import verdict_of
+from orchestrator.diagnosis.selection.shares import shares
+from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
@@ -86,12 +89,22 @@ def map_steps(
 
 
 def search_effects(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
-    """Search in a part of the recording, fit what was found to the whole, and look there for what is small."""
+    """Search in a part of the recording, fit what was found to the whole, and look there for what is small.
+
+    Where a few effects, found one by one, do not explain that part, all are fitted to it together.
+    """
     part = setup.coarse_fitter.fit(steps[-1].fit.model, renewals=0)
-    quick = forward(setup.coarse_fitter, [Step(None, part)], library)
+    limits = part.criteria.selection
+    most = len(part.model.active) + limits.few_effects
+    quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=most)
     coarse_map = quick.fit.chi2_per_dof > setup.criteria.finer_above_chi2 and quick.fit.model.space.is_free
     if quick.fit.model.active and coarse_map:
-        quick = _finer(quick, with_detail(setup, setup.coarse_fitter, quick.fit), setup.coarse_fitter, library)
+        finer = with_detail(setup, setup.coarse_fitter, quick.fit)
+        quick = _finer(quick, finer, setup.coarse_fitter, library, most=most)
+    if quick.fit.chi2_per_dof > limits.detected_chi2 and len(library) > 1:
+        together = all_together(setup, steps, quick, library)
+        if together is not None:
+            return together
     fits = list(steps)
     for step in quick.steps[1:]:
         last = step is quick.steps[-1]
@@ -103,6 +116,63 @@ def search_effects(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequen
     return search
 
 
+def all_together(
+    setup: DiagnosisSetup, steps: Sequence[Step], quick: Search, library: Sequence[Candidate]
+) -> Search | None:
+    """The ladder of what the joint fit found; None where it has no more to say than the search one by one."""
+    fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
+    if set(fit.model.names) <= set(quick.fit.model.names):
+        return None
+    whole = refitted(setup.fitter, fit.model)
+    if whole.model.space.is_free:
+        finer = with_detail(setup, setup.fitter, whole)
+        whole = whole if finer is whole else refitted(setup.fitter, finer.model)
+    whole = downwards(setup.fitter, whole)
+    return ladder_of(setup, steps, whole, rivals, quick.traces)
+
+
+def ladder_of(
+    setup: DiagnosisSetup, steps: Sequence[Step], whole: Fit, rivals: Mapping[str, Sequence[str]], traces: Sequence[str]
+) -> Search:
+    """The rungs of a joint fit: its causes by what each takes away, largest first; all the rest is in the last rung.
+
+    On each rung the effects are as large as they are in the end, and R_s and the map follow.
+    """
+    sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
+    known = {active.name: active for active in whole.model.active}
+    order = sorted(known, key=lambda name: -sizes[name].of_error)
+    least = whole.criteria.selection.named_share
+    causes = [name for name in order if sizes[name].of_error > least] or order[:1]
+    minor = order[len(causes) :]
+    rungs = list(steps)
+    for count, name in enumerate(causes[:-1], 1):
+        still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
+        rungs.append(Step(name, setup.fitter.evaluate(still, setup.fitter.frame(still)), factors[name]))
+    ordered = setup.fitter.evaluate(whole.model.with_active([known[n] for n in order]), whole.frame)
+    rungs.append(Step(causes[-1], ordered, factors[causes[-1]]))
+    tied = {name: list(other) for name, other in rivals.items() if name in known}
+    return Search(rungs, [n for n in traces if n not in known], tied, minor=tuple(minor), shares=sizes)
+
+
+def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
+    """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
+
+    It stays in the model.
+    """
+    first, last = search.steps[0].fit, search.fit
+    if not search.shares or verdict_of(first, last, 1) == "explained":
+        return search, []
+    drift, left = block_scatter_ratio(last), left_fraction(first.chi2_per_dof, last)
+    steady = last.criteria.selection.least_constancy
+    causes = [n for n in last.model.names if n not in search.minor]
+    doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left]
+    steps = [s for s in search.steps[:-1] if s.added not in doubtful]
+    added = next((n for n in reversed(causes) if n not in doubtful), None)
+    steps = [s for s in steps if s.added != added or added is None]
+    steps.append(replace(search.steps[-1], added=added))
+    return replace(search, steps=steps, minor=(*doubtful, *search.minor)), doubtful
+
+
 def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:
     """Whether what is left is the map's own detail, which big effects hid at first."""
     fit = search.fit
@@ -112,12 +182,12 @@ def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Cand
     return _finer(search, with_detail(setup, setup.fitter, fit), setup.fitter, library)
 
 
-def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate]) -> Search:
+def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate], most: int | None = None) -> Search:
     """The search gone on from its last step on a finer map; as it was where the map is the same."""
     if fit is search.fit:
         return search
     steps = [*search.steps[:-1], Step(search.steps[-1].added, fit, search.steps[-1].log_evidence)]
-    again = forward(fitter, steps, library, rivals=search.rivals)
+    again = forward(fitter, steps, library, rivals=search.rivals, most=most)
     again.traces = [*search.traces, *again.traces]
     return again
 

@@ -1,0 +1,94 @@
+"""What each effect does to the error and to the map, in engineers' units: what counts as a cause. Fits nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.joint_search import without_effect
+from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from orchestrator.numerics.types import Array
+from protocols import SegmentStage
+
+
+@dataclass(frozen=True)
+class Share:
+    """What one effect does where R_s and the map follow.
+
+    Attributes
+    ----------
+    of_error : float
+        Its rms over the rms of the first model's whole error, largest over holds, sweeps, the means under injection and
+        the ripple.
+    of_excitation : float
+        The same over the rms voltage there.
+    of_flux : float
+        Its rms in the map where currents were, over the rated flux.
+    """
+
+    of_error: float
+    of_excitation: float
+    of_flux: float
+
+
+def shares(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Share]:
+    """The share of each active effect of the last fit, in the error of the first."""
+    fitter, errors = setup.fitter, _by_kind(first, first.volts)
+    volts = _by_kind(last, _voltages(last))
+    rated, points = rated_flux_wb(setup), visited(last)
+    flux = last.model.magnetics.flux_and_inductance(points)[0]
+    found = {}
+    for name in last.model.names:
+        without = without_effect(fitter, last, name)
+        change = [b - a for a, b in zip(last.volts, without.volts, strict=True)]
+        sizes = _by_kind(last, change)
+        moved = without.model.magnetics.flux_and_inductance(points)[0] - flux
+        found[name] = Share(
+            of_error=max((sizes[kind] / errors[kind] for kind in sizes if errors[kind] > 0.0), default=0.0),
+            of_excitation=max((sizes[kind] / volts[kind] for kind in sizes if volts[kind] > 0.0), default=0.0),
+            of_flux=float(np.sqrt(np.mean(np.sum((moved - moved.mean(axis=0)) ** 2, axis=1)))) / rated,
+        )
+    return found
+
+
+def is_material(share: Share, fit: Fit) -> bool:
+    """Whether an effect counts in an engineer's units, whatever the noise lets see."""
+    limits = fit.criteria.selection
+    return share.of_flux > limits.material_flux or share.of_excitation > limits.material_voltage
+
+
+def visited(fit: Fit) -> Array:
+    """Mean current of every segment in the believed rotor frame, shape (segments, 2)."""
+    return np.stack([frame.local.i_dq.mean(axis=0) for frame in fit.frame.pieces])
+
+
+def rated_flux_wb(setup: DiagnosisSetup) -> float:
+    """The magnet's flux, or what the rated current makes where the nameplate has none."""
+    return max(setup.fitter.pm_flux_wb, setup.l_d_h * setup.current_a, setup.l_q_h * setup.current_a)
+
+
+def _by_kind(fit: Fit, values: Sequence[Array]) -> dict[str, float]:
+    """rms of every piece's rows (rows,), by kind: holds, sweeps, means under injection, ripple."""
+    parts: dict[str, list[Array]] = {}
+    for piece, rows in zip(fit.prepared.pieces, values, strict=True):
+        if piece.stage is SegmentStage.GATES_OFF:
+            continue
+        carried = rows.reshape(-1, len(piece.windows.carriers), 2)
+        parts.setdefault(piece.stage.value, []).append(carried[:, 0].ravel())
+        if carried.shape[1] > 1:
+            parts.setdefault("ripple", []).append(carried[:, 1:].ravel())
+    return {kind: float(np.sqrt(np.mean(np.concatenate(rows) ** 2))) for kind, rows in parts.items()}
+
+
+def _voltages(fit: Fit) -> list[Array]:
+    """The impressed voltage in the rows' own units, each piece's shape (rows,)."""
+    rows = []
+    for piece in fit.prepared.pieces:
+        w = piece.windows
+        sums = sum_intervals(np.ascontiguousarray(piece.signals.v_ab[:-1]), w.step, w.hats, w.bins, w.n_bins)
+        rows.append(w.combine(sums) / w.absolute_weight())
+    return rows
