@@ -74,6 +74,21 @@ class FoundEffect(Lenient):
     relative_size: Number
     """|first parameter| over its typical value (inverted where small is strong)."""
     log_evidence: Number
+    probability: Number = None
+    """That it is there, beside all others that were found."""
+    share: Number = None
+    """Of the first model's error, rms; the largest over holds, sweeps, the means under injection and the ripple."""
+    material: bool | None = None
+    """Whether it moves the map or the voltage by more than `Materiality` says."""
+
+
+class Materiality(Lenient):
+    """From where on an effect counts, whatever the noise lets see."""
+
+    flux_percent: Number
+    """Of the rated flux, rms over the map."""
+    voltage_percent: Number
+    """Of the excitation's rms voltage, in any kind of stage."""
 
 
 class JointEntry(Lenient):
@@ -151,14 +166,22 @@ class DiagnosisReport(Remarked):
     noise_floor: NoiseFloor
     verdict: Verdict
     effects: tuple[FoundEffect, ...]
-    """In the order in which they were added."""
+    """By share, largest first."""
+    minor: tuple[FoundEffect, ...] = ()
+    """In the model and measured, but too small a part of the error to be named as causes."""
     traces: tuple[str, ...]
+    """Names of the minor ones, then of what was seen but is not in the model."""
     joint: tuple[JointEntry, ...]
     ladder: tuple[Rung, ...]
     unexplained: Unexplained
     next_experiment: NextExperiment | None
     convention: Convention | None = None
     """With the verdict ``convention``: nothing was looked for beside it."""
+    reproduces_current_percent: Number = None
+    """rms error of the simulated current over the current's range, in percent."""
+    map_error_percent: Number = None
+    """Half width of the map's 95 % band, rms over the visited plane, in percent of the rated flux."""
+    materiality: Materiality | None = None
     seconds: Number
     criteria: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """The thresholds that it was made with, by room."""

@@ -15,10 +15,11 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate, require_known, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
-from orchestrator.diagnosis.reporting.ladder import kept_rungs, noise_rms_v, rung
+from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
+from orchestrator.diagnosis.selection.shares import can_tell, rated_flux_wb, shares, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.selection.workflow import (
@@ -32,12 +33,14 @@ from orchestrator.diagnosis.selection.workflow import (
     without_doubtful,
     without_stand_ins,
 )
+from orchestrator.diagnosis.uncertainty.map_band import map_band_wb
 from orchestrator.recording import Recording, write_model
 from protocols import (
     DiagnosisReport,
     DiagnosisStep,
     Effect,
     FoundEffect,
+    Materiality,
     MotorModel,
     Nameplate,
     NextExperiment,
@@ -133,11 +136,15 @@ def diagnose_recording(
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
-    active = found_effects(setup.fitter, last, evidence, search.rivals)
+    sizes = search.shares or shares(setup, first, last)
+    active = found_effects(setup.fitter, last, evidence, search.rivals, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.minor)
     periodic = any(not line.switching for line in setup.fitter.noise.lines)
+    error = current_error(last)
     verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
+    if verdict != "unknown_remains" and not can_tell(last, noise_rms_v(last), error):
+        verdict = "cannot_tell"
     left = unexplained(setup, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
@@ -150,6 +157,7 @@ def diagnose_recording(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
         verdict=verdict,
         effects=found,
+        minor=tuple(e for e in active if e.name in search.minor),
         traces=tuple(dict.fromkeys([*search.minor, *doubtful, *spared, *search.traces])),
         joint=joint,
         ladder=ladder,
@@ -158,6 +166,12 @@ def diagnose_recording(
         remarks=(
             *_remarks(setup, last, verdict, left, doubtful),
             *other_opinion(joint, found, last.criteria.selection),
+        ),
+        reproduces_current_percent=None if error is None else 100.0 * error,
+        map_error_percent=100.0 * map_band_wb(last, visited(last)) / rated_flux_wb(setup),
+        materiality=Materiality(
+            flux_percent=100.0 * last.criteria.selection.material_flux,
+            voltage_percent=100.0 * last.criteria.selection.material_voltage,
         ),
         seconds=time.monotonic() - began,
         criteria=setup.prepared.criteria.model_dump(mode="json"),

@@ -156,10 +156,14 @@ class SelectionCriteria(Strict):
     """Part of the error (an amplitude) that may be left for ``explained``."""
     mostly_explained: float = _is(0.30, "1", "practice")
     """The same for ``mostly_explained``."""
-    shape_error: float = _is(0.12, "1", "simulated")
-    """What a slightly wrong shape of the right effects may leave of chi2 - 1, over the root of what there was first."""
-    least_left: float = _is(1.5, "1", "simulated")
-    """A remainder of chi2 - 1 below this is small whatever there was at first."""
+    explained_left: float = _is(0.5, "1", "practice")
+    """Most of chi2 - 1, fitted or held out, that may be left for ``explained``, whatever there was at first, ..."""
+    mostly_left: float = _is(1.5, "1", "practice")
+    """... and for ``mostly_explained``."""
+    most_floor: float = _is(0.1, "1", "practice")
+    """Noise over the excitation's rms voltage beyond which a good fit says nothing, ..."""
+    most_current_error: float = _is(0.05, "1", "practice")
+    """... and rms error of the simulated current over its range."""
     too_quiet_chi2: float = _is(0.8, "1", "theory")
     """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
     noteworthy_chi2: float = _is(1.5, "1", "practice")

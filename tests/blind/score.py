@@ -90,8 +90,9 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     elif case.kind == "single":
         right["single: first name right"] = bool(found) and names[0] in found[0]
     elif case.kind == "clutter":
-        right["clutter: first name right"] = bool(report["joint"]) and _alike(names[0], report["joint"][0]["name"])
-        right[FOUND_FIRST] = bool(found) and names[0] in found[0]
+        right["clutter: first name right"] = bool(found) and any(_alike(names[0], name) for name in found[0])
+        right["clutter: named"] = any(_alike(names[0], name) for one in found for name in one)
+        right["clutter: no false name"] = all(one & set(names) for one in found)
     elif case.kind == "double":
         right["double: exact set"] = _matches(found, names)
         right["double: first name right"] = bool(found) and bool(found[0] & set(names))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 from orchestrator._validation import suggestion
 from orchestrator.diagnosis.fitting.guarded import require_effect
@@ -34,7 +35,7 @@ class Candidate:
     def of_role(self, *roles: ParameterRole) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters if p.role in roles)
 
-    @property
+    @cached_property
     def amplitudes(self) -> tuple[str, ...]:
         return self.of_role(ParameterRole.AMPLITUDE)
 
@@ -66,12 +67,12 @@ class Active:
     def freeing(self, *names: str) -> Active:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))
 
-    @property
+    @cached_property
     def parameters(self) -> EffectParameters:
         """The values as the effect reads them."""
         return self.candidate.effect.Parameters(**self.values)
 
-    @property
+    @cached_property
     def is_absent(self) -> bool:
         """Whether all amplitudes are neutral."""
         return all(self.values[n] == self.candidate.named(n).neutral for n in self.candidate.amplitudes)

@@ -66,7 +66,6 @@ def _require_array(effect: str, name: str, before: RealArray, now: object) -> No
         raise PluginError("effects", effect, f"correct: {name} has shape {shape}, not {before.shape}")
     if now.dtype.kind != "f":
         raise PluginError("effects", effect, f"correct: {name} is of type {now.dtype}, not float64")
-    with np.errstate(over="ignore", invalid="ignore"):
-        total = float(now.sum())
-    if not math.isfinite(total):
+    flat = now.ravel()
+    if not math.isfinite(flat @ flat):
         raise PluginError("effects", effect, f"correct: {name} is not finite")

@@ -10,18 +10,25 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, Active, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.joint_search import probabilities
 from orchestrator.diagnosis.selection.leftover import leftover_shape
+from orchestrator.diagnosis.selection.shares import Share, is_material
 from orchestrator.diagnosis.selection.verdict import left_fraction
 from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
 from protocols import FoundEffect, ParameterValue, ShapeShare, Unexplained
 
 
 def found_effects(
-    fitter: Fitter, fit: Fit, evidence: Mapping[str, float | None], rivals: Mapping[str, Sequence[str]]
+    fitter: Fitter,
+    fit: Fit,
+    evidence: Mapping[str, float | None],
+    rivals: Mapping[str, Sequence[str]],
+    sizes: Mapping[str, Share] | None = None,
 ) -> tuple[FoundEffect, ...]:
-    """The active effects with 95 % intervals; see `coordinate_spread`."""
+    """The active effects with 95 % intervals, by share; see `coordinate_spread`."""
     if not fit.model.active:
         return ()
+    chances, sizes = probabilities(fit), sizes or {}
     half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
     effects, k = [], 0
     for active in fit.model.active:
@@ -34,9 +41,12 @@ def found_effects(
                 twins=tuple(rivals.get(active.name, ())),
                 relative_size=active.relative_size,
                 log_evidence=evidence.get(active.name, 0.0),
+                probability=chances[active.name],
+                share=sizes[active.name].of_error if active.name in sizes else None,
+                material=is_material(sizes[active.name], fit) if active.name in sizes else None,
             )
         )
-    return tuple(effects)
+    return tuple(sorted(effects, key=lambda effect: -(effect.share or 0.0)))
 
 
 def _interval(active: Active, name: str, half: float) -> ParameterValue:

@@ -44,6 +44,13 @@ def _means(piece: SegmentSignals, rows: Array) -> Array:
     return rows.reshape(-1, carriers, 2)[:, 0].ravel()
 
 
+def current_error(fit: Fit) -> float | None:
+    """rms error of the simulated current over the current's range; None where nothing is excited."""
+    low, high, q = fit.prepared.current_range
+    rms = current_rms(fit)
+    return None if rms is None else rms / max(high - low, 2.0 * q)
+
+
 def rung(step: Step) -> Rung:
     """One step of the ladder in numbers."""
     return Rung(

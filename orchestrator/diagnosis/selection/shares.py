@@ -61,6 +61,19 @@ def is_material(share: Share, fit: Fit) -> bool:
     return share.of_flux > limits.material_flux or share.of_excitation > limits.material_voltage
 
 
+def excitation_v(fit: Fit) -> float:
+    """rms of the impressed voltage over all that is excited [V]."""
+    kinds = _by_kind(fit, _voltages(fit))
+    return max(kinds.values(), default=0.0)
+
+
+def can_tell(fit: Fit, noise_v: float | None, current_error: float | None) -> bool:
+    """Whether a model that fits says anything: not beside a large noise, nor where its current is far off."""
+    limits = fit.criteria.selection
+    quiet = noise_v is None or noise_v <= limits.most_floor * excitation_v(fit)
+    return quiet and (current_error is None or current_error <= limits.most_current_error)
+
+
 def visited(fit: Fit) -> Array:
     """Mean current of every segment in the believed rotor frame, shape (segments, 2)."""
     return np.stack([frame.local.i_dq.mean(axis=0) for frame in fit.frame.pieces])

@@ -18,19 +18,20 @@ def left_fraction(before_chi2: float, after: Fit) -> float:
 def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     """The verdict on what is left: it has to be small beside what was found, and small in itself.
 
-    The fraction alone would forgive a large second error beside a huge first one. A wrong shape of the right effect
-    leaves some of it, the more the stronger it shows; what is beyond that is another effect's.
+    The fraction alone would forgive a large second error beside a huge first one; so would the fitted part alone what
+    only the held-out part shows.
     """
     limits = after.criteria.selection
-    if after.chi2_per_dof <= limits.detected_chi2:
+    left = remainder(after)
+    if after.chi2_per_dof <= limits.detected_chi2 and left <= limits.explained_left:
         return "explained" if effects else "clean"
     fraction = left_fraction(before.chi2_per_dof, after)
-    if not effects or fraction > limits.mostly_explained or not small_remainder(before, after):
+    if not effects or fraction > limits.mostly_explained or left > limits.mostly_left:
         return "unknown_remains"
-    return "explained" if fraction <= limits.explained else "mostly_explained"
+    return "explained" if fraction <= limits.explained and left <= limits.explained_left else "mostly_explained"
 
 
-def small_remainder(before: Fit, after: Fit) -> bool:
-    """Whether what is left may be due to the found effects' shape."""
-    limits, first = after.criteria.selection, math.sqrt(max(before.chi2_per_dof - 1.0, 0.0))
-    return after.chi2_per_dof - 1.0 <= max(limits.least_left, limits.shape_error * first)
+def remainder(fit: Fit) -> float:
+    """What is left of chi2 - 1, ripple included: of what was fitted or of what was held out, whichever is more."""
+    held_out = fit.chi2_of(lambda piece: piece.held_out)
+    return max(fit.chi2_per_dof, held_out or 0.0) - 1.0

@@ -21,7 +21,7 @@ from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward
 from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
 from orchestrator.diagnosis.selection.refining import settled
-from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
+from orchestrator.diagnosis.selection.scoring import LinearView, log_evidence, loss_without
 from orchestrator.diagnosis.selection.shares import shares
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
@@ -123,12 +123,12 @@ def all_together(
     fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
     if set(fit.model.names) <= set(quick.fit.model.names):
         return None
-    whole = refitted(setup.fitter, fit.model)
+    resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
+    whole = setup.fitter.fit(resting)
     if whole.model.space.is_free:
-        finer = with_detail(setup, setup.fitter, whole)
-        whole = whole if finer is whole else refitted(setup.fitter, finer.model)
-    whole = downwards(setup.fitter, whole)
-    return ladder_of(setup, steps, whole, rivals, quick.traces)
+        whole = with_detail(setup, setup.fitter, whole)
+    whole = refitted(setup.fitter, whole.model.with_active(fit.model.active))
+    return ladder_of(setup, steps, downwards(setup.fitter, whole), rivals, quick.traces)
 
 
 def ladder_of(
@@ -136,7 +136,7 @@ def ladder_of(
 ) -> Search:
     """The rungs of a joint fit: its causes by what each takes away, largest first; all the rest is in the last rung.
 
-    On each rung the effects are as large as they are in the end, and R_s and the map follow.
+    On each rung effects are as large as in the end, the noise is the last rung's, and R_s and the map follow.
     """
     sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
@@ -147,11 +147,12 @@ def ladder_of(
     rungs = list(steps)
     for count, name in enumerate(causes[:-1], 1):
         still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
-        rungs.append(Step(name, setup.fitter.evaluate(still, setup.fitter.frame(still)), factors[name]))
-    ordered = setup.fitter.evaluate(whole.model.with_active([known[n] for n in order]), whole.frame)
-    rungs.append(Step(causes[-1], ordered, factors[causes[-1]]))
+        rungs.append(Step(name, setup.fitter.evaluate(still, whole.frame), factors[name]))
+    rungs.append(Step(causes[-1], whole, factors[causes[-1]]))
     tied = {name: list(other) for name, other in rivals.items() if name in known}
-    return Search(rungs, [n for n in traces if n not in known], tied, minor=tuple(minor), shares=sizes)
+    view = LinearView(whole, (), tuple(whole.model.free), *whole.projected())
+    left = [name for name in traces if name not in known]
+    return Search(rungs, left, tied, view, minor=tuple(minor), shares=sizes)
 
 
 def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
