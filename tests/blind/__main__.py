@@ -16,6 +16,7 @@ USUAL = {
     "single": 54,
     "double": 20,
     "clutter": 18,
+    "ordinary": 18,
     "left_out": 18,
     "foreign": 18,
     "nuisance": 26,

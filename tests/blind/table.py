@@ -23,7 +23,7 @@ AIMS = {
 }
 ORDER = (
     "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
-    "clutter: first name right", FOUND_FIRST, "double: exact set", "double: first name right",
+    FOUND_FIRST, "clutter: named", "clutter: no false name", "double: exact set", "double: first name right",
     "left out: unknown flagged", "foreign: unknown flagged", "explained, and not flagged unknown",
     "nuisance: no false name", "nuisance: first name right", "faint: no wrong name", *FAINT_FIGURES,
     "too little to say: said so", "answered at all",

@@ -153,7 +153,8 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
         go = [k for k in amplitudes if free[k][0].name == one.name]
         away = -np.array([one.coordinate(free[k][1]) for k in go])
         pull = right + normal[:, go] @ away
-        worth, _ = linear_gain(normal, right + normal[:, go] @ away, 0, go)
+        order = [*stay, *go]
+        worth, _ = linear_gain(normal[np.ix_(order, order)], pull[order], len(stay), range(len(stay), len(order)))
         for c in absent:
             place = [len(free) + k for k, (a, _) in enumerate(columns) if a.name == c.name]
             order = [*stay, *place]
