@@ -10,7 +10,7 @@ from orchestrator.cli._interrupting import prompt_interrupt
 from orchestrator.cli._output import say, say_notes, say_table, stage_as_yaml
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
-from orchestrator.presentation.results import ladder_rows, parameter_rows
+from orchestrator.presentation.results import ladder_rows, parameter_rows, share_rows
 from orchestrator.presentation.sentences import columns, text_table
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords
 
@@ -74,8 +74,13 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     say(f"{report.recording}: {plain(report.verdict)}", "", *columns(list(slots(words))), "")
     if report.convention is None:
         _print_ladder(report)
-    if report.traces:
-        say(f"traces, below what deserves a name: {', '.join(report.traces)}")
+    heads = ("of its typical size", "of the error", "probability", "material")
+    for head, effects in (("cause", report.effects), ("also there, and in the model", report.minor)):
+        if effects:
+            say_table((head, *heads), share_rows(effects))
+    traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
+    if traces:
+        say(f"traces, below what deserves a name: {', '.join(traces)}")
     say_notes(report.notes)
     if report.next_experiment is not None:
         say("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")

@@ -165,7 +165,7 @@ def diagnose_recording(
         next_experiment=_proposal(setup, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
             *_remarks(setup, last, verdict, left, doubtful),
-            *other_opinion(joint, found, last.criteria.selection),
+            *other_opinion(joint, active, last.criteria.selection),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
         map_error_percent=100.0 * map_band_wb(last, visited(last)) / rated_flux_wb(setup),

@@ -78,6 +78,20 @@ def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
     ]
 
 
+def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
+    """Effects by what they do: name, size over the typical one, part of the error, probability, material or not."""
+    return [
+        (
+            plain(effect.name),
+            number(effect.relative_size),
+            percent(None if effect.share is None else 100.0 * effect.share),
+            percent(None if effect.probability is None else 100.0 * effect.probability, 4),
+            {None: UNKNOWN, True: "yes", False: "no"}[effect.material],
+        )
+        for effect in effects
+    ]
+
+
 def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:
     """A proposed stage's settings, those that are given."""
     return [(plain(name), str(value)) for name, value in stage.items() if value is not None]

@@ -59,14 +59,14 @@ def test_a_twin_counts_as_the_name() -> None:
     assert "single: first name right" in judge(answered(case, report("current_filter"))).wrong
 
 
-def test_in_clutter_the_largest_of_the_joint_fit_is_the_first_name() -> None:
+def test_in_clutter_what_is_printed_counts() -> None:
     case = draw_case("clutter", 3, SEED)
-    found = report("dead_time")
-    found["joint"] = [{"name": "current_filter", "relative_size": 1.0, "z": 20.0}]
     assert case.truths[0].name == "voltage_delay"
-    assert judge(answered(case, found)).wrong == []
-    found["joint"][0]["name"] = "dead_time"
-    assert judge(answered(case, found)).wrong == ["clutter: first name right"]
+    found = report("dead_time")
+    found["joint"] = [{"name": "voltage_delay", "relative_size": 1.0, "z": 20.0}]
+    assert judge(answered(case, found)).wrong == ["clutter: named"]
+    assert judge(answered(case, report("dead_time", "voltage_delay"))).wrong == []
+    assert judge(answered(case, report("dead_time", "voltage_delay", "nobody_s"))).wrong == ["clutter: no false name"]
 
 
 def test_identical_effects_count_where_their_stage_is_missing() -> None:

@@ -22,7 +22,7 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     """
     limits, radius = fitter.criteria, fitter.criteria.widest_step
     best = fitter.evaluate(model, fitter.frame(model))
-    for _ in range(rounds):
+    for _ in range(rounds if model.free else 0):
         enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _stepped(fitter, best, radius, enough)
         if trial is best:

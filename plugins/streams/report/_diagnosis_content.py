@@ -72,10 +72,16 @@ def alike_rows(found: SavedDiagnosis, sure_z: float = 4.0) -> Rows:
     named = {effect.name for effect in found.report.effects}
     ranking = {entry.name: entry for entry in found.report.joint}
     for name, entry in ranking.items():
-        if name not in named and abs(entry.z or 0.0) >= sure_z:
+        if name not in named | {effect.name for effect in found.report.minor} and abs(entry.z or 0.0) >= sure_z:
             told = f"in the joint fit z = {number(entry.z, 3)}, yet not worth a name"
             rows.append((plain(name), "–", told))
+    for effect in found.report.minor:
+        told = f"in the model, no cause: {percent(100.0 * (effect.share or 0.0))} of the error"
+        rows.append((plain(effect.name), "–", told))
+    minor = {effect.name for effect in found.report.minor}
     for name in found.report.traces:
+        if name in minor:
+            continue
         if name not in ranking or abs(ranking[name].z or 0.0) < sure_z:
             rows.append((plain(name), "–", "a trace, below what deserves a name"))
     return rows

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.gauss_newton import is_stuck, moved_by, newton_step
+from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, is_stuck, moved_by, newton_step, reach
 from plugins.effects.inverter import DeadTime, VoltageBias
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
@@ -59,3 +59,33 @@ def test_no_step_leaves_the_bounds(maker: Fitter, size: float) -> None:
         assert p.low <= moved.values[name] <= p.high
         assert is_stuck(moved, name, moved.coordinate(name) + np.sign(size))
         assert not is_stuck(moved, name, moved.coordinate(name) - np.sign(size))
+
+
+def test_a_bounded_step_without_shapes_is_the_whole_step(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    fit = maker.evaluate(model, maker.frame(model))
+    move, promised = bounded_step(fit, fit.projected(), 0.1)
+    whole, same = newton_step(fit, fit.projected(), 0.0)
+    np.testing.assert_allclose(move, whole, rtol=1e-6, atol=1e-9 * np.abs(whole).max())
+    assert promised == pytest.approx(same, rel=1e-6)
+
+
+def test_no_shape_moves_further_than_the_radius_and_less_is_promised(maker: Fitter) -> None:
+    (active,) = with_free(free_model(), maker, DeadTime(), voltage_v=1.0).active
+    model = free_model().with_active([active.freeing("threshold_a")])
+    fit = maker.evaluate(model, maker.frame(model))
+    promises = []
+    for radius in (0.01, 0.1, 1.0):
+        move, promised = bounded_step(fit, fit.projected(), radius)
+        assert abs(move[1]) <= radius * (1.0 + 1e-9)
+        promises.append(promised)
+    assert 0.0 <= promises[0] <= promises[1] <= promises[2]
+
+
+def test_a_bounded_step_ends_at_the_bounds(maker: Fitter) -> None:
+    (active,) = with_free(free_model(), maker, VoltageBias()).active
+    fit = maker.evaluate(free_model().with_active([active]), maker.frame(free_model()))
+    own, right = fit.projected()
+    move, _ = bounded_step(fit, (own, right + 1e12), 1.0)
+    low, _ = reach(active, "bias_a_v")
+    assert active.coordinate("bias_a_v") + move[0] == pytest.approx(low)

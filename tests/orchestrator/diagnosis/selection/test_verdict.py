@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
+from orchestrator.diagnosis.selection.verdict import left_fraction, remainder, verdict_of
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
 
@@ -27,10 +27,11 @@ def _with_chi2(fit: Fit, chi2: float) -> Fit:
     [
         (1.02, 1.02, 0, "clean"),
         (500.0, 1.05, 1, "explained"),
-        (900.0, 2.0, 1, "explained"),  # a thirtieth of the error
+        (900.0, 1.4, 1, "explained"),  # a fiftieth of the error
+        (900.0, 2.0, 1, "mostly_explained"),  # a thirtieth, but more than noise makes
         (101.0, 2.0, 1, "mostly_explained"),  # a tenth
         (11.0, 2.2, 1, "unknown_remains"),  # a third
-        (1e6, 150.0, 1, "unknown_remains"),  # a hundredth, but more than a wrong shape leaves
+        (1e6, 4.0, 1, "unknown_remains"),  # less than a five-hundredth: no first error is an excuse
         (500.0, 500.0, 0, "unknown_remains"),
     ],
 )
@@ -44,3 +45,11 @@ def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
     assert left_fraction(101.0, _with_chi2(fit, 2.0)) == pytest.approx(0.1)
     assert left_fraction(1.05, _with_chi2(fit, 1.05)) == 0.0
     assert left_fraction(101.0, _with_chi2(fit, 0.9)) == 0.0
+
+
+def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:
+    off = [e + 2.0 if p.held_out else e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True)]
+    worse = replace(_with_chi2(fit, 1.0), residual=tuple(off))
+    assert remainder(worse) > worse.criteria.selection.mostly_left
+    assert verdict_of(_with_chi2(fit, 900.0), _with_chi2(fit, 1.0), 1) == "explained"
+    assert verdict_of(_with_chi2(fit, 900.0), worse, 1) == "unknown_remains"

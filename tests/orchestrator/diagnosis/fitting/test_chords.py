@@ -1,0 +1,40 @@
+"""The descent along kept columns ends where the one that makes them anew ends, and never climbs."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.chords import fit_along_chords
+from orchestrator.diagnosis.fitting.fit import Fitter
+from plugins.effects.inverter import VoltageBias
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+
+
+@pytest.fixture(scope="module")
+def maker() -> Fitter:
+    return fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, -0.1])))
+
+
+def test_both_descents_end_in_the_same_place(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    anew = maker.fit(model, steps=8, renewals=3, tolerance=1e-6)
+    kept = fit_along_chords(maker, model, rounds=10, tolerance=1e-6)
+    assert kept.objective == pytest.approx(anew.objective, rel=1e-3)
+    for name in ("bias_a_v", "bias_b_v"):
+        assert kept.model.active[0].values[name] == pytest.approx(anew.model.active[0].values[name], rel=0.01)
+
+
+def test_more_rounds_do_not_climb(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    ends = [fit_along_chords(maker, model, rounds=rounds, tolerance=1e-4).objective for rounds in (0, 1, 3)]
+    assert all(after <= before for before, after in itertools.pairwise(ends))
+    assert ends[-1] < 0.01 * ends[0]
+
+
+def test_a_model_without_effects_is_evaluated(maker: Fitter) -> None:
+    fit = fit_along_chords(maker, free_model(), rounds=3, tolerance=1e-4)
+    assert fit.objective == pytest.approx(maker.evaluate(free_model(), maker.frame(free_model())).objective)

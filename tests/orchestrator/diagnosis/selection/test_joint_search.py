@@ -1,0 +1,88 @@
+"""All effects together: those that are there are found beside those that are not, whatever the order."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.joint_search import (
+    dispensable,
+    joint_search,
+    log_bayes_factors,
+    probabilities,
+    without_effect,
+)
+from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
+from plugins.effects.frame import RotorMisalignment
+from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.resistance import PhaseResistanceImbalance
+from protocols import Effect
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+
+BIAS_V = np.array([0.3, -0.1])
+
+
+@pytest.fixture(scope="module")
+def maker() -> Fitter:
+    return fitter(with_voltage(prepared(plan(sparse=True)), BIAS_V))
+
+
+@pytest.fixture(scope="module")
+def library(maker: Fitter) -> tuple[Candidate, ...]:
+    effects: list[Effect] = [DeadTime(), RotorMisalignment(), VoltageBias(), PhaseResistanceImbalance()]
+    return scaled_library(effects, maker.prepared.manifest)
+
+
+@pytest.fixture(scope="module")
+def fit(maker: Fitter, library: tuple[Candidate, ...]) -> Fit:
+    return joint_search(maker, free_model(), library)[0]
+
+
+def test_what_is_there_is_found_and_what_is_not_is_not(fit: Fit) -> None:
+    assert fit.model.names == ("voltage_bias",)
+    assert fit.model.active[0].values["bias_a_v"] == pytest.approx(BIAS_V[0], rel=0.02)
+    assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / fit.dof))
+
+
+def test_the_order_of_the_library_does_not_matter(maker: Fitter, library: tuple[Candidate, ...], fit: Fit) -> None:
+    again, _ = joint_search(maker, free_model(), library[::-1])
+    assert again.model.names == fit.model.names
+    assert again.objective == pytest.approx(fit.objective, rel=1e-3)
+
+
+def test_nothing_is_found_where_nothing_is_hidden(library: tuple[Candidate, ...]) -> None:
+    clean = fitter(prepared(plan(sparse=True)))
+    found, rivals = joint_search(clean, free_model(), library)
+    assert found.model.names == ()
+    assert rivals == {}
+
+
+def test_evidence_is_what_the_density_at_nothing_says(maker: Fitter, library: tuple[Candidate, ...], fit: Fit) -> None:
+    """For one amplitude: log N(0; 0, 1) - log N(0; x, s), from the fit's own normal matrix."""
+    bias = fit.model.active[0]
+    one = fit.model.with_active([replace(bias, free=("bias_a_v",))])
+    single = maker.evaluate(one, maker.frame(one))
+    factor = log_bayes_factors(single)["voltage_bias"]
+    noise = np.linalg.inv(single.projected()[0] / single.chi2_per_dof + np.eye(1))[0, 0]
+    between = block_scatter(single)[0] ** 2 / single.criteria.uncertainty.blocks
+    x, s = bias.coordinate("bias_a_v"), math.sqrt(noise + between)
+    assert factor == pytest.approx(math.log(s) + 0.5 * (x / s) ** 2)
+    assert dispensable(single) == []
+    assert probabilities(single)["voltage_bias"] == pytest.approx(1.0)
+
+
+def test_an_effect_of_no_size_can_go(maker: Fitter, library: tuple[Candidate, ...], fit: Fit) -> None:
+    more = fit.model.with_active([*fit.model.active, library[0].absent()])
+    beside = maker.evaluate(more, maker.frame(more))
+    assert dispensable(beside) == ["dead_time"]
+    assert probabilities(beside)["dead_time"] < 0.2
+
+
+def test_what_is_left_without_an_effect_is_more(maker: Fitter, fit: Fit) -> None:
+    assert without_effect(maker, fit, "voltage_bias").chi2 > 10.0 * fit.chi2
