@@ -42,7 +42,8 @@ LIBRARY: list[Effect] = [
 ]
 REPORT = {
     "recording", "noise_floor", "verdict", "effects", "traces", "joint", "ladder", "unexplained", "convention",
-    "next_experiment", "remarks", "notes", "seconds", "criteria",
+    "next_experiment", "remarks", "notes", "seconds", "criteria", "minor", "materiality",
+    "reproduces_current_percent", "map_error_percent",
 }  # fmt: skip
 
 
@@ -106,6 +107,15 @@ def test_report_is_the_contract_and_all_its_numbers_are_finite(diagnosed: Diagno
     assert set(report) == REPORT
     assert all(math.isfinite(number) for number in _numbers(report))
     assert set(report["ladder"][0]) == {"added", "chi2", "rms_v", "heldout_rms_v", "current_rms_a"}
+
+
+def test_a_cause_has_its_share_its_probability_and_counts(diagnosed: Diagnosis) -> None:
+    (cause,) = diagnosed.report.effects
+    assert cause.material
+    assert cause.probability == pytest.approx(1.0)
+    assert cause.share == pytest.approx(1.0, rel=0.2)
+    assert 0.0 < (diagnosed.report.reproduces_current_percent or 0.0) < 1.0
+    assert 0.0 < (diagnosed.report.map_error_percent or 0.0) < 1.0
 
 
 def test_words_name_cause_size_and_what_to_do(diagnosed: Diagnosis) -> None:
