@@ -89,7 +89,7 @@ def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *,
     """
     directory = out or recording.path
     kept = read_model(directory) if has_model(directory) else None
-    have = [] if kept is None else [r.added for r in kept.ladder if r.added is not None]
+    have = [] if kept is None else [*_causes(kept), *_beside(kept)]
     if kept is None or name not in have:
         raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
     return _removed(recording, name, effects, kept, out)
@@ -101,18 +101,30 @@ def _removed(
 ) -> AddReport:
     setup = open_for_diagnosis(recording, pm_flux_wb=kept.pm_flux_wb)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
-    at = next(k for k, r in enumerate(kept.ladder) if r.added == name)
-    left = [r.added for r in kept.ladder if r.added not in (None, name)]
+    left, beside = ([n for n in names if n != name] for names in (_causes(kept), _beside(kept)))
+    # What is no cause has no rung of its own: the last one has them all.
+    at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(left) + 1)
     steps = []
     # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
     for count in range(at - 1, len(left) + 1):
-        baseline, model = _as_of(setup, reduced(kept, [name]), left[:count], library)
-        if count == 0 and isinstance(baseline, Saturated):
+        names = [*left[:count], *(beside if count == len(left) else ())]
+        baseline, model = _as_of(setup, reduced(kept, [name]), names, library)
+        if not names and isinstance(baseline, Saturated):
             steps += first_steps(setup, "saturated", library)
         else:
             steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
     ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, setup.remarks, out)
+
+
+def _causes(kept: MotorModel) -> list[str]:
+    """Names of the ladder's rungs, in their order."""
+    return [rung.added for rung in kept.ladder if rung.added is not None]
+
+
+def _beside(kept: MotorModel) -> list[str]:
+    """Effects that are in the model without a rung of their own."""
+    return [effect.name for effect in kept.effects if effect.name not in _causes(kept)]
 
 
 def _as_of(

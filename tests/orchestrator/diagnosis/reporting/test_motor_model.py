@@ -11,7 +11,7 @@ import pytest
 
 from orchestrator.diagnosis import add_effects, compare_recording, flux_map_of, remove_effect
 from orchestrator.diagnosis.reporting.motor_model import magnetics_of
-from orchestrator.recording import Recording, read_model
+from orchestrator.recording import Recording, read_model, write_model
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import Effect, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, RecordingError, Saturated
@@ -70,6 +70,23 @@ def test_an_added_effect_grows_the_ladder_from_where_the_model_stands(
     left = remove_effect(with_dead_time, "dead_time", LIBRARY, out=tmp_path)
     assert [r.added for r in left.ladder] == [None, "voltage_bias"]
     assert left.ladder[0].chi2 == pytest.approx(before[0].chi2, rel=SAME)
+    assert [e.name for e in read_model(tmp_path).effects] == ["voltage_bias"]
+
+
+def test_an_effect_without_a_rung_of_its_own_is_taken_out_and_stays_beside_others(
+    with_dead_time: Recording, kept: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "model.json").write_bytes((kept / "model.json").read_bytes())
+    add_effects(with_dead_time, ["voltage_bias"], LIBRARY, out=tmp_path)
+    both = read_model(tmp_path)
+    ladder = (both.ladder[0], both.ladder[2].model_copy(update={"added": "dead_time"}))
+    beside = both.model_copy(update={"ladder": ladder})
+    write_model(tmp_path, beside)
+    left = remove_effect(with_dead_time, "voltage_bias", LIBRARY, out=tmp_path)
+    assert [r.added for r in left.ladder] == [None, "dead_time"]
+    assert [e.name for e in read_model(tmp_path).effects] == ["dead_time"]
+    write_model(tmp_path, beside)
+    remove_effect(with_dead_time, "dead_time", LIBRARY, out=tmp_path)
     assert [e.name for e in read_model(tmp_path).effects] == ["voltage_bias"]
 
 
