@@ -126,11 +126,11 @@ def diagnose_recording(
     if isinstance(model, MotorModel):
         model = reduced(model, without)
     search = search_effects(setup, map_steps(setup, model, {c.name: c for c in library}, without), library)
-    search = on_a_finer_map(setup, search, library)
     if search.shares:
         search, doubtful = without_stand_ins(search)
         spared: list[str] = []
     else:
+        search = on_a_finer_map(setup, search, library)
         search, spared = pruned(setup, converged(setup, search))
         search, doubtful = without_doubtful(setup, search)
     first, last = search.steps[0].fit, search.fit

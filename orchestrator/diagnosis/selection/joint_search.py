@@ -118,7 +118,7 @@ def dispensable(fit: Fit) -> list[str]:
 def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
     """The fit with each effect replaced by an absent one that does better in its place, and those that do as well."""
     limits, rivals = fit.criteria.selection, dict[str, list[str]]()
-    for name, other in _look_alikes(fitter, fit, library):
+    for name, other in _look_alikes(fitter, fit, library)[: limits.most_trials]:
         if name not in fit.model.names or other.name in fit.model.names:
             continue
         others = [a for a in fit.model.active if a.name != name]
