@@ -28,7 +28,7 @@ def _with_chi2(fit: Fit, chi2: float) -> Fit:
         (1.02, 1.02, 0, "clean"),
         (500.0, 1.05, 1, "explained"),
         (900.0, 1.4, 1, "explained"),  # a fiftieth of the error
-        (900.0, 2.0, 1, "mostly_explained"),  # a thirtieth, but more than noise makes
+        (900.0, 2.2, 1, "mostly_explained"),  # a twenty-seventh, but more than another form makes
         (101.0, 2.0, 1, "mostly_explained"),  # a tenth
         (11.0, 2.2, 1, "unknown_remains"),  # a third
         (1e6, 4.0, 1, "unknown_remains"),  # less than a five-hundredth: no first error is an excuse
