@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -66,6 +65,5 @@ def _require_array(effect: str, name: str, before: RealArray, now: object) -> No
         raise PluginError("effects", effect, f"correct: {name} has shape {shape}, not {before.shape}")
     if now.dtype.kind != "f":
         raise PluginError("effects", effect, f"correct: {name} is of type {now.dtype}, not float64")
-    flat = now.ravel()
-    if not math.isfinite(flat @ flat):
+    if not np.isfinite(now).all():
         raise PluginError("effects", effect, f"correct: {name} is not finite")
