@@ -133,10 +133,20 @@ class FittingCriteria(Strict):
     """... and the one below which no more is tried."""
     same_inductance: float = _is(0.01, "1", "simulated")
     """Relative change of the mean inductance that the noise's covariance bears."""
+    same_inverter: float = _is(0.02, "1", "practice")
+    """Change of an inverter effect's coordinate, relative to one or to itself, that the covariance bears too."""
     column_step: float = _is(0.05, "1", "practice")
     """Step of a secant, relative to the coordinate: far above rounding, where an effect is still nearly linear."""
     least_amplitude: float = _is(0.02, "1", "practice")
     """Coordinate of an amplitude below which the secant's step does not shrink with it."""
+    probe_every: int = _is(8, "1", "budget")
+    """Every so many-th segment of a stage tells which columns have moved, and which effects answer to which."""
+    few_columns: int = _is(6, "1", "budget")
+    """Columns that are made throughout without asking, being so few."""
+    same_column: float = _is(0.02, "1", "practice")
+    """Relative change of a column below which it is not made anew on all segments: a step misses by as little."""
+    silent_answer: float = _is(0.005, "1", "practice")
+    """Share of an inner effect's answer in a column below which it is not asked: all of a dozen make some percent."""
     evaluation_columns: int = _is(3, "1", "budget")
     """What an evaluation without effects costs, in columns."""
     most_effort: float = _is(3e8, "1", "budget")
@@ -202,6 +212,9 @@ class SelectionCriteria(Strict):
     """Shapes from which a refit may start beside the typical one, in standard deviations of the prior."""
     flexible_form_needed: float = _is(1000.0, "1", "simulated")
     """Loss of chi2 beyond which, to first order, an effect's simple form cannot do."""
+    hopeless: float = _is(0.1, "1", "practice")
+    """Part of an effect's log evidence that may be missing after one step with another in its place; beyond, no more
+    steps are taken."""
     most_trials: int = _is(5, "1", "budget")
     """Effects that are refitted in one round."""
     most_effects: int = _is(6, "1", "practice")

@@ -46,6 +46,9 @@ def rotation(theta_rad: float) -> Array:
 def _rotated(x: NDArray[np.floating[Any]], angle: Array) -> Array:
     # A C-contiguous (n, 2) array of doubles is an (n,) array of complex numbers, whose rotation is one product.
     vectors = np.ascontiguousarray(x, dtype=np.float64).view(np.complex128)[:, 0]
+    if angle.size > 1 and (angle == angle[0]).all():
+        # A locked rotor stands still, and one exponential serves all samples.
+        angle = angle[0]
     turned: Array = (vectors * np.exp(1j * angle)).view(np.float64).reshape(-1, 2)
     return turned
 

@@ -189,7 +189,7 @@ class BusSag:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Scale the commanded voltage by what the bus has left."""
         after = np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]])
-        power = 0.75 * np.einsum("ij,ij->i", signals.v_ab, signals.i_ab + after)
+        power = 0.75 * (signals.v_ab * (signals.i_ab + after)).sum(axis=1)
         decay = math.exp(-1.0 / (p.lag_s * signals.sampling_frequency_hz))
         late = held_lag(np.ascontiguousarray(power[:, None], dtype=np.float64), decay)
         return Correction(v_ab=signals.v_ab * (1.0 - p.per_watt * late))

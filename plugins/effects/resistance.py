@@ -32,7 +32,7 @@ class PhaseResistanceImbalance:
         """Subtract what the extra resistances drop, at the mean current of each interval."""
         mean = 0.5 * (signals.i_ab + np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]]))
         extra = np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0])
-        return Correction(v_ab=signals.v_ab - from_phases(to_phases(mean) * extra))
+        return Correction(v_ab=signals.v_ab - mean @ from_phases(to_phases(np.eye(2)) * extra))
 
 
 class WindingHeating:

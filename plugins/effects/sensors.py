@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import ClassVar
 
+import numpy as np
+
 from orchestrator.numerics.frames import from_two_phases, to_phases
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
 
@@ -24,8 +26,8 @@ class CurrentGainMismatch:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Divide each sensor's reading by its gain."""
         half = 0.5 * p.gain_a_minus_b
-        a, b = to_phases(signals.i_ab)[:, :2].T
-        return Correction(i_ab=from_two_phases(a / (1.0 + half), b / (1.0 - half)))
+        a, b = to_phases(np.eye(2))[:, :2].T
+        return Correction(i_ab=signals.i_ab @ from_two_phases(a / (1.0 + half), b / (1.0 - half)))
 
 
 class CurrentOffset:

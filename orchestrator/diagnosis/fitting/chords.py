@@ -10,24 +10,28 @@ from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
 from orchestrator.diagnosis.fitting.model import Fit, Model
 
 
-def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: float) -> Fit:
+def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None) -> Fit:
     """Fit R_s, the map and every free parameter, from where the model stands.
 
     Parameters
     ----------
+    known : Fit, optional
+        Of much the same model: what has not moved since is taken from there.
     rounds : int
         How often columns and frame are made anew.
     tolerance : float
         Gain of a round, as a part of the excess chi2, below which the fit ends.
     """
     limits, radius = fitter.criteria, fitter.criteria.widest_step
-    best = fitter.evaluate(model, fitter.frame(model))
+    if known is not None and known.model.space is not model.space:
+        known = None
+    best = fitter.evaluate(model, known.frame if known else fitter.frame(model), known=known)
     for _ in range(rounds if model.free else 0):
         enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _stepped(fitter, best, radius, enough)
         if trial is best:
             break
-        renewed = fitter.evaluate(trial.model, fitter.frame(trial.model, best.frame))
+        renewed = fitter.evaluate(trial.model, fitter.frame(trial.model, best.frame), known=trial)
         gain = best.objective - renewed.objective
         if gain < 0.0:
             radius *= limits.shorter_step
@@ -40,6 +44,13 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     return best
 
 
+def glanced(fitter: Fitter, model: Model, known: Fit) -> Fit:
+    """Where the columns of an earlier fit lead a model much like that fit's: nothing is made anew that it has."""
+    limits = fitter.criteria
+    best = fitter.evaluate(model, known.frame, known=known)
+    return _stepped(fitter, best, limits.widest_step, limits.least_gain)[0]
+
+
 def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float) -> tuple[Fit, float]:
     """As many steps along the columns as keep their promise, the last that gained at all, and the radius then."""
     limits = fitter.criteria
@@ -47,7 +58,7 @@ def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float) -> tuple[F
         move, promised = bounded_step(best, best.projected(), radius)
         if promised < enough:
             break
-        trial = fitter.evaluate(moved_by(best.model, move), best.frame, columns=best.columns)
+        trial = fitter.evaluate(moved_by(best.model, move), best.frame, known=best, renew=False)
         kept = (best.objective - trial.objective) / promised
         if kept > limits.good_step:
             best, radius = trial, min(2.0 * radius, limits.widest_step)

@@ -39,11 +39,12 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
         sensors = item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS
         if item.is_absent or not (signals.bridge_on or sensors):
             continue
-        arrays = _correction(item, signals).arrays
+        correction = _correction(item, signals)
+        arrays = correction.arrays
         for name, array in arrays.items():
             _require_array(item.name, name, getattr(signals, name), array)
         changed |= arrays.keys() | ({"i_m_ab"} if "i_ab" in arrays else set())
-        signals = signals.corrected(Correction(**arrays))
+        signals = signals.corrected(correction)
     return Corrected(signals, frozenset(changed))
 
 

@@ -18,13 +18,13 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.columns import column_plan, probed_segments
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Fit, Frame, Model
+from orchestrator.diagnosis.fitting.model import Fit, Frame, Model, SegmentRows
 from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.numerics.types import Array
 
 _Job = TypeVar("_Job")
 _Result = TypeVar("_Result")
@@ -164,21 +164,56 @@ class Fitter:
         extra: Sequence[tuple[Active, str]] = (),
         *,
         held: bool = False,
-        columns: Sequence[Array] | None = None,
+        known: Fit | None = None,
+        renew: bool = True,
     ) -> Fit:
         """Solve for R_s and the map with the effects where they are; `extra` asks for more columns.
 
-        With `held` nothing is solved for: R_s and the map stay the model's too. With `columns` those of an earlier
-        fit stand for the ones that would have to be made.
+        Parameters
+        ----------
+        held : bool
+            Nothing is solved for: R_s and the map stay the model's too.
+        known : Fit, optional
+            An earlier one, whose columns stand for those that have not moved since.
+        renew : bool
+            False: the columns of `known`, whose parameters are the same, stand for all.
         """
         self.poll()
-        wanted = [*model.free, *extra] if columns is None else []
-        samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
-        self.effort.spent += samples * (len(wanted) + self.criteria.evaluation_columns)
+        wanted = [*model.free, *extra] if known is None or renew else []
+        rows = self._rows(model, frame, wanted, known)
+        fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
+        if known is not None and not renew:
+            return replace(fit, columns=known.columns, parameters=known.parameters)
+        return fit
+
+    def _rows(
+        self, model: Model, frame: Frame, wanted: Sequence[tuple[Active, str]], known: Fit | None
+    ) -> list[SegmentRows]:
+        """The equations of every segment, with columns on those that are not held out."""
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
-        rows = self._map(lambda job: self.equations.rows(model, *job, wanted), jobs)
-        fit = solved(self.prepared, model, frame, rows, held)
-        return fit if columns is None else replace(fit, columns=tuple(columns))
+        samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
+        self.effort.spent += samples * self.criteria.evaluation_columns
+        if len(wanted) <= self.criteria.few_columns:
+            self.effort.spent += samples * len(wanted)
+            return self._map(lambda job: self.equations.rows(model, *job, () if job[0].held_out else wanted), jobs)
+        at = probed_segments(self.prepared.pieces, self.criteria)
+        probed = dict(zip(at, self._map(lambda k: self.equations.probed(model, *jobs[k], wanted), at), strict=True))
+        names = [(a.name, n) for a, n in wanted]
+        plan = column_plan(names, {k: probe for k, (_, probe) in probed.items()}, known, self.criteria)
+        anew = [wanted[k] for k in plan.anew]
+        self.effort.spent += samples * (len(anew) + len(wanted) / self.criteria.probe_every)
+        answering = [plan.answering[k] for k in plan.anew]
+
+        def made(k: int) -> SegmentRows:
+            if k in probed:
+                return probed[k][0]
+            if jobs[k][0].held_out:
+                return self.equations.rows(model, *jobs[k], ())
+            rows = self.equations.rows(model, *jobs[k], anew, answering)
+            columns = plan.whole(rows.columns, None if known is None else known.columns[k])
+            return replace(rows, white=np.column_stack([rows.white[:, :2], columns]))
+
+        return self._map(made, range(len(jobs)))
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.

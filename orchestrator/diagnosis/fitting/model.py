@@ -18,6 +18,9 @@ from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Signals
 
+ColumnName = tuple[str, str]
+"""Effect and parameter that a column belongs to."""
+
 
 @dataclass(frozen=True)
 class MapSpace:
@@ -80,8 +83,8 @@ class SegmentFrame:
     """Whitened, on the map's free directions."""
     mean_inductance: Array
     """Of the map that the noise was carried through, shape (3,)."""
-    shaped_noise: bool
-    """Whether the inverter's effects shape the noise."""
+    inverter: dict[ColumnName, float]
+    """Coordinates of the inverter's effects when the noise was carried through them."""
 
 
 @dataclass(frozen=True)
@@ -102,6 +105,10 @@ class SegmentRows:
     resistance: Array
     white: Array
     """Whitened [known, resistance, columns...]."""
+
+    @property
+    def columns(self) -> Array:
+        return self.white[:, 2:]
 
 
 @dataclass(frozen=True)
@@ -124,7 +131,11 @@ class Fit:
     normal: Array
     """Normal matrix of (R_s, map) with its prior."""
     columns: tuple[Array, ...]
-    """Whitened columns of every piece: the free parameters', then what was asked for beside them."""
+    """Whitened columns of every piece: the free parameters', then what was asked for beside them.
+
+    None of a piece that is held out."""
+    parameters: tuple[ColumnName, ...]
+    """What the columns belong to."""
     resistance: tuple[Array, ...]
     """Whitened R_s columns."""
 
@@ -149,7 +160,7 @@ class Fit:
     def projected(self) -> tuple[Array, Array]:
         """Normal matrix and gradient of all columns after R_s and the map have followed them."""
         width = self.normal.shape[0]
-        count = self.columns[0].shape[1]
+        count = len(self.parameters)
         cross, columns_normal, gradient = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
         for p, f, d, r, e in zip(
             self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True

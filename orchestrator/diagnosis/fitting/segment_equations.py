@@ -5,14 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.fitting.candidates import Active, typical_coordinate
-from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
-from orchestrator.diagnosis.fitting.gauss_newton import is_stuck
-from orchestrator.diagnosis.fitting.model import Model, SegmentFrame, SegmentRows
+from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.cascade import Cascade, Change, step_of
+from orchestrator.diagnosis.fitting.columns import ColumnProbe
+from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.model import ColumnName, Model, SegmentFrame, SegmentRows
 from orchestrator.diagnosis.weak_form.equations import (
     LocalMap,
     basis,
@@ -27,7 +29,7 @@ from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import EffectLayer, ParameterRole, Signals
+from protocols import EffectLayer, Signals
 
 
 @dataclass
@@ -53,12 +55,11 @@ class SegmentEquations:
         same = not corrected.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(piece, corrected.signals, model.magnetics)
         mean = local.inductance.mean(axis=0)
-        slopes = self._slopes(piece, base, model)
-        alike = old is not None and not old.shaped_noise and slopes is None
-        bearable = self.criteria.fitting.same_inductance * float(mean[[0, 2]].min())
-        if old is not None and alike and np.abs(mean - old.mean_inductance).max() < bearable:
-            whitener, mean = old.whitener, old.mean_inductance
+        inverter = self._inverter(piece, model)
+        if old is not None and self._same_noise(mean, inverter, old):
+            whitener, mean, inverter = old.whitener, old.mean_inductance, old.inverter
         else:
+            slopes = self._slopes(piece, base, model) if inverter else None
             factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
             whitener = Whitener(banded_covariance(piece, local, factor, self.noise, model.r_s, slopes))
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
@@ -66,7 +67,22 @@ class SegmentEquations:
             white = old.white_basis
         else:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
-        return SegmentFrame(base, local, whitener, raw, white, mean, slopes is not None)
+        return SegmentFrame(base, local, whitener, raw, white, mean, inverter)
+
+    def _inverter(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
+        """Coordinates of the effects that multiply current noise."""
+        if not piece.signals.bridge_on:
+            return {}
+        there = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER and not a.is_absent]
+        return {(a.name, p.name): a.coordinate(p.name) for a in there for p in a.candidate.parameters}
+
+    def _same_noise(self, inductance: Array, inverter: dict[ColumnName, float], old: SegmentFrame) -> bool:
+        """Whether the noise's covariance bears what has moved since an earlier frame."""
+        limits = self.criteria.fitting
+        bearable = limits.same_inductance * float(inductance[[0, 2]].min())
+        if np.abs(inductance - old.mean_inductance).max() >= bearable or inverter.keys() != old.inverter.keys():
+            return False
+        return all(abs(x - old.inverter[k]) <= limits.same_inverter * max(abs(x), 1.0) for k, x in inverter.items())
 
     def _untouched_basis(self, piece: SegmentSignals, local: LocalMap, model: Model) -> Array:
         known = self._raw_basis.get(piece.segment.id)
@@ -93,11 +109,9 @@ class SegmentEquations:
         )
         return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, local
 
-    def _slopes(self, piece: SegmentSignals, base: Signals, model: Model) -> Slopes | None:
+    def _slopes(self, piece: SegmentSignals, base: Signals, model: Model) -> Slopes:
         """How the inverter's effects multiply current noise, by shifting the measured current by its noise."""
         inverter = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER]
-        if not inverter or not base.bridge_on:
-            return None
         turn = rotation(-piece.segment.rotor_angle_rad)
         voltage = np.empty((len(base.v_dc), 2, 2))
         sensor = self.noise.of(piece)
@@ -112,57 +126,86 @@ class SegmentEquations:
         return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ voltage @ turn.T))
 
     def rows(
-        self, model: Model, piece: SegmentSignals, frame: SegmentFrame, parameters: Sequence[tuple[Active, str]]
+        self,
+        model: Model,
+        piece: SegmentSignals,
+        frame: SegmentFrame,
+        parameters: Sequence[tuple[Active, str]],
+        answering: Sequence[frozenset[str]] | None = None,
     ) -> SegmentRows:
-        """The equations where the model stands, and a column for each of some parameters."""
-        base, ordered = frame.base, sorted(model.active, key=lambda a: a.candidate.effect.layer)
-        chain = [Corrected(base)]
-        for active in ordered:
-            chain.append(apply_effects(chain[-1].signals, [active]))
-        corrected = chain[-1].signals
-        local = local_map(piece, corrected, model.magnetics)
+        """The equations where the model stands, and a column for each of some parameters.
+
+        Parameters
+        ----------
+        answering : sequence of frozenset of str, optional
+            Of every column the inner effects that answer to it; all by default.
+        """
+        at = self._place(model, piece, frame)
+        asked = answering if answering is not None else repeat(None)
+        sums = [self._column(at, a, n, inner)[0] for (a, n), inner in zip(parameters, asked, strict=False)]
+        return self._white(at, frame, sums)
+
+    def probed(
+        self, model: Model, piece: SegmentSignals, frame: SegmentFrame, parameters: Sequence[tuple[Active, str]]
+    ) -> tuple[SegmentRows, ColumnProbe]:
+        """The same, and what each inner effect has to do with each column."""
+        at = self._place(model, piece, frame)
+        sums, keys, heard = [], [], []
+        for k, (active, name) in enumerate(parameters):
+            column, answers = self._column(at, active, name)
+            sums.append(column)
+            for effect, added in answers.items():
+                keys.append((k, effect))
+                heard.append(added)
+        rows = self._white(at, frame, sums)
+        white = frame.whitener(piece.windows.combine(np.stack(heard, axis=-1))) if heard else np.zeros((1, 0))
+        power = np.sum(white**2, axis=0)
+        return rows, ColumnProbe(rows.columns, {key: float(p) for key, p in zip(keys, power, strict=True)})
+
+    def _place(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> _Place:
+        cascade = Cascade.of(frame.base, model.active)
+        return _Place(piece, frame.base, cascade, local_map(piece, cascade.corrected, model.magnetics))
+
+    def _white(self, at: _Place, frame: SegmentFrame, sums: Sequence[Array]) -> SegmentRows:
+        """The equations at a place with sums over samples as columns."""
+        corrected, r_s = at.cascade.corrected, at.base.resistance_ohm[0]
         known, resistance = voltage_and_resistance(
-            piece,
-            corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / base.resistance_ohm[0]}),
-            local,
+            at.piece,
+            corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / r_s}),
+            at.local,
             self.pm_flux_wb,
         )
-        known = known + flux_terms(piece, local)
-        sums = [self._column(piece, chain, ordered, local, a, n) for a, n in parameters]
-        columns = [piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
-        white = frame.whitener(np.column_stack([known, resistance, *columns]))
-        return SegmentRows(known, resistance, white)
+        known = known + flux_terms(at.piece, at.local)
+        columns = [at.piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
+        return SegmentRows(known, resistance, frame.whitener(np.column_stack([known, resistance, *columns])))
 
     def _column(
-        self,
-        piece: SegmentSignals,
-        chain: Sequence[Corrected],
-        ordered: Sequence[Active],
-        local: LocalMap,
-        active: Active,
-        name: str,
-    ) -> Array:
-        """Derivative of y by one parameter's coordinate, summed over samples; to typical size where it is absent.
+        self, at: _Place, active: Active, name: str, answering: frozenset[str] | None = None
+    ) -> tuple[Array, dict[str, Array]]:
+        """Derivative of y by one parameter's coordinate, summed over samples, and what inner effects had in it."""
+        step = step_of(active, name, self.criteria.fitting)
+        change, answers = at.cascade.change_by(active.moved(name, active.coordinate(name) + step), answering)
+        told = answers if answering is None else {}
+        said = {n: self._sums(at, c, step) for n, c in told.items() if _beyond_rounding(c, at.cascade.corrected)}
+        return self._sums(at, change, step), said
 
-        `chain` has the signals before each of the `ordered` effects and after the last, each with what the effect
-        before it changed: those outside of the one that is moved need not be applied again.
-        """
-        p = active.candidate.named(name)
-        x = active.coordinate(name)
-        if p.role is not ParameterRole.AMPLITUDE:
-            step = self.criteria.fitting.column_step * max(abs(x), 1.0)
-        elif active.is_absent:
-            step = typical_coordinate(p)
-        else:
-            step = self.criteria.fitting.column_step * max(abs(x), self.criteria.fitting.least_amplitude)
-        if is_stuck(active, name, x + step):
-            step = -step
-        at = next((k for k, a in enumerate(ordered) if a.name == active.name), None)
-        if at is None:
-            at = sum(a.candidate.effect.layer <= active.candidate.effect.layer for a in ordered)
-            inner = ordered[at:]
-        else:
-            inner = ordered[at + 1 :]
-        other = apply_effects(chain[at].signals, [active.moved(name, x + step), *inner])
-        changed = other.changed.union(*(c.changed for c in chain[at + 1 :]))
-        return difference(piece, chain[-1].signals, other.signals, changed, local, self.pm_flux_wb) / step
+    def _sums(self, at: _Place, change: Change, step: float) -> Array:
+        return difference(at.piece, at.cascade.corrected, change, at.local, self.pm_flux_wb) / step
+
+
+@dataclass(frozen=True)
+class _Place:
+    """A segment where a model stands."""
+
+    piece: SegmentSignals
+    base: Signals
+    cascade: Cascade
+    local: LocalMap
+
+
+def _beyond_rounding(change: Change, signals: Signals) -> bool:
+    """Whether there is more in a change than adding something and taking it away again leaves."""
+    return any(
+        float(np.abs(array).max()) > 1e3 * np.finfo(np.float64).eps * float(np.abs(getattr(signals, name)).max())
+        for name, array in change.items()
+    )

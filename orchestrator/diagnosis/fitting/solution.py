@@ -7,13 +7,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.model import Fit, Frame, MapSpace, Model, SegmentRows
+from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Frame, MapSpace, Model, SegmentRows
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.types import Array
 
 
-def solved(prepared: PreparedRecording, model: Model, frame: Frame, rows: Sequence[SegmentRows], held: bool) -> Fit:
+def solved(
+    prepared: PreparedRecording,
+    model: Model,
+    frame: Frame,
+    rows: Sequence[SegmentRows],
+    parameters: Sequence[ColumnName],
+    held: bool,
+) -> Fit:
     """The fit with R_s and the map solved for; with `held` they stay the model's."""
     space, pieces = model.space, prepared.pieces
     width = 1 + space.directions.shape[1]
@@ -59,7 +66,8 @@ def solved(prepared: PreparedRecording, model: Model, frame: Frame, rows: Sequen
         residual=tuple(residual),
         volts=tuple(volts),
         normal=total,
-        columns=tuple(row.white[:, 2:] for row in rows),
+        columns=tuple(row.columns for row in rows),
+        parameters=tuple(parameters),
         resistance=tuple(row.white[:, 1] for row in rows),
     )
 

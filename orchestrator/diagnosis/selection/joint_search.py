@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.chords import fit_along_chords
+from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.identifiability import separable
@@ -37,15 +37,15 @@ def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> 
     everything = start.with_active([known.get(c.name, c.absent()) for c in library])
     fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
     for freed in (with_shapes, with_flexible_forms):
-        fit = refitted(fitter, freed(fitter, fit))
+        fit = refitted(fitter, freed(fitter, fit), fit)
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
     return downwards(fitter, with_overlooked(fitter, fit, library)), rivals
 
 
-def refitted(fitter: Fitter, model: Model) -> Fit:
+def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model with many effects fitted to its end, as far as that is worth its time."""
     limits = fitter.prepared.criteria.selection
-    return fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance)
+    return fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance, known=known)
 
 
 def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Fit:
@@ -62,7 +62,7 @@ def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> F
             for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
                 active = active.moved(name, float(x))
             overlooked.append(active)
-    return refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked])) if overlooked else fit
+    return refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit) if overlooked else fit
 
 
 def with_shapes(_: Fitter, fit: Fit) -> Model:
@@ -92,7 +92,7 @@ def downwards(fitter: Fitter, fit: Fit) -> Fit:
     limits = fit.criteria.selection
     while out := dispensable(fit):
         kept = fit.model.with_active([a for a in fit.model.active if a.name not in out])
-        fit = fit_along_chords(fitter, kept, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+        fit = fit_along_chords(fitter, kept, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=fit)
     return fit
 
 
@@ -124,9 +124,13 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         others = [a for a in fit.model.active if a.name != name]
         shapes = other.candidate.of_role(ParameterRole.SHAPE)
         replaced = fit.model.with_active([*others, other.freeing(*shapes)])
-        trial = fit_along_chords(fitter, replaced, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
-        inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
-        gain = log_evidence(trial, inflation) - log_evidence(fit, inflation)
+        trial = glanced(fitter, replaced, fit)
+        if _evidence_gain(trial, fit) < -limits.tie - limits.hopeless * log_bayes_factors(fit)[name]:
+            continue
+        trial = fit_along_chords(
+            fitter, replaced, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=trial
+        )
+        gain = _evidence_gain(trial, fit)
         if gain > 0.0:
             effect = _effect(fit, name)
             fit, tied = trial, gain < limits.tie or not separable(fit.prepared, other.candidate.effect, effect)
@@ -134,6 +138,12 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         elif gain > -limits.tie or not separable(fit.prepared, other.candidate.effect, _effect(fit, name)):
             rivals.setdefault(name, []).append(other.name)
     return fit, rivals
+
+
+def _evidence_gain(trial: Fit, fit: Fit) -> float:
+    """By how much the log evidence of one fit is above that of another, noise as large as the better one leaves it."""
+    inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
+    return log_evidence(trial, inflation) - log_evidence(fit, inflation)
 
 
 def _effect(fit: Fit, name: str) -> Effect:

@@ -48,7 +48,7 @@ def _yielding(active: Active) -> list[str]:
 
 def following(fit: Fit) -> list[tuple[SegmentSignals, Array, Array]]:
     """Of each training segment: residual (rows,) and columns (rows, columns), R_s and the map following the columns."""
-    width, count = fit.normal.shape[0], fit.columns[0].shape[1]
+    width, count = fit.normal.shape[0], len(fit.parameters)
     cross = np.zeros((width, count))
     parts = list(zip(fit.prepared.pieces, fit.frame.pieces, fit.columns, fit.resistance, fit.residual, strict=True))
     parts = [part for part in parts if not part[0].held_out]

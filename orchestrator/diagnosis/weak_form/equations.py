@@ -9,7 +9,7 @@ Ts^2/12 (i'_start - i'_end): where saturation curves the ripple, the plain rule 
 from __future__ import annotations
 
 import math
-from collections.abc import Set
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,7 +22,7 @@ from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.tensor_spline import CARDINAL
 from orchestrator.numerics.types import Array
-from protocols import RealArray, Signals
+from protocols import Signals
 
 
 @dataclass(frozen=True)
@@ -101,28 +101,26 @@ def flux_terms(piece: SegmentSignals, local: LocalMap) -> Array:
 
 
 def difference(
-    piece: SegmentSignals, base: Signals, other: Signals, changed: Set[str], local: LocalMap, pm_flux_wb: float
+    piece: SegmentSignals, base: Signals, change: Mapping[str, Array], local: LocalMap, pm_flux_wb: float
 ) -> Array:
-    """Change of y, to first order in the magnetics, when the signals change from `base` to `other`.
+    """Change of y, to first order in the magnetics, when arrays of the signals change from what they are in `base`.
 
-    Summed over samples, for `Windows.combine`: shape (hats, n_bins, 2). `changed` names the arrays that may differ.
+    Summed over samples, for `Windows.combine`: shape (hats, n_bins, 2).
     """
 
-    def change(name: str) -> Array:
-        before: RealArray = getattr(base, name)
-        if name not in changed:
-            return np.zeros((0, 2)[: before.ndim])
-        return np.ascontiguousarray(getattr(other, name) - before, dtype=np.float64)
+    def of(name: str) -> Array:
+        known = change.get(name)
+        return np.zeros((0, 2)[: getattr(base, name).ndim]) if known is None else known
 
     believed = float(piece.segment.rotor_angle_rad)
     x = _interval_difference(
-        change("v_ab"),
+        of("v_ab"),
         np.ascontiguousarray(base.i_ab),
-        change("i_ab"),
+        of("i_ab"),
         np.ascontiguousarray(base.resistance_ohm),
-        change("resistance_ohm"),
-        change("i_m_ab"),
-        change("theta_rad"),
+        of("resistance_ohm"),
+        of("i_m_ab"),
+        of("theta_rad"),
         local.i_dq,
         local.turn,
         local.psi,

@@ -118,6 +118,6 @@ def test_difference_is_the_derivative_by_each_quantity(quantity: str, turn: floa
 
     slope = (rows(h) - rows(-h)) / (2.0 * h)
     at = local_map(one, base, magnetics)
-    told = one.windows.combine(difference(one, base, moved(h), {quantity}, at, PM_WB)) / h
+    told = one.windows.combine(difference(one, base, {quantity: h * shape}, at, PM_WB)) / h
     # What it leaves out is the small correction of the trapezoidal rule.
     np.testing.assert_allclose(told, slope, atol=1e-3 * np.abs(slope).max())

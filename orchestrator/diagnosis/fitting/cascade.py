@@ -1,0 +1,107 @@
+"""What a parameter of one effect changes of the signals, carried inwards through the effects behind it.
+
+Most effects pass on what others change as it is: a resistance does not ask the voltage. Which of them answer to it is
+measured on a few segments (`orchestrator.diagnosis.fitting.columns`); the others need not be applied again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.criteria import FittingCriteria
+from orchestrator.diagnosis.fitting.candidates import Active, typical_coordinate
+from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
+from orchestrator.diagnosis.fitting.gauss_newton import is_stuck
+from orchestrator.numerics.types import Array
+from protocols import ParameterRole, Signals
+
+Change = dict[str, Array]
+"""By how much arrays of the signals change, by name; what is not in it does not."""
+
+
+@dataclass(frozen=True)
+class Cascade:
+    """The signals of a segment on their way through a model's effects, from the sensors inwards.
+
+    Attributes
+    ----------
+    effects : tuple of Active
+        Outermost first.
+    stages : tuple of Corrected
+        The signals before each of the effects and after the last, each with what the effect before it changed.
+    """
+
+    effects: tuple[Active, ...]
+    stages: tuple[Corrected, ...]
+
+    @classmethod
+    def of(cls, signals: Signals, active: Sequence[Active]) -> Cascade:
+        """Signals as measured, led through all effects."""
+        effects = tuple(sorted(active, key=lambda a: a.candidate.effect.layer))
+        stages = [Corrected(signals)]
+        for one in effects:
+            stages.append(apply_effects(stages[-1].signals, [one]))
+        return cls(effects, tuple(stages))
+
+    @property
+    def corrected(self) -> Signals:
+        return self.stages[-1].signals
+
+    def change_by(self, moved: Active, answering: Container[str] | None = None) -> tuple[Change, dict[str, Change]]:
+        """What changes behind the innermost effect where one effect is as in `moved`, present in the model or not.
+
+        Parameters
+        ----------
+        answering : container of str, optional
+            Effects that answer to the change; all by default.
+
+        Returns
+        -------
+        change : dict
+        answers : dict
+            What each inner effect that was asked added to the change.
+        """
+        at = next((k for k, a in enumerate(self.effects) if a.name == moved.name), None)
+        if at is None:
+            at = behind = sum(a.candidate.effect.layer <= moved.candidate.effect.layer for a in self.effects)
+        else:
+            behind = at + 1
+        other = apply_effects(self.stages[at].signals, [moved])
+        names = other.changed | (self.stages[behind].changed if behind > at else frozenset())
+        change, answers = _less(other.signals, self.stages[behind].signals, names), dict[str, Change]()
+        for k in range(behind, len(self.effects)):
+            inner = self.effects[k]
+            if inner.is_absent or (answering is not None and inner.name not in answering):
+                continue
+            other = apply_effects(_plus(self.stages[k].signals, change), [inner])
+            names = other.changed | self.stages[k + 1].changed
+            if not names:
+                continue
+            carried = _less(other.signals, self.stages[k + 1].signals, names | change.keys())
+            answers[inner.name] = {n: d - change[n] if n in change else d for n, d in carried.items()}
+            change = carried
+        return change, answers
+
+
+def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
+    """The step of one parameter's coordinate that its secant is taken over; to typical size where it is absent."""
+    p = active.candidate.named(name)
+    x = active.coordinate(name)
+    if p.role is not ParameterRole.AMPLITUDE:
+        step = criteria.column_step * max(abs(x), 1.0)
+    elif active.is_absent:
+        step = typical_coordinate(p)
+    else:
+        step = criteria.column_step * max(abs(x), criteria.least_amplitude)
+    return -step if is_stuck(active, name, x + step) else step
+
+
+def _plus(signals: Signals, change: Change) -> Signals:
+    return signals.model_copy(update={name: getattr(signals, name) + d for name, d in change.items()})
+
+
+def _less(one: Signals, other: Signals, names: frozenset[str]) -> Change:
+    return {name: np.ascontiguousarray(getattr(one, name) - getattr(other, name)) for name in names}

@@ -1,0 +1,116 @@
+"""Which derivatives of the equations are made anew, and how: measured on a few segments of each stage.
+
+A column costs as much as the equations themselves, for a change has to pass all inner effects, and all effects
+together have dozens. But few inner effects answer to it, and few columns move from one step of a fit to the next.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.criteria import FittingCriteria
+from orchestrator.diagnosis.fitting.model import ColumnName, Fit
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.numerics.types import Array
+
+
+@dataclass(frozen=True)
+class ColumnProbe:
+    """All columns of one segment, every effect asked.
+
+    Attributes
+    ----------
+    columns : array, shape (rows, columns)
+        Whitened.
+    answers : dict
+        Squared norm of what an inner effect added to a column, by the column's place and the effect's name.
+    """
+
+    columns: Array
+    answers: Mapping[tuple[int, str], float]
+
+
+@dataclass(frozen=True)
+class ColumnPlan:
+    """How columns are made where they were not probed.
+
+    Attributes
+    ----------
+    kept : dict
+        Columns that are taken from an earlier fit, and their places there.
+    answering : tuple of frozenset of str
+        Of every column the inner effects that answer to it.
+    """
+
+    kept: Mapping[int, int]
+    answering: tuple[frozenset[str], ...]
+
+    @property
+    def anew(self) -> list[int]:
+        return [k for k in range(len(self.answering)) if k not in self.kept]
+
+    def whole(self, made: Array, known: Array | None) -> Array:
+        """All columns of a segment from those made anew and those of the earlier fit."""
+        columns = np.empty((len(made), len(self.answering)))
+        columns[:, self.anew] = made
+        if known is not None:
+            columns[:, list(self.kept)] = known[:, list(self.kept.values())]
+        return columns
+
+
+def probed_segments(pieces: Sequence[SegmentSignals], criteria: FittingCriteria) -> tuple[int, ...]:
+    """The segments that columns are probed on: a few of each stage, spread evenly; none that is held out."""
+    stages: dict[object, list[int]] = {}
+    for k, piece in enumerate(pieces):
+        if not piece.held_out:
+            stages.setdefault(piece.stage, []).append(k)
+    every = criteria.probe_every
+    return tuple(sorted(k for places in stages.values() for k in places[min(every, len(places)) // 2 :: every]))
+
+
+def column_plan(
+    names: Sequence[ColumnName],
+    probes: Mapping[int, ColumnProbe],
+    known: Fit | None,
+    criteria: FittingCriteria,
+) -> ColumnPlan:
+    """What the probes say of columns on all other segments.
+
+    Parameters
+    ----------
+    names : sequence of (str, str)
+        Effect and parameter of every column.
+    probes : dict
+        By the segments' places.
+    known : Fit, optional
+        An earlier one, whose columns are kept where they are the same on the probed segments.
+    """
+    power = sum((np.sum(p.columns**2, axis=0) for p in probes.values()), np.zeros(len(names)))
+    answers: dict[tuple[int, str], float] = {}
+    for probe in probes.values():
+        for key, value in probe.answers.items():
+            answers[key] = answers.get(key, 0.0) + value
+    heard = {key for key, value in answers.items() if value > criteria.silent_answer**2 * power[key[0]]}
+    answering = tuple(frozenset(name for j, name in heard if j == k) for k in range(len(names)))
+    return ColumnPlan({} if known is None else _kept(names, probes, power, known, criteria), answering)
+
+
+def _kept(
+    names: Sequence[ColumnName],
+    probes: Mapping[int, ColumnProbe],
+    power: Array,
+    known: Fit,
+    criteria: FittingCriteria,
+) -> dict[int, int]:
+    places = {name: j for j, name in enumerate(known.parameters)}
+    kept = {}
+    for k, name in enumerate(names):
+        if (j := places.get(name)) is None:
+            continue
+        moved = sum(float(np.sum((p.columns[:, k] - known.columns[at][:, j]) ** 2)) for at, p in probes.items())
+        if moved <= criteria.same_column**2 * power[k]:
+            kept[k] = j
+    return kept
