@@ -50,6 +50,14 @@ ViewOption = Annotated[bool, typer.Option("--view", help="Open the viewer, and f
 StreamOption = Annotated[
     list[str] | None, typer.Option("--stream", help="Let this installed stream listen as well (may be repeated).")
 ]
+EffectsOption = Annotated[Path | None, typer.Option("--effects", help="Python file with candidates of your own.")]
+RehearsedOption = Annotated[
+    str | None, typer.Option("--model", help="Rehearse on a flux map or model.json instead of the nameplate.")
+]
+NoiseOption = Annotated[
+    float | None,
+    typer.Option("--noise", min=1e-12, help="Of each phase current's reading, standard deviation [A].", metavar="A"),
+]
 AbsentOption = Annotated[
     bool, typer.Option("--unattended", help="Nobody is there: a question that the procedure leaves open ends the run.")
 ]
@@ -126,15 +134,26 @@ def check_command(
     drive: DriveOption = None,
     motor: MotorOption = None,
     settings: SetOption = None,
+    isolability: Annotated[
+        bool, typer.Option("--isolability", help="And which effects it would find and tell apart, and what to add.")
+    ] = False,
+    model: RehearsedOption = None,
+    effects: EffectsOption = None,
+    noise_a: NoiseOption = None,
     as_json: JsonOption = False,
 ) -> int:
     """Dry run: what a procedure would do.
 
     Points, duration, peak current and voltage, dissipated energy; nothing is energised.
-    """
-    from orchestrator.cli._check import check
 
-    return check(procedure, drive, motor, settings or [], as_json)
+    With --isolability: from which size on each effect would be found, and told from each other.
+    """
+    from orchestrator.cli._check import RehearsalOptions, check
+
+    if not isolability and any(given is not None for given in (model, effects, noise_a)):
+        raise typer.BadParameter("goes with --isolability only", param_hint="--model, --effects and --noise")
+    rehearsal = RehearsalOptions(model, effects, noise_a) if isolability else None
+    return check(procedure, drive, motor, settings or [], as_json, rehearsal)
 
 
 @app.command("estimate")
@@ -159,7 +178,6 @@ ModelOption = Annotated[
     str | None,
     typer.Option(help="linear (the nameplate), saturated (the free energy map), a flux map file, or a model.json."),
 ]
-EffectsOption = Annotated[Path | None, typer.Option("--effects", help="Python file with candidates of your own.")]
 OutOption = Annotated[Path | None, typer.Option(help="Keep model.json there instead of in the recording.")]
 
 

@@ -3,27 +3,87 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from orchestrator.cli._output import say, say_notes, say_table
-from orchestrator.config import PlanSummary, StageRow, check_plan, make_plan, read_procedure
+from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_plan, read_procedure
 from orchestrator.engine import UsedPlugins, connected_drive
 from orchestrator.presentation.quantities import duration, number, quantity
 from orchestrator.stages import parse_stages
+from protocols import Capabilities
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis.experiment_design.outlook import IsolabilityReport
+    from orchestrator.diagnosis.experiment_design.rehearsal import Machine
 
 
-def check(source: str, drive: str | None, motor: Path | None, overrides: Sequence[str], as_json: bool) -> int:
-    """Plan, hold the plan against limits and the drive's capabilities, print what would happen."""
+def check(
+    source: str,
+    drive: str | None,
+    motor: Path | None,
+    overrides: Sequence[str],
+    as_json: bool,
+    rehearsal: RehearsalOptions | None = None,
+) -> int:
+    """Plan, hold the plan against limits and the drive's capabilities, print what would happen.
+
+    With `rehearsal`: and what a diagnosis of it would be able to tell; as JSON, that alone.
+    """
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
     UsedPlugins(parse_stages(procedure))
     with loaded.naming_its_places(), connected_drive(procedure, private=None) as (_, capabilities):
-        summary = check_plan(make_plan(procedure, capabilities), capabilities)
-    if as_json:
+        plan = make_plan(procedure, capabilities)
+        summary = check_plan(plan, capabilities)
+        report = None if rehearsal is None else rehearsal.outlook(plan, capabilities)
+    if as_json and report is not None:
+        print(report.model_dump_json(indent=2))
+    elif as_json:
         print(summary.model_dump_json(indent=2))
     else:
         _print_summary(summary)
+        if report is not None:
+            from orchestrator.cli._isolability import say_isolability
+
+            say_isolability(report)
     return 0
+
+
+@dataclass(frozen=True)
+class RehearsalOptions:
+    """What a plan is rehearsed with.
+
+    Attributes
+    ----------
+    model : str or None
+        A flux map or model file; by default the nameplate's constant inductances.
+    effects : Path or None
+        Python file with candidates beside the installed ones.
+    noise_a : float or None
+    """
+
+    model: str | None = None
+    effects: Path | None = None
+    noise_a: float | None = None
+
+    def machine(self, plan: Plan, drive: Capabilities) -> Machine:
+        """The machine that it is rehearsed on."""
+        from orchestrator.diagnosis.experiment_design.rehearsal import Machine, as_measured
+        from orchestrator.workbench import chosen_model
+
+        nameplate = Machine.of(plan.procedure.motor, plan.procedure.name)
+        model = chosen_model(self.model)
+        return nameplate if model is None else as_measured(nameplate, plan, drive, model)
+
+    def outlook(self, plan: Plan, drive: Capabilities) -> IsolabilityReport:
+        """What the plan would tell."""
+        from orchestrator.diagnosis.experiment_design.outlook import outlook
+        from orchestrator.workbench import chosen_effects
+
+        effects = chosen_effects(self.effects or ())
+        return outlook(plan, drive, self.machine(plan, drive), effects, noise_a=self.noise_a)
 
 
 def _print_summary(summary: PlanSummary) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import numpy as np
 
@@ -42,11 +42,23 @@ def open_for_diagnosis(
     watched = SoundRecording(recording)
     prepared = prepare(watched, criteria)
     watched.conclude()
-    motor = prepared.manifest.motor
-    low, high, q = prepared.current_range
     noise = sensor_noise(prepared.pieces, criteria.weak_form)
     require_enough(prepared, noise)
     remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection)]
+    return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll)
+
+
+def setup_of(
+    prepared: PreparedRecording,
+    noise: SensorNoise,
+    *,
+    pm_flux_wb: float | None = None,
+    remarks: Sequence[Remark] = (),
+    poll: Callable[[], None] = lambda: None,
+) -> DiagnosisSetup:
+    """What a diagnosis of prepared signals with a known noise starts from."""
+    motor, criteria = prepared.manifest.motor, prepared.criteria
+    low, high, q = prepared.current_range
     reach = max(-low, high, q)
     # The map is smooth on the scale of this current; where little of the plane was seen, that is not the rated one.
     current = min(motor.rated_current_a or reach, criteria.fitting.widest_plane * reach)

@@ -410,6 +410,19 @@ class DesignCriteria(Strict):
     """The same of a turn of an injected direction."""
 
 
+class RehearsalCriteria(Strict):
+    """How a plan is rehearsed before it is measured."""
+
+    noise_share: float = _is(0.002, "1", "practice")
+    """Noise of a reading over the rated current, where nobody says: a step of a 12-bit converter of four times it."""
+    rehearsed_samples: int = _is(300_000, "1", "budget")
+    """Of injection that are rehearsed; longer plans are thinned as long recordings are."""
+    rehearsed_hold_s: float = _is(2.0, "s", "budget")
+    """Of a hold: the rest of it is like that."""
+    parted_size: float = _is(1.0, "1", "practice")
+    """Part of its typical size at which an effect has to be found, and told from another."""
+
+
 class PictureCriteria(Strict):
     """How much of a diagnosis is kept to be drawn."""
 
@@ -443,3 +456,4 @@ class Criteria(Strict):
     conventions: ConventionCriteria = ConventionCriteria()
     design: DesignCriteria = DesignCriteria()
     pictures: PictureCriteria = PictureCriteria()
+    rehearsal: RehearsalCriteria = RehearsalCriteria()
