@@ -12,7 +12,7 @@ import sys
 import typing
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, entry_points
 from pathlib import Path
 from types import UnionType
 from typing import Any, ClassVar, Literal, get_args, get_origin
@@ -66,7 +66,10 @@ class Installed:
 
     def __init__(self, kind: PluginKind) -> None:
         self._kind = kind
-        self._by_info = {_info(kind, entry): entry for entry in entry_points(group=kind.group)}
+        entries = entry_points(group=kind.group)
+        # Reading a distribution's metadata takes longer than all the rest here: it is read once.
+        named = {distribution: _named(distribution) for distribution in {entry.dist for entry in entries}}
+        self._by_info = {_info(kind, entry, *named[entry.dist]): entry for entry in entries}
 
     @property
     def plugins(self) -> list[PluginInfo]:
@@ -174,8 +177,15 @@ def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseM
         raise PluginError(where, problem.field, f"{problem.text} (option of {plugin.name!r})") from None
 
 
-def _info(kind: PluginKind, entry: EntryPoint) -> PluginInfo:
-    distribution, version = (entry.dist.name, entry.dist.version) if entry.dist else ("?", "?")
+def _named(distribution: Distribution | None) -> tuple[str, str]:
+    """Its name and version."""
+    if distribution is None:
+        return "?", "?"
+    metadata = distribution.metadata
+    return metadata["Name"], metadata["Version"]
+
+
+def _info(kind: PluginKind, entry: EntryPoint, distribution: str, version: str) -> PluginInfo:
     return PluginInfo(kind=kind, name=entry.name, distribution=distribution, version=version, module=entry.value)
 
 

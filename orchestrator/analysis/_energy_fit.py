@@ -273,9 +273,9 @@ def evidence(problem: EnergyProblem, solution: Solution) -> float:
 
 def _limit(count: int, usual: float = 0.99) -> float:
     """Sum of squares of so many normal deviates beyond which they are doubted: all but this share is within it."""
-    from scipy.stats import chi2
+    from scipy.special import chdtri
 
-    return float(chi2.ppf(usual, count))
+    return float(chdtri(count, 1.0 - usual))
 
 
 def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tuple[EnergyProblem, Solution]:

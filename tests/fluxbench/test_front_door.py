@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 import fluxbench
-from tests.support.processes import fluxbench as command
+from tests.support.processes import called
 
 ROOT = Path(__file__).parents[2]
 
@@ -42,4 +42,4 @@ def test_a_type_checker_sees_the_names_that_there_are() -> None:
 def test_the_module_is_the_command_line() -> None:
     done = subprocess.run([sys.executable, "-m", "fluxbench", "procedures"], cwd=ROOT, capture_output=True, text=True)
     assert done.returncode == 0
-    assert done.stdout == command("procedures", cwd=ROOT).stdout
+    assert done.stdout == called("procedures").stdout

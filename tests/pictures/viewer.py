@@ -13,7 +13,8 @@ import numpy as np
 from PIL import Image
 
 from orchestrator.recording import open_recording
-from plugins.streams.rerun import RerunOptions, RerunStream, replay
+from plugins.streams.rerun import RerunOptions, RerunStream
+from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._shooting import Shot, headless_viewer, shoot
 from plugins.streams.rerun._tape import FILE_NAME
 from protocols import Compared, Diagnosed, DiagnosisStep, ExperimentProposed, Message, RecordingError, StreamSetup

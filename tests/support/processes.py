@@ -16,13 +16,6 @@ from orchestrator.cli._app import run_app
 FLUXBENCH = str(Path(sys.executable).with_name("fluxbench"))
 
 
-def fluxbench(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
-    """Run a command to its end, nobody sitting at the terminal."""
-    return subprocess.run(
-        [FLUXBENCH, *map(str, words)], cwd=cwd, capture_output=True, text=True, stdin=subprocess.DEVNULL, timeout=120
-    )
-
-
 def called(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedProcess[str]:
     """Run a command to its end in this process, for what it prints and its exit code: spares a second of imports."""
     arguments = [*map(str, words)]

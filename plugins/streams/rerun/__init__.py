@@ -2,8 +2,7 @@
 
 from plugins.streams.rerun._making import make_view, whole_view
 from plugins.streams.rerun._options import RerunOptions
-from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._stream import RerunStream
 from plugins.streams.rerun._viewer import best_view, page_url
 
-__all__ = ["RerunOptions", "RerunStream", "best_view", "make_view", "page_url", "replay", "whole_view"]
+__all__ = ["RerunOptions", "RerunStream", "best_view", "make_view", "page_url", "whole_view"]

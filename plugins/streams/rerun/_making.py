@@ -12,7 +12,6 @@ from pathlib import Path
 
 from orchestrator.runs import is_run
 from plugins.streams.rerun._options import RerunOptions
-from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._stream import RerunStream
 from plugins.streams.rerun._tape import FILE_NAME, is_whole, refuse_foreign
 from protocols import RecordingError, StorageError, StreamSetup
@@ -89,6 +88,9 @@ def refuse_unreadable(file: Path) -> None:
 
 
 def _replayed(directory: Path, folder: Path) -> Path:
+    # A run that is measured needs nothing of what reads one back.
+    from plugins.streams.rerun._replay import replay
+
     messages = replay(directory)
     first = next(messages)  # what cannot be read is said before anything is made
     stream = RerunStream(

@@ -13,7 +13,7 @@ import pytest
 
 from orchestrator.recording import open_recording
 from protocols import shipped_procedures
-from tests.support.processes import FLUXBENCH, called, fluxbench, start_fluxbench
+from tests.support.processes import FLUXBENCH, called, start_fluxbench
 from tests.support.tiny import STAGES, tiny_file
 
 
@@ -89,7 +89,7 @@ def test_a_procedure_for_another_motor_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_run_ends_with_its_numbers_and_where_they_are(tmp_path: Path) -> None:
-    done = fluxbench("run", tiny_file(tmp_path), "--out", tmp_path / "run")
+    done = called("run", tiny_file(tmp_path), "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     assert "\x1b" not in done.stdout
     assert str(tmp_path / "run") in done.stdout
@@ -172,7 +172,8 @@ def test_a_comparison_is_the_contract_s_json(tmp_path: Path) -> None:
 
 def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
-    assert called("estimate", data, "--out", tmp_path).returncode == 0
+    words = ("--estimator", "resistance", "--estimator", "injection")
+    assert called("estimate", data, *words, "--out", tmp_path).returncode == 0
     motor = tmp_path / "motor.yaml"
     motor.write_text("motor: {name: test, pole_pairs: 2}\n")
     flux_map = tmp_path / "results" / "flux_map.nc"

@@ -25,7 +25,7 @@ from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.resistance import WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
-from protocols import Capture, Effect, NotMeasuredError, PluginError, Segment, SegmentStage
+from protocols import Capture, DiagnosisStep, Effect, NotMeasuredError, PluginError, Segment, SegmentStage
 
 LIBRARY: list[Effect] = [
     DeadTime(),
@@ -61,8 +61,16 @@ def _digest(recording: Recording) -> str:
 
 
 @pytest.fixture(scope="module")
-def diagnosed(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) -> Diagnosis:
-    return diagnose_recording(with_dead_time, LIBRARY, out=tmp_path_factory.mktemp("dead-time"))
+def steps() -> list[DiagnosisStep]:
+    """What was shown of the diagnosis while it was at work."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def diagnosed(
+    with_dead_time: Recording, steps: list[DiagnosisStep], tmp_path_factory: pytest.TempPathFactory
+) -> Diagnosis:
+    return diagnose_recording(with_dead_time, LIBRARY, out=tmp_path_factory.mktemp("dead-time"), on_step=steps.append)
 
 
 def test_clean_recording_is_clean(clean: Recording, tmp_path: Path) -> None:
@@ -92,6 +100,13 @@ def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
     assert first.heldout_rms_v > 20 * floor
     assert last.heldout_rms_v < 1.25 * floor
     assert last.current_rms_a == pytest.approx(0.0045, rel=0.15)
+
+
+def test_each_rung_is_shown_in_order(diagnosed: Diagnosis, steps: list[DiagnosisStep]) -> None:
+    ladder = diagnosed.report.ladder
+    assert [s.index for s in steps] == list(range(len(ladder)))
+    assert [s.added for s in steps] == [r.added for r in ladder]
+    assert [s.chi2 for s in steps] == [r.chi2 for r in ladder]
 
 
 def test_next_experiment_is_a_stage_of_a_procedure(diagnosed: Diagnosis) -> None:

@@ -15,7 +15,7 @@ from plugins.effects.iron import EddyCurrents
 from plugins.effects.resistance import SkinEffect, WindingHeating
 from plugins.effects.sensors import CurrentOffset
 from plugins.effects.timing import VoltageDelay
-from protocols import DiagnosisStep, Effect, NotMeasuredError, Segment, SegmentStage
+from protocols import Effect, NotMeasuredError, Segment, SegmentStage
 
 LIBRARY: list[Effect] = [
     DeadTime(),
@@ -74,11 +74,3 @@ def test_too_few_holds_are_refused(clean: Recording, tmp_path: Path) -> None:
     few = _with(clean, tmp_path / "few", lambda s: s.id in holds)
     with pytest.raises(NotMeasuredError, match="too little"):
         diagnose_recording(few, LIBRARY)
-
-
-def test_each_rung_is_shown_in_order(with_dead_time: Recording, tmp_path: Path) -> None:
-    seen: list[DiagnosisStep] = []
-    report = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, on_step=seen.append).report
-    assert [s.index for s in seen] == list(range(len(report.ladder)))
-    assert [s.added for s in seen] == [r.added for r in report.ladder]
-    assert [s.chi2 for s in seen] == [r.chi2 for r in report.ladder]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -46,21 +47,21 @@ Propose = Callable[[dict[str, Any]], None]
 @pytest.fixture
 def propose(monkeypatch: pytest.MonkeyPatch) -> Propose:
     """Put a diagnosis in place that always proposes one and the same stage."""
+    return partial(always_propose, monkeypatch)
 
-    def put(stage: dict[str, Any]) -> None:
-        def diagnosed(
-            recording: object, stage_at_work: DiagnoseStage, run: StageRun
-        ) -> tuple[Diagnosed, ExperimentProposed]:
-            proposal = ExperimentProposed(
-                round=run.appended, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
-            )
-            report = a_diagnosis(next_experiment={"stage": stage, "separates": proposal.separates, "minutes": 0.1})
-            return Diagnosed(round=run.appended, report=report, words=WORDS), proposal
 
-        monkeypatch.setattr("plugins.stages.diagnose.compared", lambda *_: Compared(report=a_comparison()))
-        monkeypatch.setattr("plugins.stages.diagnose.diagnosed", diagnosed)
+def always_propose(patch: pytest.MonkeyPatch, stage: dict[str, Any]) -> None:
+    def diagnosed(
+        recording: object, stage_at_work: DiagnoseStage, run: StageRun
+    ) -> tuple[Diagnosed, ExperimentProposed]:
+        proposal = ExperimentProposed(
+            round=run.appended, stage=stage, separates=("dead_time", "device_drop"), minutes=0.1, accepted=False
+        )
+        report = a_diagnosis(next_experiment={"stage": stage, "separates": proposal.separates, "minutes": 0.1})
+        return Diagnosed(round=run.appended, report=report, words=WORDS), proposal
 
-    return put
+    patch.setattr("plugins.stages.diagnose.compared", lambda *_: Compared(report=a_comparison()))
+    patch.setattr("plugins.stages.diagnose.diagnosed", diagnosed)
 
 
 def diagnose(rounds: int) -> dict[str, Any]:
@@ -154,22 +155,32 @@ def test_an_experiment_beyond_the_limits_is_proposed_and_not_measured(propose: P
     assert any("cannot be run here" in str(message) and "50 A" in str(message) for message in messages_of(result.path))
 
 
+LOOP = [*OPENING, {"kind": "estimate", "estimators": ["resistance"]}, {"kind": "diagnose", "rounds": 1}]
+
+
+@pytest.fixture(scope="module")
+def whole_loop(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str | None]:
+    """The samples of each segment where nobody stopped the run."""
+    with pytest.MonkeyPatch.context() as patch:
+        always_propose(patch, EXPERIMENT)
+        return samples_of(run_tiny(tmp_path_factory.mktemp("whole"), stages=LOOP).path)
+
+
+def samples_of(run: Path) -> dict[str, str | None]:
+    return {segment.id: segment.sha256 for segment in open_recording(run).segments()}
+
+
 @pytest.mark.parametrize(
     ("kind", "count"), [(PointDone, 6), (Diagnosed, 1), (StagesAppended, 1), (PointDone, 7), (PointDone, 8)]
 )
 def test_a_run_stopped_anywhere_in_the_loop_goes_on_exactly_there(
-    propose: Propose, kind: type[Message], count: int, tmp_path: Path
+    propose: Propose, kind: type[Message], count: int, whole_loop: dict[str, str | None], tmp_path: Path
 ) -> None:
     propose(EXPERIMENT)
-    stages = [*OPENING, {"kind": "estimate", "estimators": ["resistance"]}, diagnose(rounds=1)]
-    whole = run_tiny(tmp_path, stages=stages).path
-    (tmp_path / "stopped").mkdir()
-    interrupts = StopAfter(tmp_path / "stopped" / "run", kind, count)
-    stopped = run_tiny(tmp_path / "stopped", stages=stages, interrupts=interrupts)
+    stopped = run_tiny(tmp_path, stages=LOOP, interrupts=StopAfter(tmp_path / "run", kind, count))
     assert stopped.outcome.ending == "aborted"
     assert go_on(stopped.path).outcome.ending == "finished"
-    samples = {segment.id: segment.sha256 for segment in open_recording(stopped.path).segments()}
-    assert samples == {segment.id: segment.sha256 for segment in open_recording(whole).segments()}
+    assert samples_of(stopped.path) == whole_loop
     assert len(told(stopped.path, StagesAppended)) == 1
     assert [message.round for message in told(stopped.path, Diagnosed)] == [0, 1]
 

@@ -32,28 +32,28 @@ def installed_as(folder: Path) -> None:
         points.write(file)
 
 
-def in_package(folder: Path, *command: str) -> subprocess.CompletedProcess[str]:
-    paths = os.pathsep.join((str(folder), str(ROOT)))
+def in_package(folder: Path, *command: str, paths: str = "") -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, *command],
         cwd=folder,
-        env={**os.environ, "PYTHONPATH": paths},
+        env={**os.environ, "PYTHONPATH": os.pathsep.join((paths or str(folder), str(ROOT)))},
         capture_output=True,
         text=True,
         timeout=120,
     )
 
 
-@pytest.mark.parametrize("kind", KINDS)
-def test_a_new_package_passes_its_kit(tmp_path: Path, kind: str) -> None:
-    folder = tmp_path / "new"
-    write_package(kind, "my_own", folder)
-    installed_as(folder)
-    done = in_package(folder, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
+def test_a_new_package_passes_its_kit(tmp_path: Path) -> None:
+    """One of each kind, side by side in one program."""
+    for kind in KINDS:
+        write_package(kind, f"my_{kind}", tmp_path / kind)
+        installed_as(tmp_path / kind)
+    paths = os.pathsep.join(str(tmp_path / kind) for kind in KINDS)
+    words = ("-v", "--import-mode=importlib", "-p", "no:cacheprovider")
+    done = in_package(tmp_path, "-m", "pytest", *words, *(f"{kind}/tests" for kind in KINDS), paths=paths)
     assert done.returncode == 0, done.stdout + done.stderr
-    passed = re.search(r"(\d+) passed", done.stdout)
-    assert passed is not None
-    assert int(passed[1]) >= 6, done.stdout
+    for kind in KINDS:
+        assert len(re.findall(rf"test_my_{kind}\.py::.* PASSED", done.stdout)) >= 6, done.stdout
 
 
 def test_a_new_package_is_tidy(tmp_path: Path) -> None:

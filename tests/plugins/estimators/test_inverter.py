@@ -52,7 +52,7 @@ def rounded(i_ab: Array) -> Array:
 def test_a_step_of_another_shape_does_not_bend_the_resistance(step: Callable[[Array], Array]) -> None:
     held = np.concatenate([HELD, HELD * 0.5, HELD * 0.15])
     inside = []
-    for seed in range(30):
+    for seed in range(20):
         noise = 1e-3 * np.random.default_rng(seed).normal(size=held.shape)
         fit = fit_voltage(held, 4.0 * held + 0.8 * step(held) + noise, np.zeros(len(held)), np.full(len(held), 10e3))
         inside.append(abs(fit.resistance_ohm - 4.0) < 2.1 * fit.std_ohm)
@@ -62,7 +62,7 @@ def test_a_step_of_another_shape_does_not_bend_the_resistance(step: Callable[[Ar
 def test_the_interval_is_that_of_repetitions() -> None:
     fits = []
     voltage = 4.0 * HELD + 0.8 * step_ab(HELD, 0.2)
-    for seed in range(60):
+    for seed in range(30):
         noise = 0.01 * np.random.default_rng(seed).normal(size=HELD.shape)
         fits.append(fit_voltage(HELD, voltage + noise, TIME_S, PWM_HZ))
     assert np.std([f.resistance_ohm for f in fits]) == pytest.approx(np.median([f.std_ohm for f in fits]), rel=0.4)
