@@ -10,6 +10,7 @@ current is found by Newton's method, at all of them; where that fails the degree
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -110,12 +111,14 @@ def _spread(rows: Array, covariance: Array) -> Array:
 def _powers(terms: Sequence[Term], psi: Array, order: int) -> Array:
     """Derivatives of one order of all terms, those of more x first, shape (n, order + 1, k)."""
     out = np.zeros((len(psi), order + 1, len(terms)))
+    powers = np.ones((max(map(max, terms)) + 1, *psi.T.shape))
+    np.cumprod(np.broadcast_to(psi.T, powers[1:].shape), axis=0, out=powers[1:])
+    x, y = powers[:, 0], powers[:, 1]
     for t, (m, n) in enumerate(terms):
         for b in range(order + 1):
             a = order - b
             if a <= m and b <= n:
-                factor = np.prod(np.arange(m - a + 1, m + 1)) * np.prod(np.arange(n - b + 1, n + 1))
-                out[:, b, t] = factor * psi[:, 0] ** (m - a) * psi[:, 1] ** (n - b)
+                out[:, b, t] = math.perm(m, a) * math.perm(n, b) * x[m - a] * y[n - b]
     return out
 
 
@@ -123,6 +126,7 @@ _PAIRS = np.array([[0, 1], [1, 2]])
 _TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
 
 
+@np.errstate(over="ignore", invalid="ignore")  # what runs away is lost, and found to be
 def _inverted(
     terms: Sequence[Term], coefficients: Array, current: Array, most_steps: int = 60, close: float = 1e-10
 ) -> Array:
@@ -151,7 +155,7 @@ def _inverted(
             share[worse] *= 0.5
         psi = psi + share * step
     hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
-    lost = np.linalg.norm(current - _powers(terms, psi, 1) @ coefficients, axis=1) > 1e-6 * size
+    lost = ~(np.linalg.norm(current - _powers(terms, psi, 1) @ coefficients, axis=1) <= 1e-6 * size)
     lost |= (np.linalg.det(hessian) <= 0.0) | (hessian[:, 0, 0] <= 0.0)
     psi[lost] = np.nan
     return psi

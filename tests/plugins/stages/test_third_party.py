@@ -10,6 +10,7 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
@@ -58,19 +59,18 @@ def start(package: Path, *words: str | Path) -> subprocess.Popen[str]:
     )
 
 
-def told(package: Path, *words: str | Path) -> str:
-    """What a command that succeeds prints."""
-    process = start(package, *words)
-    out, err = process.communicate(timeout=240)
-    assert process.returncode == 0, err
-    return out
-
-
 @pytest.fixture
-def installed(package: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def installed(package: Path) -> Iterator[None]:
     """The same in this process."""
-    monkeypatch.syspath_prepend(str(package))
-    yield
+    with installed_from(package):
+        yield
+
+
+@contextmanager
+def installed_from(package: Path) -> Iterator[None]:
+    with pytest.MonkeyPatch.context() as patch:
+        patch.syspath_prepend(str(package))
+        yield
     for name in [name for name in sys.modules if name.startswith("bench_plugins")]:
         del sys.modules[name]
 
@@ -95,7 +95,9 @@ def run(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     process.send_signal(signal.SIGKILL)
     process.communicate()
     assert 2 <= len(soaked(path)) < POINTS
-    told(package, "resume", path)
+    with installed_from(package):
+        done = called("resume", path)
+    assert done.returncode == 0, done.stderr
     return path
 
 
