@@ -156,6 +156,35 @@ def check_command(
     return check(procedure, drive, motor, settings or [], as_json, rehearsal)
 
 
+@app.command("design")
+def design_command(
+    procedure: ProcedureArgument,
+    effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
+    out: Annotated[Path, typer.Option(help="YAML file to write.")],
+    size: Annotated[
+        float, typer.Option(min=0.02, max=100.0, help="At which they are to be told, over the typical one.")
+    ] = 1.0,
+    drive: DriveOption = None,
+    motor: MotorOption = None,
+    settings: SetOption = None,
+    model: RehearsedOption = None,
+    effects: EffectsOption = None,
+    noise_a: NoiseOption = None,
+) -> int:
+    """The shortest procedure that tells effects apart.
+
+    Motor, drive, limits and all that measures nothing are PROCEDURE's own; what measures is chosen anew, from its
+    points and from a catalogue. Nothing is energised.
+    """
+    from orchestrator.cli._check import RehearsalOptions
+    from orchestrator.cli._design import write_design
+
+    rehearsal = RehearsalOptions(model, effects, noise_a)
+    return write_design(
+        procedure, effect, out, rehearsal, size=size, drive=drive, motor=motor, overrides=settings or []
+    )
+
+
 @app.command("estimate")
 def estimate_command(
     recording: RecordingArgument,

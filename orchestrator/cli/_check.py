@@ -15,8 +15,8 @@ from orchestrator.stages import parse_stages
 from protocols import Capabilities
 
 if TYPE_CHECKING:
+    from orchestrator.diagnosis.experiment_design.machine import Machine
     from orchestrator.diagnosis.experiment_design.outlook import IsolabilityReport
-    from orchestrator.diagnosis.experiment_design.rehearsal import Machine
 
 
 def check(
@@ -70,7 +70,8 @@ class RehearsalOptions:
 
     def machine(self, plan: Plan, drive: Capabilities) -> Machine:
         """The machine that it is rehearsed on."""
-        from orchestrator.diagnosis.experiment_design.rehearsal import Machine, as_measured
+        from orchestrator.diagnosis.experiment_design.machine import Machine
+        from orchestrator.diagnosis.experiment_design.rehearsal import as_measured
         from orchestrator.workbench import chosen_model
 
         nameplate = Machine.of(plan.procedure.motor, plan.procedure.name)

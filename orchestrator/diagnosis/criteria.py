@@ -411,7 +411,7 @@ class DesignCriteria(Strict):
 
 
 class RehearsalCriteria(Strict):
-    """How a plan is rehearsed before it is measured."""
+    """How a plan is rehearsed before it is measured, and a shortest one found."""
 
     noise_share: float = _is(0.002, "1", "practice")
     """Noise of a reading over the rated current, where nobody says: a step of a 12-bit converter of four times it."""
@@ -421,6 +421,16 @@ class RehearsalCriteria(Strict):
     """Of a hold: the rest of it is like that."""
     parted_size: float = _is(1.0, "1", "practice")
     """Part of its typical size at which an effect has to be found, and told from another."""
+    least_weight: float = _is(1e-3, "1", "practice")
+    """Part of the time below which a point of an approximate design is left out."""
+    optimal_within: float = _is(0.005, "1", "theory")
+    """By how much the largest directional derivative may exceed its bound where the weights are taken as optimal."""
+    most_weighings: int = _is(20_000, "1", "budget")
+    """Steps of the multiplicative algorithm."""
+    most_repeats: int = _is(100, "1", "practice")
+    """How often a point may be measured before what it cannot tell is said to be out of reach."""
+    margin: float = _is(1.2, "1", "practice")
+    """By how much a designed plan is to do better than asked, in size: its order is not the one it was chosen in."""
 
 
 class PictureCriteria(Strict):

@@ -9,8 +9,9 @@ from orchestrator.config import Plan, check_plan, make_plan
 from orchestrator.diagnosis.experiment_design.contrasts import Stage, minutes
 from orchestrator.diagnosis.experiment_design.information import Information, information
 from orchestrator.diagnosis.experiment_design.isolability import Isolability, answer
+from orchestrator.diagnosis.experiment_design.machine import Machine
 from orchestrator.diagnosis.experiment_design.proposal import catalogue
-from orchestrator.diagnosis.experiment_design.rehearsal import Machine, Rehearsal, rehearse
+from orchestrator.diagnosis.experiment_design.rehearsal import Rehearsal, rehearse
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from protocols import Capabilities, InputError, StageEntry
 

@@ -12,7 +12,8 @@ from orchestrator.diagnosis.experiment_design.additions import additions
 from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS, holds
 from orchestrator.diagnosis.experiment_design.information import information
 from orchestrator.diagnosis.experiment_design.isolability import Isolability, isolability
-from orchestrator.diagnosis.experiment_design.rehearsal import Machine, Rehearsal, rehearse
+from orchestrator.diagnosis.experiment_design.machine import Machine
+from orchestrator.diagnosis.experiment_design.rehearsal import Rehearsal, rehearse
 from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library, typical_coordinate, value_at
 from orchestrator.diagnosis.selection.identifiability import parted_by
 from protocols import Capabilities, Contrast, Effect, Strict

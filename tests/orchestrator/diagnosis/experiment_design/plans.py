@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 from orchestrator.config import Plan, load_procedure, make_plan
-from orchestrator.diagnosis.experiment_design.rehearsal import Machine
+from orchestrator.diagnosis.experiment_design.machine import Machine
 from orchestrator.registry import PluginKind, make_plugins
 from protocols import Capabilities, Effect, Procedure, StageEntry
 
