@@ -4,20 +4,34 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further
-from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate, require_known, scaled_library
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate, require_known, scaled_library
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import flux_of, freed_by, kept_model, reduced, restored
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
+from orchestrator.diagnosis.selection.refining import repolished
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
-from protocols import AddReport, Baseline, Effect, MotorModel, Nameplate, PluginError, Remark, Rung, Saturated
+from protocols import (
+    AddReport,
+    Baseline,
+    Effect,
+    MotorModel,
+    Nameplate,
+    ParameterRole,
+    PluginError,
+    Remark,
+    Rung,
+    Saturated,
+)
 
 
 def add_effects(
@@ -68,7 +82,7 @@ def _added(
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
-            steps.append(Step(name, with_effect(setup.fitter, fit, library[name])))
+            steps.append(Step(name, _grown(setup.fitter, fit, library[name])))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
             steps.append(Step(name, with_map_step(setup, fit, baseline)))
@@ -77,6 +91,30 @@ def _added(
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
     ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+
+
+def _grown(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
+    """The model with one more effect.
+
+    Shapes that made up for it so far may have run to where no descent leads back: where much is left, it is fitted from
+    the shapes that are usual as well, and the better fit stays.
+    """
+    grown = with_effect(fitter, fit, candidate)
+    if grown.chi2_per_dof < fit.criteria.selection.detected_chi2:
+        return grown
+    still = fitter.fit(fit.model.with_active([_in_usual_shape(a) for a in fit.model.active]))
+    again = with_effect(fitter, still, candidate)
+    shapes = {a.name: [n for n in a.free if n in a.candidate.of_role(ParameterRole.SHAPE)] for a in fit.model.active}
+    free = [a.freeing(*shapes.get(a.name, ())) for a in again.model.active]
+    again = repolished(fitter, fitter.fit(again.model.with_active(free), again.frame))
+    return min(grown, again, key=lambda f: f.chi2)
+
+
+def _in_usual_shape(active: Active) -> Active:
+    """As large as it is, in its candidate's shape and simple form, its amplitudes free."""
+    usual = active.candidate.absent()
+    amplitudes = {name: active.values[name] for name in active.candidate.amplitudes}
+    return replace(usual, values={**usual.values, **amplitudes})
 
 
 def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *, out: Path | None = None) -> AddReport:
