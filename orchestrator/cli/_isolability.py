@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import wrap
+
 from orchestrator.cli._output import say, say_table, stage_as_yaml
 from orchestrator.diagnosis.experiment_design.outlook import IsolabilityReport
 from orchestrator.presentation.quantities import quantity
@@ -51,10 +53,8 @@ def _say_what_to_do(report: IsolabilityReport) -> None:
     if report.additions:
         say("", "to add, as stages of the procedure:")
     for addition in report.additions:
-        say(
-            f"  # {addition.minutes:.2g} min: {', '.join(map(_question, addition.settles))}",
-            stage_as_yaml(addition.stage),
-        )
+        what = f"{addition.minutes:.2g} min: {', '.join(map(_question, addition.settles))}"
+        say(*wrap(what, 96, initial_indent="  # ", subsequent_indent="  # "), stage_as_yaml(addition.stage))
     if report.open:
         say("", "open at typical sizes, whatever stage is added:")
     for one in report.open:

@@ -419,6 +419,8 @@ class RehearsalCriteria(Strict):
     """Of injection that are rehearsed; longer plans are thinned as long recordings are."""
     rehearsed_hold_s: float = _is(2.0, "s", "budget")
     """Of a hold: the rest of it is like that."""
+    shapes: tuple[float, ...] = _is((-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0), "1", "theory")
+    """Other shapes in which an effect may stand in for another one, in standard deviations of the prior."""
     parted_size: float = _is(1.0, "1", "practice")
     """Part of its typical size at which an effect has to be found, and told from another."""
     least_weight: float = _is(1e-3, "1", "practice")

@@ -6,7 +6,7 @@ precisions P on the diagonal, what is left of some columns when others follow is
 
     M_t|f = N_tt - N_tf (N_ff + P_ff)^-1 N_ft
 
-An effect of another shape is another column, too far away for a slope: each is there in several shapes.
+An effect of another shape is another column, too far away for a slope; columns in several shapes span those between.
 """
 
 from __future__ import annotations
@@ -28,34 +28,47 @@ Places = NDArray[np.int64]
 
 
 @dataclass(frozen=True)
-class Variant:
-    """An effect in one shape.
+class EffectColumns:
+    """What the matrix has of an effect, and where.
 
     Attributes
     ----------
     there : Active
-        At its typical size.
-    cost : float
-        Of the shape by its prior, in chi2.
-    amplitudes, forms : array of int
-        Places of its columns in the matrix.
+        At its typical size and shape.
+    shapes : tuple of Active
+        Absent, in its typical shape and in others.
+    amplitudes, forms, others : array of int
+        Places of its amplitudes and forms in the typical shape, and of its amplitudes in others.
     """
 
     there: Active
-    cost: float
+    shapes: tuple[Active, ...]
     amplitudes: Places
     forms: Places
+    others: Places
+
+    @classmethod
+    def of(cls, candidate: Candidate, first: int, shapes: Sequence[float]) -> EffectColumns:
+        """With places from the `first` on; shapes at coordinates of their prior."""
+        absent = candidate.absent()
+        sizes = {n: candidate.named(n).typical for n in candidate.amplitudes}
+        shape = candidate.of_role(ParameterRole.SHAPE)[:1]
+        others = [absent.moved(name, x) for name in shape for x in shapes]
+        counts = [len(sizes), len(candidate.of_role(*_FORMS)), len(sizes) * len(others)]
+        places = np.split(np.arange(first, first + sum(counts)), np.cumsum(counts)[:-1])
+        return cls(Active(candidate, {**absent.values, **sizes}, ()), (absent, *others), *places)
 
     @property
-    def columns(self) -> Places:
+    def forms_named(self) -> tuple[str, ...]:
+        return self.there.candidate.of_role(*_FORMS)
+
+    @property
+    def in_typical_shape(self) -> Places:
         return np.concatenate([self.amplitudes, self.forms])
 
     @property
-    def absent(self) -> Active:
-        """In this shape, at no size."""
-        candidate = self.there.candidate
-        neutral = {n: candidate.named(n).neutral for n in candidate.amplitudes}
-        return replace(self.there, values={**self.there.values, **neutral})
+    def all(self) -> Places:
+        return np.concatenate([self.amplitudes, self.forms, self.others])
 
     @property
     def typical(self) -> Array:
@@ -64,30 +77,7 @@ class Variant:
         return np.array([typical_coordinate(candidate.named(n)) for n in candidate.amplitudes])
 
 
-Unknowns = dict[str, tuple[Variant, ...]]
-"""Each effect in its typical shape, and in others; R_s and the map have the first places of the matrix."""
-
-
-def unknowns(machine: int, library: Sequence[Candidate], shapes: Sequence[float]) -> Unknowns:
-    """Places for all effects behind the machine's own unknowns, shapes at some coordinates of their prior."""
-    end, found = machine, dict[str, tuple[Variant, ...]]()
-    for candidate in library:
-        variants = []
-        first = candidate.of_role(ParameterRole.SHAPE)[:1]
-        forms = candidate.of_role(ParameterRole.SHAPE, ParameterRole.REFINEMENT)
-        for x in (0.0, *shapes) if first else (0.0,):
-            there = Active(candidate, _at_typical(candidate), ())
-            split = end + len(candidate.amplitudes)
-            there = there.moved(first[0], x) if first else there
-            variants.append(Variant(there, x * x, np.arange(end, split), np.arange(split, split + len(forms))))
-            end = split + len(forms)
-        found[candidate.name] = tuple(variants)
-    return found
-
-
-def _at_typical(candidate: Candidate) -> dict[str, float]:
-    typical = {n: candidate.named(n).typical for n in candidate.amplitudes}
-    return {**candidate.absent().values, **typical}
+_FORMS = (ParameterRole.SHAPE, ParameterRole.REFINEMENT)
 
 
 @dataclass(frozen=True)
@@ -98,7 +88,7 @@ class Information:
     ----------
     machine : int
         Columns of R_s and the map.
-    effects : dict of str to tuple of Variant
+    effects : dict of str to EffectColumns
     pieces : array, shape (pieces, n, n)
         Normal matrix of each piece of a rehearsal, as often as it stands for its like.
     prior : array, shape (n, n)
@@ -108,7 +98,7 @@ class Information:
     """
 
     machine: int
-    effects: Unknowns
+    effects: dict[str, EffectColumns]
     pieces: Array
     prior: Array
     stages: tuple[int, ...]
@@ -122,10 +112,10 @@ class Information:
         """Normal matrix of the whole plan, without the prior."""
         return np.asarray(self.pieces.sum(axis=0))
 
-    def left(self, normal: Array, effect: str, *others: Variant) -> Array:
+    def left(self, normal: Array, effect: str, *others: Places) -> Array:
         """Normal matrix of an effect's amplitudes, its shape typical, when R_s, the map and others follow them."""
-        target = self.effects[effect][0].amplitudes
-        follow = np.concatenate([np.arange(self.machine), *(other.columns for other in others)])
+        target = self.effects[effect].amplitudes
+        follow = np.concatenate([np.arange(self.machine), *others])
         inner = normal[np.ix_(follow, follow)] + self.prior[np.ix_(follow, follow)]
         across = normal[np.ix_(follow, target)]
         rest = normal[np.ix_(target, target)] - across.T @ np.linalg.solve(inner, across)
@@ -141,28 +131,36 @@ def information(
     prepared = replace(whole.prepared, pieces=tuple(whole.prepared.pieces[k] for k in use))
     fitter = replace(whole, prepared=prepared)
     machine = 1 + model.space.directions.shape[1]
-    effects = unknowns(machine, library, fitter.prepared.criteria.selection.shape_starts)
+    end, effects = machine, dict[str, EffectColumns]()
+    for candidate in library:
+        effects[candidate.name] = columns = EffectColumns.of(candidate, end, whole.prepared.criteria.rehearsal.shapes)
+        end += len(columns.all)
     frame = fitter.frame(model)
     weighed = zip(use, prepared.pieces, frame.pieces, strict=True)
-    pieces = [rehearsal.weights[k] * piece_information(rehearsal, effects, piece, kept) for k, piece, kept in weighed]
+    pieces = [
+        rehearsal.weights[k] * piece_information(rehearsal, effects.values(), piece, kept) for k, piece, kept in weighed
+    ]
     prior = np.eye(pieces[0].shape[0])
     prior[0, 0] = 0.0
     prior[1:machine, 1:machine] = model.space.prior.T @ model.space.prior
     return Information(machine, effects, np.stack(pieces), prior, tuple(rehearsal.stages[k] for k in use))
 
 
-def piece_information(rehearsal: Rehearsal, effects: Unknowns, piece: SegmentSignals, frame: SegmentFrame) -> Array:
+def piece_information(
+    rehearsal: Rehearsal, effects: Collection[EffectColumns], piece: SegmentSignals, frame: SegmentFrame
+) -> Array:
     """Normal matrix of one piece."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations
-    variants = [variant for of_effect in effects.values() for variant in of_effect]
-    amplitudes = [(v.absent, n) for v in variants for n in v.there.candidate.amplitudes]
+    amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
     white = equations.rows(model, piece, frame, amplitudes).white[:, 1:]
     columns, taken = [white[:, :1], frame.white_basis], 1
-    for v in variants:
-        columns.append(white[:, taken : taken + len(v.amplitudes)])
-        taken += len(v.amplitudes)
-        if len(v.forms):
-            wanted = [(v.there, n) for n in v.there.candidate.of_role(ParameterRole.SHAPE, ParameterRole.REFINEMENT)]
-            columns.append(equations.rows(model.with_active([v.there]), piece, frame, wanted).white[:, 2:])
+    for e in effects:
+        split, end = taken + len(e.amplitudes), taken + len(e.amplitudes) + len(e.others)
+        columns.append(white[:, taken:split])
+        if e.forms_named:
+            wanted = [(e.there, n) for n in e.forms_named]
+            columns.append(equations.rows(model.with_active([e.there]), piece, frame, wanted).white[:, 2:])
+        columns.append(white[:, split:end])
+        taken = end
     together = np.column_stack(columns)
     return np.asarray(together.T @ together)

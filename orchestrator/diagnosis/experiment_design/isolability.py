@@ -4,7 +4,7 @@ With M of an effect's amplitudes when R_s and the map follow (`information`), an
 x, is found where its log evidence, 1/2 s^2 x'M(M + 1)^-1 M x - 1/2 log det(1 + M), reaches what a diagnosis asks for,
 and told from another where that one, in whatever shape, leaves chi2 of it:
 
-    s^2 x'M_a|b x + (the shape's cost)  >=  five sigma
+    s^2 x'M_a|b x  >=  five sigma
 
 Of two effects the one that is worse told decides: the matrix is symmetric.
 """
@@ -79,8 +79,8 @@ def answer(known: Information, normal: Array, question: Sequence[str], criteria:
 
 def found_from(known: Information, normal: Array, name: str, others: Sequence[str], criteria: Criteria) -> float:
     """Size from which an effect is worth its log evidence, other effects following as large as is typical of them."""
-    left = known.left(normal, name, *(known.effects[other][0] for other in others))
-    x, limits = known.effects[name][0].typical, criteria.selection
+    left = known.left(normal, name, *(known.effects[other].in_typical_shape for other in others))
+    x, limits = known.effects[name].typical, criteria.selection
     gain = float(x @ left @ np.linalg.solve(left + np.eye(len(x)), left @ x))
     asked = 2.0 * limits.log_evidence + float(np.linalg.slogdet(left + np.eye(len(x)))[1])
     return max(limits.least_size, _size(asked, gain))
@@ -88,12 +88,8 @@ def found_from(known: Information, normal: Array, name: str, others: Sequence[st
 
 def told_from(known: Information, normal: Array, name: str, other: str, criteria: Criteria) -> float:
     """Size from which an effect is told from another one that stands in for it, in whatever shape does it best."""
-    x, least = known.effects[name][0].typical, criteria.design.least_separation
-    sizes = []
-    for variant in known.effects[other]:
-        left = known.left(normal, name, variant)
-        sizes.append(_size(max(least - variant.cost, 0.0), float(x @ left @ x)))
-    return max(criteria.selection.least_size, *sizes)
+    x, left = known.effects[name].typical, known.left(normal, name, known.effects[other].all)
+    return max(criteria.selection.least_size, _size(criteria.design.least_separation, float(x @ left @ x)))
 
 
 def _size(asked: float, of_typical: float) -> float:

@@ -114,8 +114,8 @@ def shortest(offer: Offer, size: float, criteria: Criteria, *, at_least_s: float
 
 def _of_typical_shapes(known: Information) -> tuple[Places, Places]:
     """Columns of R_s, the map and every effect in its typical shape; which of these are amplitudes."""
-    effects = [variants[0] for variants in known.effects.values()]
-    columns = np.concatenate([np.arange(known.machine), *(effect.columns for effect in effects)])
+    effects = known.effects.values()
+    columns = np.concatenate([np.arange(known.machine), *(effect.in_typical_shape for effect in effects)])
     return columns, np.flatnonzero(np.isin(columns, np.concatenate([effect.amplitudes for effect in effects])))
 
 

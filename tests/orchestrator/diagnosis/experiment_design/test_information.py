@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis import Criteria
 from orchestrator.diagnosis.experiment_design.information import Information, information
 from orchestrator.diagnosis.experiment_design.rehearsal import rehearse
 from orchestrator.diagnosis.fitting.candidates import scaled_library
@@ -35,16 +36,29 @@ def test_stages_add_up_to_the_whole(known: Information) -> None:
 
 def test_every_effect_has_columns_for_its_amplitudes_in_every_shape(known: Information) -> None:
     dead_time, bias = known.effects["dead_time"], known.effects["voltage_bias"]
-    assert [len(v.amplitudes) for v in dead_time] == [1] * 4
-    assert [len(v.forms) for v in dead_time] == [3] * 4
-    assert [(len(v.amplitudes), len(v.forms)) for v in bias] == [(2, 0)]
-    places = np.concatenate([v.columns for of in known.effects.values() for v in of])
+    shapes = len(Criteria().rehearsal.shapes)
+    assert [len(dead_time.amplitudes), len(dead_time.forms), len(dead_time.others)] == [1, 3, shapes]
+    assert [len(bias.amplitudes), len(bias.forms), len(bias.others)] == [2, 0, 0]
+    places = np.concatenate([effect.all for effect in known.effects.values()])
     assert sorted(places) == list(range(known.machine, known.total.shape[0]))
+
+
+def test_shapes_span_those_between() -> None:
+    rehearsal = rehearse(plan(HOLDS, SWEEPS), DRIVE, machine(), NOISE_A)
+    library, fitter = scaled_library(effects("dead_time"), rehearsal.setup.prepared.manifest), rehearsal.setup.fitter
+    shapes, frame = information(rehearsal, library).effects["dead_time"].shapes, fitter.frame(rehearsal.model)
+    for x in (-1.75, -0.25, 0.25, 1.25, 1.75):
+        wanted = [(a, "voltage_v") for a in (library[0].absent().moved("threshold_a", x), *shapes)]
+        pairs = zip(fitter.prepared.pieces, frame.pieces, strict=True)
+        white = [fitter.equations.rows(rehearsal.model, piece, kept, wanted).white[:, 2:] for piece, kept in pairs]
+        between, spanned = np.split(np.concatenate(white), [1], axis=1)
+        left = np.linalg.lstsq(spanned, between, rcond=None)[1]
+        assert left[0] < 1e-5 * np.sum(between**2)
 
 
 def test_what_follows_takes_information_away_and_never_adds_any(known: Information) -> None:
     alone = known.left(known.total, "dead_time")
-    beside = known.left(known.total, "dead_time", known.effects["voltage_bias"][0])
+    beside = known.left(known.total, "dead_time", known.effects["voltage_bias"].all)
     assert 0.0 < beside[0, 0] <= alone[0, 0] < known.total[known.machine, known.machine]
 
 
