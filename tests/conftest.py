@@ -1,19 +1,33 @@
 """What all tests share."""
 
+import gc
 import os
 import signal
 
+import pytest
 from hypothesis import settings
 
 # A busy machine is no reason to fail: pytest's own timeout bounds a test.
-settings.register_profile("fluxbench", deadline=None)
-settings.load_profile("fluxbench")
+settings.register_profile("fast", deadline=None, max_examples=40)
+settings.register_profile("thorough", deadline=None, max_examples=100)
+settings.load_profile("fast")
 
 
 # As the command line does for itself: before numpy is there, and for the programs that tests start.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 
-def pytest_configure() -> None:
-    """Programs under test hear Ctrl-C, also where a shell started the tests in the background and had it ignored."""
+def pytest_configure(config: pytest.Config) -> None:
+    """Programs under test hear Ctrl-C, also where a shell started the tests in the background and had it ignored.
+
+    With the slow tests, more examples are tried too.
+    """
     signal.signal(signal.SIGINT, signal.default_int_handler)
+    if config.getoption("markexpr") != "not slow":
+        settings.load_profile("thorough")
+
+
+def pytest_collection_finish() -> None:
+    """What is imported by now stays: it need not be looked through for garbage again and again."""
+    gc.collect()
+    gc.freeze()

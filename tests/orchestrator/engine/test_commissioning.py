@@ -172,9 +172,12 @@ def test_a_directory_that_is_taken_is_not_touched(whole: Path) -> None:
 @pytest.mark.parametrize(
     ("fault", "stage"),
     [
-        # Each fault and each stage once; every fault at every stage where there is time.
+        # Each fault at two stages and each stage with two faults; every fault at every stage where there is time.
         pytest.param(
-            fault, stage, marks=() if k == n else pytest.mark.slow, id=f"{'-'.join(map(str, fault.values()))}-{stage}"
+            fault,
+            stage,
+            marks=() if (k - n) % 3 == 0 else pytest.mark.slow,
+            id=f"{'-'.join(map(str, fault.values()))}-{stage}",
         )
         for k, fault in enumerate(FAULTS)
         for n, stage in enumerate(FIRST_EXCITATIONS)
@@ -218,7 +221,7 @@ def test_a_stop_at_any_stage_ramps_down_and_disarms(
 
 def stopped_and_resumed(folder: Path, check: int) -> Path:
     """A run that was stopped when the engine looked for the `check`-th time, and then resumed."""
-    result = run_tiny(folder, interrupts=StopAtCheck(check))
+    result = run_tiny(folder, interrupts=StopAtCheck(check), stages=STAGES[:-1])
     assert result.outcome.ending == "aborted"
     result = resume_run(result.path, Crew(AbsentOperator(), Interrupts()))
     assert result.outcome.ending == "finished"
@@ -229,7 +232,7 @@ def slowly(check: int) -> Any:
     return pytest.param(check, marks=pytest.mark.slow)
 
 
-@pytest.mark.parametrize("check", [slowly(4), slowly(11), 16, slowly(23), slowly(29), slowly(35)])
+@pytest.mark.parametrize("check", [slowly(4), 11, 16, slowly(23), slowly(29), slowly(35)])
 def test_a_resumed_run_has_every_point_once(check: int, tmp_path: Path, whole: Path) -> None:
     path = stopped_and_resumed(tmp_path, check)
     done = points_done(path)
@@ -261,7 +264,7 @@ def test_a_pause_disarms_and_the_run_goes_on_where_it_stood(
     interrupts = Interrupts()
     interrupts.pause()
     threading.Timer(0.3, interrupts.resume).start()
-    result = run_tiny(tmp_path, interrupts=interrupts)
+    result = run_tiny(tmp_path, interrupts=interrupts, stages=STAGES[:-1])
     assert result.outcome.ending == "finished"
     walk = states(result.path)
     place = walk.index("paused")

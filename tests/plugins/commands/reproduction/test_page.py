@@ -18,7 +18,7 @@ SHORT = (
     "stages.4.held_a=[-3.0, 0.0, 3.0]",
     "stages.4.periods=2",
     "stages.5.held_a=[-3.0, 0.0, 3.0]",
-    "stages.5.step_a=0.75",
+    "stages.5.step_a=1.0",
     "stages.5.duration_s=1.0",
 )
 
