@@ -277,7 +277,7 @@ class MapCriteria(Lenient):
     the same way are a scale of the readings."""
 
 
-class EstimationReport(Lenient):
+class EstimatorsReport(Lenient):
     """What the estimators found; every number finite, or null where the recording does not allow it.
 
     The checks are the recommended map's.
@@ -323,3 +323,10 @@ class EstimationReport(Lenient):
     def measured_symmetry(self) -> str | None:
         """The best method whose map has parity and reciprocity not by construction; None where all have."""
         return next((method for method, made in self.maps.items() if made.basis is not Basis.ENERGY), None)
+
+
+class EstimationReport(EstimatorsReport):
+    """`estimates.json`: what the estimators found, and the model of a diagnosis."""
+
+    estimators: EstimatorsReport | None = None
+    """What the estimators alone say, where a diagnosed model's map and R_s have joined them."""

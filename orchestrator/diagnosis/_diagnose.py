@@ -14,6 +14,7 @@ from orchestrator.diagnosis.experiment_design.proposal import next_experiment
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate, require_known, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
@@ -33,12 +34,13 @@ from orchestrator.diagnosis.selection.workflow import (
     without_doubtful,
     without_stand_ins,
 )
-from orchestrator.diagnosis.uncertainty.map_band import map_band_wb
+from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.recording import Recording, write_model
 from protocols import (
     DiagnosisReport,
     DiagnosisStep,
     Effect,
+    EstimationReport,
     FoundEffect,
     Materiality,
     MotorModel,
@@ -67,12 +69,18 @@ class Diagnosis:
         Its steps are the rungs of the ladder.
     library : sequence of Candidate
         What was looked for.
+    delivery : Delivery or None
+        The map and R_s that it ends with; None where nothing was fitted.
+    estimates : EstimationReport or None
+        The results that these have been put among.
     """
 
     report: DiagnosisReport
     setup: DiagnosisSetup | None
     search: Search
     library: Sequence[Candidate]
+    delivery: Delivery | None = None
+    estimates: EstimationReport | None = None
 
 
 @solvable
@@ -149,6 +157,8 @@ def diagnose_recording(
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     joint = joint_fit(setup.fitter, search, library)
+    uncertainty = MapUncertainty.of(setup.fitter, last, library)
+    band_percent = 100.0 * uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
     ladder = (*(rung(step) for step in search.steps[:-1]), *kept_rungs(setup, search.steps[-1:]))
     if on_step is not None:
         _show(setup, search, ladder, on_step)
@@ -168,7 +178,7 @@ def diagnose_recording(
             *other_opinion(joint, active, last.criteria.selection),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
-        map_error_percent=100.0 * map_band_wb(last, visited(last)) / rated_flux_wb(setup),
+        map_error_percent=band_percent,
         materiality=Materiality(
             flux_percent=100.0 * last.criteria.selection.material_flux,
             voltage_percent=100.0 * last.criteria.selection.material_voltage,
@@ -179,11 +189,13 @@ def diagnose_recording(
     baseline = baseline_of(model)
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
+    kept = kept_model(setup, last, baseline, (*of_map, *active), ladder)
     try:
-        write_model(out or recording.path, kept_model(setup, last, baseline, (*of_map, *active), ladder))
+        write_model(out or recording.path, kept)
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
-    return Diagnosis(report, setup, search, library)
+    delivery = delivery_of(uncertainty, kept, verdict, band_percent)
+    return Diagnosis(report, setup, search, library, delivery)
 
 
 def _remarks(

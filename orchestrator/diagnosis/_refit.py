@@ -12,13 +12,17 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_furthe
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate, require_known, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
+from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
 from orchestrator.diagnosis.reporting.motor_model import flux_of, freed_by, kept_model, reduced, restored
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.diagnosis.selection.refining import repolished
+from orchestrator.diagnosis.selection.shares import rated_flux_wb, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
+from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
 from protocols import (
     AddReport,
@@ -192,7 +196,11 @@ def _keep_refit(
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)
-    write_model(out or recording.path, kept_model(setup, fit, baseline, found, ladder))
+    kept = kept_model(setup, fit, baseline, found, ladder)
+    write_model(out or recording.path, kept)
+    uncertainty = MapUncertainty.of(setup.fitter, fit)
+    band_percent = 100.0 * uncertainty.band_wb(visited(fit)) / rated_flux_wb(setup)
+    deliver(delivery_of(uncertainty, kept, None, band_percent), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,

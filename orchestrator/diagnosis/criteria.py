@@ -190,6 +190,8 @@ class SelectionCriteria(Strict):
     """Part of the rated flux by which an effect has to move the map to be material, ..."""
     material_voltage: float = _is(0.005, "1", "practice")
     """... or part of the excitation's rms voltage that it has to make in any kind of stage."""
+    widest_band_percent: float = _is(1.0, "%", "practice")
+    """Half width of the map's 95 % band, of the rated flux, beyond which the map is no longer one to be relied on."""
     joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
     """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
     joint_tolerance: float = _is(1e-2, "1", "simulated")

@@ -1,11 +1,13 @@
 """One pass of the estimators over a recording, and its results as files."""
 
+from orchestrator.estimation.delivery import deliver_model
 from orchestrator.estimation.estimation import estimate_recording
 from orchestrator.estimation.flux_map_file import flux_dataset, load_flux_map, save_flux_map
 from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates
 
 __all__ = [
     "RECOMMENDED_MAP",
+    "deliver_model",
     "estimate_recording",
     "flux_dataset",
     "load_estimates",

@@ -166,10 +166,11 @@ def _unscaled(best: FluxMapEstimate | None, rated_a: float | None) -> list[Remar
 
 
 def _map_report(made: FluxMapEstimate) -> MapReport:
-    return MapReport(basis=made.map.basis, checks=made.checks, inductances=_inductances(made.map), form=made.form)
+    return MapReport(basis=made.map.basis, checks=made.checks, inductances=inductances_of(made.map), form=made.form)
 
 
-def _inductances(flux_map: FluxMap) -> InductanceRange | None:
+def inductances_of(flux_map: FluxMap) -> InductanceRange | None:
+    """Over what a map knows; None where it knows none."""
     l_dd, l_qq, l_dq = (values[np.isfinite(values)] for values in (flux_map.l_dd, flux_map.l_qq, flux_map.l_dq))
     if not len(l_dd) or not len(l_qq) or not len(l_dq):
         return None

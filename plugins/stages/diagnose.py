@@ -129,6 +129,8 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     diagnosis, kept = diagnose_and_keep(
         recording, run.plugins("effects"), model=stage.model, without=stage.without, on_step=say, poll=run.check
     )
+    if diagnosis.estimates is not None:
+        run.conclude(diagnosis.estimates)
     message = Diagnosed(round=run.appended, report=kept.report, words=kept.words)
     found = diagnosis.report.next_experiment
     if found is None:

@@ -8,12 +8,13 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from tests.blind.campaign import record
+from tests.blind.delivered import held_against
 from tests.blind.hidden import Case, draw_case
 
 
@@ -31,6 +32,8 @@ class Answer:
     cpu_s: float
     peak_mb: float
     """Of the process so far."""
+    delivered: dict[str, Any] | None = None
+    """Fields of `Delivered`; None where nothing was."""
 
 
 def examine(case: Case) -> Answer:
@@ -46,15 +49,17 @@ def examine(case: Case) -> Answer:
         samples = sum(segment.samples for segment in recording.manifest.segments)
         library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
         start, cpu = time.perf_counter(), time.process_time()
-        report, error = None, None
+        report, error, delivered = None, None, None
         try:
             found = diagnose_recording(recording, library, model="saturated", without=case.without, out=Path(folder))
             report = found.report.model_dump(mode="json")
+            if (made := found.delivery) is not None:
+                delivered = asdict(held_against(case, made.map, made.resistance, not made.objections))
         except FluxbenchError as refused:
             error = str(refused)
         seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Answer(case, report, error, samples, seconds, cpu, peak)
+    return Answer(case, report, error, samples, seconds, cpu, peak, delivered)
 
 
 def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:
@@ -71,7 +76,8 @@ def keep(file: Path | None, seed: int, answer: Answer) -> None:
     """Append an answer to a file of JSON lines; nowhere, where there is none."""
     if file is None:
         return
-    row = {name: getattr(answer, name) for name in ("report", "error", "samples", "seconds", "cpu_s", "peak_mb")}
+    names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered")
+    row = {name: getattr(answer, name) for name in names}
     with file.open("a", encoding="utf-8") as lines:
         lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row}) + "\n")
 

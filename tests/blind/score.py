@@ -20,6 +20,8 @@ FLOORS = 3.0
 
 FOUND_FIRST = "clutter: first name right"
 """No mistake where it is not: names are in the order of what they do to the error, and a small one may do more."""
+ACCEPTED_PERCENT = 1.0
+ACCEPTED = "usable or explained: map within 1 % of the rated flux"
 FAINT_EDGES = (0.02, 0.05, 0.1, 0.2)
 """Sizes, in units of the typical one, between which faint effects are counted apart."""
 FAINT_FIGURES = tuple(f"faint, {a:g} to {b:g} of typical: named" for a, b in itertools.pairwise(FAINT_EDGES))
@@ -55,6 +57,8 @@ def judge(answer: Answer) -> Judgement:
     if report is None:
         return Judgement(answer, {"answered at all": False})
     right = _right(case, report)
+    if answer.delivered is not None and (answer.delivered["usable"] or report["verdict"] in ("clean", "explained")):
+        right[ACCEPTED] = answer.delivered["map_percent"] <= ACCEPTED_PERCENT
     closed, over_floor = _closed(report)
     in_catalogue = case.kind in ("single", "double", "clutter")
     intervals = tuple(_intervals(case, report)) if case.kind in ("single", "double") else ()

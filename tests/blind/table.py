@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.hidden import NUISANCES
-from tests.blind.score import FAINT_FIGURES, FOUND_FIRST, Judgement, said, wilson
+from tests.blind.score import ACCEPTED, FAINT_FIGURES, FOUND_FIRST, Judgement, said, wilson
 
 AIMS = {
     "clean: no false name": "0 false of 300",
@@ -25,8 +25,8 @@ ORDER = (
     "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
     FOUND_FIRST, "clutter: named", "clutter: no false name", "double: exact set", "double: first name right",
     "left out: unknown flagged", "foreign: unknown flagged", "explained, and not flagged unknown",
-    "nuisance: no false name", "nuisance: first name right", "faint: no wrong name", *FAINT_FIGURES,
-    "too little to say: said so", "answered at all",
+    ACCEPTED, "ordinary: no false name", "nuisance: no false name", "nuisance: first name right",
+    "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so", "answered at all",
 )  # fmt: skip
 
 
@@ -111,7 +111,26 @@ def _amounts(judgements: Sequence[Judgement]) -> list[str]:
         f"for {np.median(samples) / 1e6:.2f} M samples, "
         f"beside whatever else the machine does; {peak:.0f} MB at most."
     )
-    return lines
+    return [*lines, *_maps(judgements)]
+
+
+def _maps(judgements: Sequence[Judgement]) -> list[str]:
+    """How good the delivered maps are, class by class."""
+    rows = []
+    for kind in dict.fromkeys(j.answer.case.kind for j in judgements):
+        known = [j.answer.delivered for j in judgements if j.answer.case.kind == kind and j.answer.delivered]
+        if known:
+            off, inside, ohm = (
+                np.array([d[n] for d in known]) for n in ("map_percent", "inside", "resistance_percent")
+            )
+            usable = sum(d["usable"] for d in known)
+            rows.append(
+                f"| {kind.replace('_', ' ')} | {len(known)} | {usable} | {np.median(off):.3f} | {off.max():.3f} "
+                f"| {100 * np.median(inside):.0f} | {np.median(ohm):.3f} |"
+            )
+    head = "| class | maps | usable | rms error, % of rated flux: median | at most | in their 95 %, % | R_s error, % |"
+    about = "The maps that are delivered, effects taken out, against the plant's own:"
+    return ["", about, "", head, "| --- | --- | --- | --- | --- | --- | --- |", *rows] if rows else []
 
 
 def _by_effect(judgements: Sequence[Judgement]) -> list[str]:

@@ -8,11 +8,27 @@ from pathlib import Path
 
 from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
 from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.reporting.delivery import Delivery
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.recording import Recording
-from protocols import DiagnosisStep, Effect, Remark, StorageError
+from protocols import DiagnosisStep, Effect, EstimationReport, Remark, StorageError
+
+
+def deliver(delivery: Delivery, recording: Recording, out: Path | None) -> EstimationReport:
+    """What a fit delivers, put among the results of a run or recording; raises `StorageError`."""
+    from orchestrator.estimation import deliver_model  # which knows the diagnosis too
+
+    manifest = recording.manifest
+    return deliver_model(
+        out or recording.path,
+        delivery.map,
+        delivery.resistance,
+        delivery.objections,
+        motor=manifest.motor.name,
+        recording=manifest.name,
+    )
 
 
 def diagnose_and_keep(
@@ -26,7 +42,7 @@ def diagnose_and_keep(
     poll: Callable[[], None] = lambda: None,
     criteria: Criteria | None = None,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
-    """`diagnose_recording`, and what it found written to ``results/diagnosis.json`` and ``.npz``.
+    """`diagnose_recording`, and what it found written to ``results/``: ``diagnosis.json``, ``.npz``, the model's map.
 
     Where that cannot be written (a read-only disk), a note says so.
 
@@ -52,6 +68,8 @@ def diagnose_and_keep(
     words = in_words(diagnosis)
     try:
         save_diagnosis(out or recording.path, diagnosis.report, words, steps)
+        if diagnosis.delivery is not None:
+            diagnosis = replace(diagnosis, estimates=deliver(diagnosis.delivery, recording, out))
     except StorageError as error:
         remark = Remark.of("not_written", "{problem}", problem=str(error))
         diagnosis = replace(diagnosis, report=diagnosis.report.with_remark(remark))

@@ -130,24 +130,29 @@ def magnetics_of(spline: CoEnergySpline) -> Magnetics:
     return Magnetics(grid, np.array(s.coefficients_j, dtype=np.float64))
 
 
-def flux_map_of(kept: MotorModel, nodes_per_interval: int = 4) -> FluxMap:
-    """A model's map on a grid, effects out; NaN beyond what was measured, and for standard deviations.
+def map_nodes(grid: EvenSpline, nodes_per_interval: int = 4) -> tuple[Array, tuple[int, int]]:
+    """The currents of a spline's map, shape (n, 2), and how many there are along i_d and i_q.
 
-    The splines are smooth on the scale of an interval: four nodes in it are enough to interpolate between.
+    Splines are smooth on the scale of an interval: four nodes in it are enough to interpolate between.
     """
-    magnetics = magnetics_of(kept.magnetics)
-    grid = magnetics.grid
     i_d = np.linspace(grid.low, grid.high, nodes_per_interval * grid.cells[0] + 1)
     i_q = np.linspace(-grid.reach, grid.reach, nodes_per_interval * grid.cells[1] + 1)
-    nodes = np.stack([axis.ravel() for axis in np.meshgrid(i_d, i_q, indexing="ij")], axis=1)
+    return np.stack([axis.ravel() for axis in np.meshgrid(i_d, i_q, indexing="ij")], axis=1), (len(i_d), len(i_q))
+
+
+def flux_map_of(kept: MotorModel) -> FluxMap:
+    """A model's map on a grid, effects out; NaN beyond what was measured, and for standard deviations."""
+    magnetics = magnetics_of(kept.magnetics)
+    nodes, shape = map_nodes(magnetics.grid)
+    i_d, i_q = np.unique(nodes[:, 0]), np.unique(nodes[:, 1])
     psi, inductance = magnetics.flux_and_inductance(nodes)
     at_rest, _ = magnetics.flux_and_inductance(np.zeros((1, 2)))
     psi = psi - at_rest + np.array([kept.pm_flux_wb, 0.0])
     table = np.column_stack([psi, inductance])
     table[~_inside(nodes, np.array(kept.magnetics.measured_hull_a).reshape(-1, 2))] = np.nan
     names = ("psi_d", "psi_q", "l_dd", "l_dq", "l_qq")
-    fields = {name: column.reshape(len(i_d), len(i_q)) for name, column in zip(names, table.T, strict=True)}
-    unknown = {f"{name}_std": np.full((len(i_d), len(i_q)), np.nan) for name in names}
+    fields = {name: column.reshape(shape) for name, column in zip(names, table.T, strict=True)}
+    unknown = {f"{name}_std": np.full(shape, np.nan) for name in names}
     return FluxMap(method=f"model of {kept.recording}", i_d=i_d, i_q=i_q, **fields, **unknown)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -65,6 +66,14 @@ def excitation_v(fit: Fit) -> float:
     """rms of the impressed voltage over all that is excited [V]."""
     kinds = _by_kind(fit, _voltages(fit))
     return max(kinds.values(), default=0.0)
+
+
+def left_of_excitation(fit: Fit) -> float:
+    """What is left beyond noise, over the rms voltage: the largest of holds, sweeps, means under injection, ripple."""
+    volts, left = _by_kind(fit, _voltages(fit)), _by_kind(fit, fit.volts)
+    chi = _by_kind(fit, fit.residual)
+    beyond = {kind: left[kind] * math.sqrt(max(1.0 - 1.0 / chi[kind] ** 2, 0.0)) for kind in left if chi[kind] > 0.0}
+    return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
 
 
 def can_tell(fit: Fit, noise_v: float | None, current_error: float | None) -> bool:

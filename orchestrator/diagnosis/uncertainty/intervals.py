@@ -32,12 +32,22 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     pulls = np.array([e @ rows for _, e, rows in segments])
     sandwich = inverse @ (pulls.T @ pulls) @ inverse * len(pulls) / max(len(pulls) - len(normal), 1)
     plain = np.diag(inverse) * max(fit.chi2_per_dof, 1.0)
-    share = ripple_share([(piece, rows @ inverse[:, :count]) for piece, _, rows in segments])
+    between = block_scatter(fit) ** 2 / fit.criteria.uncertainty.blocks
+    doubt = form_doubt(fit, [(piece, rows @ inverse[:, :count]) for piece, _, rows in segments])
+    return np.asarray(np.sqrt(np.maximum(plain, np.diag(sandwich))[:count] + between + doubt**2))
+
+
+def form_doubt(fit: Fit, rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:
+    """What the effects' forms leave out, as a standard deviation of each free coordinate, shape (free,).
+
+    Parameters
+    ----------
+    rows : sequence of (SegmentSignals, array)
+        Of each training segment what it tells of each coordinate, shape (rows, free).
+    """
     criteria = fit.criteria.uncertainty
     extent = np.array([_extent(a, n) for a, n in fit.model.free])
-    doubt = np.hypot(criteria.form_doubt, criteria.ripple_doubt * share) * extent
-    variance = np.maximum(plain, np.diag(sandwich))[:count] + block_scatter(fit) ** 2 / criteria.blocks + doubt**2
-    return np.asarray(np.sqrt(variance))
+    return np.asarray(np.hypot(criteria.form_doubt, criteria.ripple_doubt * ripple_share(rows)) * extent)
 
 
 def _yielding(active: Active) -> list[str]:

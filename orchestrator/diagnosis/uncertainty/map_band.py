@@ -1,37 +1,123 @@
-"""How far the delivered map may be off: what noise, R_s and the effects' own uncertainty make of it together."""
+"""How uncertain R_s and the map are: by noise, by the effects of the model, and by those that it might lack."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.uncertainty.intervals import following, form_doubt
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.types import Array
 
 
-def map_band_wb(fit: Fit, i_dq: Array) -> float:
-    """Half width of the flux's 95 % band, rms over some currents and both axes [Wb].
+@dataclass(frozen=True)
+class Unseen:
+    """An effect that is not in the model, as the recording would have it to first order.
 
-    The covariance of (R_s, map) with the effects' free coordinates eliminated, noise as large as it turned out to be.
+    Attributes
+    ----------
+    probability : float
+        That it is there all the same.
+    shift : array, shape (1 + free,)
+        By how much R_s and the map's free numbers would move.
+    covariance : array, shape (1 + free, 1 + free)
+        Theirs where it is free.
     """
-    space, count = fit.model.space, len(fit.model.free)
-    if space.directions.shape[1] == 0:
-        return 0.0
-    width = fit.normal.shape[0]
-    cross, own = np.zeros((width, count)), np.eye(count)
-    for p, f, d, r in zip(fit.prepared.pieces, fit.frame.pieces, fit.columns, fit.resistance, strict=True):
-        if p.held_out:
-            continue
-        cross[0] += r @ d[:, :count]
-        cross[1:] += f.white_basis.T @ d[:, :count]
-        own += d[:, :count].T @ d[:, :count]
-    precision = (fit.normal - cross @ np.linalg.solve(own, cross.T)) / max(fit.chi2_per_dof, 1.0)
-    covariance = np.linalg.inv(precision)[1:, 1:]
-    rows = flux_rows(fit, i_dq)
-    variance = np.einsum("ij,jk,ik->i", rows, covariance, rows)
-    return fit.criteria.uncertainty.interval * math.sqrt(float(np.mean(np.maximum(variance, 0.0))))
+
+    probability: float
+    shift: Array
+    covariance: Array
+
+
+@dataclass(frozen=True)
+class MapUncertainty:
+    """Of R_s and the map's free numbers, all effects of the model following.
+
+    Attributes
+    ----------
+    covariance : array, shape (1 + free, 1 + free)
+        As noise has it, which is as large as it turned out to be.
+    pulls : array, shape (segments, 1 + free)
+        What each segment's residual alone makes of them: their disagreement is the sandwich estimate with segments
+        as clusters (H. White, Econometrica 48 (1980), doi:10.2307/1912934).
+    forms : array, shape (coordinates, 1 + free)
+        What the effects' forms leave out, a row for each free coordinate.
+    unseen : tuple of Unseen
+    """
+
+    fit: Fit
+    covariance: Array
+    pulls: Array
+    forms: Array
+    unseen: tuple[Unseen, ...]
+
+    @classmethod
+    def of(cls, fitter: Fitter, fit: Fit, library: Sequence[Candidate] = ()) -> MapUncertainty:
+        """That of a fit; effects of the library that are not in the model might be there all the same."""
+        width, count = fit.normal.shape[0], len(fit.model.free)
+        absent = [c for c in library if c.name not in fit.model.names]
+        columns = absent_columns(absent)
+        loose = fitter.evaluate(fit.model, fit.frame, columns) if columns else fit
+        total, pulls = _system(loose)
+        own = np.arange(width + count)
+        inverse = np.linalg.inv(total[np.ix_(own, own)])
+        noise = max(fit.chi2_per_dof, 1.0)
+        forms = np.zeros((0, width))
+        if count:
+            rows = [(p, x[:, :count] @ inverse[width:, width:]) for p, _, x in following(loose)]
+            moved = np.linalg.solve(fit.normal, total[:width, width : width + count])
+            forms = moved.T * form_doubt(fit, rows)[:, None]
+        places = [(c, [width + count + k for k, (a, _) in enumerate(columns) if a.name == c.name]) for c in absent]
+        return cls(
+            fit=fit,
+            covariance=noise * inverse[:width, :width],
+            pulls=pulls[:, own] @ inverse[:, :width],
+            forms=forms,
+            unseen=tuple(_unseen(fit, total, pulls.sum(axis=0), own, np.array(at)) for _, at in places),
+        )
+
+    def spread(self, rows: Array) -> Array:
+        """Standard deviation of linear combinations, shape (n,), of R_s and the map's free numbers, (n, 1 + free)."""
+        noise = _quadratic(rows, self.covariance)
+        variance = np.maximum(noise, np.sum((self.pulls @ rows.T) ** 2, axis=0))
+        variance = variance + np.sum((self.forms @ rows.T) ** 2, axis=0)
+        for one in self.unseen:
+            more = np.maximum(_quadratic(rows, one.covariance) - noise, 0.0)
+            variance = variance + one.probability * (more + (rows @ one.shift) ** 2)
+        return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
+
+    @property
+    def resistance_ohm(self) -> float:
+        """Standard deviation of R_s."""
+        row = np.zeros((1, len(self.covariance)))
+        row[0, 0] = 1.0
+        return float(self.spread(row)[0])
+
+    def band_wb(self, i_dq: Array) -> float:
+        """Half width of the flux's 95 % band, rms over some currents and both axes [Wb]."""
+        if self.fit.model.space.directions.shape[1] == 0:
+            return 0.0
+        rows = flux_rows(self.fit, i_dq)
+        spread = self.spread(np.column_stack([np.zeros(len(rows)), rows]))
+        return self.fit.criteria.uncertainty.interval * math.sqrt(float(np.mean(spread**2)))
+
+    def of_map(self, i_dq: Array) -> Array:
+        """Standard deviations of psi_d and psi_q beyond those at rest, L_dd, L_dq, L_qq at some currents, (n, 5)."""
+        space, at_rest = self.fit.model.space, np.zeros((1, 2))
+        spreads = []
+        for order in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)):
+            rows = space.grid.rows(i_dq, *order)
+            if sum(order) == 1:
+                rows = rows - space.grid.rows(at_rest, *order)
+            free = rows @ space.directions
+            spreads.append(self.spread(np.column_stack([np.zeros(len(free)), free])))
+        return np.stack(spreads, axis=1)
 
 
 def flux_rows(fit: Fit, i_dq: Array) -> Array:
@@ -41,3 +127,40 @@ def flux_rows(fit: Fit, i_dq: Array) -> Array:
         flux = Magnetics(grid, direction).flux_and_inductance(i_dq)[0]
         rows.append((flux - flux.mean(axis=0)).ravel())
     return np.stack(rows, axis=1)
+
+
+def _system(fit: Fit) -> tuple[Array, Array]:
+    """Normal matrix of R_s, the map and all columns with their priors, and each training segment's gradient."""
+    width, count = fit.normal.shape[0], len(fit.parameters)
+    total = np.eye(width + count)
+    total[:width, :width] = fit.normal
+    pulls = []
+    for p, f, d, r, e in zip(
+        fit.prepared.pieces, fit.frame.pieces, fit.columns, fit.resistance, fit.residual, strict=True
+    ):
+        if p.held_out:
+            continue
+        linear = np.column_stack([r, f.white_basis])
+        total[:width, width:] += linear.T @ d
+        total[width:, width:] += d.T @ d
+        pulls.append(np.concatenate([linear.T @ e, d.T @ e]))
+    total[width:, :width] = total[:width, width:].T
+    return total, np.array(pulls)
+
+
+def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array) -> Unseen:
+    """What the recording has of one effect; `own` are the places of all that is fitted, `at` its own."""
+    width, noise = fit.normal.shape[0], max(fit.chi2_per_dof, 1.0)
+    both = np.concatenate([own, at])
+    inverse = np.linalg.inv(total[np.ix_(both, both)])
+    block, x = inverse[len(own) :, len(own) :], -inverse[:, len(own) :] @ pull[at]
+    size = x[len(own) :]
+    prior = fit.criteria.selection.prior_probability
+    gain = 0.5 * float(size @ np.linalg.solve(block, size)) / noise
+    odds = gain + 0.5 * float(np.linalg.slogdet(block)[1]) + math.log(prior / (1.0 - prior))
+    probability = 0.5 * (1.0 + math.tanh(0.5 * odds))
+    return Unseen(probability, x[:width], noise * inverse[:width, :width])
+
+
+def _quadratic(rows: Array, covariance: Array) -> Array:
+    return np.asarray(np.sum((rows @ covariance) * rows, axis=1))

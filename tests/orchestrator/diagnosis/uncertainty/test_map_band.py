@@ -1,11 +1,19 @@
-"""The map's band is as wide as maps scatter from one noise to the next."""
+"""The map's errors: as wide as maps scatter from one noise to the next, and wider by what the model might lack."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
-from orchestrator.diagnosis.uncertainty.map_band import flux_rows, map_band_wb
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty, flux_rows
+from plugins.effects.resistance import WindingHeating
+from plugins.effects.sensors import CurrentGainMismatch
+from plugins.effects.timing import VoltageDelay
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared
 
 POINTS = np.array([[0.0, 0.0], [1.5, 0.0], [-1.5, 0.5], [0.0, 1.5], [1.0, 1.0]])
 
@@ -21,10 +29,53 @@ def test_rows_give_the_flux_less_its_mean() -> None:
 def test_the_band_is_as_wide_as_noise_moves_the_map() -> None:
     fluxes, bands = [], []
     for seed in range(8):
-        fit = fitter(prepared(plan(sparse=True), seed=seed)).fit(free_model())
+        maker = fitter(prepared(plan(sparse=True), seed=seed))
+        fit = maker.fit(free_model())
         psi = fit.model.magnetics.flux_and_inductance(POINTS)[0]
         fluxes.append((psi - psi.mean(axis=0)).ravel())
-        bands.append(map_band_wb(fit, POINTS))
+        bands.append(MapUncertainty.of(maker, fit).band_wb(POINTS))
     scatter = float(np.sqrt(np.mean(np.var(fluxes, axis=0, ddof=1))))
     # 80 numbers of few degrees of freedom: their scatter is known to a third.
     assert 0.6 < 1.96 * scatter / np.mean(bands) < 1.6
+
+
+def test_r_s_and_map_are_no_surer_for_effects_that_may_be_there() -> None:
+    maker = fitter(prepared(plan()))
+    fit = maker.fit(free_model())
+    library = scaled_library([CurrentGainMismatch(), VoltageDelay(), WindingHeating()], maker.prepared.manifest)
+    plain, aware = MapUncertainty.of(maker, fit), MapUncertainty.of(maker, fit, library)
+    # Asking for the absent effects' columns solves for R_s and the map once more: a little is rounding.
+    less = 0.999 * plain.of_map(POINTS)
+    assert (aware.of_map(POINTS) >= less - 1e-6 * less.max(axis=0)).all()
+    assert aware.resistance_ohm >= 0.999 * plain.resistance_ohm
+    assert all(0.0 <= one.probability <= 1.0 for one in aware.unseen)
+
+
+def test_an_effect_that_was_left_out_lies_within_what_it_might_do() -> None:
+    delay = VoltageDelay()
+    maker = fitter(prepared(plan()))
+    (candidate,) = scaled_library([delay], maker.prepared.manifest)
+    truth = with_free(free_model(), maker, delay, delay_s=4e-6)
+    moved = [
+        replace(p, signals=apply_effects(p.signals, [a.moved("delay_s", -a.coordinate("delay_s"))]).signals)
+        for p in maker.prepared.pieces
+        for a in truth.active
+    ]
+    late = fitter(replace(maker.prepared, pieces=tuple(moved)))
+    without = late.fit(free_model())
+    (unseen,) = MapUncertainty.of(late, without, [candidate]).unseen
+    assert unseen.probability > 0.99
+    put = late.fit(without.model.with_active([candidate.absent()]))
+    change = put.model.magnetics.coefficients - without.model.magnetics.coefficients
+    np.testing.assert_allclose(unseen.shift[0], put.model.r_s - without.model.r_s, atol=0.1 * abs(unseen.shift).max())
+    flux = flux_rows(without, POINTS)
+    expected = flux @ change
+    np.testing.assert_allclose(flux @ unseen.shift[1:], expected, atol=0.1 * np.abs(expected).max())
+
+
+def test_inductances_of_the_truth_lie_within_their_errors() -> None:
+    maker = fitter(prepared(plan(), seed=3))
+    fit = maker.fit(free_model())
+    found = fit.model.magnetics.flux_and_inductance(POINTS)[1]
+    spreads = MapUncertainty.of(maker, fit).of_map(POINTS)[:, 2:]
+    assert (np.abs(found - np.array([L_D, 0.0, L_Q])) <= 5.0 * spreads).all()

@@ -1,0 +1,99 @@
+"""What a fit delivers to who asks for the motor: its map and R_s with errors, and what speaks against their use."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
+from orchestrator.diagnosis.selection.shares import left_of_excitation
+from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
+from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
+
+METHOD = "model"
+"""Under which the map of the whole model is kept beside the estimators'."""
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A fit's results, effects taken out.
+
+    Attributes
+    ----------
+    map : FluxMap
+    resistance : ResistanceEstimate
+    objections : tuple of Remark
+        What makes the map no better than those of the estimators: it is not recommended then.
+    """
+
+    map: FluxMap
+    resistance: ResistanceEstimate
+    objections: tuple[Remark, ...]
+
+
+def delivery_of(
+    uncertainty: MapUncertainty, kept: MotorModel, verdict: Verdict | None, band_percent: float
+) -> Delivery:
+    """The map and R_s of a fit, and the objections to them.
+
+    Parameters
+    ----------
+    uncertainty : MapUncertainty
+        The fit's.
+    kept : MotorModel
+        The same fit's.
+    verdict : str or None
+        Of the diagnosis; None: the model is a user's own, and what is left decides.
+    band_percent : float
+        Half width of the map's 95 % band, of the rated flux.
+    """
+    objections = _objections(uncertainty.fit, verdict, band_percent)
+    return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections))
+
+
+def _map(uncertainty: MapUncertainty, kept: MotorModel) -> FluxMap:
+    found = flux_map_of(kept)
+    nodes, shape = map_nodes(uncertainty.fit.model.space.grid)
+    fields: dict[str, object] = {"method": METHOD, "basis": Basis.ENERGY}
+    for name, spread in zip(("psi_d", "psi_q", "l_dd", "l_dq", "l_qq"), uncertainty.of_map(nodes).T, strict=True):
+        fields[f"{name}_std"] = np.where(np.isfinite(getattr(found, name)), spread.reshape(shape), np.nan)
+    return found.model_copy(update=fields)
+
+
+def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
+    """R_s as the effects leave it: as warm as at the start, and what it was at both ends of the experiment."""
+    fit = uncertainty.fit
+    value, half = fit.model.r_s, fit.criteria.uncertainty.interval * uncertainty.resistance_ohm
+    ends = [
+        float(np.mean(apply_effects(frame.base, fit.model.active).signals.resistance_ohm))
+        for piece, frame in zip(fit.prepared.pieces, fit.frame.pieces, strict=True)
+        if piece.stage is not SegmentStage.GATES_OFF
+    ]
+    told = "R_s is that of the whole model, the winding as warm as at the start"
+    remark = Remark.of("of_the_model", told)
+    return ResistanceEstimate(
+        value_ohm=value,
+        low=value - half,
+        high=value + half,
+        first_ohm=ends[0],
+        last_ohm=ends[-1],
+        remarks=(remark.by(METHOD),),
+    )
+
+
+def _objections(fit: Fit, verdict: Verdict | None, band_percent: float) -> list[Remark]:
+    limits, against = fit.criteria.selection, []
+    if verdict == "cannot_tell":
+        text = "the recording does not tell whether the model is right: see the diagnosis"
+        against.append(Remark.of("cannot_tell", text))
+    left = left_of_excitation(fit)
+    if verdict not in ("clean", "explained") and left > limits.material_voltage:
+        text = "the model leaves {left_percent:.2g} % of the voltage unexplained: see the diagnosis"
+        against.append(Remark.of("unexplained", text, left_percent=100.0 * left))
+    if band_percent > limits.widest_band_percent:
+        text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
+        against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
+    return [one.by(METHOD) for one in against]

@@ -1,0 +1,73 @@
+"""A model's map among the results: first where nothing speaks against it, and never twice."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.estimation import deliver_model, estimate_recording, load_estimates, load_flux_map
+from protocols import Basis, EstimationReport, FluxMap, Remark, ResistanceEstimate
+from tests.orchestrator.analysis.test_checks import exact_map
+from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps
+
+R_S = ResistanceEstimate(value_ohm=4.1, low=4.09, high=4.11, first_ohm=4.1, last_ohm=4.3)
+AGAINST = (Remark.of("unexplained", "the model leaves {left_percent:.2g} % unexplained", left_percent=3.0),)
+
+
+def model_map(scale: float = 1.0) -> FluxMap:
+    known = exact_map()
+    return known.model_copy(update={"method": "model", "basis": Basis.ENERGY, "psi_d": scale * known.psi_d})
+
+
+def deliver(where: Path, *against: Remark, scale: float = 1.0) -> EstimationReport:
+    return deliver_model(where, model_map(scale), R_S, against, motor="m", recording="made up")
+
+
+def test_the_models_map_and_resistance_take_first_place(tmp_path: Path) -> None:
+    own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
+    report = deliver(tmp_path, scale=1.5)
+    assert (report.method, report.usable) == ("model", True)
+    assert list(report.maps) == ["model", *own.maps]
+    assert report.resistance is not None
+    assert own.resistance is not None
+    assert report.resistance.value_ohm == R_S.value_ohm
+    assert report.resistance.readings == own.resistance.readings
+    np.testing.assert_array_equal(load_flux_map(tmp_path / "results" / "flux_map.nc").psi_d, model_map(1.5).psi_d)
+    assert load_flux_map(tmp_path / "results" / f"flux_map_{own.method}.nc").method == own.method
+    assert load_estimates(tmp_path) == report
+
+
+def test_what_speaks_against_the_model_speaks_against_every_map(tmp_path: Path) -> None:
+    own = estimate_recording(RECORDING, [Resistance(), Sweeps()], tmp_path)
+    report = deliver(tmp_path, *AGAINST)
+    assert (report.method, report.usable, report.resistance) == (own.method, False, own.resistance)
+    assert report.remarks[0].code == "unexplained"
+    assert load_flux_map(tmp_path / "results" / "flux_map_model.nc").method == "model"
+
+
+def test_a_later_model_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
+    own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
+    once = deliver(tmp_path, scale=1.5)
+    deliver(tmp_path, *AGAINST)
+    again = deliver(tmp_path, scale=1.5)
+    assert again.model_copy(update={"files": {}}) == once.model_copy(update={"files": {}})
+    assert again.estimators is not None
+    assert list(again.estimators.maps) == list(own.maps)
+    files = {path.name for path in (tmp_path / "results").glob("flux_map*.nc")}
+    assert files == {"flux_map.nc", *(f"flux_map_{method}.nc" for method in own.maps)}
+
+
+def test_a_model_is_delivered_where_no_estimator_was_asked(tmp_path: Path) -> None:
+    report = deliver(tmp_path)
+    assert (report.method, report.usable, report.estimators) == ("model", True, None)
+    assert {path.name for path in (tmp_path / "results").iterdir()} == {"flux_map.nc", "estimates.json"}
+
+
+def test_a_new_pass_of_the_estimators_forgets_the_model(tmp_path: Path) -> None:
+    estimate_recording(RECORDING, [Resistance(), Sweeps()], tmp_path)
+    deliver(tmp_path)
+    report = estimate_recording(RECORDING, [Resistance(), Sweeps()], tmp_path)
+    assert report.method != "model"
+    assert report.estimators is None
+    assert not (tmp_path / "results" / "flux_map_model.nc").exists()
