@@ -135,8 +135,9 @@ def _gain(diagnosis: Diagnosis) -> str:
         told = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
         floor = noise_rms_v(fits[1], held_out)
     resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
-    gauges = [a.candidate.effect.gauge.rstrip(".") for a in fits[1].model.active if a.candidate.effect.gauge]
-    return ". ".join([f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}", *gauges])
+    gauges = [f"{a.candidate.effect.gauge.rstrip('.')}." for a in fits[1].model.active if a.candidate.effect.gauge]
+    said = f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}"
+    return " ".join([f"{said}.", *gauges]) if gauges else said
 
 
 def _next(diagnosis: Diagnosis) -> str:
