@@ -8,6 +8,7 @@ from pathlib import Path
 from orchestrator import workbench
 from orchestrator.cli._interrupting import prompt_interrupt
 from orchestrator.cli._output import say, say_notes, say_table, stage_as_yaml
+from orchestrator.cli._waiting import Waiting
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
 from orchestrator.presentation.results import ladder_rows, parameter_rows, share_rows
@@ -31,7 +32,9 @@ def diagnose(
 ) -> int:
     """Name what the model lacks."""
     with prompt_interrupt():
-        kept = workbench.diagnose(path, model=model or "saturated", effects=effects or (), without=without, out=out)
+        kept = workbench.diagnose(
+            path, model=model or "saturated", effects=effects or (), without=without, out=out, tell=Waiting()
+        )
     if as_json:
         print(kept.report.model_dump_json(indent=2))
     else:

@@ -93,6 +93,7 @@ def diagnose_recording(
     out: Path | None = None,
     on_step: Callable[[DiagnosisStep], None] | None = None,
     poll: Callable[[], None] = lambda: None,
+    tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
@@ -111,6 +112,8 @@ def diagnose_recording(
         Called with each rung of the ladder in order, once the search is over.
     poll : callable
         Called several times a second; what it raises ends the diagnosis.
+    tell : callable
+        Called with what is under way, in a few words.
     criteria : Criteria, optional
         Thresholds other than the default ones.
 
@@ -125,11 +128,12 @@ def diagnose_recording(
     """
     began = time.monotonic()
     require_known(without, effects)
+    tell("does the recording keep its manifest's conventions?")
     if (named := find_convention(recording, (criteria or Criteria()).conventions, poll)) is not None:
         seconds = time.monotonic() - began
         report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
-    setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model))
+    setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), tell=tell)
     library = scaled_library(effects, setup.prepared.manifest, without)
     if isinstance(model, MotorModel):
         model = reduced(model, without)
@@ -141,6 +145,7 @@ def diagnose_recording(
         search = on_a_finer_map(setup, search, library)
         search, spared = pruned(setup, converged(setup, search))
         search, doubtful = without_doubtful(setup, search)
+    tell("how sure is what was found?")
     first, last = search.steps[0].fit, search.fit
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}

@@ -23,6 +23,7 @@ def open_for_diagnosis(
     criteria: Criteria | None = None,
     *,
     pm_flux_wb: float | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisSetup:
     """Read a recording and find its noise; what `poll` raises ends any fit of it.
 
@@ -45,7 +46,7 @@ def open_for_diagnosis(
     noise = sensor_noise(prepared.pieces, criteria.weak_form)
     require_enough(prepared, noise)
     remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection)]
-    return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll)
+    return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell)
 
 
 def setup_of(
@@ -55,6 +56,7 @@ def setup_of(
     pm_flux_wb: float | None = None,
     remarks: Sequence[Remark] = (),
     poll: Callable[[], None] = lambda: None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisSetup:
     """What a diagnosis of prepared signals with a known noise starts from."""
     motor, criteria = prepared.manifest.motor, prepared.criteria
@@ -67,8 +69,8 @@ def setup_of(
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
     effort = Effort(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
     flux = (motor.pm_flux_wb or 0.0) if pm_flux_wb is None else pm_flux_wb
-    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll)
-    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll)
+    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll, tell=tell)
+    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll, tell=tell)
     return DiagnosisSetup(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -71,8 +71,12 @@ def diagnose(
     effects: Effects = (),
     without: Sequence[str] = (),
     out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> SavedDiagnosis:
-    """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model."""
+    """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
+
+    `tell` is called with what is under way, in a few words.
+    """
     from orchestrator.diagnosis import diagnose_and_keep
 
     return diagnose_and_keep(
@@ -81,6 +85,7 @@ def diagnose(
         model=chosen_model(model) or "saturated",
         without=without,
         out=_directory(out),
+        tell=tell,
     )[1]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.presentation.quantities import number
 
 
 def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None) -> Fit:
@@ -27,6 +28,7 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
         known = None
     best = fitter.evaluate(model, known.frame if known else fitter.frame(model), known=known)
     for _ in range(rounds if model.free else 0):
+        fitter.tell(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
         enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _stepped(fitter, best, radius, enough)
         if trial is best:

@@ -55,6 +55,8 @@ class Fitter:
         Of all fits; a search ends where it is exhausted.
     poll : callable
         Called before each evaluation; what it raises ends the fit.
+    tell : callable
+        Called with what is under way, in a few words.
     equations : SegmentEquations
     """
 
@@ -64,6 +66,7 @@ class Fitter:
     threads: int = 2
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
+    tell: Callable[[str], None] = lambda _: None
     equations: SegmentEquations = field(init=False)
 
     def __post_init__(self) -> None:

@@ -40,6 +40,7 @@ def diagnose_and_keep(
     out: Path | None = None,
     on_step: Callable[[DiagnosisStep], None] | None = None,
     poll: Callable[[], None] = lambda: None,
+    tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
     """`diagnose_recording`, and what it found written to ``results/``: ``diagnosis.json``, ``.npz``, the model's map.
@@ -52,6 +53,8 @@ def diagnose_and_keep(
         Called with each rung of the ladder; what it raises ends the diagnosis.
     poll : callable
         Called several times a second; what it raises ends the diagnosis.
+    tell : callable
+        Called with what is under way, in a few words.
     out : Path, optional
         Directory that gets `model.json` and the folder ``results``; the recording's own by default.
     """
@@ -63,7 +66,7 @@ def diagnose_and_keep(
             on_step(step)
 
     diagnosis = diagnose_recording(
-        recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll, criteria=criteria
+        recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll, tell=tell, criteria=criteria
     )
     words = in_words(diagnosis)
     try:

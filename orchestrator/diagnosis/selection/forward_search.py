@@ -7,7 +7,7 @@ refined before another is tried: the wrong shape of the right effect causes most
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
@@ -17,6 +17,8 @@ from orchestrator.diagnosis.selection.identifiability import parted_by, separabl
 from orchestrator.diagnosis.selection.refining import polished, repolished
 from orchestrator.diagnosis.selection.scoring import LinearView, Score, linear_gain, linear_view, log_evidence, score
 from orchestrator.diagnosis.selection.shares import Share
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.quantities import number
 from protocols import ParameterRole
 
 
@@ -56,7 +58,6 @@ def forward(
     *,
     rivals: Mapping[str, Sequence[str]] | None = None,
     most: int | None = None,
-    tell: Callable[[str], None] = lambda _: None,
 ) -> Search:
     """Add effects to the last of the steps until the data ask for no more.
 
@@ -82,12 +83,12 @@ def forward(
         if not hopeful:
             search.traces += _faint(scores, fit)
             break
+        fitter.tell(f"which is missing? {', '.join(plain(s.candidate.name) for s in hopeful)}")
         trials = _tried(fitter, fit, hopeful)
         inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
         before = log_evidence(fit, inflation)
         ranked = sorted(((log_evidence(t, inflation) - before, n, t) for n, t in trials), key=lambda item: -item[0])
         gain, name, trial = ranked[0]
-        tell(str([(n, round(g, 1), round(t.chi2_per_dof, 3)) for g, n, t in ranked]))
         if gain < limits.log_evidence:
             break
         if _size(trial, name) < limits.least_size or _share(fit, trial) < limits.least_share:
@@ -98,6 +99,7 @@ def forward(
         search.rivals[name] = list(tied)
         better = polished(fitter, trial, inflation)
         search.steps.append(Step(name, repolished(fitter, better), gain))
+        fitter.tell(f"+ {plain(name)}: chi2 {number(search.fit.chi2_per_dof)}")
         rejected = {n for tied in search.rivals.values() for n in tied}
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
