@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.diagnosis.experiment_design.machine import Machine, current_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -25,7 +26,7 @@ from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
-from protocols import LossHistory, ParameterRole, Segment, SegmentStage, Signals
+from protocols import Injection, LossHistory, ParameterRole, Segment, SegmentStage, Signals
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
     still = np.zeros((round(design.planned_hold_s * fs), 2))
     if kind is SegmentStage.GATES_OFF:
         return [(_piece(setup, model, kind, {}, still, still, lasting), lasting / design.planned_hold_s)]
-    planned = []
+    planned, machine = [], Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
     for point in stage["points_a"]:
         i_dq = np.array(point, dtype=np.float64)
         if kind is SegmentStage.RESISTANCE:
@@ -150,30 +151,20 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
         else:
             f, turn_s = stage["frequency_hz"], design.planned_turn_s
             for volts in stage["amplitudes_v"]:
-                current, voltage = _ripple(model, i_dq, fs, f, volts, turn_s)
+                asked = Injection(
+                    target_d_a=point[0],
+                    target_q_a=point[1],
+                    settle_s=1.0,
+                    duration_s=turn_s,
+                    amplitude_v=volts,
+                    frequency_hz=f,
+                    rotation_hz=1.0 / turn_s,
+                )
+                swinging = current_of(asked, machine, np.arange(round(turn_s * fs) + 1) / fs)
+                current, voltage = swinging[:-1], machine.voltage(swinging, fs)
                 settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
                 planned.append((_piece(setup, model, kind, settings, current, voltage, lasting), lasting / turn_s))
     return planned
-
-
-def _ripple(
-    model: Model, i_dq: Array, fs: float, frequency_hz: float, volts: float, turn_s: float
-) -> tuple[Array, Array]:
-    """Current and voltage of one turn of a square wave at an operating point, dq."""
-    t = np.arange(round(turn_s * fs)) / fs
-    sign = np.where((t * frequency_hz + 1e-9) % 1.0 < 0.5, 1.0, -1.0)
-    turn = 2 * math.pi * t / turn_s
-    injected = volts * sign[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    flux = np.vstack([np.zeros(2), np.cumsum(injected, axis=0)[:-1]]) / fs
-    period = max(1, round(fs / frequency_hz))
-    mean = np.ones(period) / period
-    padded = np.pad(flux, ((period, period), (0, 0)), mode="reflect")
-    middle = np.stack([np.convolve(axis, mean, "same") for axis in padded.T])
-    swing = flux - middle[:, period:-period].T
-    l_dd, l_dq, l_qq = model.magnetics.flux_and_inductance(i_dq[None])[1][0]
-    inverse = np.linalg.inv(np.array([[l_dd, l_dq], [l_dq, l_qq]]))
-    current = i_dq + swing @ inverse.T
-    return current, model.r_s * i_dq + injected
 
 
 def _piece(
