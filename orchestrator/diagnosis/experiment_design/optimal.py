@@ -11,7 +11,7 @@ the information on the parameters that are asked for when the others, n, follow.
 (the second form does not cancel), and w is optimal if, and only if, no d_j exceeds the mean sum_k w_k d_k (Kiefer and
 Wolfowitz, doi:10.4153/CJM-1960-030-4; with P, Chaloner and Verdinelli, doi:10.1214/ss/1177009939). Without P that mean
 is the number of parameters asked for. The criterion is concave, so that no design is better than this one by more than
-the largest d_j exceeds the mean. Steps w_j <- w_j sqrt(d_j), scaled to one, never make it worse (Yu,
+the largest d_j exceeds the mean. Steps w_j <- w_j sqrt(d_j), scaled to one, do not make it worse (of their kind: Yu,
 doi:10.1214/09-AOS761; without the root they do where few parameters are asked for). Knows no motor.
 """
 
