@@ -20,6 +20,8 @@ FLOORS = 3.0
 
 FOUND_FIRST = "clutter: first name right"
 """No mistake where it is not: names are in the order of what they do to the error, and a small one may do more."""
+SIZEABLE = 0.1
+"""Size, in units of the typical one, from which an effect of an ordinary bench counts as one to be found."""
 ACCEPTED_PERCENT = 1.0
 ACCEPTED = "usable or explained: map within 1 % of the rated flux"
 FAINT_EDGES = (0.02, 0.05, 0.1, 0.2)
@@ -41,6 +43,8 @@ class Judgement:
     over_floor: float | None = None
     """Held-out error after, in noise floors."""
     intervals: tuple[tuple[str, bool], ...] = ()
+    sizeable: tuple[tuple[str, bool], ...] = ()
+    """Hidden effects of an ordinary bench from `SIZEABLE` on, each with whether it is among causes and minor ones."""
 
     @property
     def wrong(self) -> list[str]:
@@ -62,7 +66,16 @@ def judge(answer: Answer) -> Judgement:
     closed, over_floor = _closed(report)
     in_catalogue = case.kind in ("single", "double", "clutter")
     intervals = tuple(_intervals(case, report)) if case.kind in ("single", "double") else ()
-    return Judgement(answer, right, closed if in_catalogue else None, over_floor if in_catalogue else None, intervals)
+    known = set().union(*(_or_twins(case, e) for e in (*report["effects"], *report.get("minor", ()))))
+    hidden = case.truths if case.kind == "ordinary" else ()
+    return Judgement(
+        answer,
+        right,
+        closed if in_catalogue else None,
+        over_floor if in_catalogue else None,
+        intervals,
+        tuple((truth.name, truth.name in known) for truth in hidden if truth.size >= SIZEABLE),
+    )
 
 
 def said(answer: Answer) -> str:

@@ -85,6 +85,9 @@ def _proportions(judgements: Sequence[Judgement]) -> list[str]:
         closed = [j.closed for j in own if j.closed is not None]
         if closed:
             rows.append(_row(f"{kind}: held-out error closed by 98 %", sum(c >= 0.98 for c in closed), len(closed), ""))
+    met = [found for j in judgements for _, found in j.sizeable]
+    if met:
+        rows.append(_row("ordinary: hidden effects from 0.1 of typical found", sum(met), len(met), "95 %"))
     held = [inside for j in judgements for _, inside in j.intervals]
     if held:
         rows.append(_row("95 % intervals that hold the truth", sum(held), len(held), "93..97 %"))

@@ -22,7 +22,7 @@ from orchestrator.diagnosis.selection.forward_search import Search, Step, forwar
 from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
 from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import LinearView, log_evidence, loss_without
-from orchestrator.diagnosis.selection.shares import shares
+from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
@@ -142,8 +142,8 @@ def ladder_of(
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)
     least = whole.criteria.selection.named_share
-    causes = [name for name in order if sizes[name].of_error > least] or order[:1]
-    minor = order[len(causes) :]
+    causes = [n for n in order if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
+    minor = [n for n in order if n not in causes]
     rungs = list(steps)
     for count, name in enumerate(causes[:-1], 1):
         still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
