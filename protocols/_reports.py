@@ -266,8 +266,9 @@ class MapCriteria(Lenient):
     """Largest break of the symmetry in i_q, which a wrong rotor angle makes; as large as what crossings may be."""
     energy_percent: float = 2.0
     """rms by which an energy may be off the map by a method that errs; one that is off all of them is wrong itself."""
-    difference_percent: float = 10.0
-    """rms between injection and integration that is worth a remark: one of them is wrong then, no matter which."""
+    difference_percent: float = 5.0
+    """rms between injection and integration beyond which no map is relied on: one of them is wrong, and nothing says
+    which; as large as what crossings may be."""
     least_flux_ratio: float = 0.01
     """Injection's flux is so much larger or smaller than integration's, as a ratio less 1, where that is worth one."""
     flux_ratio_stds: float = 2.0

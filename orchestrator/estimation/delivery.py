@@ -19,8 +19,8 @@ from protocols import (
     ResistanceEstimate,
 )
 
-_OF_A_MAP = ("bad_crossings", "bad_parity", "no_map")
-"""Remarks that speak against the recommended map."""
+_OF_A_MAP = ("bad_crossings", "bad_parity", "methods_differ", "no_map")
+"""Remarks that speak against the estimators' maps."""
 
 
 def deliver_model(

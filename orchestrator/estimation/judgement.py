@@ -55,7 +55,7 @@ def judged(found: Found, rated_a: float | None, criteria: MapCriteria) -> Estima
     checks = best.checks if best is not None else MapChecks()
     pair = _independent(maps)
     difference = None if pair is None else difference_percent(*pair, rated_flux_wb(pair[0], rated_a))
-    against = _objections(best, criteria)
+    against = [*_objections(best, maps, criteria), *_apart(difference, criteria)]
     return EstimationReport(
         resistance=resistance,
         method=best.map.method if best is not None else None,
@@ -66,7 +66,7 @@ def judged(found: Found, rated_a: float | None, criteria: MapCriteria) -> Estima
         usable=best is not None and not against,
         remarks=(
             *against,
-            *_disagreements(difference, pair, criteria),
+            *_disagreements(pair, criteria),
             *found.missing,
             *_other_resistances(resistance, found.resistances),
             *(resistance.remarks if resistance is not None else ()),
@@ -103,17 +103,21 @@ def _independent(maps: Mapping[str, FluxMapEstimate]) -> tuple[FluxMap, FluxMap]
     return by[Basis.INJECTION][0], by[Basis.INTEGRATION][0]
 
 
-def _objections(best: FluxMapEstimate | None, criteria: MapCriteria) -> list[Remark]:
-    """What makes the recommended map unusable."""
+def _objections(
+    best: FluxMapEstimate | None, maps: Mapping[str, FluxMapEstimate], criteria: MapCriteria
+) -> list[Remark]:
+    """What makes the recommended map unusable; an energy is even by construction, so another map's parity counts."""
     if best is None:
         return [Remark.of("no_map", "no flux map could be made")]
     checks, told = best.checks, []
+    parities = [made.checks.parity for made in maps.values() if made.map.basis is not Basis.ENERGY]
+    measured = checks.parity if best.map.basis is not Basis.ENERGY else next((p for p in parities if p), None)
     for axis in ("d", "q"):
         crossing = getattr(checks.crossings, f"{axis}_percent", None)
         if crossing is not None and crossing > criteria.crossings_percent:
             text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
             told.append(Remark.of("bad_crossings", text, axis=axis, apart_percent=crossing))
-        parity = getattr(checks.parity, f"{axis}_percent", None)
+        parity = getattr(measured, f"{axis}_percent", None)
         if parity is not None and parity > criteria.parity_percent:
             text = (
                 "psi_{axis} breaks its symmetry in i_q by {off_percent:.1f} % of the rated flux: "
@@ -123,17 +127,20 @@ def _objections(best: FluxMapEstimate | None, criteria: MapCriteria) -> list[Rem
     return told
 
 
-def _disagreements(
-    difference: float | None, pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria
-) -> list[Remark]:
-    """A difference between the methods speaks against one of them, and does not say which."""
-    told = []
-    if difference is not None and difference > criteria.difference_percent:
-        text = "the classical and the injection map differ by {apart_percent:.1f} % of the rated flux (rms)"
-        told.append(Remark.of("methods_differ", text, apart_percent=difference))
+def _apart(difference: float | None, criteria: MapCriteria) -> list[Remark]:
+    """One of two methods that differ is wrong; which, the maps do not say."""
+    if difference is None or difference <= criteria.difference_percent:
+        return []
+    text = "the classical and the injection map differ by {apart_percent:.1f} % of the rated flux (rms)"
+    return [Remark.of("methods_differ", text, apart_percent=difference)]
+
+
+def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> list[Remark]:
+    """Whether one method finds more flux throughout, and what that may mean."""
     ratio = None if pair is None else flux_ratio(*pair)
     if ratio is None:
-        return told
+        return []
+    told = []
     value, std = ratio
     if abs(value - 1.0) > max(criteria.flux_ratio_stds * std, criteria.least_flux_ratio):
         less = value < 1.0

@@ -72,8 +72,17 @@ def test_a_difference_of_the_methods_is_put_in_words(factor: float, percent: flo
         assert ("hysteresis" in str(told.values["cause"])) == (factor < 1.0)
 
 
-def test_methods_that_differ_much_are_told_so(tmp_path: Path) -> None:
+def test_an_energys_map_is_not_usable_where_what_it_was_fitted_to_is_not_even(tmp_path: Path) -> None:
+    uneven = MapChecks(parity=AxisPercent(d_percent=0.7, q_percent=9.0))
+    report = judged(tmp_path, OneEnergy(), Sweeps(), Ripples(checks=uneven))
+    assert report.method == "one_energy"
+    assert not report.usable
+    assert said(report, "bad_parity").values == {"axis": "q", "off_percent": 9.0}
+
+
+def test_methods_that_differ_much_leave_no_map_usable(tmp_path: Path) -> None:
     report = judged(tmp_path, Sweeps(), Ripples(factor=0.8))
+    assert not report.usable
     difference = report.classical_against_injection_percent
     assert difference is not None
     assert said(report, "methods_differ").values["apart_percent"] == difference
