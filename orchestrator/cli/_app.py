@@ -233,6 +233,12 @@ def diagnose_command(
     model: ModelOption = None,
     effects: EffectsOption = None,
     without: Annotated[list[str] | None, typer.Option(help="Take this effect out of the library.")] = None,
+    material_flux: Annotated[
+        float | None, typer.Option(min=0.0, help="An effect counts from this change of the map on, % of rated flux.")
+    ] = None,
+    material_voltage: Annotated[
+        float | None, typer.Option(min=0.0, help="Or from this voltage on, % of the excitation's rms.")
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -242,7 +248,7 @@ def diagnose_command(
     """
     from orchestrator.cli._diagnosis import diagnose
 
-    return diagnose(recording, model, effects, without or [], out, as_json)
+    return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json)
 
 
 @app.command("add")

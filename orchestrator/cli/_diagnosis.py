@@ -28,12 +28,25 @@ def compare(path: Path, model: str | None, effects: Path | None, out: Path | Non
 
 
 def diagnose(
-    path: Path, model: str | None, effects: Path | None, without: Sequence[str], out: Path | None, as_json: bool
+    path: Path,
+    model: str | None,
+    effects: Path | None,
+    without: Sequence[str],
+    material: tuple[float | None, float | None],
+    out: Path | None,
+    as_json: bool,
 ) -> int:
-    """Name what the model lacks."""
+    """Name what the model lacks; `material` as per cent of the rated flux, and of the excitation's voltage."""
     with prompt_interrupt():
         kept = workbench.diagnose(
-            path, model=model or "saturated", effects=effects or (), without=without, out=out, tell=Waiting()
+            path,
+            model=model or "saturated",
+            effects=effects or (),
+            without=without,
+            material_flux_percent=material[0],
+            material_voltage_percent=material[1],
+            out=out,
+            tell=Waiting(),
         )
     if as_json:
         print(kept.report.model_dump_json(indent=2))

@@ -70,14 +70,25 @@ def diagnose(
     model: Model = "saturated",
     effects: Effects = (),
     without: Sequence[str] = (),
+    material_flux_percent: float | None = None,
+    material_voltage_percent: float | None = None,
     out: Place | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> SavedDiagnosis:
     """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
 
-    `tell` is called with what is under way, in a few words.
+    Parameters
+    ----------
+    material_flux_percent, material_voltage_percent : float, optional
+        An effect counts from this change of the map on, of the rated flux, or from this voltage on, of the excitation.
+    tell : callable
+        Called with what is under way, in a few words.
     """
-    from orchestrator.diagnosis import diagnose_and_keep
+    from orchestrator.diagnosis import Criteria, diagnose_and_keep
+
+    asked = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
+    selection = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
+    criteria = Criteria.model_validate({"selection": selection})
 
     return diagnose_and_keep(
         open_any(Path(place)),
@@ -86,6 +97,7 @@ def diagnose(
         without=without,
         out=_directory(out),
         tell=tell,
+        criteria=criteria,
     )[1]
 
 

@@ -70,8 +70,13 @@ def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:
 
 
 def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
-    found = diagnose(DATA, out=tmp_path)
+    said: list[str] = []
+    found = diagnose(DATA, out=tmp_path, material_flux_percent=0.4, tell=said.append)
     assert found.report.verdict == "clean"
+    assert found.report.materiality is not None
+    assert found.report.materiality.flux_percent == pytest.approx(0.4)
+    assert found.report.materiality.voltage_percent == pytest.approx(0.5)
+    assert said[-1] == "how sure is what was found?"
     assert found.words.likely_cause
     assert len(found.steps) == len(found.report.ladder)
     with pytest.raises(PluginError, match="dead_time: not in the model; it has no effects"):
