@@ -13,6 +13,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from tests.blind.baselines import baselines
 from tests.blind.campaign import record
 from tests.blind.delivered import held_against
 from tests.blind.hidden import Case, draw_case
@@ -34,6 +35,8 @@ class Answer:
     """Of the process so far."""
     delivered: dict[str, Any] | None = None
     """Fields of `Delivered`; None where nothing was."""
+    baselines: dict[str, list[str]] | None = None
+    """What simpler searches name, by method; None where nothing was fitted."""
 
 
 def examine(case: Case) -> Answer:
@@ -49,7 +52,7 @@ def examine(case: Case) -> Answer:
         samples = sum(segment.samples for segment in recording.manifest.segments)
         library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
         start, cpu = time.perf_counter(), time.process_time()
-        report, error, delivered = None, None, None
+        report, error, delivered, named = None, None, None, None
         try:
             found = diagnose_recording(recording, library, model="saturated", without=case.without, out=Path(folder))
             report = found.report.model_dump(mode="json")
@@ -58,8 +61,10 @@ def examine(case: Case) -> Answer:
         except FluxbenchError as refused:
             error = str(refused)
         seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+        if delivered is not None:
+            named = baselines(recording, [effect for effect in library if effect.name not in case.without])
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Answer(case, report, error, samples, seconds, cpu, peak, delivered)
+    return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named)
 
 
 def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:
@@ -76,7 +81,7 @@ def keep(file: Path | None, seed: int, answer: Answer) -> None:
     """Append an answer to a file of JSON lines; nowhere, where there is none."""
     if file is None:
         return
-    names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered")
+    names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered", "baselines")
     row = {name: getattr(answer, name) for name in names}
     with file.open("a", encoding="utf-8") as lines:
         lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row}) + "\n")

@@ -78,6 +78,23 @@ def judge(answer: Answer) -> Judgement:
     )
 
 
+def named_by(answer: Answer) -> dict[str, list[set[str]]]:
+    """Names by method, those of the diagnosis first, each with what is as good a name here."""
+    assert answer.report is not None
+    ours = [_or_twins(answer.case, effect) for effect in answer.report["effects"]]
+    others = {
+        method: [_or_twins(answer.case, {"name": n, "twins": TWINS_HERE if n in TWINS_HERE else ()}) for n in names]
+        for method, names in (answer.baselines or {}).items()
+    }
+    return {"fluxbench": ours, **others}
+
+
+def exact(case: Case, found: Sequence[set[str]]) -> tuple[bool, int]:
+    """Whether just the hidden effects are named, and how many names are of none of them."""
+    names = [truth.name for truth in case.truths]
+    return _matches(found, names), sum(not one & set(names) for one in found)
+
+
 def said(answer: Answer) -> str:
     """An answer in a line."""
     if answer.report is None:

@@ -8,7 +8,7 @@ import numpy as np
 
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.hidden import NUISANCES
-from tests.blind.score import ACCEPTED, FAINT_FIGURES, FOUND_FIRST, Judgement, said, wilson
+from tests.blind.score import ACCEPTED, FAINT_FIGURES, FOUND_FIRST, Judgement, exact, named_by, said, wilson
 
 AIMS = {
     "clean: no false name": "0 false of 300",
@@ -114,7 +114,26 @@ def _amounts(judgements: Sequence[Judgement]) -> list[str]:
         f"for {np.median(samples) / 1e6:.2f} M samples, "
         f"beside whatever else the machine does; {peak:.0f} MB at most."
     )
-    return [*lines, *_maps(judgements)]
+    return [*lines, *_maps(judgements), *_beside(judgements)]
+
+
+def _beside(judgements: Sequence[Judgement]) -> list[str]:
+    """The same recordings by simpler searches."""
+    kinds = ("clean", "single", "double")
+    answers = [j.answer for j in judgements if j.answer.baselines and j.answer.case.kind in kinds]
+    rows = []
+    for method in named_by(answers[0]) if answers else ():
+        cells, false = [], 0
+        for kind in kinds:
+            told = [exact(a.case, named_by(a)[method]) for a in answers if a.case.kind == kind]
+            cells.append(f"{sum(right for right, _ in told)} of {len(told)}")
+            false += sum(wrong for _, wrong in told)
+        rows.append(f"| {method} | {' | '.join(cells)} | {false / len(answers):.2f} |")
+    about = (
+        "Exactly the hidden effects, also by linear searches over the library's columns (`tests/blind/baselines.py`):"
+    )
+    head = "| method | clean | single | double | false names a recording |"
+    return ["", about, "", head, "| --- | --- | --- | --- | --- |", *rows] if rows else []
 
 
 def _maps(judgements: Sequence[Judgement]) -> list[str]:
