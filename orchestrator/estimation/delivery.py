@@ -67,18 +67,21 @@ def _recommended(
     if own.resistance is not None:
         kept = {name: getattr(own.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
         resistance = resistance.model_copy(update=kept)
-    return own.model_copy(
-        update={
-            "resistance": resistance,
-            "method": method,
-            "crossings": None,
-            "parity": None,
-            "reciprocity_percent": None,
-            "usable": True,
-            "remarks": (*resistance.remarks, *rest),
-            "maps": {method: told, **own.maps},
-        }
+    return _with(
+        own,
+        resistance=resistance,
+        method=method,
+        crossings=None,
+        parity=None,
+        reciprocity_percent=None,
+        usable=True,
+        remarks=(*resistance.remarks, *rest),
+        maps={method: told, **own.maps},
     )
+
+
+def _with(report: EstimationReport, **fields: Any) -> EstimationReport:
+    return report.model_copy(update=fields)
 
 
 def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, dict[str, FluxMap]]:

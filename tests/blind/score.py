@@ -126,6 +126,8 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     elif case.kind == "clutter":
         right[FOUND_FIRST] = bool(found) and any(_alike(names[0], name) for name in found[0])
         right["clutter: named"] = any(_alike(names[0], name) for one in found for name in one)
+        listed = set().union(*found, *(_or_twins(case, effect) for effect in report.get("minor", ())))
+        right["clutter: named, or listed as smaller"] = any(_alike(names[0], name) for name in listed)
         right["clutter: no false name"] = all(one & set(names) for one in found)
     elif case.kind == "ordinary":
         right["ordinary: no false name"] = all(one & set(names) for one in found)

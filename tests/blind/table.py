@@ -23,7 +23,8 @@ AIMS = {
 }
 ORDER = (
     "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
-    FOUND_FIRST, "clutter: named", "clutter: no false name", "double: exact set", "double: first name right",
+    FOUND_FIRST, "clutter: named", "clutter: named, or listed as smaller",
+    "clutter: no false name", "double: exact set", "double: first name right",
     "left out: unknown flagged", "foreign: unknown flagged", "explained, and not flagged unknown",
     ACCEPTED, "ordinary: no false name", "nuisance: no false name", "nuisance: first name right",
     "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so", "answered at all",
@@ -43,7 +44,9 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
         f"log-uniformly from the catalogue's ranges; there are {len(CATALOGUE)} effects in it, {len(FOREIGN)} that no",
         f'catalogue has, and {len(NUISANCES)} nuisances. "Left out" takes the hidden effect out of the library:',
         "it has to be flagged as unknown (of voltage_delay and current_filter, which one injection frequency cannot",
-        "part, the name of the other counts). This page is written by a command:",
+        "part, the name of the other counts). Clutter is every effect at 0.05 of typical and one larger, an ordinary",
+        "bench every effect log-uniformly from 0.01 to 1 of typical: no name of the catalogue is false there. A map is",
+        "delivered where something was fitted. This page is written by a command:",
         "",
         f"    python -m tests.blind --seed {seed} --write docs/blind-suite.md",
         "",

@@ -64,6 +64,8 @@ def test_in_clutter_what_is_printed_counts() -> None:
     assert case.truths[0].name == "voltage_delay"
     found = report("dead_time")
     found["joint"] = [{"name": "voltage_delay", "relative_size": 1.0, "z": 20.0}]
+    assert judge(answered(case, found)).wrong == ["clutter: named", "clutter: named, or listed as smaller"]
+    found["minor"] = [{"name": "voltage_delay", "twins": []}]
     assert judge(answered(case, found)).wrong == ["clutter: named"]
     assert judge(answered(case, report("dead_time", "voltage_delay"))).wrong == []
     assert judge(answered(case, report("dead_time", "voltage_delay", "nobody_s"))).wrong == ["clutter: no false name"]

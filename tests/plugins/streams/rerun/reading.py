@@ -28,11 +28,12 @@ def rows(file: Path, content: str) -> list[dict[str, Any]]:
 
 
 def entities(file: Path) -> Counter[str]:
-    """How many rows with a time each entity has."""
+    """How many rows with a time each entity has; none of a file that is begun and has no recording in it yet."""
     found: Counter[str] = Counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        for chunk in RrdReader(file).stream():
+        reader = RrdReader(file)
+        for chunk in reader.stream() if reader.recordings() else ():
             found[chunk.entity_path] += 0 if chunk.is_static else chunk.num_rows
     return found
 
