@@ -7,7 +7,7 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from types import FrameType
-from typing import NoReturn
+from typing import Any, NoReturn
 
 from protocols import RunInterrupted
 
@@ -42,13 +42,16 @@ def prompt_interrupt(grace_s: float = 0.6) -> Iterator[None]:
 
     before = signal.signal(signal.SIGALRM, overdue)
     signal.signal(signal.SIGINT, stop)
+    after: Any = signal.default_int_handler
     try:
         yield
     except KeyboardInterrupt:
+        # On the way out there is nothing more to interrupt: who asks twice gets the same line and code.
+        after = signal.SIG_IGN
         raise RunInterrupted("interrupted") from None
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0.0)
-        signal.signal(signal.SIGINT, signal.default_int_handler)
+        signal.signal(signal.SIGINT, after)
         signal.signal(signal.SIGALRM, before)
 
 

@@ -78,10 +78,9 @@ def rivals(setup: DiagnosisSetup, model: Model, first: Active, second: Candidate
 
 def separation(setup: DiagnosisSetup, pair: Rivals, stage: dict[str, Any]) -> float:
     """By how much chi2 between the two grows when the stage is measured."""
-    fitter = replace(setup.fitter, threads=1)
     more = np.zeros_like(pair.known)
     for piece, weight in planned_pieces(setup, pair.model, stage):
-        more += weight * _normal(fitter, pair, [piece], with_prior=False)
+        more += weight * _normal(setup.fitter, pair, [piece], with_prior=False)
     return _left(pair.known + more, pair.coordinates) - _left(pair.known, pair.coordinates)
 
 
@@ -89,7 +88,7 @@ def _part_of(setup: DiagnosisSetup) -> Fitter:
     pieces = setup.coarse_fitter.prepared.pieces
     stride = max(1, math.ceil(len(pieces) / setup.prepared.criteria.design.most_segments))
     prepared = replace(setup.coarse_fitter.prepared, pieces=pieces[::stride])
-    return replace(setup.coarse_fitter, prepared=prepared, threads=1)
+    return replace(setup.coarse_fitter, prepared=prepared)
 
 
 def _normal(

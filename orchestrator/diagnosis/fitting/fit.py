@@ -10,9 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from typing import TypeVar
 
 import numpy as np
 
@@ -25,9 +23,6 @@ from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-
-_Job = TypeVar("_Job")
-_Result = TypeVar("_Result")
 
 
 @dataclass
@@ -63,7 +58,6 @@ class Fitter:
     prepared: PreparedRecording
     noise: SensorNoise
     pm_flux_wb: float
-    threads: int = 2
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
@@ -150,7 +144,7 @@ class Fitter:
             old = None
         before = old.pieces if old is not None else (None,) * len(self.prepared.pieces)
         jobs = list(zip(self.prepared.pieces, before, strict=True))
-        pieces = tuple(self._map(lambda job: self.equations.frame(model, *job), jobs))
+        pieces = tuple(self.equations.frame(model, piece, known) for piece, known in jobs)
         if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
             return Frame(model.space, pieces, old.gram)
         free = model.space.directions.shape[1]
@@ -198,9 +192,9 @@ class Fitter:
         self.effort.spent += samples * self.criteria.evaluation_columns
         if len(wanted) <= self.criteria.few_columns:
             self.effort.spent += samples * len(wanted)
-            return self._map(lambda job: self.equations.rows(model, *job, () if job[0].held_out else wanted), jobs)
+            return [self.equations.rows(model, p, f, () if p.held_out else wanted) for p, f in jobs]
         at = probed_segments(self.prepared.pieces, self.criteria)
-        probed = dict(zip(at, self._map(lambda k: self.equations.probed(model, *jobs[k], wanted), at), strict=True))
+        probed = {k: self.equations.probed(model, *jobs[k], wanted) for k in at}
         names = [(a.name, n) for a, n in wanted]
         plan = column_plan(names, {k: probe for k, (_, probe) in probed.items()}, known, self.criteria)
         anew = [wanted[k] for k in plan.anew]
@@ -216,7 +210,7 @@ class Fitter:
             columns = plan.whole(rows.columns, None if known is None else known.columns[k])
             return replace(rows, white=np.column_stack([rows.white[:, :2], columns]))
 
-        return self._map(made, range(len(jobs)))
+        return [made(k) for k in range(len(jobs))]
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.
@@ -224,12 +218,6 @@ class Fitter:
         chi2 is per degree of freedom as in a fit of the same freedom.
         """
         return self.evaluate(model, self.frame(model), held=True)
-
-    def _map(self, work: Callable[[_Job], _Result], jobs: Sequence[_Job]) -> list[_Result]:
-        if self.threads < 2:
-            return [work(job) for job in jobs]
-        with ThreadPoolExecutor(self.threads) as pool:
-            return list(pool.map(work, jobs))
 
 
 def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:

@@ -170,7 +170,7 @@ def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -
 
 
 def fitter(made: PreparedRecording) -> Fitter:
-    return Fitter(made, sensor_noise(made.pieces, CRITERIA.weak_form), PM_WB, threads=1)
+    return Fitter(made, sensor_noise(made.pieces, CRITERIA.weak_form), PM_WB)
 
 
 def free_model() -> Model:
