@@ -281,7 +281,7 @@ class MapCriteria(Lenient):
 class EstimatorsReport(Lenient):
     """What the estimators found; every number finite, or null where the recording does not allow it.
 
-    The checks are the recommended map's.
+    The checks are the recommended map's; crossings those of the estimators where that is a diagnosed model's.
     """
 
     resistance: ResistanceEstimate | None

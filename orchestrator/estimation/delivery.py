@@ -62,7 +62,10 @@ def deliver_model(
 def _recommended(
     own: EstimationReport, method: str, told: MapReport, resistance: ResistanceEstimate
 ) -> EstimationReport:
-    """The report with the model's map in first place; what was said against the one before is said of that one."""
+    """The report with the model's map in first place; what was said against the one before is said of that one.
+
+    Crossings stay: they are the recording's, whichever map is made of it.
+    """
     rest = (r.by(own.method) if own.method and r.code in _OF_A_MAP else r for r in own.remarks if r.code != "no_map")
     if own.resistance is not None:
         kept = {name: getattr(own.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
@@ -71,7 +74,6 @@ def _recommended(
         own,
         resistance=resistance,
         method=method,
-        crossings=None,
         parity=None,
         reciprocity_percent=None,
         usable=True,

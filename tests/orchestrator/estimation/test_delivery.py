@@ -33,6 +33,7 @@ def test_the_models_map_and_resistance_take_first_place(tmp_path: Path) -> None:
     assert own.resistance is not None
     assert report.resistance.value_ohm == R_S.value_ohm
     assert report.resistance.readings == own.resistance.readings
+    assert report.crossings == own.crossings
     np.testing.assert_array_equal(load_flux_map(tmp_path / "results" / "flux_map.nc").psi_d, model_map(1.5).psi_d)
     assert load_flux_map(tmp_path / "results" / f"flux_map_{own.method}.nc").method == own.method
     assert load_estimates(tmp_path) == report
