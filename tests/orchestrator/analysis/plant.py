@@ -28,7 +28,7 @@ def linear_current(psi: Array, l_d: float = L_D, l_q: float = L_Q) -> Array:
 
 def saturated_current(psi: Array) -> Array:
     """grad H of H = x^2/2L_d + y^2/2L_q + 9 x^3 + 6 x y^2 + 40 x^4 + 40 x^2 y^2 + 50 y^4, even in y."""
-    # Some hundred thousand times a session: products, for numpy's powers take five times as long.
+    # Some hundred thousand times in a suite: products, for numpy's powers take five times as long.
     x, y = psi[..., 0], psi[..., 1]
     xx, yy = x * x, y * y
     out: Array = np.empty_like(psi)
