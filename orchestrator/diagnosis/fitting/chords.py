@@ -26,7 +26,8 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     limits, radius = fitter.criteria, fitter.criteria.widest_step
     if known is not None and known.model.space is not model.space:
         known = None
-    best = fitter.evaluate(model, known.frame if known else fitter.frame(model), known=known)
+    # Columns may be a little off; a frame that is older than its map leads away from where the fit was.
+    best = fitter.evaluate(model, fitter.frame(model, known.frame if known else None), known=known)
     for _ in range(rounds if model.free else 0):
         fitter.tell(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
         enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)

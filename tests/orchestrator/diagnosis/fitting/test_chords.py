@@ -38,3 +38,12 @@ def test_more_rounds_do_not_climb(maker: Fitter) -> None:
 def test_a_model_without_effects_is_evaluated(maker: Fitter) -> None:
     fit = fit_along_chords(maker, free_model(), rounds=3, tolerance=1e-4)
     assert fit.objective == pytest.approx(maker.evaluate(free_model(), maker.frame(free_model())).objective)
+
+
+def test_what_is_taken_from_an_earlier_fit_leads_to_the_same_place(maker: Fitter) -> None:
+    model = with_free(free_model(), maker, VoltageBias())
+    first = fit_along_chords(maker, model, rounds=1, tolerance=1e-6)
+    away = model.with_active([model.active[0].moved("bias_a_v", 5.0)])
+    known = fit_along_chords(maker, away, rounds=10, tolerance=1e-6, known=first)
+    anew = fit_along_chords(maker, away, rounds=10, tolerance=1e-6)
+    assert known.objective == pytest.approx(anew.objective, rel=1e-3)
