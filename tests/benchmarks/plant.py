@@ -33,6 +33,10 @@ ALL: dict[str, Any] = {
     "brake_compliance": {"rad_per_nm": 0.005},
     "slot_harmonics": {"relative": 0.02},
 }
+SWITCHED: dict[str, Any] = {
+    "inverter": "switched",
+    "switching": {"dead_time_s": 0.7e-6, "output_capacitance_f": 60e-12, "switch_drop_v": 0.8, "diode_drop_v": 1.0},
+}
 INJECTION = Injection(
     target_d_a=0.5,
     target_q_a=1.0,
@@ -69,6 +73,10 @@ def main() -> None:
         ("heating and hysteresis", PM400, {**HEAT, **IRON}, {}),
         ("heating, hysteresis, dead time", PM400, {**HEAT, **IRON, "dead_time": {"voltage_v": 8.0}}, {}),
         ("every effect", PM400, ALL, {}),
+        ("switched, without imperfections", PM400, {}, {"inverter": "switched"}),
+        ("switched, dead time and drops", PM400, {}, SWITCHED),
+        ("switched, heating and hysteresis", PM400, {**HEAT, **IRON}, SWITCHED),
+        ("switched, every effect", PM400, ALL, {"inverter": "switched"}),
         ("flux map, heating and hysteresis", map_motor("baldor-5k6"), {**HEAT, **IRON}, {"magnetics": MAP}),
     )
     for label, motor, effects, plant in cases:

@@ -8,7 +8,7 @@ import numpy as np
 
 from orchestrator.config import PlannedPoint, make_plan
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, true_flux
-from plugins.drives.simulated._plant import HEAT
+from plugins.drives.simulated._state import HEAT
 from protocols import Capture, DriveRecord, DriveSetup, Manifest, Procedure, Segment, SegmentStage
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.plant import Array

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from plugins.drives.simulated._plant import THETA, PlantParameters
 from plugins.drives.simulated._simulator import Simulator
+from plugins.drives.simulated._state import THETA, PlantParameters
 from plugins.drives.simulated.options import Plant
 
 

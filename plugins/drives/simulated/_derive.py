@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from plugins.drives.simulated._bench_parameters import BenchParameters
+from plugins.drives.simulated._derive_switching import Ratings, derive_bench, refuse_switched_options, without_bridge
 from plugins.drives.simulated._energy import Magnetics, hessian
 from plugins.drives.simulated._map import FluxTable, load_table, map_energy, usable_reach
 from plugins.drives.simulated._model import as_modelled
-from plugins.drives.simulated._plant import SQRT3, PlantParameters
 from plugins.drives.simulated._polynomial import nameplate_energy, polynomial_energy
-from plugins.drives.simulated._run import SensorParameters
+from plugins.drives.simulated._sensing import SensorParameters
+from plugins.drives.simulated._state import SQRT3, PlantParameters
 from plugins.drives.simulated.effects import Effects
 from plugins.drives.simulated.options import MapMagnetics, NameplateMagnetics, Plant, SimulatedOptions
 from protocols import InputError, Motor
@@ -49,6 +52,8 @@ class TruePlant:
     """Longest current vector for which the magnetics are known."""
     reach_positive_d_a: float
     """Largest i_d; less where a map had to be continued to positive i_d."""
+    bench: BenchParameters | None = None
+    """The switched inverter with its sensors, where there is one."""
 
     def locked(self, slip_torque_nm: float | None) -> PlantParameters:
         """The parameters with the brake engaged."""
@@ -113,7 +118,10 @@ def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> 
     resistance = plant.resistance_ohm or own or nameplate.resistance_ohm
     sample_s = 1.0 / options.sampling_frequency_hz
     steepest = max(energy.outside_d, energy.outside_q)
-    parameters = _parameters(options, nameplate, magnetics, resistance, dc_bus_v)
+    refuse_switched_options(options)
+    switched = plant.inverter == "switched"
+    behind = without_bridge(options) if switched else options
+    parameters = _parameters(behind, nameplate, magnetics, resistance, dc_bus_v)
     parameters = parameters._replace(off_ohm=0.5 / (steepest * sample_s))
     if plant.substeps is None:
         parameters = parameters._replace(substeps=_substeps(parameters, magnetics))
@@ -121,7 +129,10 @@ def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> 
     if table is not None:
         reach = usable_reach(table, magnetics, positive_d=False)
         reach_d = usable_reach(table, magnetics, positive_d=True)
-    return TruePlant(magnetics, parameters, _sensors(plant, nameplate), plant, table, reach, reach_d)
+    sensors, bench = _sensors(plant, nameplate), None
+    if switched:
+        parameters, bench = derive_bench(options, parameters, Ratings(nameplate.rated_a, dc_bus_v, sensors))
+    return TruePlant(magnetics, parameters, sensors, plant, table, reach, reach_d, bench)
 
 
 def _magnetics(plant: Plant, nameplate: Nameplate) -> tuple[Magnetics, FluxTable | None]:
@@ -153,6 +164,7 @@ def _parameters(
     )
     heat, magnets, brake = effects.winding_heating, effects.magnet_heating, effects.brake_compliance
     stop_slope, stop_limit = _stops(effects, stiffness)
+    branches = _branches(options.plant, sample_s)
     inertia, viscous, coulomb = _mechanics(options.plant, nameplate)
     dead_per_a = 1.0 / ((dead and dead.threshold_a) or 0.04 * rated)
     drop_per_a = 1.0 / ((drop and drop.threshold_a) or 0.01 * rated)
@@ -184,10 +196,12 @@ def _parameters(
         delay_samples=options.voltage_delay_samples + late,
         skin_ohm=skin_ohm,
         skin_rate=2 * math.pi * skin.corner_hz if skin else 0.0,
-        eddy_siemens=1.0 / eddy.core_loss_ohm if eddy else 0.0,
+        eddy_siemens=1.0 / eddy.core_loss_ohm if eddy and not branches.core_rate else 0.0,
+        **branches._asdict(),
         inverter_slope_ohm=slope,
         stop_slope=stop_slope,
         stop_limit_a=stop_limit,
+        stop_d_over_q=1.0 / effects.hysteresis.q_over_d if effects.hysteresis else 1.0,
         has_stops=effects.hysteresis is not None,
         slot_per_h=slots.relative * stiffness if slots else 0.0,
         slot_order=float(slots.order) if slots else 0.0,
@@ -196,8 +210,14 @@ def _parameters(
         magnet_step=-math.expm1(-sample_s / magnets.time_constant_s) if magnets else 0.0,
         heat_per_watt=heat.rise_per_watt if heat else 0.0,
         heat_step=-math.expm1(-sample_s / heat.time_constant_s) if heat else 0.0,
+        has_housing=heat is not None and (heat.housing_rise_per_watt, heat.ambient_rise_per_s) != (0.0, 0.0),
+        housing_per_watt=heat.housing_rise_per_watt if heat else 0.0,
+        housing_step=-math.expm1(-sample_s / heat.housing_time_constant_s) if heat else 0.0,
+        ambient_step=heat.ambient_rise_per_s * sample_s if heat else 0.0,
         twist_rad_per_nm=brake.rad_per_nm if brake else 0.0,
         twist_lag_s=brake.lag_s if brake else 1.0,
+        torsion_rate=2 * math.pi * brake.resonance_hz if brake and brake.resonance_hz else 0.0,
+        torsion_damping=brake.damping if brake else 1.0,
         backlash_rad=brake.backlash_rad if brake else 0.0,
         backlash_nm=0.02 * nameplate.torque_nm,
         inertia=inertia,
@@ -216,6 +236,33 @@ def _stops(effects: Effects, stiffness: float) -> tuple[float, float]:
         return 0.0, 0.0
     ratio = effects.hysteresis.reversible_ratio
     return (1.0 / ratio - 1.0) * stiffness / 3.0, effects.hysteresis.half_width_a / 6.0
+
+
+class _Branches(NamedTuple):
+    """Resistances and inductances beside the magnetising one, as `PlantParameters` names them."""
+
+    core_d_per_h: float = 0.0
+    core_q_per_h: float = 0.0
+    core_rate: float = 0.0
+    damper_d_per_h: float = 0.0
+    damper_q_per_h: float = 0.0
+    damper_rate: float = 0.0
+    has_branches: bool = False
+
+
+def _branches(plant: Plant, sample_s: float) -> _Branches:
+    found, eddy, damper = _Branches(), plant.effects.eddy_currents, plant.damper
+    if eddy is not None and (eddy.core_loss_q_ohm is not None or eddy.time_constant_s is not None):
+        rate = 1.0 / (eddy.time_constant_s or 0.1 * sample_s)
+        along_q = eddy.core_loss_q_ohm or eddy.core_loss_ohm
+        found = found._replace(
+            core_d_per_h=rate / eddy.core_loss_ohm, core_q_per_h=rate / along_q, core_rate=rate, has_branches=True
+        )
+    if damper is not None:
+        rate = 1.0 / damper.time_constant_s
+        along_d, along_q = (rate / damper.ohm, 0.0) if damper.axis == "d" else (0.0, rate / damper.ohm)
+        found = found._replace(damper_d_per_h=along_d, damper_q_per_h=along_q, damper_rate=rate, has_branches=True)
+    return found
 
 
 def _mechanics(plant: Plant, nameplate: Nameplate) -> tuple[float, float, float]:
@@ -247,6 +294,8 @@ def _substeps(p: PlantParameters, magnetics: Magnetics) -> int:
     h_dd, _, h_qq = hessian(*magnetics, magnetics.energy.psi_m, 0.0)
     usual, steepest = 1.7 * max(h_dd, h_qq), max(magnetics.energy.outside_d, magnetics.energy.outside_q)
     fastest = max(p.inverter_slope_ohm * usual / 0.9, p.inverter_slope_ohm * steepest / 2.0)
-    if p.twist_rad_per_nm > 0.0:
+    if p.torsion_rate > 0.0:
+        fastest = max(fastest, p.torsion_rate)
+    elif p.twist_rad_per_nm > 0.0:
         fastest = max(fastest, 1.0 / (0.5 * p.twist_lag_s))
     return max(1, math.ceil(fastest * p.sample_s))

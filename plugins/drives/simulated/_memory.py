@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from pydantic import ValidationError
 
-from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated import _state as layout
 from plugins.drives.simulated._simulator import Memory
 from plugins.drives.simulated.truth import write_json
 from protocols import DriveRefused, Strict

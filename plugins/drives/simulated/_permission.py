@@ -7,7 +7,8 @@ from dataclasses import dataclass
 
 from orchestrator.driving import SINGLE
 from plugins.drives.simulated._derive import Nameplate, TruePlant
-from plugins.drives.simulated._plant import SQRT3
+from plugins.drives.simulated._derive_switching import carrier_frequencies, declared_delay
+from plugins.drives.simulated._state import SQRT3
 from plugins.drives.simulated.options import SimulatedOptions
 from protocols import Capabilities, DriveRefused, Excitation, Injection, InputError, Trapezoid
 
@@ -25,7 +26,6 @@ class Permission:
     def of(cls, options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, bus_v: float) -> Permission:
         """Limits from the options; what is left out follows from the nameplate."""
         pwm = options.pwm_frequency_hz or options.sampling_frequency_hz
-        choices = options.pwm_frequencies_hz or (0.5 * pwm, pwm, 2.0 * pwm)
         table = plant.table
         reach = min(2.5 * nameplate.rated_a, plant.reach_a)
         if options.max_voltage_v is not None and options.max_voltage_v > bus_v / SQRT3 * SINGLE:
@@ -34,9 +34,9 @@ class Permission:
             name="simulated",
             sampling_frequency_hz=options.sampling_frequency_hz,
             pwm_frequency_hz=pwm,
-            pwm_frequencies_hz=tuple(sorted({*choices, pwm})),
+            pwm_frequencies_hz=carrier_frequencies(options),
             dc_bus_voltage_v=bus_v,
-            voltage_delay_samples=options.voltage_delay_samples,
+            voltage_delay_samples=declared_delay(options),
             max_current_a=min(options.max_current_a or reach, plant.reach_a),
             max_voltage_v=options.max_voltage_v or bus_v / SQRT3,
             longest_capture_s=options.longest_capture_s,

@@ -14,74 +14,39 @@ from typing import NamedTuple
 
 from plugins.drives.simulated._energy import Array, Energy, current
 from plugins.drives.simulated._numba import inlined
-
-SQRT3 = math.sqrt(3.0)
-
-# The state, one vector of floats so that it can be saved and taken up again as it is.
-PSI_D, PSI_Q, THETA, OMEGA, SKIN_ALPHA, SKIN_BETA = range(6)
-INTEGRATED = 6
-"""So many of them are integrated; the others are moved once a step."""
-STOPS = 6  # three stops, (d, q) each
-HEAT, MAGNET_A, ANCHOR, MOVING, COS, SIN = range(12, 18)
-I_ALPHA, I_BETA, TORQUE, READING_A, READING_B = range(18, 23)
-VOLTAGES = 24  # commanded voltages (alpha, beta) of the last four samples, newest first
-DELAYED = 5
-INTEGRAL_D, INTEGRAL_Q, COMMAND_D, COMMAND_Q, SPENT, BUS, SHOWN_D, SHOWN_Q, IRON_D, IRON_Q = range(34, 44)
-LENGTH = 44
-
-
-class PlantParameters(NamedTuple):
-    """All numbers of the plant but its energy, in SI."""
-
-    sample_s: float
-    substeps: int
-    pole_pairs: float
-    resistance_ohm: float
-    extra_a_ohm: float
-    extra_b_ohm: float
-    on_resistance_ohm: float
-    dead_time_v: float
-    dead_time_per_a: float
-    drop_v: float
-    drop_per_a: float
-    bias_alpha_v: float
-    bias_beta_v: float
-    dc_bus_v: float
-    sag_per_watt: float
-    delay_samples: float
-    skin_ohm: float
-    skin_rate: float
-    eddy_siemens: float
-    inverter_slope_ohm: float
-    """Largest of the inverter's dv/di."""
-    stop_slope: float
-    """Of each of the three stops [A/Wb]."""
-    stop_limit_a: float
-    """Of the first; the others' are twice and three times that."""
-    has_stops: bool
-    slot_per_h: float
-    slot_order: float
-    slot_phase: float
-    magnet_final_a: float
-    magnet_step: float
-    """1 - exp(-h / tau)."""
-    heat_per_watt: float
-    heat_step: float
-    """1 - exp(-h / tau)."""
-    twist_rad_per_nm: float
-    twist_lag_s: float
-    backlash_rad: float
-    backlash_nm: float
-    inertia: float
-    viscous: float
-    friction_nm: float
-    """Torque that sets the rotor moving, and that brakes it then; infinite where it is locked."""
-    filter_s: float
-    uneven: bool
-    """Whether the phases lose voltage each on its own."""
-    twists: bool
-    off_ohm: float
-    """What the blocked bridge looks like: drains the current within a few samples."""
+from plugins.drives.simulated._state import (
+    AMBIENT,
+    ANCHOR,
+    BUS,
+    CORE_D,
+    CORE_Q,
+    COS,
+    DAMPER_D,
+    DAMPER_Q,
+    DELAYED,
+    HEAT,
+    HOUSING,
+    I_ALPHA,
+    I_BETA,
+    IRON_D,
+    IRON_Q,
+    MAGNET_A,
+    MOVING,
+    OMEGA,
+    PSI_D,
+    PSI_Q,
+    READING_A,
+    READING_B,
+    SIN,
+    SKIN_ALPHA,
+    SKIN_BETA,
+    SQRT3,
+    STOPS,
+    THETA,
+    TORQUE,
+    VOLTAGES,
+    PlantParameters,
+)
 
 
 class _Held(NamedTuple):
@@ -92,6 +57,9 @@ class _Held(NamedTuple):
     off: bool
     resistance_ohm: float
     magnet_a: float
+    branch_d: float
+    """What core and damper carry [A]."""
+    branch_q: float
     moving: bool
     anchor: float
     cos: float
@@ -159,11 +127,12 @@ def _impressed(p: PlantParameters, f: _Held, y: _Stage, i_alpha: float, i_beta: 
 
 
 @inlined
-def _stop(slope: float, limit: float, stop_d: float, stop_q: float, d: float, q: float) -> tuple[float, float]:
-    """Vector stop operator after the flux has moved by (d, q): follows elastically, slides at its limit."""
-    stop_d += slope * d
-    stop_q += slope * q
-    square = stop_d * stop_d + stop_q * stop_q
+def _stop(p: PlantParameters, limit: float, stop_d: float, stop_q: float, d: float, q: float) -> tuple[float, float]:
+    """Vector stop operator after the flux has moved by (d, q): follows elastically, slides at its limit, an ellipse."""
+    stop_d += p.stop_slope * d
+    stop_q += p.stop_slope * q
+    along_q = stop_q * p.stop_d_over_q
+    square = stop_d * stop_d + along_q * along_q
     if square > limit * limit:
         scale = limit / math.sqrt(square)
         return scale * stop_d, scale * stop_q
@@ -187,12 +156,12 @@ def _magnetising(p: PlantParameters, e: Energy, spline: Array, f: _Held, y: _Sta
     if p.has_stops:
         d, q = y.psi_d - f.psi_d, y.psi_q - f.psi_q
         limit = p.stop_limit_a
-        s1_d, s1_q = _stop(p.stop_slope, limit, f.stop1_d, f.stop1_q, d, q)
-        s2_d, s2_q = _stop(p.stop_slope, 2 * limit, f.stop2_d, f.stop2_q, d, q)
-        s3_d, s3_q = _stop(p.stop_slope, 3 * limit, f.stop3_d, f.stop3_q, d, q)
+        s1_d, s1_q = _stop(p, limit, f.stop1_d, f.stop1_q, d, q)
+        s2_d, s2_q = _stop(p, 2 * limit, f.stop2_d, f.stop2_q, d, q)
+        s3_d, s3_q = _stop(p, 3 * limit, f.stop3_d, f.stop3_q, d, q)
         i_d += s1_d + s2_d + s3_d
         i_q += s1_q + s2_q + s3_q
-    return i_d, i_q, torque
+    return i_d + f.branch_d, i_q + f.branch_q, torque
 
 
 @inlined
@@ -233,7 +202,12 @@ def _slope(
         acceleration = p.pole_pairs * (torque - friction) / p.inertia
     elif p.twists:
         c, s = math.cos(y.theta), math.sin(y.theta)
-        speed = (f.anchor + _twist(p, torque) - y.theta) / p.twist_lag_s
+        behind = f.anchor + _twist(p, torque) - y.theta
+        if p.torsion_rate == 0.0:
+            speed = behind / p.twist_lag_s
+        else:
+            speed = y.omega
+            acceleration = p.torsion_rate * (p.torsion_rate * behind - 2.0 * p.torsion_damping * speed)
     i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q
     u_alpha, u_beta = _impressed(p, f, y, i_alpha, i_beta)
     if p.eddy_siemens != 0.0 and not f.off:
@@ -265,7 +239,7 @@ def _along(y: _Stage, h: float, k: _Stage) -> _Stage:
 
 
 @inlined
-def _integrate(
+def integrate(
     p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, h: float, off: bool
 ) -> None:
     """One Runge-Kutta step of `h` under a constant voltage; the stator current at its end is left in the state."""
@@ -275,6 +249,8 @@ def _integrate(
         off,
         p.resistance_ohm * (1.0 + x[HEAT]),
         x[MAGNET_A],
+        x[CORE_D] + x[DAMPER_D],
+        x[CORE_Q] + x[DAMPER_Q],
         x[MOVING] != 0.0,
         x[ANCHOR],
         x[COS],
@@ -312,6 +288,8 @@ def _integrate(
         _, x[I_ALPHA], x[I_BETA] = _slope(p, f, y, i_d, i_q, torque)
     else:
         x[I_ALPHA], x[I_BETA] = x[COS] * i_d - x[SIN] * i_q, x[SIN] * i_d + x[COS] * i_q
+    if p.has_branches:
+        _move_branches(p, x, y.psi_d - start.psi_d, y.psi_q - start.psi_q, h)
     _lag(p, x, from_alpha, from_beta, h)
     if p.friction_nm < math.inf:
         _stick_or_slip(p, x, start.omega)
@@ -321,9 +299,37 @@ def _integrate(
 def _move_stops(p: PlantParameters, f: _Held, x: Array, d: float, q: float) -> None:
     """Leave the stops where the step has brought them."""
     limit = p.stop_limit_a
-    x[STOPS], x[STOPS + 1] = _stop(p.stop_slope, limit, f.stop1_d, f.stop1_q, d, q)
-    x[STOPS + 2], x[STOPS + 3] = _stop(p.stop_slope, 2 * limit, f.stop2_d, f.stop2_q, d, q)
-    x[STOPS + 4], x[STOPS + 5] = _stop(p.stop_slope, 3 * limit, f.stop3_d, f.stop3_q, d, q)
+    x[STOPS], x[STOPS + 1] = _stop(p, limit, f.stop1_d, f.stop1_q, d, q)
+    x[STOPS + 2], x[STOPS + 3] = _stop(p, 2 * limit, f.stop2_d, f.stop2_q, d, q)
+    x[STOPS + 4], x[STOPS + 5] = _stop(p, 3 * limit, f.stop3_d, f.stop3_q, d, q)
+
+
+@inlined
+def _move_branches(p: PlantParameters, x: Array, d: float, q: float, h: float) -> None:
+    """Core and damper after the flux has moved by (d, q) in h, exact for a constant voltage."""
+    if p.core_rate > 0.0:
+        fade, share = math.exp(-h * p.core_rate), -math.expm1(-h * p.core_rate) / (h * p.core_rate)
+        carry_branches(x, CORE_D, fade * x[CORE_D] + p.core_d_per_h * share * d)
+        carry_branches(x, CORE_Q, fade * x[CORE_Q] + p.core_q_per_h * share * q)
+    if p.damper_rate > 0.0:
+        fade, share = math.exp(-h * p.damper_rate), -math.expm1(-h * p.damper_rate) / (h * p.damper_rate)
+        carry_branches(x, DAMPER_D, fade * x[DAMPER_D] + p.damper_d_per_h * share * d)
+        carry_branches(x, DAMPER_Q, fade * x[DAMPER_Q] + p.damper_q_per_h * share * q)
+
+
+@inlined
+def carry_branches(x: Array, branch: int, current_a: float) -> None:
+    """Give a branch its current [A]; the stator's carries it."""
+    change = current_a - x[branch]
+    x[branch] = current_a
+    if branch in (CORE_D, DAMPER_D):
+        x[IRON_D] += change
+        x[I_ALPHA] += x[COS] * change
+        x[I_BETA] += x[SIN] * change
+    else:
+        x[IRON_Q] += change
+        x[I_ALPHA] -= x[SIN] * change
+        x[I_BETA] += x[COS] * change
 
 
 @inlined
@@ -354,6 +360,22 @@ def _stick_or_slip(p: PlantParameters, x: Array, omega_before: float) -> None:
 
 
 @inlined
+def age(p: PlantParameters, x: Array, square_a2: float) -> None:
+    """Heat and magnets after a sample in which the current's square was this on the mean."""
+    watts = 1.5 * p.resistance_ohm * (1.0 + x[HEAT]) * square_a2
+    if p.has_housing:
+        winding = x[HEAT] - x[HOUSING] - x[AMBIENT]
+        x[HOUSING] += p.housing_step * (p.housing_per_watt * watts - x[HOUSING])
+        x[AMBIENT] += p.ambient_step
+        x[HEAT] = winding + p.heat_step * (p.heat_per_watt * watts - winding) + x[HOUSING] + x[AMBIENT]
+    else:
+        x[HEAT] += p.heat_step * (p.heat_per_watt * watts - x[HEAT])
+    drift = p.magnet_step * (p.magnet_final_a - x[MAGNET_A])
+    x[MAGNET_A] += drift
+    x[IRON_D] -= drift
+
+
+@inlined
 def advance(p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, off: bool) -> None:
     """One sample: the voltage as it reaches the bridge, the fast states, then heat and magnets."""
     loss = x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]
@@ -367,11 +389,6 @@ def advance(p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: flo
     n = p.substeps
     for step in range(0 if late > 0.0 else n, 2 * n):
         at, share = (newest + 2, late) if step < n else (newest, 1.0 - late)
-        _integrate(p, e, spline, x, x[at], x[at + 1], share * p.sample_s / n, off)
-    loss = 0.5 * (loss + x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA])
-    watts = 1.5 * p.resistance_ohm * (1.0 + x[HEAT]) * loss
-    x[HEAT] += p.heat_step * (p.heat_per_watt * watts - x[HEAT])
-    drift = p.magnet_step * (p.magnet_final_a - x[MAGNET_A])
-    x[MAGNET_A] += drift
-    x[IRON_D] -= drift
+        integrate(p, e, spline, x, x[at], x[at + 1], share * p.sample_s / n, off)
+    age(p, x, 0.5 * (loss + x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]))
     x[BUS] = p.dc_bus_v * (1.0 - p.sag_per_watt * 1.5 * (v_alpha * x[I_ALPHA] + v_beta * x[I_BETA]))

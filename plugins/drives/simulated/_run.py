@@ -8,13 +8,16 @@ and the nameplate. What is to be run is a `Piece`; who puts pieces together is `
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from plugins.drives.simulated._bench_parameters import BenchParameters
 from plugins.drives.simulated._energy import Array, Energy
 from plugins.drives.simulated._numba import inlined, kernel
-from plugins.drives.simulated._plant import (
+from plugins.drives.simulated._plant import advance
+from plugins.drives.simulated._sensing import Rows, SensorParameters, read, sense
+from plugins.drives.simulated._state import (
     BUS,
     COMMAND_D,
     COMMAND_Q,
@@ -27,25 +30,11 @@ from plugins.drives.simulated._plant import (
     SPENT,
     SQRT3,
     PlantParameters,
-    advance,
 )
-
-Rows = np.ndarray[Any, np.dtype[np.float32]]
+from plugins.drives.simulated._switching import advance_switched
 
 CONTROL, OPEN, OFF, GIVEN = range(4)
 """Current control; open-loop voltage; bridge off; the voltages that `v_out` already holds."""
-
-
-class SensorParameters(NamedTuple):
-    """Two phase sensors; the third current closes the star."""
-
-    gain_a: float
-    gain_b: float
-    cubic_per_a2: float
-    offset_a: float
-    offset_b: float
-    noise_a: float
-    quantum_a: float
 
 
 class ControlParameters(NamedTuple):
@@ -90,14 +79,6 @@ class Piece(NamedTuple):
     square: bool = True
     first: int = 0
     """Samples since the injection started."""
-
-
-@inlined
-def _read(s: SensorParameters, phase: float, gain: float, offset: float, noise: float) -> float:
-    value = gain * (phase + s.cubic_per_a2 * phase * phase * phase) + offset + s.noise_a * noise
-    if s.quantum_a > 0.0:
-        value = s.quantum_a * math.floor(value / s.quantum_a + 0.5)
-    return value
 
 
 @inlined
@@ -151,9 +132,12 @@ def run(
     i_out: Rows,
     v_out: Rows,
     bus_out: Rows,
+    phases_out: Rows,
+    bench: BenchParameters | None,
 ) -> int:
     """Run samples `done` .. `done + count` of a piece; returns how many, fewer where the drive trips.
 
+    `bench` is the switched inverter with its sensors; None, for which other code is compiled, an averaged one.
     `sums` gathers v_d and v_q as the drive believes them: the frozen base voltage is taken from it.
     """
     off = w.mode == OFF
@@ -162,9 +146,12 @@ def run(
     cos, sin = math.cos(turn), math.sin(turn)
     cos_step, sin_step = math.cos(2 * math.pi * w.turns), math.sin(2 * math.pi * w.turns)
     for k in range(count):
-        i_a = _read(s, x[READING_A], s.gain_a, s.offset_a, noise[k, 0])
-        i_b = _read(s, x[READING_B], s.gain_b, s.offset_b, noise[k, 1])
-        i_alpha, i_beta = i_a, (i_a + 2 * i_b) / SQRT3
+        if bench is None:
+            i_a = read(s, x[READING_A], s.gain_a, s.offset_a, noise[k, 0])
+            i_b = read(s, x[READING_B], s.gain_b, s.offset_b, noise[k, 1])
+            i_alpha, i_beta = i_a, (i_a + 2 * i_b) / SQRT3
+        else:
+            i_alpha, i_beta = sense(bench.sensing, x, noise, k, phases_out)
         square = i_alpha * i_alpha + i_beta * i_beta
         if not off and w.mode != GIVEN:
             x[SPENT] = max(0.0, x[SPENT] + (square * c.per_rated2 - 1.0) * c.sample_s)
@@ -187,5 +174,8 @@ def run(
         x[SHOWN_D] += c.shown_step * (i_d - x[SHOWN_D])
         x[SHOWN_Q] += c.shown_step * (i_q - x[SHOWN_Q])
         # The row's own (rounded) voltage acts, so that a recording says exactly what was applied.
-        advance(p, e, spline, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
+        if bench is None:
+            advance(p, e, spline, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
+        else:
+            advance_switched(p, e, spline, bench.switching, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
     return count

@@ -12,13 +12,20 @@ from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated import _state as layout
+from plugins.drives.simulated._bench_parameters import BenchParameters
+from plugins.drives.simulated._bridge import NEVER
 from plugins.drives.simulated._derive import TruePlant
 from plugins.drives.simulated._energy import Array
-from plugins.drives.simulated._plant import PlantParameters
 from plugins.drives.simulated._program import Program, Stretch
-from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece, Rows, run
+from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece, run
+from plugins.drives.simulated._sensing import Rows
+from plugins.drives.simulated._state import PlantParameters
+from plugins.drives.simulated._switching import at_frequency
 from protocols import Capture
+
+_Buffers = tuple[Rows, Rows, Rows, Rows]
+"""i_ab, v_ab, v_dc, and i_abc, which has no rows on a drive of two sensors."""
 
 
 class Tripped(Exception):
@@ -67,14 +74,12 @@ class Simulator:
         self.seed = seed % 2**64
         self.block = max(1, int(Simulator.block_s * sampling_frequency_hz))
         self._sums = np.zeros(2)
-        self._scratch = (
-            np.zeros((self.block, 2), np.float32),
-            np.zeros((self.block, 2), np.float32),
-            np.zeros(self.block, np.float32),
-        )
+        self._three = plant.bench is not None and plant.bench.sensing.three
+        self._scratch = _buffers(self.block, self._three)
         state = np.zeros(layout.LENGTH)
         state[layout.PSI_D] = plant.magnetics.energy.psi_m
-        state[layout.BUS] = self.parameters.dc_bus_v
+        state[layout.BUS] = state[layout.SUPPLY] = self.parameters.dc_bus_v
+        state[layout.DUE : layout.DUE + 3] = NEVER
         self.memory = Memory(state)
         self.turn_to(angle_rad)
 
@@ -138,7 +143,7 @@ class Simulator:
         Tripped
             Where the reading is above the trip level; the rest of the program is not run.
         """
-        parameters = self._switching(pwm_ratio)
+        switching = self._switching(pwm_ratio)
         ahead = sorted(stops)
         elapsed, rows, remaining = 0, self._scratch, program.captured
         filled, room = 0, 0
@@ -152,12 +157,12 @@ class Simulator:
                 if stretch.captured and room == 0:
                     room, filled = min(self.block, remaining), 0
                     start_s = self.time_s
-                    rows = _buffers(room)
+                    rows = _buffers(room, self._three)
                 n = min(piece.samples - done, room if stretch.captured else self.block)
                 if ahead:
                     n = min(n, ahead[0] - elapsed)
                 self._rows(
-                    parameters, control, piece, done, n, noise, rows if stretch.captured else self._scratch, filled
+                    switching, control, piece, done, n, noise, rows if stretch.captured else self._scratch, filled
                 )
                 done += n
                 elapsed += n
@@ -170,6 +175,7 @@ class Simulator:
                             i_ab=rows[0],
                             v_ab=rows[1],
                             v_dc=rows[2],
+                            i_abc=rows[3] if self._three else None,
                         )
                         filled = 0
             self._end(stretch)
@@ -198,27 +204,32 @@ class Simulator:
                 n = min(piece.samples - done, samples, self.block)
                 self._rows(self._switching(pwm_ratio), control, piece, done, n, noise, self._scratch, 0)
                 done += n
-                i, v, bus = self._scratch
+                i, v, bus, _ = self._scratch
                 yield Step(stretch, i[:n], v[:n], bus[:n])
             self._end(stretch)
 
-    def _switching(self, pwm_ratio: float) -> PlantParameters:
-        return self.parameters._replace(dead_time_v=self.plant.parameters.dead_time_v * pwm_ratio)
+    def _switching(self, pwm_ratio: float) -> tuple[PlantParameters, BenchParameters | None]:
+        """Plant and inverter at so many times the drive's own PWM frequency."""
+        bench = self.plant.bench
+        if bench is None:
+            return self.parameters._replace(dead_time_v=self.plant.parameters.dead_time_v * pwm_ratio), None
+        return self.parameters, bench._replace(switching=at_frequency(bench.switching, self.parameters, pwm_ratio))
 
     def _rows(
         self,
-        parameters: PlantParameters,
+        switching: tuple[PlantParameters, BenchParameters | None],
         control: ControlParameters,
         piece: Piece,
         done: int,
         count: int,
         noise: np.random.Generator,
-        rows: tuple[Rows, Rows, Rows],
+        rows: _Buffers,
         at: int,
     ) -> None:
         x = self.memory.state
-        values = noise.standard_normal((count, 2), dtype=np.float32)
-        i, v, bus = (array[at : at + count] for array in rows)
+        parameters, bench = switching
+        values = noise.standard_normal((count, 2 if bench is None else 6), dtype=np.float32)
+        i, v, bus, phases = (array[at : at + count] for array in rows)
         finished = run(
             parameters,
             *self.plant.magnetics,
@@ -233,6 +244,8 @@ class Simulator:
             i,
             v,
             bus,
+            phases,
+            bench,
         )
         self.memory.ticks += finished
         if finished < count:
@@ -264,5 +277,6 @@ class Simulator:
         self.memory.open_loop, self.memory.base_v = False, (0.0, 0.0)
 
 
-def _buffers(n: int) -> tuple[Rows, Rows, Rows]:
-    return np.empty((n, 2), np.float32), np.empty((n, 2), np.float32), np.empty(n, np.float32)
+def _buffers(n: int, three: bool) -> _Buffers:
+    phases = np.empty((n, 3) if three else (0, 3), np.float32)
+    return np.empty((n, 2), np.float32), np.empty((n, 2), np.float32), np.empty(n, np.float32), phases

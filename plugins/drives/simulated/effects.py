@@ -6,7 +6,7 @@ given is absent.
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -83,10 +83,18 @@ class CurrentNonlinearity(Strict):
 
 
 class WindingHeating(Strict):
-    """R = R_0 (1 + y), y following rise_per_watt times the copper loss through a thermal lag."""
+    """R = R_0 (1 + y), y following rise_per_watt times the copper loss through a thermal lag.
+
+    The housing, and the room, may warm as well: their rises are added to the winding's.
+    """
 
     rise_per_watt: float
     time_constant_s: Positive = 300.0
+    housing_rise_per_watt: NonNegative = 0.0
+    """A second rise, slower: of what the winding stands in."""
+    housing_time_constant_s: Positive = 1800.0
+    ambient_rise_per_s: float = 0.0
+    """Relative change of R a second, whatever flows: the room warms or cools."""
 
 
 class SkinEffect(Strict):
@@ -97,9 +105,25 @@ class SkinEffect(Strict):
 
 
 class EddyCurrents(Strict):
-    """Stator current = magnetising current + (dpsi/dt) / core_loss_ohm."""
+    """Stator current = magnetising current + (dpsi/dt) / core_loss_ohm.
+
+    With a time constant the current follows that through a lag, an inductance beside the resistance,
+    and the loss falls with frequency.
+    """
 
     core_loss_ohm: Positive
+    core_loss_q_ohm: Positive | None = None
+    """Of the q axis. None: as on d."""
+    time_constant_s: Positive | None = None
+    """None: none; a sampling period on a switched inverter, whose edges the resistance alone would take whole."""
+
+
+class Damper(Strict):
+    """A closed winding on one axis (a sleeve, a cage, conducting magnets): current (dpsi/dt) / ohm through a lag."""
+
+    axis: Literal["d", "q"]
+    ohm: Positive
+    time_constant_s: Positive = 5e-3
 
 
 class Hysteresis(Strict):
@@ -111,6 +135,8 @@ class Hysteresis(Strict):
 
     half_width_a: NonNegative
     reversible_ratio: Annotated[float, Field(gt=0.5, le=1.0)] = 0.93
+    q_over_d: Annotated[float, Field(ge=0.1, le=10.0)] = 1.0
+    """Of the widths: the iron need not be alike along both axes."""
 
 
 class RotorMisalignment(Strict):
@@ -120,11 +146,18 @@ class RotorMisalignment(Strict):
 
 
 class BrakeCompliance(Strict):
-    """The locked rotor twists by rad_per_nm T_e (electrical), with a lag; backlash is passed at T_e = 0."""
+    """The locked rotor twists by rad_per_nm T_e (electrical), with a lag; backlash is passed at T_e = 0.
+
+    With a resonance the rotor swings on the shaft's spring instead: torsion of second order.
+    """
 
     rad_per_nm: NonNegative
     lag_s: Positive = 1e-3
     backlash_rad: NonNegative = 0.0
+    resonance_hz: Annotated[float, Field(gt=0, le=2000)] | None = None
+    """None: none, the lag alone."""
+    damping: Annotated[float, Field(gt=0, le=5)] = 0.05
+    """Of the resonance, relative to the critical one."""
 
 
 class MagnetHeating(Strict):

@@ -11,7 +11,8 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from plugins.drives.simulated.effects import Effects
+from plugins.drives.simulated.effects import Damper, Effects
+from plugins.drives.simulated.switching import PhaseSensors, Switching
 from protocols import NonNegative, Positive, Strict
 
 Fall = Annotated[float, Field(ge=0, le=0.65)]
@@ -89,8 +90,8 @@ class Brake(Strict):
     """Torque above which it slips. None: never."""
 
 
-class Sensors(Strict):
-    """The two phase-current sensors' noise and resolution."""
+class Sensors(PhaseSensors):
+    """The phase-current sensors' noise and resolution; what `PhaseSensors` adds is there on a switched inverter."""
 
     noise_a: NonNegative | None = None
     """Standard deviation. None: 0.17 % of the rated current."""
@@ -110,6 +111,11 @@ class Plant(Strict):
     brake: Brake = Brake()
     sensors: Sensors = Sensors()
     effects: Effects = Effects()
+    damper: Damper | None = None
+    inverter: Literal["averaged", "switched"] = "averaged"
+    """Averaged: one voltage a sample, fast. Switched: every edge, and what follows from it."""
+    switching: Switching = Switching()
+    """Of the switched inverter."""
     substeps: Annotated[int, Field(ge=1)] | None = None
     """Steps of the integration in a sample. None: as many as the fastest time constant asks for."""
 
@@ -149,6 +155,10 @@ class SimulatedOptions(Strict):
     dc_bus_voltage_v: Positive | None = None
     """None: what gives twice the rated voltage."""
     voltage_delay_samples: Annotated[float, Field(ge=0, le=3)] = 0.0
+    current_sensors: Literal[2, 3] = 2
+    """Three: all are recorded, and the vector is the Clarke transform of all (with `plant.inverter: switched`)."""
+    current_sampling: Literal["turning_point", "averaged"] = "turning_point"
+    """Where the carrier turns, or the mean since the last row; the declared delay is half a sample longer then."""
     max_current_a: Positive | None = None
     """None: 2.5 times the rated current, or as far as the motor is known."""
     max_voltage_v: Positive | None = None

@@ -17,10 +17,10 @@ from plugins.drives.simulated import _memory
 from plugins.drives.simulated._bench import Bench
 from plugins.drives.simulated._derive import Nameplate, bus_voltage, derive, read_nameplate
 from plugins.drives.simulated._permission import Permission
-from plugins.drives.simulated._plant import READING_A, READING_B, SQRT3
 from plugins.drives.simulated._program import DRAIN_S, Planner, Program, Stretch, tune
 from plugins.drives.simulated._run import CONTROL, OFF, ControlParameters, Piece
 from plugins.drives.simulated._simulator import Simulator, Step, Tripped
+from plugins.drives.simulated._state import READING_A, READING_B, SQRT3
 from plugins.drives.simulated.options import SimulatedOptions
 from protocols import Capabilities, CurrentControl, DriveRefused, Excitation, GatesOff, Hold, Limits, Motor
 

@@ -70,6 +70,7 @@ def describe(nameplate: Nameplate, plant: TruePlant, seed: int) -> dict[str, Any
             "energy": {**_plain(magnetics.energy._asdict()), "spline": magnetics.spline.tolist()},
             "parameters": _plain(plant.parameters._asdict()),
             "sensors": _plain(plant.sensors._asdict()),
+            "bench": None if plant.bench is None else _plain(plant.bench._asdict()),
             "map_fit_error_a": None if plant.table is None else fit_error(plant.table, magnetics),
         },
         "map": {"i_dq_a": grid.tolist(), "psi_dq_wb": flux.tolist()},
@@ -77,9 +78,11 @@ def describe(nameplate: Nameplate, plant: TruePlant, seed: int) -> dict[str, Any
 
 
 def _plain(values: dict[str, Any]) -> dict[str, Any]:
-    """Arrays as lists, infinities as null."""
+    """Arrays as lists, named tuples as objects, infinities as null."""
 
     def plain(value: Any) -> Any:
+        if hasattr(value, "_asdict"):
+            return _plain(value._asdict())
         if isinstance(value, np.ndarray):
             return value.tolist()
         return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, map_motor
-from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated import _state as layout
 from protocols import (
     Capabilities,
     CurrentControl,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from plugins.drives.simulated import SimulatedDrive
-from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated import _state as layout
 from plugins.drives.simulated._energy import hessian
 from protocols import GatesOff, Hold
 from tests.plugins.drives.simulated.conftest import Bench, rows

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from plugins.drives.simulated import SimulatedDrive
-from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated import _state as layout
 from protocols import DriveFault, DriveRefused, DriveState, FaultCause, Hold, Limits
 from tests.plugins.drives.simulated.conftest import Bench
 

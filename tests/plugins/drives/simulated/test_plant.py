@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from plugins.drives.simulated import _plant as layout
+from plugins.drives.simulated import _state as layout
 from plugins.drives.simulated._derive import TruePlant, bus_voltage, derive, read_nameplate
 from plugins.drives.simulated._energy import current
 from plugins.drives.simulated._program import tune
@@ -46,7 +46,8 @@ def simulate(plant: TruePlant, v_ab: np.ndarray, x: np.ndarray | None = None) ->
     control = tune(read_nameplate(PM400), CurrentControl(), 0.0, FS, max_v=1e9, trip_a=1e9, overload_s=None)
     noise = np.zeros((n, 2), np.float32)
     locked = plant.locked(None)
-    run(locked, *plant.magnetics, plant.sensors, control, Piece(GIVEN, n), 0, n, state, np.zeros(2), noise, i, v, bus)
+    piece, sums, none = Piece(GIVEN, n), np.zeros(2), np.empty((0, 3), np.float32)
+    run(locked, *plant.magnetics, plant.sensors, control, piece, 0, n, state, sums, noise, i, v, bus, none, None)
     return np.asarray(i, np.float64), state
 
 

@@ -1,0 +1,224 @@
+"""From options to the switched inverter and its sensors in numbers, and what is refused of them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from plugins.drives.simulated._bench_parameters import BenchParameters
+from plugins.drives.simulated._bridge import BridgeParameters, Three
+from plugins.drives.simulated._sensing import SensingParameters, SensorParameters
+from plugins.drives.simulated._state import PlantParameters
+from plugins.drives.simulated._switching import SwitchingParameters
+from plugins.drives.simulated.options import SimulatedOptions
+from plugins.drives.simulated.switching import PhaseSensors
+from protocols import InputError
+
+INVERTER = "drive.plant.switching"
+SENSORS = "drive.plant.sensors"
+NEEDED = "needs plant.inverter: switched"
+
+
+@dataclass(frozen=True)
+class Ratings:
+    """What sizes that were left out are scaled from."""
+
+    rated_a: float
+    dc_bus_v: float
+    sensors: SensorParameters
+    """The two that every drive has."""
+
+
+def carrier_frequencies(options: SimulatedOptions) -> tuple[float, ...]:
+    """The PWM frequencies that can be asked for [Hz]; raises `InputError` for one that the sampling does not fit."""
+    own = options.pwm_frequency_hz or options.sampling_frequency_hz
+    choices = options.pwm_frequencies_hz or (0.5 * own, own, 2.0 * own)
+    if options.plant.inverter == "averaged":
+        return tuple(sorted({*choices, own}))
+    for field, given in (("pwm_frequency_hz", (own,)), ("pwm_frequencies_hz", options.pwm_frequencies_hz or ())):
+        for f in given:
+            if not _fits(options, f):
+                late = f" and {options.voltage_delay_samples:g} samples later" if options.voltage_delay_samples else ""
+                told = f"the carrier has to turn at every row{late}, and at {f:g} Hz it does not"
+                raise InputError("drive", field, told)
+    return tuple(sorted({own, *(f for f in choices if _fits(options, f))}))
+
+
+def _fits(options: SimulatedOptions, pwm_hz: float) -> bool:
+    turns = 2.0 * pwm_hz / options.sampling_frequency_hz
+    late = turns * options.voltage_delay_samples
+    return turns > 0.5 and all(abs(n - round(n)) < 1e-9 for n in (turns, late))
+
+
+def declared_delay(options: SimulatedOptions) -> float:
+    """n such that v[k] acts from t_k + n Ts; the mean over a sample is of an instant half a sample ago."""
+    return options.voltage_delay_samples + (0.5 if options.current_sampling == "averaged" else 0.0)
+
+
+def refuse_switched_options(options: SimulatedOptions) -> None:
+    """Raises `InputError` where an averaged inverter is given what only a switched one has."""
+    plant = options.plant
+    if plant.inverter == "switched":
+        return
+    for owner, field, given in (
+        ("drive.plant", "switching", "switching" in plant.model_fields_set),
+        ("drive", "current_sensors", options.current_sensors == 3),
+        ("drive", "current_sampling", options.current_sampling == "averaged"),
+        *((SENSORS, name, name in plant.sensors.model_fields_set) for name in PhaseSensors.model_fields),
+    ):
+        if given:
+            raise InputError(owner, field, NEEDED)
+
+
+def without_bridge(options: SimulatedOptions) -> SimulatedOptions:
+    """The options of the plant behind a switched bridge: what bridge and sensors do themselves is left out."""
+    effects = options.plant.effects
+    eddy = effects.eddy_currents
+    if eddy is not None and eddy.time_constant_s is None:
+        eddy = eddy.model_copy(update={"time_constant_s": 1.0 / options.sampling_frequency_hz})
+    own = dict.fromkeys(("dead_time", "device_drop", "bus_sag", "voltage_delay", "current_filter"))
+    left = effects.model_copy(update={**own, "eddy_currents": eddy})
+    plant = options.plant.model_copy(update={"effects": left})
+    return options.model_copy(update={"plant": plant, "voltage_delay_samples": 0.0})
+
+
+def derive_bench(
+    options: SimulatedOptions, plant: PlantParameters, known: Ratings
+) -> tuple[PlantParameters, BenchParameters]:
+    """Bridge and sensors, and the plant that is taken through their parts.
+
+    Raises
+    ------
+    InputError
+        Where an option is larger than the carrier, or the drive, allows.
+    """
+    if options.voltage_delay_samples > 2.0:
+        raise InputError("drive", "voltage_delay_samples", "two samples at most on a switched inverter")
+    own_hz = options.pwm_frequency_hz or options.sampling_frequency_hz
+    turns = round(2.0 * own_hz / options.sampling_frequency_hz)
+    s, effects, bus = options.plant.switching, options.plant.effects, options.plant.switching.bus
+    dead = _dead_times(options, own_hz, known.dc_bus_v)
+    switch_v, switch_ohm, diode_v, diode_ohm, knee = _devices(options, known)
+    lag = effects.current_filter.time_constant_s if effects.current_filter else 0.0
+    bridge = BridgeParameters(
+        half_s=0.5 / own_hz,
+        dead_s=dead,
+        two_capacitances_f=2.0 * _capacitance(options, max(dead), known),
+        switch_v=switch_v,
+        switch_ohm=switch_ohm,
+        diode_v=diode_v,
+        diode_ohm=diode_ohm,
+        knee_a=knee,
+        timer_s=s.timer_s,
+        minimum_s=s.minimum_pulse_s,
+        filter_s=lag,
+        core_rate=plant.core_rate,
+        damper_rate=plant.damper_rate,
+    )
+    sag = effects.bus_sag.per_watt * known.dc_bus_v**2 if effects.bus_sag else 0.0
+    switching = SwitchingParameters(
+        bridge=bridge,
+        halves=turns,
+        delay_halves=round(turns * options.voltage_delay_samples),
+        shift_s=s.sampling_offset_s - (effects.voltage_delay.delay_s if effects.voltage_delay else 0.0),
+        steps=math.ceil(plant.substeps / turns),
+        nominal_v=known.dc_bus_v,
+        compensated=bus.compensated,
+        logged=bus.logged == "measured",
+        bus_gain=bus.gain,
+        source_ohm=bus.resistance_ohm or sag,
+        bus_s=(bus.resistance_ohm or sag) * bus.capacitance_f,
+        drop_per_k=s.drop_per_k,
+        ohm_per_k=s.ohm_per_k,
+        kelvin_per_watt=s.kelvin_per_watt,
+        junction_step=-math.expm1(-plant.sample_s / s.device_time_constant_s),
+        averaged=options.current_sampling == "averaged",
+    )
+    _refuse_long(options, switching)
+    return plant._replace(has_branches=False), BenchParameters(switching, _sensing(options, known))
+
+
+def _dead_times(options: SimulatedOptions, own_hz: float, dc_bus_v: float) -> Three:
+    given, effect = options.plant.switching.dead_time_s, options.plant.effects.dead_time
+    if given is None:
+        given = effect.voltage_v / (own_hz * dc_bus_v) if effect else 0.0
+    return given if isinstance(given, tuple) else (given, given, given)
+
+
+def _capacitance(options: SimulatedOptions, dead_s: float, known: Ratings) -> float:
+    if (given := options.plant.switching.output_capacitance_f) is not None:
+        return given
+    effect = options.plant.effects.dead_time
+    threshold = (effect and effect.threshold_a) or 0.04 * known.rated_a
+    return 0.5 * threshold * dead_s / known.dc_bus_v
+
+
+def _devices(options: SimulatedOptions, known: Ratings) -> tuple[float, float, float, float, float]:
+    """Switch, diode and their knee."""
+    s, effect = options.plant.switching, options.plant.effects.device_drop
+    volts, ohm = (effect.voltage_v, effect.on_resistance_ohm) if effect else (0.0, 0.0)
+    switch_v = volts if s.switch_drop_v is None else s.switch_drop_v
+    switch_ohm = ohm if s.switch_ohm is None else s.switch_ohm
+    diode_v = switch_v if s.diode_drop_v is None else s.diode_drop_v
+    diode_ohm = switch_ohm if s.diode_ohm is None else s.diode_ohm
+    return (
+        switch_v,
+        switch_ohm,
+        diode_v,
+        diode_ohm,
+        s.drop_knee_a or (effect and effect.threshold_a) or 0.01 * known.rated_a,
+    )
+
+
+def _refuse_long(options: SimulatedOptions, s: SwitchingParameters) -> None:
+    """What does not fit into the shortest period of the carrier that can be asked for."""
+    fastest = max(carrier_frequencies(options))
+    period, words = 1.0 / fastest, f"of the carrier at {fastest:g} Hz"
+    if s.bridge.minimum_s >= period:
+        raise InputError(
+            INVERTER, "minimum_pulse_s", f"{_us(s.bridge.minimum_s)} is no shorter than the period {words}"
+        )
+    for field, value in (("dead_time_s", max(s.bridge.dead_s)), ("timer_s", s.bridge.timer_s)):
+        if value >= 0.5 * period:
+            raise InputError(INVERTER, field, f"{_us(value)} is no shorter than half the period {words}")
+    if abs(s.shift_s) >= 0.5 * period:
+        told = "with effects.voltage_delay, " if options.plant.effects.voltage_delay else ""
+        raise InputError(INVERTER, "sampling_offset_s", f"{told}{_us(s.shift_s)} is half the period {words} or more")
+
+
+def _us(seconds: float) -> str:
+    return f"{1e6 * seconds:.4g} us"
+
+
+def _sensing(options: SimulatedOptions, known: Ratings) -> SensingParameters:
+    sensors, two, three = options.plant.sensors, known.sensors, options.current_sensors == 3
+    given = sensors.model_fields_set
+    for field in ("gain_c_minus_1", "offset_c_a"):
+        if field in given and not three:
+            raise InputError(SENSORS, field, "this drive has two sensors: give drive.current_sensors: 3")
+    quantum, full_scale = two.quantum_a, math.inf
+    if sensors.bits is None:
+        if "full_scale_a" in given:
+            raise InputError(SENSORS, "full_scale_a", "belongs to a converter: give bits")
+    else:
+        if "quantum_a" in given:
+            raise InputError(SENSORS, "bits", "give either bits or quantum_a")
+        full_scale = sensors.full_scale_a or 4.0 * known.rated_a
+        trip = options.trip_ratio * (options.max_current_a or 2.5 * known.rated_a)
+        if full_scale < trip:
+            told = f"{full_scale:g} A is below the {trip:.4g} A at which the drive trips"
+            raise InputError(SENSORS, "full_scale_a", told)
+        quantum = 2.0 * full_scale / 2**sensors.bits
+    return SensingParameters(
+        three=three,
+        gain=(two.gain_a, two.gain_b, 1.0 + sensors.gain_c_minus_1),
+        offset_a=(two.offset_a, two.offset_b, sensors.offset_c_a),
+        cubic_per_a2=two.cubic_per_a2,
+        even_per_a=sensors.even_per_a,
+        noise_a=two.noise_a,
+        drift_a=sensors.drift_a_per_sqrt_s / math.sqrt(options.sampling_frequency_hz),
+        remanence_a=sensors.remanence_a,
+        remanence_share=0.5 * sensors.remanence_a / known.rated_a,
+        quantum_a=quantum,
+        full_scale_a=full_scale,
+    )
