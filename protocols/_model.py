@@ -114,6 +114,8 @@ class MotorModel(Strict):
     r_s_ohm: float
     """At the start of the experiment."""
     pm_flux_wb: float
+    offset_scatter_a: Annotated[float, Field(ge=0)] = 0.0
+    """By how much the current readings' zero differs from segment to segment (rms), and is noise to the model."""
     magnetics: CoEnergySpline
     effects: tuple[ModelEffect, ...]
     """In the order in which they were added."""

@@ -20,6 +20,7 @@ from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, n
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
+from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.shares import can_tell, rated_flux_wb, shares, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import verdict_of
@@ -32,7 +33,6 @@ from orchestrator.diagnosis.selection.workflow import (
     pruned,
     search_effects,
     without_doubtful,
-    without_stand_ins,
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.recording import Recording, write_model
@@ -137,7 +137,8 @@ def diagnose_recording(
     library = scaled_library(effects, setup.prepared.manifest, without)
     if isinstance(model, MotorModel):
         model = reduced(model, without)
-    search = search_effects(setup, map_steps(setup, model, {c.name: c for c in library}, without), library)
+    steps = map_steps(setup, model, {c.name: c for c in library}, without)
+    setup, search = search_effects(setup, steps, library)
     if search.shares:
         search, doubtful = without_stand_ins(search)
         spared: list[str] = []
@@ -208,8 +209,12 @@ def _remarks(
 ) -> list[Remark]:
     """What is to be said beside the findings."""
     limits, chi2 = fit.criteria.selection, fit.chi2_per_dof
+    remarks = list(setup.remarks)
+    if (sigma_a := setup.fitter.noise.offset_scatter_a) > 0.0:
+        text = "the current readings' zero differs from segment to segment by {scatter_ma:.2g} mA rms: taken for noise"
+        remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * sigma_a))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
-    remarks = [*setup.remarks, *(Remark.of("unsteady", unsteady, effect=n) for n in doubtful)]
+    remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
     if verdict in ("explained", "mostly_explained") and chi2 > limits.noteworthy_chi2 and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=left.shape[0].group))

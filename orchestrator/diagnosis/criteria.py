@@ -276,6 +276,9 @@ class UncertaintyCriteria(Strict):
     """Of the recording, between which amplitudes are compared."""
     interval: float = _is(1.96, "1", "theory")
     """Standard deviations on either side of 95 % of a normal distribution."""
+    most_offset_scatter: float = _is(0.002, "1", "practice")
+    """Part of the rated current by which the readings' zero may wander from segment to segment (rms) and be noise: a
+    sound sensor's does, in warm-up and over minutes; more is a fault, and has to be found as one."""
     form_doubt: float = _is(5e-4, "1", "simulated")
     """Standard deviation of what any effect's form leaves out, as a part of the effect.
 

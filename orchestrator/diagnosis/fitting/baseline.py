@@ -34,6 +34,13 @@ class DiagnosisSetup:
     """Rated current, or the largest used; no more than twice that [A peak]."""
     remarks: tuple[Remark, ...]
 
+    def with_offset_scatter(self, sigma_a: float) -> DiagnosisSetup:
+        """The same where the readings' zero differs so much from segment to segment [A]."""
+        if sigma_a == self.fitter.noise.offset_scatter_a:
+            return self
+        whole, part = (f.with_offset_scatter(sigma_a) for f in (self.fitter, self.coarse_fitter))
+        return replace(self, fitter=whole, coarse_fitter=part)
+
     @property
     def criteria(self) -> FittingCriteria:
         return self.prepared.criteria.fitting

@@ -66,6 +66,10 @@ class Fitter:
     def __post_init__(self) -> None:
         self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria)
 
+    def with_offset_scatter(self, sigma_a: float) -> Fitter:
+        """The same where the readings' zero differs so much from segment to segment; the effort is counted on."""
+        return replace(self, noise=replace(self.noise, offset_scatter_a=sigma_a))
+
     @property
     def criteria(self) -> FittingCriteria:
         return self.prepared.criteria.fitting

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -172,6 +172,27 @@ class Fit:
             columns_normal += d.T @ d
             gradient += d.T @ e
         return columns_normal - cross.T @ np.linalg.solve(self.normal, cross), gradient
+
+    def system(self) -> tuple[Array, Array]:
+        """Normal matrix of R_s, the map and all columns with their priors, and each training segment's gradient."""
+        width, count = self.normal.shape[0], len(self.parameters)
+        total = np.eye(width + count)
+        total[:width, :width] = self.normal
+        pulls = []
+        for linear, d, e in self.training():
+            total[:width, width:] += linear.T @ d
+            total[width:, width:] += d.T @ d
+            pulls.append(np.concatenate([linear.T @ e, d.T @ e]))
+        total[width:, :width] = total[:width, width:].T
+        return total, np.array(pulls)
+
+    def training(self) -> Iterator[tuple[Array, Array, Array]]:
+        """Of each training segment the whitened columns of R_s and the map, all others', and the residual."""
+        for p, f, d, r, e in zip(
+            self.prepared.pieces, self.frame.pieces, self.columns, self.resistance, self.residual, strict=True
+        ):
+            if not p.held_out:
+                yield np.column_stack([r, f.white_basis]), d, e
 
     def covariance(self) -> Array:
         """Posterior covariance of the free coordinates, in the order of `model.free`; noise as measured."""

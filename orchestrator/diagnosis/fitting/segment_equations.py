@@ -26,7 +26,7 @@ from orchestrator.diagnosis.weak_form.equations import (
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
-from orchestrator.numerics.frames import rotation
+from orchestrator.numerics.frames import from_two_phases, rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import EffectLayer, Signals
@@ -61,13 +61,38 @@ class SegmentEquations:
         else:
             slopes = self._slopes(piece, base, model) if inverter else None
             factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
-            whitener = Whitener(banded_covariance(piece, local, factor, self.noise, model.r_s, slopes))
+            covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, slopes)
+            common = None
+            if (sigma_a := self.noise.offset_scatter_a) > 0.0:
+                common = sigma_a * self._offset_rows(piece, base, corrected.signals, local, model.active)
+            whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
             white = old.white_basis
         else:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
         return SegmentFrame(base, local, whitener, raw, white, mean, inverter)
+
+    def offsets(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Array:
+        """What one ampere on all readings of a phase does to the whitened equations, shape (rows, 2)."""
+        corrected = apply_effects(frame.base, model.active).signals
+        local = local_map(piece, corrected, model.magnetics)
+        return frame.whitener(self._offset_rows(piece, frame.base, corrected, local, model.active))
+
+    def _offset_rows(
+        self, piece: SegmentSignals, base: Signals, corrected: Signals, local: LocalMap, active: Sequence[Active]
+    ) -> Array:
+        """What one ampere on all readings of phase a, and of phase b, does to the equations, shape (rows, 2).
+
+        A step as small as the readings' noise: within an inverter's knee an offset acts through the voltage.
+        """
+        step, sums = math.sqrt(0.5 * float(np.trace(self.noise.covariance))), []
+        for phases in (1.0, 0.0), (0.0, 1.0):
+            off = base.i_ab + step * from_two_phases(*phases)
+            there = apply_effects(base.model_copy(update={"i_ab": off, "i_m_ab": off}), active).signals
+            change = {n: (getattr(there, n) - getattr(corrected, n)) / step for n in ("i_ab", "i_m_ab", "v_ab")}
+            sums.append(difference(piece, corrected, change, local, self.pm_flux_wb))
+        return piece.windows.combine(np.stack(sums, axis=-1))
 
     def _inverter(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
         """Coordinates of the effects that multiply current noise."""

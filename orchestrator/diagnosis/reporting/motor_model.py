@@ -42,6 +42,7 @@ def kept_model(
         baseline=baseline,
         r_s_ohm=fit.model.r_s,
         pm_flux_wb=setup.fitter.pm_flux_wb,
+        offset_scatter_a=setup.fitter.noise.offset_scatter_a,
         magnetics=CoEnergySpline(
             d_low_a=grid.low,
             d_high_a=grid.high,
@@ -174,6 +175,11 @@ def reduced(kept: MotorModel, names: Sequence[str]) -> MotorModel:
 def flux_of(model: object) -> float | None:
     """The magnet's flux that a whole model was fitted with [Wb]; None for everything else."""
     return model.pm_flux_wb if isinstance(model, MotorModel) else None
+
+
+def with_noise_of(setup: DiagnosisSetup, model: object) -> DiagnosisSetup:
+    """The setup with what is noise to a whole model; as it is for everything else."""
+    return setup.with_offset_scatter(model.offset_scatter_a) if isinstance(model, MotorModel) else setup
 
 
 def _inside(points: Array, corners: Array) -> Mask:

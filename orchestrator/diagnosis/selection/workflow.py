@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
@@ -19,12 +18,12 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward
-from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
+from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.refining import settled
-from orchestrator.diagnosis.selection.scoring import LinearView, log_evidence, loss_without
-from orchestrator.diagnosis.selection.shares import is_material, shares
-from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
+from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
+from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
+from orchestrator.diagnosis.uncertainty.offset_scatter import explained_by_scatter
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -88,22 +87,20 @@ def map_steps(
     return steps
 
 
-def search_effects(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
+def search_effects(
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, Search]:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small.
 
-    Where a few effects, found one by one, do not explain that part, all are fitted to it together.
+    Where a few effects, found one by one, do not explain that part, their readings' zero may differ from segment to
+    segment: then that is noise to the setup which comes back. Else all are fitted together.
     """
-    part = setup.coarse_fitter.fit(steps[-1].fit.model, renewals=0)
-    limits = part.criteria.selection
-    most = len(part.model.active) + limits.few_effects
-    quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=most)
-    coarse_map = quick.fit.chi2_per_dof > setup.criteria.finer_above_chi2 and quick.fit.model.space.is_free
-    if quick.fit.model.active and coarse_map:
-        finer = with_detail(setup, setup.coarse_fitter, quick.fit)
-        quick = _finer(quick, finer, setup.coarse_fitter, library, most=most)
-    if quick.fit.chi2_per_dof > limits.detected_chi2 and len(library) > 1:
-        together = all_together(setup, steps, quick, library)
-        if together is not None:
+    quick = _quick_search(setup, steps, library)
+    if quick.fit.chi2_per_dof > quick.fit.criteria.selection.detected_chi2:
+        wider = explained_by_scatter(setup, quick.fit, library)
+        if wider is not None:
+            return search_effects(wider, [Step(s.added, wider.fitter.fit(s.fit.model)) for s in steps], library)
+        if len(library) > 1 and (together := all_together(setup, steps, quick, library)) is not None:
             return together
     fits = list(steps)
     for step in quick.steps[1:]:
@@ -113,65 +110,19 @@ def search_effects(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequen
         fits.append(Step(step.added, fit, step.log_evidence))
     search = forward(setup.fitter, fits, library, rivals=quick.rivals)
     search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
-    return search
+    return setup, search
 
 
-def all_together(
-    setup: DiagnosisSetup, steps: Sequence[Step], quick: Search, library: Sequence[Candidate]
-) -> Search | None:
-    """The ladder of what the joint fit found; None where it has no more to say than the search one by one."""
-    fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
-    if set(fit.model.names) <= set(quick.fit.model.names):
-        return None
-    resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
-    whole = setup.fitter.fit(resting)
-    if whole.model.space.is_free:
-        whole = with_detail(setup, setup.fitter, whole)
-    whole = refitted(setup.fitter, whole.model.with_active(fit.model.active))
-    return ladder_of(setup, steps, downwards(setup.fitter, whole), rivals, quick.traces)
-
-
-def ladder_of(
-    setup: DiagnosisSetup, steps: Sequence[Step], whole: Fit, rivals: Mapping[str, Sequence[str]], traces: Sequence[str]
-) -> Search:
-    """The rungs of a joint fit: its causes by what each takes away, largest first; all the rest is in the last rung.
-
-    On each rung effects are as large as in the end, the noise is the last rung's, and R_s and the map follow.
-    """
-    sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
-    known = {active.name: active for active in whole.model.active}
-    order = sorted(known, key=lambda name: -sizes[name].of_error)
-    least = whole.criteria.selection.named_share
-    causes = [n for n in order if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
-    minor = [n for n in order if n not in causes]
-    rungs = list(steps)
-    for count, name in enumerate(causes[:-1], 1):
-        still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
-        rungs.append(Step(name, setup.fitter.evaluate(still, whole.frame), factors[name]))
-    rungs.append(Step(causes[-1], whole, factors[causes[-1]]))
-    tied = {name: list(other) for name, other in rivals.items() if name in known}
-    view = LinearView(whole, (), tuple(whole.model.free), *whole.projected())
-    left = [name for name in traces if name not in known]
-    return Search(rungs, left, tied, view, minor=tuple(minor), shares=sizes)
-
-
-def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
-    """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
-
-    It stays in the model.
-    """
-    first, last = search.steps[0].fit, search.fit
-    if not search.shares or verdict_of(first, last, 1) == "explained":
-        return search, []
-    drift, left = block_scatter_ratio(last), left_fraction(first.chi2_per_dof, last)
-    steady = last.criteria.selection.least_constancy
-    causes = [n for n in last.model.names if n not in search.minor]
-    doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left]
-    steps = [s for s in search.steps[:-1] if s.added not in doubtful]
-    added = next((n for n in reversed(causes) if n not in doubtful), None)
-    steps = [s for s in steps if s.added != added or added is None]
-    steps.append(replace(search.steps[-1], added=added))
-    return replace(search, steps=steps, minor=(*doubtful, *search.minor)), doubtful
+def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
+    """The first few effects of a part of the recording, on a finer map where that is what is missing."""
+    part = setup.coarse_fitter.fit(steps[-1].fit.model, renewals=0)
+    most = len(part.model.active) + part.criteria.selection.few_effects
+    quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=most)
+    coarse_map = quick.fit.chi2_per_dof > setup.criteria.finer_above_chi2 and quick.fit.model.space.is_free
+    if quick.fit.model.active and coarse_map:
+        finer = with_detail(setup, setup.coarse_fitter, quick.fit)
+        return _finer(quick, finer, setup.coarse_fitter, library, most=most)
+    return quick
 
 
 def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:

@@ -64,7 +64,7 @@ class MapUncertainty:
         absent = [c for c in library if c.name not in fit.model.names]
         columns = absent_columns(absent)
         loose = fitter.evaluate(fit.model, fit.frame, columns) if columns else fit
-        total, pulls = _system(loose)
+        total, pulls = loose.system()
         own = np.arange(width + count)
         inverse = np.linalg.inv(total[np.ix_(own, own)])
         noise = max(fit.chi2_per_dof, 1.0)
@@ -127,25 +127,6 @@ def flux_rows(fit: Fit, i_dq: Array) -> Array:
         flux = Magnetics(grid, direction).flux_and_inductance(i_dq)[0]
         rows.append((flux - flux.mean(axis=0)).ravel())
     return np.stack(rows, axis=1)
-
-
-def _system(fit: Fit) -> tuple[Array, Array]:
-    """Normal matrix of R_s, the map and all columns with their priors, and each training segment's gradient."""
-    width, count = fit.normal.shape[0], len(fit.parameters)
-    total = np.eye(width + count)
-    total[:width, :width] = fit.normal
-    pulls = []
-    for p, f, d, r, e in zip(
-        fit.prepared.pieces, fit.frame.pieces, fit.columns, fit.resistance, fit.residual, strict=True
-    ):
-        if p.held_out:
-            continue
-        linear = np.column_stack([r, f.white_basis])
-        total[:width, width:] += linear.T @ d
-        total[width:, width:] += d.T @ d
-        pulls.append(np.concatenate([linear.T @ e, d.T @ e]))
-    total[width:, :width] = total[:width, width:].T
-    return total, np.array(pulls)
 
 
 def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array) -> Unseen:

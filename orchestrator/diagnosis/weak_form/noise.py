@@ -44,12 +44,15 @@ class SensorNoise:
         From each reading to the next, as of a first-order process.
     lines : tuple of SpectralLine
         Disturbances of a fixed frequency.
+    offset_scatter_a : float
+        Standard deviation, from segment to segment, of an offset that all readings of one have in common [A].
     """
 
     covariance: Array
     ripple: Array
     correlation: float
     lines: tuple[SpectralLine, ...] = ()
+    offset_scatter_a: float = 0.0
 
     def of(self, piece: SegmentSignals) -> Array:
         """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
@@ -178,9 +181,18 @@ def _banded(blocks: Array) -> Array:
 
 
 class Whitener:
-    """Turns rows of one piece into rows with independent unit noise."""
+    """Turns rows of one piece into rows with independent unit noise.
 
-    def __init__(self, covariance: Array) -> None:
+    Parameters
+    ----------
+    covariance : array, shape (bandwidth + 1, rows)
+        Of the rows, in LAPACK's lower banded form.
+    common : array, shape (rows, few), optional
+        What each error that all readings have in common does to the rows, in its standard deviations: with U whitened,
+        (1 + U U^T)^-1/2 is one but for the few directions of U.
+    """
+
+    def __init__(self, covariance: Array, common: Array | None = None) -> None:
         from scipy.linalg import cholesky_banded
 
         self.variance = covariance[0].copy()
@@ -189,9 +201,21 @@ class Whitener:
         banded[0] *= 1.0 + 1e-9
         self._factor = np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
         self.log_det = 2.0 * float(np.log(self._factor[0]).sum())
+        self._directions, self._less = np.zeros((covariance.shape[1], 0)), np.zeros(0)
+        if common is not None:
+            self._directions, sizes, _ = np.linalg.svd(self._independent(common), full_matrices=False)
+            self._less = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+            self.log_det += float(np.log1p(sizes**2).sum())
 
     def __call__(self, rows: Array) -> Array:
         """Whiten (rows,) or (rows, columns)."""
+        white = self._independent(rows)
+        if self._less.size:
+            white += self._directions @ (self._less * (self._directions.T @ white).T).T
+        return white
+
+    def _independent(self, rows: Array) -> Array:
+        """With the readings' own noise whitened."""
         from scipy.linalg.lapack import dtbtrs
 
         if rows.size == 0:

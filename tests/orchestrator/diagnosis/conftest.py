@@ -58,6 +58,11 @@ def drifting(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="session")
+def wandering(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "wandering", misalignment_rad=-0.03, offset_scatter_a=0.002)
+
+
+@pytest.fixture(scope="session")
 def correlated(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "correlated", noise_correlation=0.6)
 

@@ -32,6 +32,7 @@ class Flaws:
     dead_time_v: float = 0.0
     misalignment_rad: float = 0.0
     drift_a_per_s: float = 0.0
+    offset_scatter_a: float = 0.0
     sensor_bend_v: float = 0.0
     noise_correlation: float = 0.0
     jitter_s: float = 0.0
@@ -73,6 +74,9 @@ def _capture(psi: Array, start_s: float, flaws: Flaws, rng: np.random.Generator)
     t = start_s + np.arange(len(i_ab)) * TS
     drift = flaws.drift_a_per_s * t
     drifts = np.stack([drift, drift / math.sqrt(3.0)], axis=1)
+    if flaws.offset_scatter_a:
+        a, b = rng.normal(0.0, flaws.offset_scatter_a, 2)
+        drifts = drifts + np.array([a, (a + 2.0 * b) / math.sqrt(3.0)])
     noise = rng.normal(0.0, NOISE_A, (len(t), 2)) @ np.array([[1.0, 0.6], [0.0, 1.1]])
     if flaws.noise_correlation:
         keep = flaws.noise_correlation

@@ -13,6 +13,7 @@ import pytest
 from orchestrator.diagnosis import (
     Diagnosis,
     add_effects,
+    compare_recording,
     diagnose_recording,
     in_words,
     remove_effect,
@@ -71,6 +72,24 @@ def diagnosed(
     with_dead_time: Recording, steps: list[DiagnosisStep], tmp_path_factory: pytest.TempPathFactory
 ) -> Diagnosis:
     return diagnose_recording(with_dead_time, LIBRARY, out=tmp_path_factory.mktemp("dead-time"), on_step=steps.append)
+
+
+def test_a_zero_that_wanders_a_little_is_noise_of_a_size_that_is_said(wandering: Recording, tmp_path: Path) -> None:
+    diagnosis = diagnose_recording(wandering, LIBRARY, out=tmp_path)
+    report = diagnosis.report
+    assert report.verdict == "explained"
+    assert [e.name for e in report.effects] == ["rotor_misalignment"]
+    assert report.ladder[-1].chi2 == pytest.approx(1.0, abs=0.08)
+    (said,) = [r for r in report.remarks if r.code == "offset_scatter"]
+    assert said.values["scatter_ma"] == pytest.approx(2.0, rel=0.3)
+    # The model that is kept knows of it: a comparison finds what the diagnosis left.
+    assert compare_recording(wandering, LIBRARY, out=tmp_path).chi2 == pytest.approx(1.0, abs=0.08)
+    without = remove_effect(wandering, "rotor_misalignment", LIBRARY, out=tmp_path).ladder[-1].chi2
+    assert without is not None
+    assert without > 50.0
+    assert add_effects(wandering, ["rotor_misalignment"], LIBRARY, out=tmp_path).ladder[-1].chi2 == pytest.approx(
+        1.0, abs=0.08
+    )
 
 
 def test_clean_recording_is_clean(clean: Recording, tmp_path: Path) -> None:

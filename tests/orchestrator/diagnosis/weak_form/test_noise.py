@@ -77,6 +77,25 @@ def test_variance_and_determinant_are_the_covariances_own() -> None:
     np.testing.assert_allclose(whitener(whitener(dense).T), np.eye(n), atol=1e-6)
 
 
+def test_errors_in_common_are_whitened_too() -> None:
+    one = piece(SWEEP)
+    at = local_map(one, one.signals, TRUE_MAP)
+    banded = banded_covariance(
+        one, at, np.ones(len(one.signals.v_dc)), SensorNoise(COVARIANCE, COVARIANCE, 0.0), R_S, None
+    )
+    plain = Whitener(banded)
+    n = banded.shape[1]
+    common = np.sqrt(plain.variance)[:, None] * np.random.default_rng(2).normal(size=(n, 2)) * np.array([0.3, 20.0])
+    whitener, u = Whitener(banded, common), plain(common)
+    both = np.eye(n) + u @ u.T
+    # (1 + U U^T)^-1/2 on both sides leaves one; what is noise alone stays the variance that is told.
+    root = plain(np.eye(n))
+    half = whitener(np.eye(n)) @ np.linalg.inv(root)
+    np.testing.assert_allclose(half @ both @ half.T, np.eye(n), atol=1e-8)
+    assert whitener.log_det == pytest.approx(plain.log_det + float(np.linalg.slogdet(both)[1]), rel=1e-9)
+    np.testing.assert_array_equal(whitener.variance, plain.variance)
+
+
 def test_an_inverters_slope_multiplies_the_noise() -> None:
     ohm = 50.0
     n = len(HOLD.v_dq)

@@ -1,0 +1,82 @@
+"""The course where effects are many: all fitted together, a ladder made of them, doubtful causes set aside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
+from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
+from orchestrator.diagnosis.selection.scoring import LinearView
+from orchestrator.diagnosis.selection.shares import is_material, shares
+from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
+from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
+from orchestrator.diagnosis.uncertainty.offset_scatter import beside_scatter
+
+
+def all_together(
+    setup: DiagnosisSetup, steps: Sequence[Step], quick: Search, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, Search] | None:
+    """The ladder of what the joint fit found; None where it has no more to say than the search one by one.
+
+    A scatter of the readings' zero that is left beside all effects is noise to the setup which comes back.
+    """
+    fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
+    if set(fit.model.names) <= set(quick.fit.model.names):
+        return None
+    resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
+    whole = setup.fitter.fit(resting)
+    if whole.model.space.is_free:
+        whole = with_detail(setup, setup.fitter, whole)
+    whole = refitted(setup.fitter, whole.model.with_active(fit.model.active))
+    whole = downwards(setup.fitter, whole)
+    if (wider := beside_scatter(setup, whole, library)) is not None:
+        setup, steps = wider, [Step(s.added, wider.fitter.fit(s.fit.model)) for s in steps]
+        whole = downwards(setup.fitter, refitted(setup.fitter, whole.model))
+    return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
+
+
+def ladder_of(
+    setup: DiagnosisSetup, steps: Sequence[Step], whole: Fit, rivals: Mapping[str, Sequence[str]], traces: Sequence[str]
+) -> Search:
+    """The rungs of a joint fit: its causes by what each takes away, largest first; all the rest is in the last rung.
+
+    On each rung effects are as large as in the end, the noise is the last rung's, and R_s and the map follow.
+    """
+    sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
+    known = {active.name: active for active in whole.model.active}
+    order = sorted(known, key=lambda name: -sizes[name].of_error)
+    least = whole.criteria.selection.named_share
+    causes = [n for n in order if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
+    minor = [n for n in order if n not in causes]
+    rungs = list(steps)
+    for count, name in enumerate(causes[:-1], 1):
+        still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
+        rungs.append(Step(name, setup.fitter.evaluate(still, whole.frame), factors[name]))
+    rungs.append(Step(causes[-1], whole, factors[causes[-1]]))
+    tied = {name: list(other) for name, other in rivals.items() if name in known}
+    view = LinearView(whole, (), tuple(whole.model.free), *whole.projected())
+    left = [name for name in traces if name not in known]
+    return Search(rungs, left, tied, view, minor=tuple(minor), shares=sizes)
+
+
+def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
+    """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
+
+    It stays in the model.
+    """
+    first, last = search.steps[0].fit, search.fit
+    if not search.shares or verdict_of(first, last, 1) == "explained":
+        return search, []
+    drift, left = block_scatter_ratio(last), left_fraction(first.chi2_per_dof, last)
+    steady = last.criteria.selection.least_constancy
+    causes = [n for n in last.model.names if n not in search.minor]
+    doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left]
+    steps = [s for s in search.steps[:-1] if s.added not in doubtful]
+    added = next((n for n in reversed(causes) if n not in doubtful), None)
+    steps = [s for s in steps if s.added != added or added is None]
+    steps.append(replace(search.steps[-1], added=added))
+    return replace(search, steps=steps, minor=(*doubtful, *search.minor)), doubtful

@@ -1,0 +1,66 @@
+"""The readings' zero that wanders: as much as it was made to, and none where an effect or the map can take it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.uncertainty.offset_scatter import offset_scatter
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.numerics.frames import from_two_phases
+from plugins.effects.sensors import CurrentOffset
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared
+
+
+def _campaign() -> list[Plan]:
+    """A campaign with holds enough to tell a standard deviation."""
+    turn = 2.0 * np.pi * np.arange(40) / 40
+    return plan() + [Plan(SegmentStage.RESISTANCE, hold(2.0 * np.cos(t), 2.0 * np.sin(t))) for t in turn]
+
+
+def _shifted(made: PreparedRecording, phases: Array) -> PreparedRecording:
+    """Every reading of a segment off by its own two numbers, `phases` (segments, 2)."""
+    pieces = []
+    for p, (a, b) in zip(made.pieces, phases, strict=True):
+        i_ab = p.signals.i_ab + from_two_phases(a, b)
+        pieces.append(replace(p, signals=p.signals.model_copy(update={"i_ab": i_ab, "i_m_ab": i_ab})))
+    return replace(made, pieces=tuple(pieces))
+
+
+def test_scatter_is_found_as_large_as_it_is() -> None:
+    made, sigma_a = prepared(_campaign()), 0.003
+    offsets = np.random.default_rng(3).normal(0.0, sigma_a, (len(made.pieces), 2))
+    maker = fitter(_shifted(made, offsets))
+    fit = maker.fit(free_model())
+    found = offset_scatter(maker, fit, [])
+    # Some hundred offsets tell their standard deviation to a fourteenth; three of these.
+    assert found.sigma_a == pytest.approx(float(offsets.std()), rel=0.2)
+    assert found.log_likelihood > 100.0
+    assert fit.chi2_per_dof > 2.0
+    assert found.chi2 == pytest.approx(1.0, abs=0.1)
+    # With it as noise a fit has as much error as noise makes, and tells the same scatter again.
+    wider = maker.with_offset_scatter(found.sigma_a)
+    again = wider.fit(free_model())
+    assert again.chi2_per_dof == pytest.approx(1.0, abs=0.1)
+    assert offset_scatter(wider, again, []).sigma_a == pytest.approx(found.sigma_a, rel=0.02)
+
+
+def test_no_scatter_is_found_where_there_is_none() -> None:
+    maker = fitter(prepared(_campaign()))
+    found = offset_scatter(maker, maker.fit(free_model()), [])
+    assert found.log_likelihood < 4.0
+    assert found.sigma_a < 3e-4
+
+
+def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
+    made = prepared(_campaign())
+    maker = fitter(_shifted(made, np.tile([0.02, -0.01], (len(made.pieces), 1))))
+    library = scaled_library([CurrentOffset()], made.manifest)
+    fit = maker.fit(free_model())
+    with_effect, without = offset_scatter(maker, fit, library), offset_scatter(maker, fit, [])
+    assert with_effect.sigma_a < 0.1 * without.sigma_a
+    assert with_effect.log_likelihood < 4.0 < without.log_likelihood
