@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
@@ -29,6 +30,11 @@ class Step:
     added: str | None
     fit: Fit
     log_evidence: float = 0.0
+
+
+def refitted_steps(setup: DiagnosisSetup, steps: Sequence[Step]) -> list[Step]:
+    """The same rungs where the noise is another."""
+    return [replace(step, fit=setup.fitter.fit(step.fit.model)) for step in steps]
 
 
 @dataclass

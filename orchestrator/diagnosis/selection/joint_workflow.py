@@ -8,7 +8,7 @@ from dataclasses import replace
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
 from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
@@ -33,8 +33,9 @@ def all_together(
         whole = with_detail(setup, setup.fitter, whole)
     whole = refitted(setup.fitter, whole.model.with_active(fit.model.active))
     whole = downwards(setup.fitter, whole)
-    if (wider := beside_scatter(setup, whole, library)) is not None:
-        setup, steps = wider, [Step(s.added, wider.fitter.fit(s.fit.model)) for s in steps]
+    detected = whole.chi2_per_dof > whole.criteria.selection.detected_chi2
+    if detected and (wider := beside_scatter(setup, whole, library)) is not None:
+        setup, steps = wider, refitted_steps(wider, steps)
         whole = downwards(setup.fitter, refitted(setup.fitter, whole.model))
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
 

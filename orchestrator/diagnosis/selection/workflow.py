@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
@@ -17,13 +18,13 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAP_RUNG
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
-from orchestrator.diagnosis.selection.forward_search import Search, Step, forward
+from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
-from orchestrator.diagnosis.uncertainty.offset_scatter import explained_by_scatter
+from orchestrator.diagnosis.uncertainty.offset_scatter import beside_scatter, explained_by_scatter
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -99,7 +100,7 @@ def search_effects(
     if quick.fit.chi2_per_dof > quick.fit.criteria.selection.detected_chi2:
         wider = explained_by_scatter(setup, quick.fit, library)
         if wider is not None:
-            return search_effects(wider, [Step(s.added, wider.fitter.fit(s.fit.model)) for s in steps], library)
+            return with_scatter_as_found(*search_effects(wider, refitted_steps(wider, steps), library), library)
         if len(library) > 1 and (together := all_together(setup, steps, quick, library)) is not None:
             return together
     fits = list(steps)
@@ -111,6 +112,23 @@ def search_effects(
     search = forward(setup.fitter, fits, library, rivals=quick.rivals)
     search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
     return setup, search
+
+
+def with_scatter_as_found(
+    setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, Search]:
+    """The search one by one, with the scatter of the readings' zero that is left in the end; a part may show another.
+
+    None where what was found explains the error without.
+    """
+    if search.shares:
+        return setup, search
+    plain = setup.with_offset_scatter(0.0)
+    steps = refitted_steps(plain, search.steps)
+    if steps[-1].fit.chi2_per_dof <= steps[-1].fit.criteria.selection.detected_chi2:
+        return plain, replace(search, steps=steps, view=None)
+    found = beside_scatter(plain, search.fit, library) or plain
+    return found, replace(search, steps=refitted_steps(found, search.steps), view=None)
 
 
 def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:

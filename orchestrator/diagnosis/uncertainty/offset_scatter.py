@@ -100,8 +100,6 @@ def explained_by_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Cand
 
 def beside_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where there is one in the whole recording beside all that a fit has."""
-    if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
-        return None
     scatter = offset_scatter(setup.fitter, fit, library)
     return setup.with_offset_scatter(scatter.sigma_a) if _is_noise(scatter, setup) else None
 
