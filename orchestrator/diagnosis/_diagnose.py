@@ -211,7 +211,7 @@ def _remarks(
     limits, chi2 = fit.criteria.selection, fit.chi2_per_dof
     remarks = list(setup.remarks)
     if (sigma_a := setup.fitter.noise.offset_scatter_a) > 0.0:
-        text = "as if the current readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
+        text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
         remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * sigma_a))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
