@@ -10,9 +10,9 @@ control are here.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
-from plugins.drives.simulated._energy import Array, Energy, current
+from plugins.drives.simulated._energy import Array, Energy
+from plugins.drives.simulated._iron import Held, Stage, magnetising, move_branches, move_stops
 from plugins.drives.simulated._numba import inlined
 from plugins.drives.simulated._state import (
     AMBIENT,
@@ -49,43 +49,6 @@ from plugins.drives.simulated._state import (
 )
 
 
-class _Held(NamedTuple):
-    """What stands still during a step of the integration."""
-
-    v_alpha: float
-    v_beta: float
-    off: bool
-    resistance_ohm: float
-    magnet_a: float
-    branch_d: float
-    """What core and damper carry [A]."""
-    branch_q: float
-    moving: bool
-    anchor: float
-    cos: float
-    sin: float
-    psi_d: float
-    """At the start of the step, with the stops as they were then."""
-    psi_q: float
-    stop1_d: float
-    stop1_q: float
-    stop2_d: float
-    stop2_q: float
-    stop3_d: float
-    stop3_q: float
-
-
-class _Stage(NamedTuple):
-    """The integrated states."""
-
-    psi_d: float
-    psi_q: float
-    theta: float
-    omega: float
-    skin_alpha: float
-    skin_beta: float
-
-
 @inlined
 def _step(x: float) -> float:
     """Odd step from -1 to 1, smooth between: what a phase current does to its own dead time."""
@@ -97,7 +60,7 @@ def _step(x: float) -> float:
 
 
 @inlined
-def _impressed(p: PlantParameters, f: _Held, y: _Stage, i_alpha: float, i_beta: float) -> tuple[float, float]:
+def _impressed(p: PlantParameters, f: Held, y: Stage, i_alpha: float, i_beta: float) -> tuple[float, float]:
     """Voltage that moves the flux: the commanded one less all that inverter and copper take."""
     if f.off:
         return -(f.resistance_ohm + p.off_ohm) * i_alpha, -(f.resistance_ohm + p.off_ohm) * i_beta
@@ -127,44 +90,6 @@ def _impressed(p: PlantParameters, f: _Held, y: _Stage, i_alpha: float, i_beta: 
 
 
 @inlined
-def _stop(p: PlantParameters, limit: float, stop_d: float, stop_q: float, d: float, q: float) -> tuple[float, float]:
-    """Vector stop operator after the flux has moved by (d, q): follows elastically, slides at its limit, an ellipse."""
-    stop_d += p.stop_slope * d
-    stop_q += p.stop_slope * q
-    along_q = stop_q * p.stop_d_over_q
-    square = stop_d * stop_d + along_q * along_q
-    if square > limit * limit:
-        scale = limit / math.sqrt(square)
-        return scale * stop_d, scale * stop_q
-    return stop_d, stop_q
-
-
-@inlined
-def _magnetising(p: PlantParameters, e: Energy, spline: Array, f: _Held, y: _Stage) -> tuple[float, float, float]:
-    """(i_d, i_q) that the iron asks for, and the torque 3/2 n (psi_d i_q - psi_q i_d) [Nm]."""
-    i_d, i_q = current(e, spline, y.psi_d, y.psi_q)
-    i_d -= f.magnet_a
-    slot_torque = 0.0
-    if p.slot_per_h != 0.0:
-        angle = p.slot_order * y.theta + p.slot_phase
-        c, s = p.slot_per_h * math.cos(angle), p.slot_per_h * math.sin(angle)
-        z = y.psi_d - e.psi_m
-        i_d += c * z + s * y.psi_q
-        i_q += s * z - c * y.psi_q
-        slot_torque = -p.slot_order * (0.5 * s * (y.psi_q * y.psi_q - z * z) + c * z * y.psi_q)
-    torque = 1.5 * p.pole_pairs * (y.psi_d * i_q - y.psi_q * i_d + slot_torque)
-    if p.has_stops:
-        d, q = y.psi_d - f.psi_d, y.psi_q - f.psi_q
-        limit = p.stop_limit_a
-        s1_d, s1_q = _stop(p, limit, f.stop1_d, f.stop1_q, d, q)
-        s2_d, s2_q = _stop(p, 2 * limit, f.stop2_d, f.stop2_q, d, q)
-        s3_d, s3_q = _stop(p, 3 * limit, f.stop3_d, f.stop3_q, d, q)
-        i_d += s1_d + s2_d + s3_d
-        i_q += s1_q + s2_q + s3_q
-    return i_d + f.branch_d, i_q + f.branch_q, torque
-
-
-@inlined
 def _twist(p: PlantParameters, torque: float) -> float:
     """Electrical angle by which the engaged brake gives way [rad]."""
     twist = p.twist_rad_per_nm * torque
@@ -175,7 +100,7 @@ def _twist(p: PlantParameters, torque: float) -> float:
 
 @inlined
 def _with_eddies(
-    p: PlantParameters, f: _Held, y: _Stage, m_alpha: float, m_beta: float, u_alpha: float, u_beta: float
+    p: PlantParameters, f: Held, y: Stage, m_alpha: float, m_beta: float, u_alpha: float, u_beta: float
 ) -> tuple[float, float]:
     """Solve u = v - e(i_m + u / R_c): a damped fixed point, contracting whatever the inverter's slope."""
     g = p.eddy_siemens
@@ -191,9 +116,7 @@ def _with_eddies(
 
 
 @inlined
-def _slope(
-    p: PlantParameters, f: _Held, y: _Stage, i_d: float, i_q: float, torque: float
-) -> tuple[_Stage, float, float]:
+def _slope(p: PlantParameters, f: Held, y: Stage, i_d: float, i_q: float, torque: float) -> tuple[Stage, float, float]:
     """dy/dt and the stator current (alpha, beta) at a stage whose magnetising current is (i_d, i_q)."""
     c, s, speed, acceleration = f.cos, f.sin, 0.0, 0.0
     if f.moving:
@@ -214,7 +137,7 @@ def _slope(
         u_alpha, u_beta = _with_eddies(p, f, y, i_alpha, i_beta, u_alpha, u_beta)
         i_alpha += p.eddy_siemens * u_alpha
         i_beta += p.eddy_siemens * u_beta
-    slope = _Stage(
+    slope = Stage(
         c * u_alpha + s * u_beta + speed * y.psi_q,
         -s * u_alpha + c * u_beta - speed * y.psi_d,
         speed,
@@ -226,9 +149,9 @@ def _slope(
 
 
 @inlined
-def _along(y: _Stage, h: float, k: _Stage) -> _Stage:
+def _along(y: Stage, h: float, k: Stage) -> Stage:
     """y + h k."""
-    return _Stage(
+    return Stage(
         y.psi_d + h * k.psi_d,
         y.psi_q + h * k.psi_q,
         y.theta + h * k.theta,
@@ -243,7 +166,7 @@ def integrate(
     p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: float, v_beta: float, h: float, off: bool
 ) -> None:
     """One Runge-Kutta step of `h` under a constant voltage; the stator current at its end is left in the state."""
-    f = _Held(
+    f = Held(
         v_alpha,
         v_beta,
         off,
@@ -264,21 +187,21 @@ def integrate(
         x[STOPS + 4],
         x[STOPS + 5],
     )
-    start = _Stage(x[PSI_D], x[PSI_Q], x[THETA], x[OMEGA], x[SKIN_ALPHA], x[SKIN_BETA])
+    start = Stage(x[PSI_D], x[PSI_Q], x[THETA], x[OMEGA], x[SKIN_ALPHA], x[SKIN_BETA])
     # The magnetising current of the first stage is that of the last step's end.
     i_d, i_q, torque = x[IRON_D], x[IRON_Q], x[TORQUE]
     k1, from_alpha, from_beta = _slope(p, f, start, i_d, i_q, torque)
     y = _along(start, h / 3.0, k1)
-    i_d, i_q, torque = _magnetising(p, e, spline, f, y)
+    i_d, i_q, torque = magnetising(p, e, spline, f, y)
     k2, _, _ = _slope(p, f, y, i_d, i_q, torque)
     y = _along(start, h * (2.0 / 3.0), k2)
-    i_d, i_q, torque = _magnetising(p, e, spline, f, y)
+    i_d, i_q, torque = magnetising(p, e, spline, f, y)
     k3, _, _ = _slope(p, f, y, i_d, i_q, torque)
     y = _along(_along(start, 0.25 * h, k1), 0.75 * h, k3)
-    i_d, i_q, torque = _magnetising(p, e, spline, f, y)
+    i_d, i_q, torque = magnetising(p, e, spline, f, y)
     x[IRON_D], x[IRON_Q], x[TORQUE] = i_d, i_q, torque
     if p.has_stops:
-        _move_stops(p, f, x, y.psi_d - f.psi_d, y.psi_q - f.psi_q)
+        move_stops(p, f, x, y.psi_d - f.psi_d, y.psi_q - f.psi_q)
     x[PSI_D], x[PSI_Q] = y.psi_d, y.psi_q
     x[THETA], x[OMEGA] = y.theta, y.omega
     x[SKIN_ALPHA], x[SKIN_BETA] = y.skin_alpha, y.skin_beta
@@ -288,48 +211,9 @@ def integrate(
         _, x[I_ALPHA], x[I_BETA] = _slope(p, f, y, i_d, i_q, torque)
     else:
         x[I_ALPHA], x[I_BETA] = x[COS] * i_d - x[SIN] * i_q, x[SIN] * i_d + x[COS] * i_q
-    if p.has_branches:
-        _move_branches(p, x, y.psi_d - start.psi_d, y.psi_q - start.psi_q, h)
     _lag(p, x, from_alpha, from_beta, h)
     if p.friction_nm < math.inf:
         _stick_or_slip(p, x, start.omega)
-
-
-@inlined
-def _move_stops(p: PlantParameters, f: _Held, x: Array, d: float, q: float) -> None:
-    """Leave the stops where the step has brought them."""
-    limit = p.stop_limit_a
-    x[STOPS], x[STOPS + 1] = _stop(p, limit, f.stop1_d, f.stop1_q, d, q)
-    x[STOPS + 2], x[STOPS + 3] = _stop(p, 2 * limit, f.stop2_d, f.stop2_q, d, q)
-    x[STOPS + 4], x[STOPS + 5] = _stop(p, 3 * limit, f.stop3_d, f.stop3_q, d, q)
-
-
-@inlined
-def _move_branches(p: PlantParameters, x: Array, d: float, q: float, h: float) -> None:
-    """Core and damper after the flux has moved by (d, q) in h, exact for a constant voltage."""
-    if p.core_rate > 0.0:
-        fade, share = math.exp(-h * p.core_rate), -math.expm1(-h * p.core_rate) / (h * p.core_rate)
-        carry_branches(x, CORE_D, fade * x[CORE_D] + p.core_d_per_h * share * d)
-        carry_branches(x, CORE_Q, fade * x[CORE_Q] + p.core_q_per_h * share * q)
-    if p.damper_rate > 0.0:
-        fade, share = math.exp(-h * p.damper_rate), -math.expm1(-h * p.damper_rate) / (h * p.damper_rate)
-        carry_branches(x, DAMPER_D, fade * x[DAMPER_D] + p.damper_d_per_h * share * d)
-        carry_branches(x, DAMPER_Q, fade * x[DAMPER_Q] + p.damper_q_per_h * share * q)
-
-
-@inlined
-def carry_branches(x: Array, branch: int, current_a: float) -> None:
-    """Give a branch its current [A]; the stator's carries it."""
-    change = current_a - x[branch]
-    x[branch] = current_a
-    if branch in (CORE_D, DAMPER_D):
-        x[IRON_D] += change
-        x[I_ALPHA] += x[COS] * change
-        x[I_BETA] += x[SIN] * change
-    else:
-        x[IRON_Q] += change
-        x[I_ALPHA] -= x[SIN] * change
-        x[I_BETA] += x[COS] * change
 
 
 @inlined
@@ -389,6 +273,9 @@ def advance(p: PlantParameters, e: Energy, spline: Array, x: Array, v_alpha: flo
     n = p.substeps
     for step in range(0 if late > 0.0 else n, 2 * n):
         at, share = (newest + 2, late) if step < n else (newest, 1.0 - late)
+        psi_d, psi_q = x[PSI_D], x[PSI_Q]
         integrate(p, e, spline, x, x[at], x[at + 1], share * p.sample_s / n, off)
+        if p.has_branches:
+            move_branches(p, x, x[PSI_D] - psi_d, x[PSI_Q] - psi_q, share * p.sample_s / n)
     age(p, x, 0.5 * (loss + x[I_ALPHA] * x[I_ALPHA] + x[I_BETA] * x[I_BETA]))
     x[BUS] = p.dc_bus_v * (1.0 - p.sag_per_watt * 1.5 * (v_alpha * x[I_ALPHA] + v_beta * x[I_BETA]))

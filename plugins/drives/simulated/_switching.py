@@ -16,8 +16,9 @@ from typing import NamedTuple
 
 from plugins.drives.simulated._bridge import NEVER, BridgeParameters, Part, Three, traverse
 from plugins.drives.simulated._energy import Array, Energy, hessian
+from plugins.drives.simulated._iron import carry_branches, move_branches
 from plugins.drives.simulated._numba import inlined
-from plugins.drives.simulated._plant import age, carry_branches, integrate
+from plugins.drives.simulated._plant import age, integrate
 from plugins.drives.simulated._state import (
     BEHIND_A,
     BEHIND_B,
@@ -225,7 +226,9 @@ def advance_switched(
             x[LEVEL + j], x[DUE + j] = 0.0, NEVER
         x[BEHIND_A] = x[BEHIND_B] = 0.0
         for _ in range(p.substeps):
+            psi_d, psi_q = x[PSI_D], x[PSI_Q]
             integrate(p, e, spline, x, 0.0, 0.0, p.sample_s / p.substeps, True)
+            move_branches(p, x, x[PSI_D] - psi_d, x[PSI_Q] - psi_q, p.sample_s / p.substeps)
         for _ in range(sw.halves):
             _load_bus(p, sw, x, 0.0, half_s)
     else:

@@ -160,10 +160,11 @@ def test_pwm_frequencies_that_the_delay_does_not_fit_are_not_offered(bench: Benc
 
 
 def test_with_the_bridge_off_the_sensors_alone_are_read(bench: Bench) -> None:
-    drive = bench(plant=switched(), effects={"dead_time": {"voltage_v": 3.0}})
+    effects = {"dead_time": {"voltage_v": 3.0}, "eddy_currents": {"core_loss_ohm": 500.0}}
+    drive = bench(plant=switched(damper={"axis": "d", "ohm": 50.0}), effects=effects)
     rows(drive, Hold(current_d_a=1.0, current_q_a=0.0, settle_s=0.2, duration_s=0.05))
     i, v = rows(drive, GatesOff(duration_s=0.05))
-    assert np.abs(i).max() < 1e-6
+    assert np.abs(i).max() < 1e-3  # the damper's flux takes its time
     assert not v.any()
 
 
