@@ -9,13 +9,13 @@ from pathlib import Path
 
 import numpy as np
 
-from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
-from orchestrator.diagnosis.reporting.motor_model import flux_of, restored, with_noise_of
+from orchestrator.diagnosis.reporting.motor_model import restored
 from orchestrator.diagnosis.selection.leftover import map_breaks
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
@@ -58,7 +58,7 @@ def compare_recording(
     """
     if model is None and has_model(out or recording.path):
         model = read_model(out or recording.path)
-    setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model)), model)
+    setup = open_for_refit(recording, model)
     remarks = list(setup.remarks)
     if model is None and out is not None:
         remarks.append(

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from orchestrator.diagnosis.conventions import convention_remark, find_convention
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.fit import Effort, Fitter
+from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
@@ -47,6 +50,16 @@ def open_for_diagnosis(
     require_enough(prepared, noise)
     remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection)]
     return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell)
+
+
+def open_for_refit(recording: RecordingReader, model: object) -> DiagnosisSetup:
+    """The setup to hold a model against a recording, with what is noise to a whole model.
+
+    A convention that the recording breaks is its first remark: what is fitted then means little.
+    """
+    named = find_convention(recording, Criteria().conventions)
+    setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model)), model)
+    return setup if named is None else replace(setup, remarks=(convention_remark(named), *setup.remarks))
 
 
 def setup_of(

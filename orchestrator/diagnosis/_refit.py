@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.diagnosis._prepare import open_for_diagnosis
+from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate, require_known, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -16,7 +16,7 @@ from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
 from orchestrator.diagnosis.reporting.ladder import kept_rungs
-from orchestrator.diagnosis.reporting.motor_model import flux_of, freed_by, kept_model, reduced, restored, with_noise_of
+from orchestrator.diagnosis.reporting.motor_model import freed_by, kept_model, reduced, restored
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.diagnosis.selection.refining import repolished
 from orchestrator.diagnosis.selection.shares import rated_flux_wb, visited
@@ -72,7 +72,7 @@ def _added(
     model: ModelChoice,
     out: Path | None,
 ) -> AddReport:
-    setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(kept or model)), kept or model)
+    setup = open_for_refit(recording, kept or model)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     baseline = kept.baseline if kept is not None else baseline_of(model)
     if kept is None:
@@ -141,7 +141,7 @@ def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *,
 def _removed(
     recording: Recording, name: str, effects: Sequence[Effect], kept: MotorModel, out: Path | None
 ) -> AddReport:
-    setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=kept.pm_flux_wb), kept)
+    setup = open_for_refit(recording, kept)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     left, beside = ([n for n in names if n != name] for names in (_causes(kept), _beside(kept)))
     # What is no cause has no rung of its own: the last one has them all.

@@ -93,7 +93,7 @@ def estimate_recording(
 def _conventions(recording: RecordingReader) -> list[Remark]:
     """What manifest or logging have wrong, as an objection; raises `NotMeasuredError` where it makes no motor."""
     # Who only reads results has no need of the diagnosis.
-    from orchestrator.diagnosis.conventions import find_convention
+    from orchestrator.diagnosis.conventions import convention_remark, find_convention
 
     named = find_convention(recording)
     try:
@@ -103,16 +103,4 @@ def _conventions(recording: RecordingReader) -> list[Remark]:
             raise
         problem = f"{named.what}: {named.correction.text}"
         raise NotMeasuredError(recording.manifest.name, named.correction.field or "captures", problem) from error
-    if named is None:
-        return []
-    text = "{what}, by what was captured ({evidence}): {correction}"
-    return [
-        Remark.of(
-            "convention",
-            text,
-            kind=named.kind,
-            what=named.what,
-            evidence=named.evidence,
-            correction=named.correction.text,
-        )
-    ]
+    return [] if named is None else [convention_remark(named)]

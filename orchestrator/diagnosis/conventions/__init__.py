@@ -7,7 +7,7 @@ from collections.abc import Callable
 from orchestrator.diagnosis.conventions.channels import clipped, dead_channel, require_response
 from orchestrator.diagnosis.conventions.correction import CorrectedRecording
 from orchestrator.diagnosis.conventions.nameplate import against_nameplate
-from orchestrator.diagnosis.conventions.report import convention_report, convention_words
+from orchestrator.diagnosis.conventions.report import convention_remark, convention_report, convention_words
 from orchestrator.diagnosis.conventions.responses import Responses
 from orchestrator.diagnosis.conventions.rows import broken_rows
 from orchestrator.diagnosis.conventions.set_points import against_set_points, without_set_points
@@ -17,7 +17,7 @@ from orchestrator.diagnosis.criteria import ConventionCriteria
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import Convention, RecordingReader
 
-__all__ = ["CorrectedRecording", "convention_report", "convention_words", "find_convention"]
+__all__ = ["CorrectedRecording", "convention_remark", "convention_report", "convention_words", "find_convention"]
 
 HYPOTHESES: tuple[Callable[[Responses], Convention | None], ...] = (
     lambda seen: dead_channel(seen.survey),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.criteria import Criteria
-from protocols import Convention, DiagnosisReport, DiagnosisWords, NoiseFloor, Rung, Unexplained
+from protocols import Convention, DiagnosisReport, DiagnosisWords, NoiseFloor, Remark, Rung, Unexplained
 
 
 def convention_report(recording: str, convention: Convention, criteria: Criteria, seconds: float) -> DiagnosisReport:
@@ -21,6 +21,18 @@ def convention_report(recording: str, convention: Convention, criteria: Criteria
         convention=convention,
         seconds=seconds,
         criteria=criteria.model_dump(mode="json"),
+    )
+
+
+def convention_remark(convention: Convention) -> Remark:
+    """The same as a remark, for what goes on all the same."""
+    return Remark.of(
+        "convention",
+        "{what}, by what was captured ({evidence}): {correction}",
+        kind=convention.kind,
+        what=convention.what,
+        evidence=convention.evidence,
+        correction=convention.correction.text,
     )
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis import diagnose_recording, in_words
+from orchestrator.diagnosis import add_effects, compare_recording, diagnose_recording, in_words
 from orchestrator.estimation import estimate_recording
 from orchestrator.presentation.names import VERDICTS
 from protocols import NotMeasuredError
@@ -35,6 +35,15 @@ def test_an_estimation_says_the_same_and_that_its_map_is_not_usable(right: Rewri
     assert not found.usable
     assert "rms for peak" in found.reasons[0]
     assert estimate_recording(right, [Resistance(), Ripples()], tmp_path).usable
+
+
+def test_who_compares_or_adds_all_the_same_is_told_first(right: Rewritten, tmp_path: Path) -> None:
+    wrong = right.mapped("i_ab", np.sqrt(0.5) * np.eye(2))
+    held = compare_recording(wrong, model="linear", out=tmp_path)  # type: ignore[arg-type]
+    added = add_effects(wrong, ["saturation"], [], model="linear", out=tmp_path)  # type: ignore[arg-type]
+    for report in (held, added):
+        assert report.remarks[0].code == "convention"
+        assert "rms for peak" in report.notes[0]
 
 
 def test_an_estimation_that_is_refused_says_what_the_readings_look_like(right: Rewritten, tmp_path: Path) -> None:
