@@ -13,14 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from tests.support.processes import FLUXBENCH, wait_until
+from tests.support.forking import ForkedCommand
+from tests.support.processes import start_fluxbench, wait_until
 
 
 @dataclass
 class Emulator:
     """A running emulator."""
 
-    process: subprocess.Popen[str]
+    process: ForkedCommand
     log: Path
 
     def events(self, *kinds: str) -> list[dict[str, Any]]:
@@ -46,13 +47,11 @@ def emulator(folder: Path, *words: str, link: str = "--serial") -> Iterator[Emul
     """An emulated drive; its line is linked at `folder`/line, or joins the bus that `words` name."""
     log = folder / "emulator.jsonl"
     words = (link, str(folder / "line"), *words) if link == "--serial" else (link, *words)
-    process = subprocess.Popen(
-        [FLUXBENCH, "emulate", *words, "--log", str(log)], stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
-    )
+    process = start_fluxbench("emulate", *words, "--log", log)
     running = Emulator(process, log)
     try:
         wait_until(lambda: bool(running.events("started")) or process.poll() is not None)
-        assert process.poll() is None, process.stderr.read() if process.stderr else ""
+        assert process.poll() is None, process.communicate()[1]
         yield running
     finally:
         for number in (signal.SIGCONT, signal.SIGTERM):
@@ -63,5 +62,3 @@ def emulator(folder: Path, *words: str, link: str = "--serial") -> Iterator[Emul
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()
-        if process.stderr is not None:
-            process.stderr.close()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import os
 import subprocess
 import sys
 import time
@@ -12,6 +11,7 @@ from contextlib import chdir, redirect_stderr, redirect_stdout
 from pathlib import Path
 
 from orchestrator.cli._app import run_app
+from tests.support.forking import ForkedCommand
 
 FLUXBENCH = str(Path(sys.executable).with_name("fluxbench"))
 
@@ -25,16 +25,19 @@ def called(*words: str | Path, cwd: Path | None = None) -> subprocess.CompletedP
         return subprocess.CompletedProcess(arguments, code, out.getvalue(), err.getvalue())
 
 
-def start_fluxbench(*words: str | Path, cwd: Path | None = None) -> subprocess.Popen[str]:
-    """Start a command and let it run."""
+def start_fluxbench(*words: str | Path, cwd: Path | None = None) -> ForkedCommand:
+    """Start a command as a process of its own, which has imported everything, and let it run."""
+    return ForkedCommand([*map(str, words)], cwd)
+
+
+def start_afresh(*words: str | Path) -> subprocess.Popen[str]:
+    """Start a command as a user does: from nothing."""
     return subprocess.Popen(
         [FLUXBENCH, *map(str, words)],
-        cwd=cwd,
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
         text=True,
-        env={**os.environ, "PYTHONUNBUFFERED": "1"},
     )
 
 

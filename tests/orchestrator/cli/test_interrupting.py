@@ -12,6 +12,7 @@ import pytest
 
 from orchestrator.recording import open_recording
 from protocols import StateChanged
+from tests.support.forking import ForkedCommand
 from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_file
 
@@ -38,7 +39,7 @@ class Mine:
 """
 
 
-def interrupted(words: list[str | Path], marker: Path, times: int = 1) -> tuple[subprocess.Popen[str], str, float]:
+def interrupted(words: list[str | Path], marker: Path, times: int = 1) -> tuple[ForkedCommand, str, float]:
     """Start a command, interrupt it as soon as the effect is at work; what it said, and how long it took to leave."""
     process = start_fluxbench(*words)
     wait_until(lambda: marker.exists() or process.poll() is not None)

@@ -21,6 +21,7 @@ from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import PointDone, RunEnded
 from tests.support.emulator import Emulator, emulator
+from tests.support.forking import ForkedCommand
 from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, tiny_file
 
@@ -65,7 +66,7 @@ class Bench:
         assert self._run is not None
         return self._run
 
-    def start(self) -> subprocess.Popen[str]:
+    def start(self) -> ForkedCommand:
         """Start the next run, or go on with the one that was ended before its time; returns when it has armed."""
         ended = self._run is not None and self._run.exists() and RunDirectory.open(self._run).ended()
         if self._run is None or not self._run.exists() or (ended and ended.outcome == "finished"):
@@ -84,7 +85,7 @@ class Bench:
         wait_until(lambda: len(self.machine.events("armed")) > armed or process.poll() is not None)
         return process
 
-    def wait_a_while(self, process: subprocess.Popen[str]) -> bool:
+    def wait_a_while(self, process: ForkedCommand) -> bool:
         """Some time of the run; False where it came to its end meanwhile.
 
         On a machine that is too busy to beat in time the watchdog does what it is there for; that is told, not hidden.
@@ -187,7 +188,7 @@ def test_a_stopped_host_leaves_a_safe_drive_and_ends_in_a_named_fault_when_it_go
     bench.report("host stopped")
 
 
-def require_named_end(bench: Bench, process: subprocess.Popen[str], done_s: float) -> float | None:
+def require_named_end(bench: Bench, process: ForkedCommand, done_s: float) -> float | None:
     """The run ends in a lost link within a second; returns how long it took, None where it had just finished."""
     _, told = process.communicate(timeout=30)
     if process.returncode == 0:

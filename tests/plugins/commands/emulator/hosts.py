@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import select
+import signal
 import subprocess
 import sys
 import time
@@ -48,10 +49,10 @@ from plugins.wire import (
 )
 from plugins.wire import VECTORS as DEFAULT_CHANNELS
 from protocols import Excitation, Limits
+from tests.support.processes import start_fluxbench
 
 FS = 10_000.0
 LIMITS = Limits(current_a=3.0, voltage_v=150.0)
-_RUN = "import sys; from plugins.commands.emulator._command import command; raise SystemExit(command(sys.argv[1:]))"
 
 
 class Terminal:
@@ -217,7 +218,7 @@ class EmulatorProcess:
         if "--can" not in arguments:
             words += ["--serial", str(self.path)]
         self._started = len(self.events("started"))
-        self.process = subprocess.Popen([sys.executable, "-c", _RUN, *words], stderr=subprocess.PIPE)
+        self.process = start_fluxbench("emulate", *words)
         try:
             self.wait_for("started", self._started + 1, 30.0)
         except BaseException:
@@ -237,8 +238,7 @@ class EmulatorProcess:
         deadline = time.monotonic() + seconds
         while len(found := self.events(name)) < count:
             code = self.process.poll()
-            told = self.process.stderr.read().decode() if code is not None and self.process.stderr else ""
-            assert code is None, f"ended with {code}: {told}"
+            assert code is None, f"ended with {code}: {self.process.communicate()[1]}"
             assert time.monotonic() < deadline, f"no {name!r} in {seconds:g} s: {self.events()}"
             time.sleep(0.005)
         return found[count - 1]
@@ -248,13 +248,11 @@ class EmulatorProcess:
 
     def close(self) -> None:
         if self.process.poll() is None:
-            self.process.terminate()
+            self.process.send_signal(signal.SIGTERM)
             try:
                 self.process.wait(5.0)
             except subprocess.TimeoutExpired:
                 self.process.kill()
-        if self.process.stderr is not None:
-            self.process.stderr.close()
         self.process.wait()
 
 

@@ -1,0 +1,192 @@
+"""The command line as a process that is not started from nothing: a fork of one that has imported everything.
+
+Such a process has a pid, signals, output and an exit code of its own, like any other; it is spared some seconds of
+imports. Whether the program starts by itself, and imports in time, is for tests that start it afresh.
+
+A server forks: it has imported modules, has done nothing else, and is one thread. For each command it forks a guardian,
+which forks the command, waits for it, and tells how it ended.
+"""
+
+from __future__ import annotations
+
+import atexit
+import functools
+import gc
+import importlib
+import json
+import os
+import select
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+ROOT = Path(__file__).parents[2]
+COMMANDS = ("_check", "_commission", "_diagnosis", "_further", "_output", "_results")
+PLUGINS = ("drives", "stages", "estimators", "effects", "streams", "commands")
+LIBRARIES = ("h5netcdf", "matplotlib.backends.backend_svg", "matplotlib.figure", "pandas", "pyarrow.parquet", "xarray")
+WITH_THREADS = "plugins.streams.rerun"
+"""Its library starts threads when it is imported, and threads do not live through a fork."""
+FORKS_WELL = "jemalloc_bg_thd"
+"""The one thread of pyarrow's allocator, which makes it anew after a fork."""
+NUMBER = struct.Struct("i")
+LONGEST_REQUEST = 1 << 17
+
+
+class ForkedCommand:
+    """A command of `fluxbench` that runs; it is asked as a `subprocess.Popen` is.
+
+    Attributes
+    ----------
+    pid : int
+    returncode : int or None
+        Minus the number of the signal that ended it; None while it runs.
+    """
+
+    def __init__(self, words: Sequence[str], cwd: Path | None = None) -> None:
+        self.returncode: int | None = None
+        self._outputs = [os.memfd_create(name) for name in ("stdout", "stderr")]
+        self._printed = ("", "")
+        self._told, telling = os.pipe()
+        request = json.dumps({"words": list(words), "cwd": str(cwd or Path.cwd()), "environment": dict(os.environ)})
+        socket.send_fds(_server(), [request.encode()], [*self._outputs, telling])
+        os.close(telling)
+        self.pid = self._hear()
+
+    def poll(self) -> int | None:
+        """Its exit code, or None while it runs."""
+        return self._look(0.0)
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Its exit code; raises `subprocess.TimeoutExpired`."""
+        code = self._look(timeout)
+        if code is None:
+            raise subprocess.TimeoutExpired("fluxbench", timeout or 0.0)
+        return code
+
+    def communicate(self, timeout: float | None = None) -> tuple[str, str]:
+        """All that it printed, and all that it said on stderr; raises `subprocess.TimeoutExpired`."""
+        self.wait(timeout)
+        return self._printed
+
+    def send_signal(self, number: int) -> None:
+        """A signal to it alone, where it still runs."""
+        if self.poll() is None:
+            os.kill(self.pid, number)
+
+    def kill(self) -> None:
+        """The signal that cannot be caught."""
+        self.send_signal(signal.SIGKILL)
+
+    def _look(self, timeout: float | None) -> int | None:
+        if self.returncode is None and select.select([self._told], [], [], timeout)[0]:
+            self.returncode = self._hear()
+            os.close(self._told)
+            out, err = (_all_of(output) for output in self._outputs)
+            self._printed = out, err
+        return self.returncode
+
+    def _hear(self) -> int:
+        told = os.read(self._told, NUMBER.size)
+        if len(told) < NUMBER.size:
+            raise ChildProcessError("who started the command is gone")
+        return int(NUMBER.unpack(told)[0])
+
+
+def _all_of(output: int) -> str:
+    with open(output, encoding="utf-8") as file:
+        file.seek(0)
+        return file.read()
+
+
+@functools.cache
+def _server() -> socket.socket:
+    """The way to a server of this process's own, which ends with it."""
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    with far:
+        words = [sys.executable, "-m", "tests.support.forking", str(far.fileno())]
+        nothing = subprocess.DEVNULL
+        process = subprocess.Popen(words, cwd=ROOT, stdin=nothing, stdout=nothing, pass_fds=[far.fileno()])
+    atexit.register(process.wait)
+    atexit.register(near.close)
+    return near
+
+
+def serve(way: socket.socket) -> None:
+    """Fork a command for each request; returns in the forked command alone, and when nobody is left to ask."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for who asks
+    while True:
+        request, descriptors, _, _ = socket.recv_fds(way, LONGEST_REQUEST, 3)
+        if not request:
+            raise SystemExit
+        if os.fork() == 0:
+            way.close()
+            return guard(json.loads(request), *descriptors)
+        for descriptor in descriptors:
+            os.close(descriptor)
+        with suppress(ChildProcessError):
+            while os.waitpid(-1, os.WNOHANG)[0]:
+                pass
+
+
+def guard(request: dict[str, object], out: int, err: int, telling: int) -> None:
+    """Fork the command, in which this returns; tell its pid and, when it has ended, its exit code."""
+    pid = os.fork()
+    if pid == 0:
+        os.close(telling)
+        return become(request, out, err)
+    for output in (out, err):
+        os.close(output)
+    os.write(telling, NUMBER.pack(pid))
+    _, status = os.waitpid(pid, 0)
+    os.write(telling, NUMBER.pack(os.waitstatus_to_exitcode(status)))
+    os._exit(0)
+
+
+def become(request: dict[str, object], out: int, err: int) -> None:
+    """Put this process into the state in which a new interpreter would be for this command."""
+    signal.signal(signal.SIGINT, signal.default_int_handler)
+    for source, target in ((out, 1), (err, 2)):
+        os.dup2(source, target)
+        os.close(source)
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    words, cwd, environment = request["words"], request["cwd"], request["environment"]
+    assert isinstance(words, list)
+    assert isinstance(cwd, str)
+    assert isinstance(environment, dict)
+    os.chdir(cwd)
+    os.environ.clear()
+    os.environ.update(environment)
+    sys.argv = ["fluxbench", *words]
+
+
+def import_everything() -> None:
+    """What commands import, as far as it starts no threads."""
+    from importlib.metadata import entry_points
+
+    from numba.core.registry import cpu_target
+
+    plugins = [entry.module for kind in PLUGINS for entry in entry_points(group=f"fluxbench.{kind}")]
+    for module in [*(f"orchestrator.cli.{name}" for name in COMMANDS), *plugins, *LIBRARIES]:
+        if not module.startswith(WITH_THREADS):
+            importlib.import_module(module)
+    # What numba itself loads at the first kernel.
+    cpu_target.typing_context.refresh()
+    cpu_target.target_context.refresh()
+    threads = [task.read_text().strip() for task in Path("/proc/self/task").glob("*/comm")]
+    assert len([name for name in threads if name != FORKS_WELL]) == 1, threads
+    gc.collect()
+    gc.freeze()
+
+
+if __name__ == "__main__":
+    import_everything()
+    with socket.socket(fileno=int(sys.argv[1])) as listening:
+        serve(listening)
+    from orchestrator.cli import main
+
+    main()
