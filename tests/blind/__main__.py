@@ -21,6 +21,8 @@ USUAL = {
     "foreign": 18,
     "nuisance": 26,
     "faint": 36,
+    "switched_clean": 12,
+    "switched": 18,
 }
 
 

@@ -9,15 +9,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from tests.blind.drive import CONTROL, OFF, OPEN, Rows, run
 from tests.blind.magnetics import Array, Machine, Table
 from tests.blind.plant import MEMORY, STATES, Plant
+from tests.blind.switched import NO_BRIDGE, Bridge
 
 LEVELS = (-1.0, -0.5, 0.0, 0.5, 1.0)
 SMALL = ((-1.0, -1.0), (-1.0, 1.0), (-0.5, 0.5), (0.0, 0.0), (0.5, -0.5), (1.0, -1.0), (1.0, 1.0))
@@ -56,6 +57,7 @@ class Bench:
     believed_rad: float = 0.0
     drive_delay_samples: float = 0.0
     seed: int = 0
+    bridge: Bridge = NO_BRIDGE
 
 
 @dataclass
@@ -65,6 +67,15 @@ class _Clock:
     state: Array = field(default_factory=lambda: np.zeros(STATES))
     memory: Array = field(default_factory=lambda: np.zeros(MEMORY))
     time_s: float = 0.0
+
+
+class _Rows(NamedTuple):
+    """What is captured of a stretch."""
+
+    current: Rows
+    voltage: Rows
+    bus: Rows
+    phases: Rows | None
 
 
 @dataclass(frozen=True)
@@ -92,16 +103,16 @@ def record(bench: Bench, campaign: Campaign, directory: Path, name: str = "blind
     for ask in _plan(bench.machine, campaign):
         number = counts.get(ask.stage, 0)
         counts[ask.stage] = number + 1
-        start_s, current, voltage = _measure(bench, ask, clock, rng)
+        start_s, rows = _measure(bench, ask, clock, rng)
         segments.append(
             {
                 "id": f"{ask.stage}-{number:03d}",
                 "stage": ask.stage,
                 "start_s": start_s,
-                "samples": len(current),
+                "samples": len(rows.current),
                 "rotor_angle_rad": bench.believed_rad,
                 "settings": ask.settings,
-                "sha256": _write(directory / "captures" / f"{ask.stage}-{number:03d}.parquet", current, voltage, bench),
+                "sha256": _write(directory / "captures" / f"{ask.stage}-{number:03d}.parquet", rows),
             }
         )
     (directory / "recording.json").write_text(json.dumps(_manifest(bench, name, segments), indent=1))
@@ -178,50 +189,53 @@ def _plan(machine: Machine, campaign: Campaign) -> Iterator[_Ask]:
         yield dwell(0.67, 0.0, anchor=True)
 
 
-def _measure(bench: Bench, ask: _Ask, clock: _Clock, rng: np.random.Generator) -> tuple[float, Rows, Rows]:
-    plant = bench.plant
+def _measure(bench: Bench, ask: _Ask, clock: _Clock, rng: np.random.Generator) -> tuple[float, _Rows]:
     if ask.pwm_ratio != 1.0:
-        plant = plant._replace(dead_v=plant.dead_v * ask.pwm_ratio)
+        bridge = bench.bridge._replace(half_s=bench.bridge.half_s / ask.pwm_ratio)
+        plant = bench.plant._replace(dead_v=bench.plant.dead_v * ask.pwm_ratio)
+        bench = replace(bench, plant=plant, bridge=bridge)
     if ask.off:
         start = clock.time_s
-        return start, *_stretch(bench, plant, OFF, np.zeros((ask.off, 2)), clock, rng)
+        return start, _stretch(bench, OFF, np.zeros((ask.off, 2)), clock, rng)
     settling = int(0.25 * bench.machine.sampling_hz)
-    _, volts = _stretch(bench, plant, CONTROL, np.tile(ask.settle_a, (settling, 1)), clock, rng)
+    volts = _stretch(bench, CONTROL, np.tile(ask.settle_a, (settling, 1)), clock, rng).voltage
     start = clock.time_s
     if ask.path_a is not None:
-        return start, *_stretch(bench, plant, CONTROL, ask.path_a, clock, rng)
+        return start, _stretch(bench, CONTROL, ask.path_a, clock, rng)
     assert ask.wave_v is not None
     c, s = np.cos(bench.believed_rad), np.sin(bench.believed_rad)
     mean = volts[-settling // 5 :].mean(axis=0, dtype=np.float64) @ np.array([[c, -s], [s, c]])
-    return start, *_stretch(bench, plant, OPEN, mean + ask.wave_v, clock, rng)
+    return start, _stretch(bench, OPEN, mean + ask.wave_v, clock, rng)
 
 
-def _stretch(
-    bench: Bench, plant: Plant, mode: int, wanted: Array, clock: _Clock, rng: np.random.Generator
-) -> tuple[Rows, Rows]:
+def _stretch(bench: Bench, mode: int, wanted: Array, clock: _Clock, rng: np.random.Generator) -> _Rows:
     machine, table, count = bench.machine, bench.table, len(wanted)
     bandwidth = 2 * np.pi * 25.0 * max(1.0, machine.resistance_ohm / machine.l_q_h / 300.0)
     inductance = np.array([machine.l_d_h, machine.l_q_h])
     gains = np.concatenate([np.sqrt(2.0) * bandwidth * inductance, bandwidth**2 * inductance])
     current, voltage = np.empty((count, 2), np.float32), np.empty((count, 2), np.float32)
-    plant = plant._replace(delay_samples=plant.delay_samples + bench.drive_delay_samples)
+    bus, phases = np.empty(count, np.float32), np.empty((count, 3), np.float32)
+    plant = bench.plant._replace(delay_samples=bench.plant.delay_samples + bench.drive_delay_samples)
+    noise = rng.standard_normal((count, 6 if bench.bridge.gain_c > 0.0 else 5))
     run(
         plant, table.coefficients, table.low_a, 1.0 / table.step_a, clock.state, clock.memory, np.zeros((5, STATES)),
         clock.time_s, bench.believed_rad, mode, gains, machine.bus_v / np.sqrt(3.0), np.ascontiguousarray(wanted),
-        rng.standard_normal((count, 5)), current, voltage,
+        noise, current, voltage, bench.bridge, bus, phases,
     )  # fmt: skip
     clock.time_s += count / machine.sampling_hz
-    return current, voltage
+    return _Rows(current, voltage, bus, phases if bench.bridge.gain_c > 0.0 else None)
 
 
-def _write(path: Path, current: Rows, voltage: Rows, bench: Bench) -> str:
+def _write(path: Path, rows: _Rows) -> str:
     import pyarrow as pa
     import pyarrow.parquet as pq
 
     columns = {
-        "v_alpha": voltage[:, 0], "v_beta": voltage[:, 1], "i_alpha": current[:, 0], "i_beta": current[:, 1],
-        "v_dc": np.full(len(current), bench.machine.bus_v, np.float32),
+        "v_alpha": rows.voltage[:, 0], "v_beta": rows.voltage[:, 1],
+        "i_alpha": rows.current[:, 0], "i_beta": rows.current[:, 1], "v_dc": rows.bus,
     }  # fmt: skip
+    if rows.phases is not None:
+        columns |= {f"i_{phase}": rows.phases[:, n] for n, phase in enumerate("abc")}
     schema = pa.schema([pa.field(name, pa.float32(), False) for name in columns])
     pq.write_table(pa.table({n: pa.array(c) for n, c in columns.items()}, schema=schema), path, compression="zstd")
     return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -32,6 +32,7 @@ from tests.blind.plant import (
     Plant,
     advance,
 )
+from tests.blind.switched import SAG, Bridge, go_through
 
 Rows = np.ndarray[Any, np.dtype[np.float32]]
 
@@ -70,10 +71,11 @@ def _triangle(duty: float, phase: float, height: float) -> float:
 def run(
     p: Plant, table: Array, low: float, per_step: float, y: Array, memory: Array, work: Array, start_s: float,
     believed: float, mode: int, gains: Array, max_v: float, wanted: Array, noise: Array, i_out: Rows, v_out: Rows,
+    bridge: Bridge, bus_out: Rows, phases_out: Rows,
 ) -> None:  # fmt: skip
     """Run one stretch: `wanted` is i_dq in CONTROL and v_dq in OPEN, both in the believed frame, a row a sample.
 
-    `noise` has five standard normal columns: sensors a and b, sampling jitter, glitches, the loose contact.
+    `noise` has six standard normal columns: sensors a and b, sampling jitter, glitches, the loose contact, sensor c.
     """
     c, s = math.cos(believed), math.sin(believed)
     ts = p.sample_s
@@ -90,6 +92,9 @@ def run(
             late = p.jitter_s * noise[k, 2]
             i_a += late * memory[SLOPE_A]
             i_b += late * memory[SLOPE_B]
+        if bridge.late_s != 0.0 and mode != OFF:
+            i_a += bridge.late_s * memory[SLOPE_A]
+            i_b += bridge.late_s * memory[SLOPE_B]
         if p.pwm_ripple > 0.0 and mode != OFF:
             v_a, v_b = memory[PAST], 0.5 * (SQRT3 * memory[PAST + 1] - memory[PAST])
             i_a += _triangle(0.5 + v_a / p.bus_v, 0.01317 * k, p.pwm_ripple)
@@ -103,7 +108,12 @@ def run(
         if noise[k, 3] > p.glitch:
             memory[SHOWN_A], memory[SHOWN_B] = read_a, read_b
         i_alpha, i_beta = memory[SHOWN_A], (memory[SHOWN_A] + 2 * memory[SHOWN_B]) / SQRT3
+        if bridge.gain_c > 0.0:
+            read_c = _reading(p, -i_a - i_b, bridge.gain_c, bridge.offset_c, noise[k, 5], time, k, 0.0, 4.3)
+            i_alpha, i_beta = (2 * read_a - read_b - read_c) / 3, (read_b - read_c) / SQRT3
+            phases_out[k, 0], phases_out[k, 1], phases_out[k, 2] = read_a, read_b, read_c
         i_out[k, 0], i_out[k, 1] = i_alpha, i_beta
+        bus_out[k] = bridge.bus_gain * (p.bus_v - memory[SAG]) if bridge.bus_gain > 0.0 else p.bus_v
         # What the drive makes of it.
         v_d = v_q = 0.0
         if mode == CONTROL:
@@ -127,6 +137,14 @@ def run(
             continue
         if p.loose_ohm > 0.0 and noise[k, 4] > p.loose_rate:
             memory[LOOSE] = p.loose_ohm - memory[LOOSE]
+        if bridge.half_s > 0.0:
+            for m in range(round(ts / bridge.half_s)):
+                held = PAST + 2 * whole
+                memory[SLOPE_A], memory[SLOPE_B] = go_through(
+                    p, bridge, table, low, per_step, y, work, memory[held], memory[held + 1],
+                    time + m * bridge.half_s, believed, memory[LOOSE], memory,
+                )  # fmt: skip
+            continue
         before_a, before_b = memory[OLD_A], memory[OLD_B]
         now = PAST + 2 * whole
         if part > 0.0:

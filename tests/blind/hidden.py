@@ -18,6 +18,7 @@ from tests.blind.campaign import Bench, Campaign
 from tests.blind.effects import CATALOGUE, FOREIGN, Rng
 from tests.blind.magnetics import PM400, SERVO_48V, TRACTION_28KW, Machine, draw_table
 from tests.blind.plant import HEALTHY, Plant
+from tests.blind.switched_bench import HARDLY_THERE, healthy, imperfect
 
 Hidden = Sequence[tuple[str, float | None]]
 """Names, and sizes in units of the typical one where they are not drawn."""
@@ -50,6 +51,8 @@ class Case:
     foreign: str | None = None
     nuisance: str | None = None
     without: tuple[str, ...] = ()
+    brought: tuple[str, ...] = ()
+    """What a bridge that switches has beside the truths: names that are not false."""
 
     @property
     def label(self) -> str:
@@ -73,7 +76,10 @@ NUISANCES: tuple[str, ...] = (
 SILENT = ("too_short", "no_excitation")
 """Nuisances that leave nothing to diagnose."""
 
-KINDS = ("clean", "single", "double", "clutter", "ordinary", "left_out", "foreign", "nuisance", "faint")
+KINDS = (
+    "clean", "single", "double", "clutter", "ordinary", "left_out", "foreign", "nuisance", "faint", "switched_clean",
+    "switched",
+)  # fmt: skip
 FAINT = (0.02, 0.2)
 """Sizes of faint effects, in units of the typical one."""
 ORDINARY = (0.01, 1.0)
@@ -105,6 +111,15 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
         return _case(kind, index, first, rng, [(first, None), *rest])
     if kind == "ordinary":
         return _case(kind, index, "", rng, [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in names])
+    if kind == "switched_clean":
+        case = _case(kind, index, "", rng)
+        return dataclasses.replace(case, bench=healthy(case.bench))
+    if kind == "switched":
+        present = [name for name in names if name not in HARDLY_THERE and (name == "dead_time" or rng.random() < 0.6)]
+        sizes = [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in present]
+        case = _case(kind, index, "", rng, sizes)
+        bench, brought = imperfect(rng, case.bench)
+        return dataclasses.replace(case, bench=bench, brought=brought)
     if kind == "faint":
         return _case(kind, index, first, rng, [(first, float(np.exp(rng.uniform(*np.log(FAINT)))))])
     without = (first,) if kind == "left_out" else ()

@@ -21,11 +21,12 @@ SQRT3 = math.sqrt(3.0)
 STATES = 21
 (MD, MQ, Z, ED, EQ, SKIN, HEAT, TWIST, POWER, CREEP) = (0, 1, 2, 8, 9, 10, 14, 16, 17, 18)
 """Magnetising current, three hysteresis vectors, eddy current, skin lags, two temperatures, ..., viscous current."""
-MEMORY = 22
+MEMORY = 34
 (INT_D, INT_Q, LAG_A, LAG_B, OLD_A, OLD_B, NOISE_A, NOISE_B, SHOWN_A, SHOWN_B, LOOSE, SLOPE_A, SLOPE_B, PAST) = (
     0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13,
 )  # fmt: skip
-"""Integrals, lagging and previous phase currents, correlated noise, last codes, contact, slopes, four past voltages."""
+"""Integrals, lagging and previous phase currents, correlated noise, last codes, contact, slopes, four past voltages.
+What follows is the bridge's (`switched`)."""
 
 
 class Plant(NamedTuple):
@@ -102,6 +103,8 @@ class Plant(NamedTuple):
     # iron
     eddy_ohm: float
     eddy_s: float
+    eddy_q: float
+    """Loss along q over that along d."""
     loop_a: float
     loop_per_wb: float
     loop_power: float
@@ -115,7 +118,7 @@ class Plant(NamedTuple):
 HEALTHY = Plant._make(0.0 for _ in Plant._fields)._replace(
     substeps=2, dead_shape=0, glitch=-99.0, gain_a=1.0, gain_b=1.0, dead_a=1.0, drop_a=1.0, sag_s=1e-3, heat_fast_s=1.0,
     heat_slow_s=1.0, contact_a=1.0, skin_slow_hz=30.0, skin_fast_hz=120.0, twist_s=1e-3, creep_s=1.0, eddy_s=1e-5,
-    loop_power=1.0, viscous_s=1.0, magnet_s=1.0, bus_ripple_hz=300.0,
+    eddy_q=1.0, loop_power=1.0, viscous_s=1.0, magnet_s=1.0, bus_ripple_hz=300.0,
 )  # fmt: skip
 """Nothing wrong with it; sizes are absent, time constants are there."""
 
@@ -260,7 +263,7 @@ def _rates(
             _hysteresis(p, y, n, rise_d, rise_q, out)
     if p.eddy_ohm > 0.0:
         out[ED] = (rise_d / p.eddy_ohm - y[ED]) / p.eddy_s
-        out[EQ] = (rise_q / p.eddy_ohm - y[EQ]) / p.eddy_s
+        out[EQ] = (p.eddy_q * rise_q / p.eddy_ohm - y[EQ]) / p.eddy_s
     if p.viscous_per_wb > 0.0:
         # A current that holds against a change of flux and dies away: the iron creeps after.
         out[CREEP] = p.viscous_per_wb * rise_d - y[CREEP] / p.viscous_s

@@ -6,6 +6,7 @@ A declared twin counts as the name; so do two effects that the campaign lacks th
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,6 +25,10 @@ SIZEABLE = 0.1
 """Size, in units of the typical one, from which an effect of an ordinary bench counts as one to be found."""
 ACCEPTED_PERCENT = 1.0
 ACCEPTED = "usable or explained: map within 1 % of the rated flux"
+SWITCHED_PERCENT = 0.3
+SWITCHED_MAP = "map within 0.3 % of the rated flux"
+WITHIN = 0.2
+"""Relative error up to which the dead time's parameters count as found on a bench that switches."""
 FAINT_EDGES = (0.02, 0.05, 0.1, 0.2)
 """Sizes, in units of the typical one, between which faint effects are counted apart."""
 FAINT_FIGURES = tuple(f"faint, {a:g} to {b:g} of typical: named" for a, b in itertools.pairwise(FAINT_EDGES))
@@ -44,7 +49,7 @@ class Judgement:
     """Held-out error after, in noise floors."""
     intervals: tuple[tuple[str, bool], ...] = ()
     sizeable: tuple[tuple[str, bool], ...] = ()
-    """Hidden effects of an ordinary bench from `SIZEABLE` on, each with whether it is among causes and minor ones."""
+    """Hidden effects of an ordinary bench, switched or not, from `SIZEABLE` on: is each among causes and minor ones?"""
 
     @property
     def wrong(self) -> list[str]:
@@ -67,7 +72,10 @@ def judge(answer: Answer) -> Judgement:
     in_catalogue = case.kind in ("single", "double", "clutter")
     intervals = tuple(_intervals(case, report)) if case.kind in ("single", "double") else ()
     known = set().union(*(_or_twins(case, e) for e in (*report["effects"], *report.get("minor", ()))))
-    hidden = case.truths if case.kind == "ordinary" else ()
+    hidden = case.truths if case.kind in ("ordinary", "switched") else ()
+    if case.kind.startswith("switched"):
+        off = math.inf if answer.delivered is None else answer.delivered["map_percent"]
+        right[f"{case.kind.replace('_', ', ')}: {SWITCHED_MAP}"] = off <= SWITCHED_PERCENT
     return Judgement(
         answer,
         right,
@@ -131,6 +139,12 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
         right["clutter: no false name"] = all(one & set(names) for one in found)
     elif case.kind == "ordinary":
         right["ordinary: no false name"] = all(one & set(names) for one in found)
+    elif case.kind == "switched_clean":
+        right["switched, clean: no false name"] = not found
+        right["switched, clean: said to be clean"] = report["verdict"] == "clean"
+    elif case.kind == "switched":
+        right["switched: no false name"] = all(one & {*names, *case.brought} for one in found)
+        right |= _dead_time(case, report)
     elif case.kind == "double":
         right["double: exact set"] = _matches(found, names)
         right["double: first name right"] = bool(found) and bool(found[0] & set(names))
@@ -150,6 +164,16 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     if case.kind not in ("left_out", "foreign"):
         right["explained, and not flagged unknown"] = not unknown
     return right
+
+
+def _dead_time(case: Case, report: dict[str, Any]) -> dict[str, bool]:
+    """Whether what dead time is said to cost at large currents is right, where it is sizeable."""
+    (truth,) = (t for t in case.truths if t.name == "dead_time")
+    if truth.size < SIZEABLE:
+        return {}
+    said = [e["parameters"]["voltage_v"]["value"] for e in report["effects"] if e["name"] == truth.name]
+    true = truth.parameters["voltage_v"]
+    return {"switched: dead time within 20 %": bool(said) and abs(said[0] - true) <= WITHIN * true}
 
 
 def _in_the_rows(case: Case, report: dict[str, Any]) -> bool:

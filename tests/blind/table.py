@@ -8,7 +8,17 @@ import numpy as np
 
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.hidden import NUISANCES
-from tests.blind.score import ACCEPTED, FAINT_FIGURES, FOUND_FIRST, Judgement, exact, named_by, said, wilson
+from tests.blind.score import (
+    ACCEPTED,
+    FAINT_FIGURES,
+    FOUND_FIRST,
+    SWITCHED_MAP,
+    Judgement,
+    exact,
+    named_by,
+    said,
+    wilson,
+)
 
 AIMS = {
     "clean: no false name": "0 false of 300",
@@ -26,7 +36,9 @@ ORDER = (
     FOUND_FIRST, "clutter: named", "clutter: named, or listed as smaller",
     "clutter: no false name", "double: exact set", "double: first name right",
     "left out: unknown flagged", "foreign: unknown flagged", "explained, and not flagged unknown",
-    ACCEPTED, "ordinary: no false name", "nuisance: no false name", "nuisance: first name right",
+    ACCEPTED, "ordinary: no false name", "switched, clean: no false name", "switched, clean: said to be clean",
+    f"switched, clean: {SWITCHED_MAP}", "switched: no false name", "switched: dead time within 20 %",
+    f"switched: {SWITCHED_MAP}", "nuisance: no false name", "nuisance: first name right",
     "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so", "answered at all",
 )  # fmt: skip
 
@@ -45,8 +57,10 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
         f'catalogue has, and {len(NUISANCES)} nuisances. "Left out" takes the hidden effect out of the library:',
         "it has to be flagged as unknown (of voltage_delay and current_filter, which one injection frequency cannot",
         "part, the name of the other counts). Clutter is every effect at 0.05 of typical and one larger, an ordinary",
-        "bench every effect log-uniformly from 0.01 to 1 of typical: no name of the catalogue is false there. A map is",
-        "delivered where something was fitted. This page is written by a command:",
+        "bench every effect log-uniformly from 0.01 to 1 of typical: no name of the catalogue is false there. Switched",
+        "is an ordinary bench behind a bridge, edge by edge: it has most effects and what such a bridge brings along;",
+        "a name that is of none of these is false. A map is delivered where something was fitted. This page is written",
+        "by a command:",
         "",
         f"    python -m tests.blind --seed {seed} --write docs/blind-suite.md",
         "",
@@ -88,9 +102,10 @@ def _proportions(judgements: Sequence[Judgement]) -> list[str]:
         closed = [j.closed for j in own if j.closed is not None]
         if closed:
             rows.append(_row(f"{kind}: held-out error closed by 98 %", sum(c >= 0.98 for c in closed), len(closed), ""))
-    met = [found for j in judgements for _, found in j.sizeable]
-    if met:
-        rows.append(_row("ordinary: hidden effects from 0.1 of typical found", sum(met), len(met), "95 %"))
+    for kind in ("ordinary", "switched"):
+        met = [found for j in judgements if j.answer.case.kind == kind for _, found in j.sizeable]
+        if met:
+            rows.append(_row(f"{kind}: hidden effects from 0.1 of typical found", sum(met), len(met), "95 %"))
     held = [inside for j in judgements for _, inside in j.intervals]
     if held:
         rows.append(_row("95 % intervals that hold the truth", sum(held), len(held), "93..97 %"))

@@ -8,6 +8,7 @@ import pytest
 from tests.blind.drive import CONTROL, OFF, OPEN, run
 from tests.blind.magnetics import POINTS, REACH, Array, Table, tabulated
 from tests.blind.plant import HEALTHY, LOOSE, MEMORY, STATES, Plant
+from tests.blind.switched import NO_BRIDGE
 
 TS = 1e-4
 R, L_D, L_Q = 4.0, 0.04, 0.07
@@ -30,7 +31,8 @@ def respond(
     gains = np.array([9.0, 15.0, 900.0, 1500.0])
     run(
         plant, table.coefficients, table.low_a, 1.0 / table.step_a, state, memory, np.zeros((5, STATES)), 0.0, believed,
-        mode, gains, 300.0, np.asarray(wanted, dtype=np.float64), np.zeros((len(wanted), 5)), i, v,
+        mode, gains, 300.0, np.asarray(wanted, dtype=np.float64), np.zeros((len(wanted), 6)), i, v, NO_BRIDGE,
+        np.empty(len(wanted), np.float32), np.empty((len(wanted), 3), np.float32),
     )  # fmt: skip
     c, s = np.cos(believed), np.sin(believed)
     turn = np.array([[c, -s], [s, c]])
