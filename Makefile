@@ -12,12 +12,20 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/pytest -q -n 2 --dist worksteal
 STAMP := $(VENV)/.installed
 
-.PHONY: demo test test-all test-socketcan bench blind pictures lint lock clean
+# Kernels that have changed are compiled once: two workers that begin together would both do it.
+KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
+COMPILED := $(VENV)/.compiled
+
+.PHONY: demo test suite test-all test-socketcan bench blind pictures lint lock clean
 
 demo: $(STAMP)
 	$(BIN)/fluxbench run demo
 
-test: $(STAMP) lint
+# Lint beside the tests: it has one core, and the workers wait now and then.
+test: $(STAMP)
+	$(MAKE) --no-print-directory -j 2 lint suite
+
+suite: $(COMPILED)
 	$(PYTEST)
 
 test-all: $(STAMP) lint
@@ -40,6 +48,10 @@ pictures: $(STAMP)
 	rm -rf runs/pictures runs/pictures.sealed
 	$(BIN)/fluxbench run demo --out runs/pictures
 	$(BIN)/python -m tests.pictures runs/pictures
+
+$(COMPILED): $(STAMP) $(KERNELS)
+	$(BIN)/python -m tests.support.kernels
+	touch $@
 
 lint: $(STAMP)
 	$(BIN)/ruff check .

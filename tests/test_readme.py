@@ -28,6 +28,7 @@ def console_lines(page: Path) -> list[str]:
     return [line for block in blocks for line in block.splitlines() if line]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("added", [SHORT, pytest.param("", marks=pytest.mark.slow)], ids=["short", "as it stands"])
 def test_every_command_of_the_readme_works(added: str, tmp_path: Path) -> None:
     (tmp_path / "docs").symlink_to(ROOT / "docs")
