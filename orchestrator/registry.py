@@ -12,13 +12,15 @@ import sys
 import typing
 from collections.abc import Iterable, Mapping
 from enum import StrEnum
-from importlib.metadata import Distribution, EntryPoint, entry_points
+from functools import lru_cache
+from importlib.metadata import Distribution, EntryPoint
 from pathlib import Path
 from types import UnionType
 from typing import Any, ClassVar, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
+from orchestrator._entry_points import entries_of
 from orchestrator._validation import first_problem, suggestion
 from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stage, Stream, Strict
 
@@ -66,8 +68,7 @@ class Installed:
 
     def __init__(self, kind: PluginKind) -> None:
         self._kind = kind
-        entries = entry_points(group=kind.group)
-        # Reading a distribution's metadata takes longer than all the rest here: it is read once.
+        entries = entries_of(kind.group)
         named = {distribution: _named(distribution) for distribution in {entry.dist for entry in entries}}
         self._by_info = {_info(kind, entry, *named[entry.dist]): entry for entry in entries}
 
@@ -177,6 +178,7 @@ def make_options(plugin: type[Any], raw: Mapping[str, Any], where: str) -> BaseM
         raise PluginError(where, problem.field, f"{problem.text} (option of {plugin.name!r})") from None
 
 
+@lru_cache(maxsize=64)  # reading its metadata takes longer than all the rest here
 def _named(distribution: Distribution | None) -> tuple[str, str]:
     """Its name and version."""
     if distribution is None:

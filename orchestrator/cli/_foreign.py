@@ -12,10 +12,12 @@ import copy
 import re
 from collections.abc import Callable, Sequence
 from importlib.machinery import PathFinder
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
 import typer
+
+from orchestrator._entry_points import entries_of
 
 GROUP = "fluxbench.commands"
 
@@ -24,7 +26,7 @@ def with_plugin_commands(app: typer.Typer) -> typer.Typer:
     """The application with one command more for each entry point; none of them is imported."""
     whole = copy.copy(app)
     whole.registered_commands = list(app.registered_commands)
-    for entry in sorted(entry_points(group=GROUP), key=lambda entry: entry.name):
+    for entry in sorted(entries_of(GROUP), key=lambda entry: entry.name):
         settings = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
         add = whole.command(entry.name, help=summary_of(entry), context_settings=settings)
         add(_command(entry))
