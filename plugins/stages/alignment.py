@@ -3,10 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Self
+from typing import Literal, Self
 
 from orchestrator.stages import Scaling, given
-from protocols import EnergisedStage, Hold, Positive, SegmentStage, StageContext, StagePoint, StageState
+from protocols import (
+    EnergisedStage,
+    Hold,
+    Positive,
+    Segment,
+    SegmentStage,
+    StageContext,
+    StagePoint,
+    StageRun,
+    StageState,
+)
 
 
 class AlignmentStage(EnergisedStage):
@@ -22,6 +32,11 @@ class AlignmentStage(EnergisedStage):
     angle_rad: float = 0.0
     settle_s: Positive = 1.0
     duration_s: Positive = 0.5
+    brake: Literal["engage"] | None = None
+    """Whether the drive's brake, where it has one, engages while the current still holds the rotor.
+
+    The current goes to a zero that the sensors measured: their offset is left, and turns a rotor that is free.
+    """
 
     def filled(self, context: StageContext) -> Self:
         scaling = Scaling(context)
@@ -40,6 +55,10 @@ class AlignmentStage(EnergisedStage):
                 control=given(self.control),
             )
         )
+
+    def after_point(self, run: StageRun, segment: Segment) -> None:
+        if self.brake is not None:
+            run.set_brake(True)
 
     @property
     def believed_angle_rad(self) -> float:
