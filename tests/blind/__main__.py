@@ -21,8 +21,10 @@ USUAL = {
     "foreign": 18,
     "nuisance": 26,
     "faint": 36,
+    "foreign_behind": 18,
     "switched_clean": 12,
     "switched": 18,
+    "switched_foreign": 6,
 }
 
 

@@ -77,11 +77,15 @@ SILENT = ("too_short", "no_excitation")
 """Nuisances that leave nothing to diagnose."""
 
 KINDS = (
-    "clean", "single", "double", "clutter", "ordinary", "left_out", "foreign", "nuisance", "faint", "switched_clean",
-    "switched",
+    "clean", "single", "double", "clutter", "ordinary", "left_out", "foreign", "nuisance", "faint",
+    "foreign_behind", "switched_clean", "switched", "switched_foreign",
 )  # fmt: skip
 FAINT = (0.02, 0.2)
 """Sizes of faint effects, in units of the typical one."""
+BEHIND = 1.0
+"""Size of the dead time, in units of the typical one, behind which a foreign effect is hidden a second time."""
+SLOW_LEG = "one_slow_leg"
+"""Foreign on a bench that switches: one leg's dead time is longer than the others'."""
 ORDINARY = (0.01, 1.0)
 """The same of the effects of an ordinary bench, on which a little of everything is present."""
 
@@ -94,9 +98,10 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
     names = list(CATALOGUE)
     if kind == "clean":
         return _case(kind, index, "", rng)
-    if kind == "foreign":
+    if kind in ("foreign", "foreign_behind"):
         about = list(FOREIGN)[index % len(FOREIGN)]
-        return _case(kind, index, about, rng, foreign=about)
+        behind = [("dead_time", BEHIND)] if kind == "foreign_behind" else []
+        return _case(kind, index, about, rng, behind, foreign=about)
     if kind == "nuisance":
         about = NUISANCES[index % len(NUISANCES)]
         # The first round is clean; the later ones have an effect beside the nuisance.
@@ -114,11 +119,15 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
     if kind == "switched_clean":
         case = _case(kind, index, "", rng)
         return dataclasses.replace(case, bench=healthy(case.bench))
-    if kind == "switched":
+    if kind in ("switched", "switched_foreign"):
         present = [name for name in names if name not in HARDLY_THERE and (name == "dead_time" or rng.random() < 0.6)]
         sizes = [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in present]
         case = _case(kind, index, "", rng, sizes)
         bench, brought = imperfect(rng, case.bench)
+        if kind == "switched_foreign":
+            slow = bench.bridge._replace(dead_a_s=bench.bridge.dead_s + rng.uniform(0.2e-6, 0.6e-6))
+            bench = dataclasses.replace(bench, bridge=slow)
+            case = dataclasses.replace(case, about=SLOW_LEG, foreign=SLOW_LEG)
         return dataclasses.replace(case, bench=bench, brought=brought)
     if kind == "faint":
         return _case(kind, index, first, rng, [(first, float(np.exp(rng.uniform(*np.log(FAINT)))))])

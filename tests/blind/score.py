@@ -33,6 +33,12 @@ FAINT_EDGES = (0.02, 0.05, 0.1, 0.2)
 """Sizes, in units of the typical one, between which faint effects are counted apart."""
 FAINT_FIGURES = tuple(f"faint, {a:g} to {b:g} of typical: named" for a, b in itertools.pairwise(FAINT_EDGES))
 
+ABOUT_FOREIGN = {
+    "foreign": "foreign: unknown flagged",
+    "foreign_behind": "foreign behind 8 V of dead time: unknown flagged",
+    "switched_foreign": "switched, foreign: unknown flagged",
+}
+"""Figures of the classes that hide what no catalogue has."""
 TWINS_HERE = {"voltage_delay", "current_filter"}
 """One injection frequency and one sampling phase cannot part these: with one left out, the other's name is right."""
 
@@ -73,7 +79,7 @@ def judge(answer: Answer) -> Judgement:
     intervals = tuple(_intervals(case, report)) if case.kind in ("single", "double") else ()
     known = set().union(*(_or_twins(case, e) for e in (*report["effects"], *report.get("minor", ()))))
     hidden = case.truths if case.kind in ("ordinary", "switched") else ()
-    if case.kind.startswith("switched"):
+    if case.kind in ("switched", "switched_clean"):
         off = math.inf if answer.delivered is None else answer.delivered["map_percent"]
         right[f"{case.kind.replace('_', ', ')}: {SWITCHED_MAP}"] = off <= SWITCHED_PERCENT
     return Judgement(
@@ -150,8 +156,8 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
         right["double: first name right"] = bool(found) and bool(found[0] & set(names))
     elif case.kind == "left_out":
         right["left out: unknown flagged"] = unknown or (bool(found) and {names[0], *set.union(*found)} == TWINS_HERE)
-    elif case.kind == "foreign":
-        right["foreign: unknown flagged"] = unknown or _in_the_rows(case, report)
+    elif case.kind in ABOUT_FOREIGN:
+        right[ABOUT_FOREIGN[case.kind]] = unknown or _in_the_rows(case, report)
     elif case.kind == "faint":
         figure = FAINT_FIGURES[sum(case.truths[0].size > edge for edge in FAINT_EDGES[1:-1])]
         right[figure] = bool(found) and names[0] in found[0]
@@ -161,7 +167,7 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
         right[about] = (bool(found) and names[0] in found[0]) if names else not found
     if case.kind == "single":
         right["single: exact set"] = _matches(found, names)
-    if case.kind not in ("left_out", "foreign"):
+    if case.kind not in ("left_out", *ABOUT_FOREIGN):
         right["explained, and not flagged unknown"] = not unknown
     return right
 

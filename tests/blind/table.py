@@ -9,6 +9,7 @@ import numpy as np
 from tests.blind.effects import CATALOGUE, FOREIGN
 from tests.blind.hidden import NUISANCES
 from tests.blind.score import (
+    ABOUT_FOREIGN,
     ACCEPTED,
     FAINT_FIGURES,
     FOUND_FIRST,
@@ -35,7 +36,7 @@ ORDER = (
     "clean: no false name", "clean: said to be clean", "single: first name right", "single: exact set",
     FOUND_FIRST, "clutter: named", "clutter: named, or listed as smaller",
     "clutter: no false name", "double: exact set", "double: first name right",
-    "left out: unknown flagged", "foreign: unknown flagged", "explained, and not flagged unknown",
+    "left out: unknown flagged", *ABOUT_FOREIGN.values(), "explained, and not flagged unknown",
     ACCEPTED, "ordinary: no false name", "switched, clean: no false name", "switched, clean: said to be clean",
     f"switched, clean: {SWITCHED_MAP}", "switched: no false name", "switched: dead time within 20 %",
     f"switched: {SWITCHED_MAP}", "nuisance: no false name", "nuisance: first name right",

@@ -10,6 +10,7 @@ import pytest
 from orchestrator.recording import open_recording
 from tests.blind.campaign import Campaign, record
 from tests.blind.drive import CONTROL, OPEN, run
+from tests.blind.effects import FOREIGN
 from tests.blind.hidden import Case, draw_case
 from tests.blind.magnetics import POINTS, REACH, Array, Table, tabulated
 from tests.blind.plant import HEALTHY, MEMORY, STATES, Plant
@@ -128,3 +129,13 @@ def test_an_ordinary_bench_behind_a_bridge_has_a_dead_time_and_is_drawn_alike_ea
     assert parts(cases[5]) == parts(draw_case("switched", 5, 3))
     healthy = draw_case("switched_clean", 2, 3)
     assert healthy.bench.bridge == Bridge(half_s=0.5 / healthy.bench.machine.sampling_hz)
+
+
+def test_what_no_catalogue_has_is_hidden_behind_dead_time_and_behind_a_bridge_too() -> None:
+    behind = draw_case("foreign_behind", 5, 3)
+    assert behind.foreign == list(FOREIGN)[5]
+    assert [(truth.name, truth.size) for truth in behind.truths] == [("dead_time", 1.0)]
+    assert behind.bench.plant.dead_v == pytest.approx(8.0)
+    slow = draw_case("switched_foreign", 1, 3)
+    assert slow.foreign is not None
+    assert slow.bench.bridge.dead_a_s > slow.bench.bridge.dead_s + 1.9e-7
