@@ -135,9 +135,9 @@ def _run(number: int, path: Path, quiet: bool) -> BaseException | None:
 
 
 def _judged(path: Path, words: str) -> Verdict:
-    from plugins.commands.mystery._guessing import judge, read_guess, sealed_effects
+    from plugins.commands.mystery._guessing import brought_about, judge, read_guess, sealed_effects
 
-    return judge(read_guess(words), sealed_effects(path), _fitted(path))
+    return judge(read_guess(words), sealed_effects(path), _fitted(path), brought_about(path))
 
 
 def _print_verdict(verdict: Verdict) -> None:

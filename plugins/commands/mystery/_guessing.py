@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.registry import PluginKind, installed
-from orchestrator.runs import RunDirectory
+from orchestrator.runs import RunDirectory, private_directory
+from plugins.commands.mystery._drawing import LEAST_ANGLE_RAD
 from protocols import InputError, Strict
 
 NOTHING = "nothing"
@@ -88,21 +89,35 @@ def sealed_effects(run: Path) -> Effects:
     return {name: {k: float(v) for k, v in parameters.items() if v is not None} for name, parameters in found.items()}
 
 
-def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects) -> Verdict:
+def brought_about(run: Path) -> Effects:
+    """What the run itself made of the bench: the angle at which the rotor came to rest, where it counts."""
+    from plugins.drives.simulated import misalignment
+
+    angle = misalignment(private_directory(run.resolve()))
+    if angle is None or abs(angle) < LEAST_ANGLE_RAD:
+        return {}
+    return {"rotor_misalignment": {"angle_rad": angle}}
+
+
+def judge(guesses: Iterable[Guess], hidden: Effects, fitted: Effects, brought: Effects | None = None) -> Verdict:
     """Hold guesses against what is hidden.
 
     Parameters
     ----------
     fitted : mapping
         Parameters of the recording's model: they stand in for sizes that were not said.
+    brought : mapping, optional
+        What the run brought about (`brought_about`): right where it is guessed, as large as it came to be, and not
+        missing where it is not.
     """
     guesses = tuple(guesses)
-    right = tuple(guess.name for guess in guesses if guess.name in hidden)
-    sizes = (_size(guess, hidden[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in hidden)
+    true = {**hidden, **(brought or {})}
+    right = tuple(guess.name for guess in guesses if guess.name in true)
+    sizes = (_size(guess, true[guess.name], fitted.get(guess.name, {})) for guess in guesses if guess.name in true)
     return Verdict(
         right=right,
-        wrong=tuple(guess.name for guess in guesses if guess.name not in hidden),
-        still_hidden=len(hidden) - len(right),
+        wrong=tuple(guess.name for guess in guesses if guess.name not in true),
+        still_hidden=sum(name not in right for name in hidden),
         sizes=tuple(size for size in sizes if size is not None),
     )
 

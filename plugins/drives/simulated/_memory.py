@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -83,3 +84,14 @@ def load(directory: Path, point_id: str) -> Saved:
             )
             return Saved(memory, content.number, content.braked, content.bandwidth_hz, content.damping, content.fired)
     raise DriveRefused(f"{directory}: no state of the plant after point {point_id!r}")
+
+
+def misalignment(directory: Path) -> float | None:
+    """True minus believed electrical angle of the rotor at rest after the last point [rad]; None where none is kept."""
+    for path in sorted(directory.glob("plant-*.json"), reverse=True):
+        try:
+            content = _Checkpoint.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        except (OSError, ValueError, ValidationError):
+            continue
+        return math.remainder(content.state[layout.ANCHOR] - content.angle_rad, 2.0 * math.pi)
+    return None

@@ -79,3 +79,18 @@ def test_sizes_that_are_not_said_are_the_models() -> None:
 def test_nothing_stands_alone() -> None:
     with pytest.raises(InputError, match="stands alone"):
         read_guess("nothing,skin_effect")
+
+
+def test_an_angle_that_the_run_brought_about_is_right_and_not_missing() -> None:
+    brought = {"rotor_misalignment": {"angle_rad": 0.02}}
+    named = judge(read_guess("dead_time,current_offset,rotor_misalignment=0.03"), HIDDEN, {}, brought)
+    assert named.complete
+    assert named.sizes[-1].ratio == pytest.approx(1.5)
+    assert judge(read_guess("dead_time,current_offset"), HIDDEN, {}, brought).complete
+    assert judge(read_guess("rotor_misalignment"), HIDDEN, {}).wrong == ("rotor_misalignment",)
+
+
+def test_a_misalignment_is_judged_by_the_angle_that_came_of_it() -> None:
+    hidden = {"rotor_misalignment": {"angle_rad": 0.05}}
+    verdict = judge(read_guess("rotor_misalignment=0.06"), hidden, {}, {"rotor_misalignment": {"angle_rad": 0.06}})
+    assert verdict.sizes[0].ratio == pytest.approx(1.0)

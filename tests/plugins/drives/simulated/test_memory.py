@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from plugins.drives.simulated import SimulatedDrive
+from plugins.drives.simulated import SimulatedDrive, misalignment
 from protocols import DriveRefused, Excitation, GatesOff, Hold, Injection, Limits, Trapezoid
 from tests.plugins.drives.simulated.conftest import Bench, rows
 
@@ -98,3 +98,12 @@ def test_an_armed_drive_takes_no_other_state(bench: Bench, tmp_path: Path) -> No
     drive.checkpoint("point-0")
     with pytest.raises(DriveRefused, match="disarmed"):
         drive.restore("point-0", 0.0)
+
+
+def test_a_sealed_state_tells_at_which_angle_the_rotor_rests(bench: Bench, tmp_path: Path) -> None:
+    effects = {"rotor_misalignment": {"angle_rad": 0.05}, "brake_compliance": {"rad_per_nm": 0.02}}
+    drive = bench(private=tmp_path, effects=effects, plant={"rotor": {"rest_angle_rad": 0.4}})
+    assert misalignment(tmp_path) is None
+    rows(drive, Hold(current_d_a=0.0, current_q_a=1.0, settle_s=0.2, duration_s=0.1, rotor_angle_rad=0.4))
+    drive.checkpoint("point-0")
+    assert misalignment(tmp_path) == pytest.approx(0.05)  # the brake's twist under torque aside
