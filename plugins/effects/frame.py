@@ -50,7 +50,7 @@ class BrakeCompliance:
     gauge: ClassVar[str] = "Without the magnet's flux on the nameplate a compliance passes for q-axis inductance."
 
     class Parameters(EffectParameters):
-        rad_per_nm: float = amplitude("rad/Nm", typical=0.005, prior_width=0.01, low=-0.1, high=0.1)
+        rad_per_nm: float = amplitude("rad/Nm", typical=0.005, prior_width=0.01, low=0.0, high=0.1)
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:

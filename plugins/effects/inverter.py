@@ -183,7 +183,7 @@ class BusSag:
     gauge: ClassVar[str] = "A constant error of the bus voltage scales R_s and the flux together."
 
     class Parameters(EffectParameters):
-        per_watt: float = amplitude("1/W", typical=5e-5, prior_width=1e-4, low=-0.01, high=0.01)
+        per_watt: float = amplitude("1/W", typical=5e-5, prior_width=1e-4, low=0.0, high=0.01)
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:

@@ -53,7 +53,7 @@ class WindingHeating:
     gauge: ClassVar[str] = "R_s is the resistance at the temperature of the experiment's start."
 
     class Parameters(EffectParameters):
-        rise_per_watt: float = amplitude("1/W", typical=0.003, prior_width=0.005, low=-0.05, high=0.1)
+        rise_per_watt: float = amplitude("1/W", typical=0.003, prior_width=0.005, low=0.0, high=0.1)
         time_constant_s: float = shape("s", typical=200.0, prior_width=1.0, low=5.0, high=20000.0)
         slow_share: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.95)
         slow_ratio: float = refinement("1", neutral=6.0, prior_width=4.0, low=3.0, high=40.0)
@@ -125,7 +125,7 @@ class SkinEffect:
     gauge: ClassVar[str] = ""
 
     class Parameters(EffectParameters):
-        extra_ohm: float = amplitude("ohm", typical=1.0, prior_width=1.5, low=-10.0, high=20.0)
+        extra_ohm: float = amplitude("ohm", typical=1.0, prior_width=1.5, low=0.0, high=20.0)
         corner_hz: float = shape("Hz", typical=60.0, prior_width=1.0, low=5.0, high=1000.0)
         variance: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=4.0)
 

@@ -42,7 +42,7 @@ class CurrentFilter:
 
     While tau is well below a sampling interval, a sample lags a current that is piecewise linear by tau times
     its slope in the interval before: i = m + tau di/dt. Where it is long it falls with the ripple's frequency; a
-    delay of the voltage does not.
+    delay of the voltage does not. A lead is none: a wrong declared delay is the voltage's.
     """
 
     name: ClassVar[str] = "current_filter"
@@ -53,7 +53,7 @@ class CurrentFilter:
     gauge: ClassVar[str] = ""
 
     class Parameters(EffectParameters):
-        time_constant_s: float = amplitude("s", typical=5e-6, prior_width=1e-5, low=-3e-5, high=3e-5)
+        time_constant_s: float = amplitude("s", typical=5e-6, prior_width=1e-5, low=0.0, high=3e-5)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The current before the lag."""
