@@ -101,6 +101,15 @@ class ModelEffect(Strict):
     log_evidence: Number
 
 
+class ModelNoise(Strict):
+    """What is noise to a model beside the readings' own."""
+
+    offset_scatter_a: Annotated[float, Field(ge=0)] = 0.0
+    """By how much the current readings' zero differs from segment to segment (rms)."""
+    variance_factors: dict[str, tuple[Annotated[float, Field(ge=1)], ...]] = Field(default_factory=dict)
+    """Of each kind of stage's means and Fourier modes: variance over the readings' own, the model's error in it."""
+
+
 class MotorModel(Strict):
     """The model of a recording: what `fluxbench diagnose`, `add` and `remove` keep as `model.json`."""
 
@@ -114,8 +123,7 @@ class MotorModel(Strict):
     r_s_ohm: float
     """At the start of the experiment."""
     pm_flux_wb: float
-    offset_scatter_a: Annotated[float, Field(ge=0)] = 0.0
-    """By how much the current readings' zero differs from segment to segment (rms), and is noise to the model."""
+    noise: ModelNoise = ModelNoise()
     magnetics: CoEnergySpline
     effects: tuple[ModelEffect, ...]
     """In the order in which they were added."""

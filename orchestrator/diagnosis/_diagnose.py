@@ -147,11 +147,11 @@ def diagnose_recording(
         search, spared = pruned(setup, converged(setup, search))
         search, doubtful = without_doubtful(setup, search)
     tell("how sure is what was found?")
-    first, last = search.steps[0].fit, search.fit
+    first, last, sized, plain = search.steps[0].fit, search.fit, search.sized, setup.unweighed
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
-    sizes = search.shares or shares(setup, first, last)
-    active = found_effects(setup.fitter, last, evidence, search.rivals, sizes)
+    sizes = search.shares or shares(setup, first, sized)
+    active = found_effects(setup.fitter, sized, evidence, search.rivals, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.minor)
     periodic = any(not line.switching for line in setup.fitter.noise.lines)
@@ -159,15 +159,15 @@ def diagnose_recording(
     verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
     if verdict != "unknown_remains" and not can_tell(last, noise_rms_v(last), error):
         verdict = "cannot_tell"
-    left = unexplained(setup, first.chi2_per_dof, last)
+    left = unexplained(plain, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     joint = joint_fit(setup.fitter, search, library)
-    uncertainty = MapUncertainty.of(setup.fitter, last, library)
+    uncertainty = MapUncertainty.of(setup.fitter, sized, library)
     band_percent = 100.0 * uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
-    ladder = (*(rung(step) for step in search.steps[:-1]), *kept_rungs(setup, search.steps[-1:]))
+    ladder = (*(rung(step) for step in search.steps[:-1]), *kept_rungs(plain, search.steps[-1:]))
     if on_step is not None:
-        _show(setup, search, ladder, on_step)
+        _show(plain, search, ladder, on_step)
     report = DiagnosisReport(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
@@ -178,9 +178,9 @@ def diagnose_recording(
         joint=joint,
         ladder=ladder,
         unexplained=left,
-        next_experiment=_proposal(setup, last, library, found, verdict, [*doubtful, *search.traces]),
+        next_experiment=_proposal(plain, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
-            *_remarks(setup, last, verdict, left, doubtful),
+            *_remarks(setup, search, verdict, left, doubtful),
             *other_opinion(joint, active, last.criteria.selection),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
@@ -195,22 +195,22 @@ def diagnose_recording(
     baseline = baseline_of(model)
     if isinstance(baseline, Nameplate):
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
-    kept = kept_model(setup, last, baseline, (*of_map, *active), ladder)
+    kept = kept_model(setup, sized, baseline, (*of_map, *active), ladder)
     try:
         write_model(out or recording.path, kept)
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
-    delivery = delivery_of(uncertainty, kept, verdict, band_percent)
+    delivery = delivery_of(uncertainty, last, kept, verdict, band_percent)
     return Diagnosis(report, setup, search, library, delivery)
 
 
 def _remarks(
-    setup: DiagnosisSetup, fit: Fit, verdict: Verdict, left: Unexplained, doubtful: Sequence[str]
+    setup: DiagnosisSetup, search: Search, verdict: Verdict, left: Unexplained, doubtful: Sequence[str]
 ) -> list[Remark]:
     """What is to be said beside the findings."""
-    limits, chi2 = fit.criteria.selection, fit.chi2_per_dof
+    limits, chi2 = search.fit.criteria.selection, search.fit.chi2_per_dof
     remarks = list(setup.remarks)
-    if (sigma_a := setup.fitter.noise.offset_scatter_a) > 0.0:
+    if (sigma_a := setup.offset_scatter_a) > 0.0:
         text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
         remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * sigma_a))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
@@ -218,7 +218,8 @@ def _remarks(
     if verdict in ("explained", "mostly_explained") and chi2 > limits.noteworthy_chi2 and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=left.shape[0].group))
-    if setup.fitter.effort.exhausted:
+    # What fits all together takes what it takes.
+    if setup.fitter.effort.exhausted and not search.shares:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
     if chi2 < limits.too_quiet_chi2:
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"

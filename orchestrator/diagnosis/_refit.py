@@ -93,7 +93,7 @@ def _added(
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
-    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup, steps))
+    ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup.unweighed, steps))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
 
@@ -155,7 +155,7 @@ def _removed(
             steps += first_steps(setup, "saturated", library)
         else:
             steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
-    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup, steps))
+    ladder = (*kept.ladder[: at - 1], *kept_rungs(setup.unweighed, steps))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, setup.remarks, out)
 
 
@@ -200,11 +200,12 @@ def _keep_refit(
     write_model(out or recording.path, kept)
     uncertainty = MapUncertainty.of(setup.fitter, fit)
     band_percent = 100.0 * uncertainty.band_wb(visited(fit)) / rated_flux_wb(setup)
-    deliver(delivery_of(uncertainty, kept, None, band_percent), recording, out)
+    judged = setup.judged(fit)
+    deliver(delivery_of(uncertainty, judged, kept, None, band_percent), recording, out)
     freed: tuple[str, ...] = baseline.freed if isinstance(baseline, Nameplate) else ()
     return AddReport(
         effects=map_effects(fit, dict.fromkeys(freed, 0.0)) + found,
         ladder=tuple(ladder),
-        unexplained=unexplained(setup, ladder[0].chi2 or math.inf, fit),
+        unexplained=unexplained(setup.unweighed, ladder[0].chi2 or math.inf, judged),
         remarks=tuple(remarks),
     )

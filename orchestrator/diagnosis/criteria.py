@@ -194,6 +194,8 @@ class SelectionCriteria(Strict):
     """Half width of the map's 95 % band, of the rated flux, beyond which the map is no longer one to be relied on."""
     joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
     """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
+    weighings: int = _is(2, "1", "practice")
+    """How often the model's own error is weighed, where it is much, and all is fitted again."""
     joint_tolerance: float = _is(1e-2, "1", "simulated")
     """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
     prior_probability: float = _is(0.2, "1", "practice")

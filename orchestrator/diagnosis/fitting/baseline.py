@@ -17,7 +17,17 @@ from orchestrator.diagnosis.weak_form.segments import PreparedRecording, Segment
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Baseline, FluxMap, GivenMap, Nameplate, NotMeasuredError, Remark, Saturated, SegmentStage
+from protocols import (
+    Baseline,
+    FluxMap,
+    GivenMap,
+    ModelNoise,
+    Nameplate,
+    NotMeasuredError,
+    Remark,
+    Saturated,
+    SegmentStage,
+)
 
 
 @dataclass(frozen=True)
@@ -34,12 +44,27 @@ class DiagnosisSetup:
     """Rated current, or the largest used; no more than twice that [A peak]."""
     remarks: tuple[Remark, ...]
 
-    def with_offset_scatter(self, sigma_a: float) -> DiagnosisSetup:
-        """The same where the readings' zero differs so much from segment to segment [A]."""
-        if sigma_a == self.fitter.noise.offset_scatter_a:
+    def with_noise(self, of_model: ModelNoise) -> DiagnosisSetup:
+        """The same where this is noise beside the readings' own."""
+        if of_model == self.fitter.noise.of_model:
             return self
-        whole, part = (f.with_offset_scatter(sigma_a) for f in (self.fitter, self.coarse_fitter))
+        whole, part = (f.with_noise(of_model) for f in (self.fitter, self.coarse_fitter))
         return replace(self, fitter=whole, coarse_fitter=part)
+
+    @property
+    def offset_scatter_a(self) -> float:
+        """By how much the readings' zero is taken to differ from segment to segment [A]."""
+        return self.fitter.noise.of_model.offset_scatter_a
+
+    @property
+    def unweighed(self) -> DiagnosisSetup:
+        """The same, the model's own error being none: what a model is judged by."""
+        return self.with_noise(ModelNoise(offset_scatter_a=self.offset_scatter_a))
+
+    def judged(self, fit: Fit) -> Fit:
+        """A fit's model held against the recording where the model's own error is no noise."""
+        plain = self.unweighed
+        return fit if plain is self else plain.fitter.hold(fit.model)
 
     @property
     def criteria(self) -> FittingCriteria:

@@ -23,6 +23,7 @@ from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from protocols import ModelNoise
 
 
 @dataclass
@@ -66,9 +67,9 @@ class Fitter:
     def __post_init__(self) -> None:
         self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria)
 
-    def with_offset_scatter(self, sigma_a: float) -> Fitter:
-        """The same where the readings' zero differs so much from segment to segment; the effort is counted on."""
-        return replace(self, noise=replace(self.noise, offset_scatter_a=sigma_a))
+    def with_noise(self, of_model: ModelNoise) -> Fitter:
+        """The same where this is noise beside the readings' own; the effort is counted on."""
+        return replace(self, noise=replace(self.noise, of_model=of_model))
 
     @property
     def criteria(self) -> FittingCriteria:
@@ -144,19 +145,19 @@ class Fitter:
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
-        if old is not None and old.space is not model.space:
+        if old is not None and (old.space is not model.space or old.noise is not self.noise):
             old = None
         before = old.pieces if old is not None else (None,) * len(self.prepared.pieces)
         jobs = list(zip(self.prepared.pieces, before, strict=True))
         pieces = tuple(self.equations.frame(model, piece, known) for piece, known in jobs)
         if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
-            return Frame(model.space, pieces, old.gram)
+            return Frame(model.space, self.noise, pieces, old.gram)
         free = model.space.directions.shape[1]
         gram = np.zeros((free, free))
         for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
             if not piece.held_out:
                 gram += segment_frame.white_basis.T @ segment_frame.white_basis
-        return Frame(model.space, pieces, gram)
+        return Frame(model.space, self.noise, pieces, gram)
 
     def evaluate(
         self,

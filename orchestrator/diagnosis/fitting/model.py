@@ -12,7 +12,7 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.noise import Whitener
+from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -92,6 +92,7 @@ class Frame:
     """What is kept of a recording between steps."""
 
     space: MapSpace
+    noise: SensorNoise
     pieces: tuple[SegmentFrame, ...]
     gram: Array
     """white_basis^T white_basis over the training pieces."""

@@ -63,7 +63,7 @@ class SegmentEquations:
             factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
             covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, slopes)
             common = None
-            if (sigma_a := self.noise.offset_scatter_a) > 0.0:
+            if (sigma_a := self.noise.of_model.offset_scatter_a) > 0.0:
                 common = sigma_a * self._offset_rows(piece, base, corrected.signals, local, model.active)
             whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)

@@ -35,7 +35,7 @@ class Delivery:
 
 
 def delivery_of(
-    uncertainty: MapUncertainty, kept: MotorModel, verdict: Verdict | None, band_percent: float
+    uncertainty: MapUncertainty, judged: Fit, kept: MotorModel, verdict: Verdict | None, band_percent: float
 ) -> Delivery:
     """The map and R_s of a fit, and the objections to them.
 
@@ -43,6 +43,8 @@ def delivery_of(
     ----------
     uncertainty : MapUncertainty
         The fit's.
+    judged : Fit
+        The same without the model's own error as noise.
     kept : MotorModel
         The same fit's.
     verdict : str or None
@@ -50,7 +52,7 @@ def delivery_of(
     band_percent : float
         Half width of the map's 95 % band, of the rated flux.
     """
-    objections = _objections(uncertainty.fit, verdict, band_percent)
+    objections = _objections(judged, verdict, band_percent)
     return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections))
 
 

@@ -42,7 +42,7 @@ def kept_model(
         baseline=baseline,
         r_s_ohm=fit.model.r_s,
         pm_flux_wb=setup.fitter.pm_flux_wb,
-        offset_scatter_a=setup.fitter.noise.offset_scatter_a,
+        noise=setup.fitter.noise.of_model,
         magnetics=CoEnergySpline(
             d_low_a=grid.low,
             d_high_a=grid.high,
@@ -179,7 +179,7 @@ def flux_of(model: object) -> float | None:
 
 def with_noise_of(setup: DiagnosisSetup, model: object) -> DiagnosisSetup:
     """The setup with what is noise to a whole model; as it is for everything else."""
-    return setup.with_offset_scatter(model.offset_scatter_a) if isinstance(model, MotorModel) else setup
+    return setup.with_noise(model.noise) if isinstance(model, MotorModel) else setup
 
 
 def _inside(points: Array, corners: Array) -> Mask:

@@ -51,10 +51,17 @@ class Search:
     """Effects of the last fit that are in the model, but no causes."""
     shares: Mapping[str, Share] = field(default_factory=dict)
     """Of the effects of a joint fit."""
+    weighed: Fit | None = None
+    """The last fit with the model's own error as noise, where that is much; the steps are judged without."""
 
     @property
     def fit(self) -> Fit:
         return self.steps[-1].fit
+
+    @property
+    def sized(self) -> Fit:
+        """The last fit as sizes and their errors are told by it."""
+        return self.weighed or self.fit
 
 
 def forward(

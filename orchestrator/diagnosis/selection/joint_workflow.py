@@ -9,11 +9,18 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
-from orchestrator.diagnosis.selection.joint_search import downwards, joint_search, log_bayes_factors, refitted
+from orchestrator.diagnosis.selection.joint_search import (
+    downwards,
+    exchanged,
+    joint_search,
+    log_bayes_factors,
+    refitted,
+)
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
+from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.offset_scatter import beside_scatter
 
 
@@ -27,17 +34,34 @@ def all_together(
     fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
     if set(fit.model.names) <= set(quick.fit.model.names):
         return None
+    limits = fit.criteria.selection
+    if weighing := fit.chi2_per_dof > 1.0 + limits.explained_left:
+        setup, fit = weighed(setup, fit, library)
+        fit, rivals = exchanged(setup.coarse_fitter, fit, library)
     resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
     whole = setup.fitter.fit(resting)
     if whole.model.space.is_free:
         whole = with_detail(setup, setup.fitter, whole)
-    whole = refitted(setup.fitter, whole.model.with_active(fit.model.active))
-    whole = downwards(setup.fitter, whole)
-    detected = whole.chi2_per_dof > whole.criteria.selection.detected_chi2
-    if detected and (wider := beside_scatter(setup, whole, library)) is not None:
+    whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
+    detected = whole.chi2_per_dof > limits.detected_chi2
+    if detected and not weighing and (wider := beside_scatter(setup, whole, library)) is not None:
         setup, steps = wider, refitted_steps(wider, steps)
         whole = downwards(setup.fitter, refitted(setup.fitter, whole.model))
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
+
+
+def weighed(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
+    """A part's joint fit with the model's own error as noise, by stage and mode: where that is large, it says little.
+
+    All effects are asked once more, for what errs most had the say in what there is; then the errors are.
+    """
+    there = {active.name: active for active in fit.model.active}
+    model = fit.model.with_active([there.get(c.name, c.absent()) for c in library])
+    for _ in range(fit.criteria.selection.weighings):
+        setup = setup.with_noise(with_model_error(setup.fitter.noise.of_model, fit))
+        fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, model))
+        model = fit.model
+    return setup, fit
 
 
 def ladder_of(
@@ -45,8 +69,10 @@ def ladder_of(
 ) -> Search:
     """The rungs of a joint fit: its causes by what each takes away, largest first; all the rest is in the last rung.
 
-    On each rung effects are as large as in the end, the noise is the last rung's, and R_s and the map follow.
+    On each rung effects are as large as in the end, the noise is the last rung's, and R_s and the map follow. The
+    model's own error is no noise there: it is what remains.
     """
+    plain, judged = setup.unweighed, setup.judged(whole)
     sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)
@@ -56,12 +82,13 @@ def ladder_of(
     rungs = list(steps)
     for count, name in enumerate(causes[:-1], 1):
         still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
-        rungs.append(Step(name, setup.fitter.evaluate(still, whole.frame), factors[name]))
-    rungs.append(Step(causes[-1], whole, factors[causes[-1]]))
+        rungs.append(Step(name, plain.fitter.evaluate(still, judged.frame), factors[name]))
+    rungs.append(Step(causes[-1], judged, factors[causes[-1]]))
     tied = {name: list(other) for name, other in rivals.items() if name in known}
     view = LinearView(whole, (), tuple(whole.model.free), *whole.projected())
     left = [name for name in traces if name not in known]
-    return Search(rungs, left, tied, view, minor=tuple(minor), shares=sizes)
+    own = None if judged is whole else whole
+    return Search(rungs, left, tied, view, minor=tuple(minor), shares=sizes, weighed=own)
 
 
 def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
@@ -72,7 +99,7 @@ def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
     first, last = search.steps[0].fit, search.fit
     if not search.shares or verdict_of(first, last, 1) == "explained":
         return search, []
-    drift, left = block_scatter_ratio(last), left_fraction(first.chi2_per_dof, last)
+    drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)
     steady = last.criteria.selection.least_constancy
     causes = [n for n in last.model.names if n not in search.minor]
     doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left]

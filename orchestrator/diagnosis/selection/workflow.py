@@ -25,7 +25,7 @@ from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from orchestrator.diagnosis.uncertainty.offset_scatter import beside_scatter, explained_by_scatter
-from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
+from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
 """``saturated`` (the free energy map), ``linear`` (the nameplate), a map of one's own, or a whole model.
@@ -123,7 +123,7 @@ def with_scatter_as_found(
     """
     if search.shares:
         return setup, search
-    plain = setup.with_offset_scatter(0.0)
+    plain = setup.with_noise(ModelNoise())
     steps = refitted_steps(plain, search.steps)
     if steps[-1].fit.chi2_per_dof <= steps[-1].fit.criteria.selection.detected_chi2:
         return plain, replace(search, steps=steps, view=None)

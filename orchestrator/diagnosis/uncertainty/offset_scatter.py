@@ -22,6 +22,7 @@ from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.types import Array
+from protocols import ModelNoise
 
 
 @dataclass(frozen=True)
@@ -89,19 +90,19 @@ class _Likelihood:
 
 def explained_by_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
-    if setup.fitter.noise.offset_scatter_a > 0.0:
+    if setup.offset_scatter_a > 0.0:
         return None
     scatter = offset_scatter(setup.coarse_fitter, fit, library)
     limits = fit.criteria.selection
     if not _is_noise(scatter, setup) or scatter.chi2 > 1.0 + limits.explained_left:
         return None
-    return setup.with_offset_scatter(scatter.sigma_a)
+    return setup.with_noise(ModelNoise(offset_scatter_a=scatter.sigma_a))
 
 
 def beside_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where there is one in the whole recording beside all that a fit has."""
     scatter = offset_scatter(setup.fitter, fit, library)
-    return setup.with_offset_scatter(scatter.sigma_a) if _is_noise(scatter, setup) else None
+    return setup.with_noise(ModelNoise(offset_scatter_a=scatter.sigma_a)) if _is_noise(scatter, setup) else None
 
 
 def _is_noise(scatter: OffsetScatter, setup: DiagnosisSetup) -> bool:
@@ -121,7 +122,7 @@ def offset_scatter(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Of
     """
     from scipy.optimize import minimize_scalar
 
-    likelihood = _likelihood(fitter.with_offset_scatter(0.0), fit, library)
+    likelihood = _likelihood(fitter.with_noise(ModelNoise()), fit, library)
     # From far below a sensor's noise to as much as there is current.
     decades = np.arange(-6.0, 1.0)
     near = min(decades.tolist(), key=lambda x: likelihood.cost(10.0**x))

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numba import njit
@@ -27,7 +27,7 @@ from orchestrator.diagnosis.weak_form.spectral_lines import SpectralLine, added_
 from orchestrator.diagnosis.weak_form.windows import hat_weights
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
-from protocols import SegmentStage
+from protocols import ModelNoise, SegmentStage
 
 
 @dataclass(frozen=True)
@@ -44,15 +44,15 @@ class SensorNoise:
         From each reading to the next, as of a first-order process.
     lines : tuple of SpectralLine
         Disturbances of a fixed frequency.
-    offset_scatter_a : float
-        Standard deviation, from segment to segment, of an offset that all readings of one have in common [A].
+    of_model : ModelNoise
+        What is noise to a model beside the readings' own.
     """
 
     covariance: Array
     ripple: Array
     correlation: float
     lines: tuple[SpectralLine, ...] = ()
-    offset_scatter_a: float = 0.0
+    of_model: ModelNoise = field(default_factory=ModelNoise)
 
     def of(self, piece: SegmentSignals) -> Array:
         """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
@@ -61,6 +61,12 @@ class SensorNoise:
 
     def colour(self, piece: SegmentSignals) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""
+        factors = self.of_model.variance_factors.get(kind_of(piece))
+        own = self._own_colour(piece)
+        return own if factors is None else own * np.array(factors)
+
+    def _own_colour(self, piece: SegmentSignals) -> Array:
+        """The same of the readings' own noise."""
         w, rho = piece.windows, self.correlation
         if len(w.carriers) == 1 and self.lines:
             return np.array([self._steady(piece)])
@@ -78,6 +84,14 @@ class SensorNoise:
         fs, step = s.sampling_frequency_hz, piece.windows.step
         more = (added_noise(x, fs, piece.averaged, step, ohm, henry, variance) for x in self.lines if x.switching)
         return (1.0 + rho) / (1.0 - rho) + sum(more)
+
+
+def kind_of(piece: SegmentSignals) -> str:
+    """The kind of stage whose model errors are alike, mode by mode: all that rests is one."""
+    if piece.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
+        return "rest"
+    modes = len(piece.windows.carriers)
+    return piece.stage.value if modes == 1 else f"{piece.stage.value} in {modes} modes"
 
 
 def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -> SensorNoise:

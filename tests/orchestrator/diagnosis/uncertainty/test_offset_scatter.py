@@ -12,7 +12,7 @@ from orchestrator.diagnosis.uncertainty.offset_scatter import offset_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.frames import from_two_phases
 from plugins.effects.sensors import CurrentOffset
-from protocols import SegmentStage
+from protocols import ModelNoise, SegmentStage
 from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared
 
 
@@ -43,7 +43,7 @@ def test_scatter_is_found_as_large_as_it_is() -> None:
     assert fit.chi2_per_dof > 2.0
     assert found.chi2 == pytest.approx(1.0, abs=0.1)
     # With it as noise a fit has as much error as noise makes, and tells the same scatter again.
-    wider = maker.with_offset_scatter(found.sigma_a)
+    wider = maker.with_noise(ModelNoise(offset_scatter_a=found.sigma_a))
     again = wider.fit(free_model())
     assert again.chi2_per_dof == pytest.approx(1.0, abs=0.1)
     assert offset_scatter(wider, again, []).sigma_a == pytest.approx(found.sigma_a, rel=0.02)
