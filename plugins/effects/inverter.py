@@ -12,6 +12,7 @@ from numba import njit
 from orchestrator.numerics.frames import from_two_phases
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
+from plugins.effects._commutation import lost_at_edges
 from plugins.effects._filters import held_lag
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
@@ -81,16 +82,14 @@ class Knee(EffectParameters):
 
 
 def _less_step(
-    signals: Signals, volts: Array, threshold_a: float, knee: Knee, *, step: float = 0.01, end: float = 40.0
-) -> Correction:
+    v_ab: Array, i_ab: Array, volts: Array, threshold_a: float, knee: Knee, *, step: float = 0.01, end: float = 40.0
+) -> Array:
     """The voltage without `volts` (n,) against the sign of each phase current.
 
     s is read, linearly between entries, from a table of this `step` and `end`, in thresholds; beyond it is flat.
     """
     table = _soft_sign(knee.softness, knee.variance, step, end)
-    v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
-    i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
-    return Correction(v_ab=_without_sign(v_ab, i_ab, volts, 1.0 / (threshold_a * step), table))
+    return np.asarray(_without_sign(v_ab, i_ab, volts, 1.0 / (threshold_a * step), table))
 
 
 class DeadTime:
@@ -99,8 +98,10 @@ class DeadTime:
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
     is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
     capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
-    In the flexible form the softness is free, and half of s is narrower, half wider, by exp(sqrt(`variance`)): the
-    capacitances are not constant.
+    In the flexible form the softness is free, half of s is narrower, half wider, by exp(sqrt(`variance`)): the
+    capacitances are not constant; and a share `switched` of the voltage is lost as at the edges of a switching leg,
+    each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
+    C V_dc / t_d, the same at every PWM frequency, and i_th t_d the charge that a leg's capacitances take up in a swing.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -114,13 +115,32 @@ class DeadTime:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=1.0)
+        switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
         own = signals.drive.pwm_frequency_hz if signals.drive is not None else None
         bus = signals.drive.dc_bus_voltage_v if signals.drive is not None else float(np.mean(signals.v_dc))
-        volts = p.voltage_v * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz)
-        return _less_step(signals, np.asarray(volts / bus * signals.v_dc, dtype=np.float64), p.threshold_a, p)
+        scale = p.voltage_v * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz) / bus
+        volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
+        commanded = v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+        i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        if p.switched < 1.0:
+            v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p)
+        if p.switched > 0.0:
+            # Current between samples hardly bends: two carrier periods stand for all of them.
+            cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
+            ripple = _edge_ripple(signals) / p.threshold_a
+            v_ab = v_ab - p.switched * lost_at_edges(commanded, i_ab, volts, 1.0 / p.threshold_a, ripple, cycles)
+        return Correction(v_ab=v_ab)
+
+
+def _edge_ripple(signals: Signals) -> float:
+    """T / (12 L) [A/V]: how far from the mean the current at an edge is, a volt between two phases; 0 if unknown."""
+    motor = signals.motor
+    if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
+        return 0.0
+    return (0.5 / motor.d_inductance_h + 0.5 / motor.q_inductance_h) / (12.0 * signals.pwm_frequency_hz)
 
 
 class DeviceDrop:
@@ -143,7 +163,10 @@ class DeviceDrop:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
-        return _less_step(signals, np.full(len(signals.v_dc), p.voltage_v), p.threshold_a, p)
+        v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+        i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        volts = np.full(len(signals.v_dc), p.voltage_v)
+        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p))
 
 
 class VoltageBias:

@@ -1,0 +1,97 @@
+"""What a switching leg loses at its edges: the ideal step, its knee, its oddness, and how all of it goes with PWM."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.numerics.frames import from_phases, to_phases
+from orchestrator.numerics.types import Array
+from plugins.effects.inverter import DeadTime
+from protocols import DriveRecord, Motor, Signals
+
+FS, BUS = 10_000.0, 540.0
+VOLTS = 8.0
+
+
+def _signals(i_abc: Array, v_abc: Array | None = None, pwm_hz: float = FS, *, known: bool = True) -> Signals:
+    """Held currents and voltages (n, 3), a segment's worth; `known`: with a nameplate."""
+    i_ab = from_phases(i_abc)
+    n = len(i_ab)
+    motor = Motor(name="m", pole_pairs=2, d_inductance_h=0.05, q_inductance_h=0.05) if known else None
+    return Signals(
+        start_s=0.0,
+        sampling_frequency_hz=FS,
+        pwm_frequency_hz=pwm_hz,
+        i_ab=i_ab,
+        v_ab=np.zeros((n, 2)) if v_abc is None else from_phases(v_abc),
+        v_dc=np.full(n, BUS),
+        theta_rad=np.zeros(n),
+        resistance_ohm=np.full(n, 4.0),
+        i_m_ab=i_ab,
+        heat_j=np.zeros(n),
+        motor=motor,
+        drive=DriveRecord(name="d", sampling_frequency_hz=FS, pwm_frequency_hz=FS, dc_bus_voltage_v=BUS),
+    )
+
+
+def _lost(signals: Signals, threshold_a: float, switched: float = 1.0) -> Array:
+    """Voltage lost in each phase, shape (n, 3)."""
+    effect = DeadTime()
+    p = effect.Parameters(voltage_v=VOLTS, threshold_a=threshold_a, switched=switched)
+    v_ab = effect.correct(signals, p).v_ab
+    assert v_ab is not None
+    return to_phases(signals.v_ab - v_ab)
+
+
+def _held(i_a: float) -> Array:
+    """Phase a at this current and the others far from zero, so that what is lost in a shows alone."""
+    return np.tile([i_a, 50.0, -50.0 - i_a], (10, 1))
+
+
+def _share_of_a(i_a: float, threshold_a: float, pwm_hz: float = FS) -> float:
+    """Without ripple, the part of V_dt that phase a loses: b and c lose nearly all of theirs against each other."""
+    lost = _lost(_signals(_held(i_a), pwm_hz=pwm_hz, known=False), threshold_a)[0]
+    return float(1.5 * lost[0] / (VOLTS * pwm_hz / FS))
+
+
+def test_without_capacitance_all_of_the_dead_time_is_lost() -> None:
+    for i_a in (0.1, -2.0):
+        assert _share_of_a(i_a, 1e-3) == pytest.approx(np.sign(i_a), abs=0.006)
+
+
+@pytest.mark.parametrize("knees", [0.2, 1.0, 4.0])
+def test_the_capacitances_give_back_what_the_swing_takes(knees: float) -> None:
+    i_k = 0.05
+    expected = 0.5 * knees if knees < 1.0 else 1.0 - 0.5 / knees
+    assert _share_of_a(knees * i_k, i_k) == pytest.approx(expected, abs=0.001)
+
+
+def test_the_knee_is_at_the_same_current_at_every_pwm_frequency() -> None:
+    assert _share_of_a(0.05, 0.05, 2 * FS) == pytest.approx(_share_of_a(0.05, 0.05), rel=1e-12)
+
+
+def test_what_is_lost_is_odd_where_the_current_holds() -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(20):
+        i_abc, v_abc = (np.tile(size * rng.normal(size=3), (3, 1)) for size in (0.3, 20.0))
+        there = _lost(_signals(i_abc, v_abc), 0.3)
+        back = _lost(_signals(-i_abc, -v_abc), 0.3)
+        assert np.abs(there + back).max() < 1e-12 * np.abs(there).max()
+
+
+@pytest.mark.parametrize("pwm_hz", [FS, 2 * FS, 4 * FS])
+def test_the_falling_edge_sees_the_ripple_that_the_rising_one_does_not(pwm_hz: float) -> None:
+    """Below the knee late(x) is linear: a ripple r beside a mean above it adds r / (2 i_k)."""
+    i_k, i_a, across_v = 0.05, 0.02, 20.0
+    full = VOLTS * pwm_hz / FS
+    v_abc = np.tile([0.0, 0.5 * across_v + full, -0.5 * across_v - full], (10, 1))
+    lost = _lost(_signals(_held(i_a), v_abc, pwm_hz), i_k)[0, 0]
+    ripple = across_v / (12.0 * 0.05 * pwm_hz)
+    assert 1.5 * lost / full - _share_of_a(i_a, i_k, pwm_hz) == pytest.approx(ripple / (2.0 * i_k), rel=0.02)
+
+
+def test_a_share_of_the_switched_form_is_in_between() -> None:
+    signals = _signals(_held(0.03))
+    soft, switched, half = (_lost(signals, 0.05, share) for share in (0.0, 1.0, 0.5))
+    np.testing.assert_allclose(half, 0.5 * (soft + switched), rtol=1e-12)
