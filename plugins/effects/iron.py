@@ -11,15 +11,26 @@ from numba import njit
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag, lagged_steps
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
+from protocols import (
+    Contrast,
+    Correction,
+    EffectLayer,
+    EffectParameters,
+    RealArray,
+    Signals,
+    amplitude,
+    refinement,
+    shape,
+)
 
 
 class EddyCurrents:
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
     A sample taken just before the voltage changes has seen the voltage of the interval before. In the flexible form
-    the eddy current's path has an inductance too, and follows within `lag_s`. Source: the core-loss resistance of
-    the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
+    the eddy current's path has an inductance too, and follows within `lag_s`; and its conductance is
+    (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on one axis alone.
+    Source: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
     """
 
     name: ClassVar[str] = "eddy_currents"
@@ -34,17 +45,30 @@ class EddyCurrents:
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
         lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=1e-3)
+        saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the eddy current from the magnetising current, and its steps from the resistive drop."""
         before = np.concatenate([signals.v_ab[:1], signals.v_ab[:-1]])
-        eddy = (before - signals.resistance_ohm[:, None] * signals.i_ab) / p.core_loss_ohm
+        ohm = signals.resistance_ohm[:, None]
+        felt = before - ohm * signals.i_ab
         late = p.lag_s * signals.sampling_frequency_hz
+        decay = math.exp(-1.0 / late) if late > 1e-2 else 0.0
         if late > 0.0:
             # Voltage held over an interval: at its end the current has come this much nearer to it.
-            eddy = held_lag(np.ascontiguousarray(eddy), math.exp(-1.0 / late))
-        step = (0.5 - late) * signals.resistance_ohm[:, None] * (signals.v_ab - before) / p.core_loss_ohm
+            felt = held_lag(np.ascontiguousarray(felt), decay)
+        # What the exponential within an interval has beside the chord between its samples.
+        bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
+        step = bend * ohm * (signals.v_ab - ohm * signals.i_ab - felt)
+        eddy, step = (_by_axis(x, signals.theta_rad, p.saliency) / p.core_loss_ohm for x in (felt, step))
         return Correction(i_m_ab=signals.i_m_ab - eddy, v_ab=signals.v_ab - step)
+
+
+def _by_axis(x_ab: RealArray, theta_rad: RealArray, saliency: float) -> RealArray:
+    """Vectors (n, 2) times 1 + saliency along the d axis and 1 - saliency along the q axis."""
+    if saliency == 0.0:
+        return x_ab
+    return to_ab(to_dq(x_ab, theta_rad) * np.array([1.0 + saliency, 1.0 - saliency]), theta_rad)
 
 
 @njit(cache=True, nogil=True)

@@ -141,6 +141,30 @@ def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
     np.testing.assert_allclose(signals.i_m_ab[10] - out.i_m_ab[10], eddy)
 
 
+@pytest.mark.parametrize("lag_s", [5e-6, 8e-5, 5e-4])
+def test_a_late_eddy_current_bends_between_samples_as_an_exponential(lag_s: float) -> None:
+    """Its mean over an interval, beside the mean of both ends, is in the resistive drop that the voltage loses."""
+    v = np.random.default_rng(2).normal(size=(400, 2))
+    signals = _signals().model_copy(update={"v_ab": v, "i_ab": np.zeros((400, 2)), "i_m_ab": np.zeros((400, 2))})
+    out = _corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s)
+    eddy = -out.i_m_ab
+    decay = math.exp(-1.0 / (lag_s * FS))
+    mean = v / 1000.0 + (eddy - v / 1000.0) * lag_s * FS * (1.0 - decay)
+    after = v / 1000.0 + (eddy - v / 1000.0) * decay
+    bend = 4.0 * (mean - 0.5 * (eddy + after))
+    assert_close((v - out.v_ab)[:-1], bend[:-1], 1e-9, of=bend)
+    assert_close(eddy[1:], after[:-1], 1e-12, of=eddy)
+
+
+def test_a_damper_may_be_on_one_axis_alone() -> None:
+    signals = _signals()
+    axis_d = np.array([math.cos(0.2), math.sin(0.2)])
+    both = signals.i_m_ab - _corrected(EddyCurrents(), signals, core_loss_ohm=1000.0).i_m_ab
+    damped = signals.i_m_ab - _corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, saliency=1.0).i_m_ab
+    assert_close(damped @ axis_d, 2.0 * both @ axis_d, 1e-12, of=both)
+    assert np.abs(damped @ np.array([-axis_d[1], axis_d[0]])).max() < 1e-12 * np.abs(both).max()
+
+
 def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:
     k = np.arange(4000)
     psi = np.stack([swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
