@@ -60,8 +60,8 @@ class EddyCurrents:
         # What the exponential within an interval has beside the chord between its samples.
         bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
         step = bend * ohm * (signals.v_ab - ohm * signals.i_ab - felt)
-        eddy, step = (_by_axis(x, signals.theta_rad, p.saliency) / p.core_loss_ohm for x in (felt, step))
-        return Correction(i_m_ab=signals.i_m_ab - eddy, v_ab=signals.v_ab - step)
+        eddy, drop = (_by_axis(x, signals.theta_rad, p.saliency) / p.core_loss_ohm for x in (felt, step))
+        return Correction(i_m_ab=signals.i_m_ab - eddy, v_ab=signals.v_ab - drop)
 
 
 def _by_axis(x_ab: RealArray, theta_rad: RealArray, saliency: float) -> RealArray:
