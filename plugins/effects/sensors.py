@@ -1,4 +1,4 @@
-"""Errors of two current sensors, in phases a and b, whose third phase is computed: gain, offset, curvature."""
+"""Errors of two current sensors, in phases a and b, whose third phase is computed: gain, offset, drift, curvature."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from orchestrator.numerics.frames import from_two_phases, to_phases
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement
 
 
 class CurrentGainMismatch:
@@ -49,6 +49,33 @@ class CurrentOffset:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the offsets."""
         return Correction(i_ab=signals.i_ab - from_two_phases(p.offset_a_a, p.offset_b_a))
+
+
+class CurrentOffsetDrift:
+    """Offsets of sensors a and b that grow with time: o(t) = rate (1 - exp(-s t)) / s [A], s = `settling_per_s`.
+
+    t counts from the start of the experiment, and o(0) is a `CurrentOffset`. In the simple form s is 0 and the offset
+    grows as rate t: electronics that warm up slower than the experiment lasts.
+    """
+
+    name: ClassVar[str] = "current_offset_drift"
+    summary: ClassVar[str] = "The current sensors' offsets drift as the experiment goes on."
+    signature: ClassVar[str] = "A constant residual, the same at every current, that grows with time."
+    layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = ""
+
+    class Parameters(EffectParameters):
+        rate_a_a_per_s: float = amplitude("A/s", typical=2e-4, prior_width=3e-4, low=-0.01, high=0.01)
+        rate_b_a_per_s: float = amplitude("A/s", typical=2e-4, prior_width=3e-4, low=-0.01, high=0.01)
+        settling_per_s: float = refinement("1/s", neutral=0.0, prior_width=0.01, low=0.0, high=1.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        """Subtract what the offsets have grown by at each sample's time."""
+        now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
+        s = p.settling_per_s
+        grown = now if s == 0.0 else -np.expm1(-s * now) / s
+        return Correction(i_ab=signals.i_ab - grown[:, None] * from_two_phases(p.rate_a_a_per_s, p.rate_b_a_per_s))
 
 
 class CurrentNonlinearity:

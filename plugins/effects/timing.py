@@ -14,6 +14,7 @@ class VoltageDelay:
     """v(t - T_d) [V]: each command acts T_d later than the record says; T_d in s.
 
     Over one interval the mean voltage is then (1 - T_d/Ts) v_k + (T_d/Ts) v_k-1.
+    A whole sample at 4 kHz is within the bounds.
     """
 
     name: ClassVar[str] = "voltage_delay"
@@ -24,7 +25,7 @@ class VoltageDelay:
     gauge: ClassVar[str] = ""
 
     class Parameters(EffectParameters):
-        delay_s: float = amplitude("s", typical=1e-5, prior_width=2e-5, low=-1e-4, high=2e-4)
+        delay_s: float = amplitude("s", typical=1e-5, prior_width=2e-5, low=-1e-4, high=3e-4)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The mean voltage of each interval."""

@@ -196,3 +196,7 @@ FOREIGN: dict[str, Callable[[Rng], Changes]] = {
     "magnetic_viscosity": lambda r: {"viscous_per_wb": r.uniform(0.3, 1.5), "viscous_s": r.uniform(0.03, 0.3)},
 }  # fmt: skip
 """Nothing that the catalogue has; sizes for the 400 W machine."""
+
+
+IN_THE_LIBRARY: dict[str, tuple[str, ...]] = {"drifting_sensor": ("current_offset_drift",)}
+"""Foreign effects that the library has by now: they are foreign where it is taken out."""

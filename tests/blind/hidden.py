@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from tests.blind.campaign import Bench, Campaign
-from tests.blind.effects import CATALOGUE, FOREIGN, Rng
+from tests.blind.effects import CATALOGUE, FOREIGN, IN_THE_LIBRARY, Rng
 from tests.blind.magnetics import PM400, SERVO_48V, TRACTION_28KW, Machine, draw_table
 from tests.blind.plant import HEALTHY, Plant
 from tests.blind.switched_bench import HARDLY_THERE, healthy, imperfect
@@ -101,7 +101,7 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
     if kind in ("foreign", "foreign_behind"):
         about = list(FOREIGN)[index % len(FOREIGN)]
         behind = [("dead_time", BEHIND)] if kind == "foreign_behind" else []
-        return _case(kind, index, about, rng, behind, foreign=about)
+        return _case(kind, index, about, rng, behind, foreign=about, without=IN_THE_LIBRARY.get(about, ()))
     if kind == "nuisance":
         about = NUISANCES[index % len(NUISANCES)]
         # The first round is clean; the later ones have an effect beside the nuisance.

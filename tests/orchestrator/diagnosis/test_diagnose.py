@@ -24,7 +24,7 @@ from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.resistance import WindingHeating
-from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
+from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset, CurrentOffsetDrift
 from plugins.effects.timing import VoltageDelay
 from protocols import Capture, DiagnosisStep, Effect, NotMeasuredError, PluginError, Segment, SegmentStage
 
@@ -174,6 +174,12 @@ def test_foreign_effect_gets_no_name(drifting: Recording, tmp_path: Path) -> Non
     assert report.verdict == "unknown_remains"
     assert not report.effects
     assert report.unexplained.shape[0].group == "constant"
+
+
+def test_a_drift_that_is_in_the_library_is_named(drifting: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(drifting, [*LIBRARY, CurrentOffsetDrift()], out=tmp_path).report
+    assert [e.name for e in report.effects] == ["current_offset_drift"]
+    assert report.effects[0].parameters["rate_a_a_per_s"].value == pytest.approx(0.004, rel=0.02)
 
 
 def test_effect_taken_out_of_the_library_leaves_something_unknown(misaligned: Recording, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
-from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset
+from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset, CurrentOffsetDrift
 from plugins.effects.timing import CurrentFilter, VoltageDelay
 from protocols import DriveRecord, Effect, LossHistory, Motor, RealArray, Signals
 from tests.support.close import assert_close
@@ -94,6 +94,19 @@ def test_sensor_errors_are_undone() -> None:
     assert_close(read.i_m_ab, signals.i_ab, 1e-14)
     bent = _reads(signals, _from_two(true + 3e-4 * true**3))
     assert_close(_corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4).i_ab, signals.i_ab, 1e-7)
+
+
+def test_a_drift_grows_with_the_time_since_the_start_and_settles() -> None:
+    signals = _signals()
+    now = 5.0 + np.arange(400) / FS
+    rates = np.array([2e-4, -1e-4])
+    drifted = _reads(signals, signals.i_ab + _from_two(now[:, None] * rates))
+    read = _corrected(CurrentOffsetDrift(), drifted, rate_a_a_per_s=2e-4, rate_b_a_per_s=-1e-4)
+    assert_close(read.i_ab, signals.i_ab, 1e-13)
+    assert_close(read.i_m_ab, signals.i_ab, 1e-13)
+    settled = _corrected(CurrentOffsetDrift(), signals, rate_a_a_per_s=2e-4, settling_per_s=1.0)
+    grown = _two(signals.i_ab - settled.i_ab)[:, 0]
+    assert_close(grown, 2e-4 * (1.0 - np.exp(-now)), 1e-9)
 
 
 def test_sensor_lag_is_undone_on_a_triangle() -> None:
