@@ -58,7 +58,11 @@ class CurrentFilter:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The current before the lag."""
-        # A slope with the reading's own noise in it would be taken for signal by a fit.
-        i = signals.i_ab if signals.i_smooth_ab is None else signals.i_smooth_ab
+        i = signals.i_ab
+        if signals.i_smooth_ab is not None:
+            # A slope with the reading's own noise in it would be taken for signal by a fit. Where a model on trial
+            # leads the smooth current far away, the reading leads it back.
+            span = np.ptp(i, axis=0)
+            i = np.clip(signals.i_smooth_ab, i - span, i + span)
         part = p.time_constant_s * signals.sampling_frequency_hz
         return Correction(i_ab=signals.i_ab + part * np.diff(i, axis=0, prepend=i[:1]))

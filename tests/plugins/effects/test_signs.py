@@ -118,6 +118,13 @@ def test_sensor_lag_is_undone_on_a_triangle() -> None:
     assert np.abs(out.i_ab - true)[1:].max() < 0.1 * tau * np.abs(slope).max() * 2
 
 
+def test_a_smooth_current_that_ran_away_does_not_take_the_reading_along() -> None:
+    signals = _signals()
+    away = signals.model_copy(update={"i_smooth_ab": 1e4 * np.random.default_rng(3).normal(size=(400, 2))})
+    change = _corrected(CurrentFilter(), away, time_constant_s=8e-6).i_ab - signals.i_ab
+    assert np.abs(change).max() <= 8e-6 * FS * 3.0 * np.ptp(signals.i_ab, axis=0).max()
+
+
 def test_extra_resistance_drops_in_its_own_phase() -> None:
     signals = _signals()
     out = _corrected(PhaseResistanceImbalance(), signals, extra_a_ohm=0.3, extra_b_ohm=0.0)
