@@ -1,8 +1,9 @@
 """What the edges of a switching leg lose to dead time, as numba kernels; they know nothing of recordings.
 
 A leg that switches against its current waits for the dead time t_d; one that switches with it commutates at once,
-as fast as the current i charges the output capacitances: C dv/dt = i. At i_k = C V_dc / t_d the swing just ends
-within t_d; below, the other switch cuts it short. In parts of t_d, the mean of the edge is late by
+as fast as the current i charges the output capacitances of both its devices, together C: dv/dt = i / C. At
+i_k = C V_dc / t_d the swing just ends within t_d; below, the other switch cuts it short. In parts of t_d, the mean of
+the edge is late by
 
     late(x) = 1 where x <= 0,    1 - x/2 up to x = 1,    1 / (2x) beyond,    x = i / i_k
 

@@ -101,7 +101,7 @@ class DeadTime:
     In the flexible form the softness is free, half of s is narrower, half wider, by exp(sqrt(`variance`)): the
     capacitances are not constant; and a share `switched` of the voltage is lost as at the edges of a switching leg,
     each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
-    C V_dc / t_d, the same at every PWM frequency, and i_th t_d the charge that a leg's capacitances take up in a swing.
+    C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
