@@ -118,7 +118,8 @@ class LockChecked(Strict):
     moved_rad: float
     moved_std_rad: float
     twist_rad: float
-    """Rotation of the saliency while the torque acts, half the difference between its signs."""
+    """Apparent rotation of the saliency while the torque acts, half the difference between its signs: cross-saturation
+    looks alike."""
     summary: str
 
 

@@ -2,8 +2,8 @@
 
 The principal axes of the Hessian turn with the rotor. Injection at zero, positive, zero, negative and zero torque
 current shows by how much the rotor has turned between the rests (it slipped in its brake, or was never locked) and
-how far it gives while the torque acts. Half a turn of the axes' angle looks like none; a rotor that follows the
-current vector turns by a quarter.
+how far it seems to give while the torque acts: cross-saturation turns the axes as well. Half a turn of the axes' angle
+looks like none; a rotor that follows the current vector turns by a quarter.
 """
 
 from __future__ import annotations
@@ -51,6 +51,11 @@ def judge_lock(
     ------
     NotMeasuredError
         Where there are fewer than two rests or no torque between them.
+
+    Notes
+    -----
+    `locked` is None where the rotor is back at each rest, and under torque the inductances are what a rotor would show
+    that follows the current, and what saturation by that current would show as well.
     """
     ripples = [
         demodulate(
@@ -71,8 +76,8 @@ def judge_lock(
     for direction_of in (_saliency_direction, _saturation_direction):
         directions = [direction_of(r) for r in rests]
         if all(d is not None for d in directions):
-            twist = _twist(rests[0], torques) if direction_of is _saliency_direction else None
-            return _verdict([d for d in directions if d is not None], twist, tolerance_rad)
+            torque = _under_torque(rests[0], torques) if direction_of is _saliency_direction else None
+            return _verdict([d for d in directions if d is not None], torque, tolerance_rad)
     return _blind(tolerance_rad)
 
 
@@ -101,11 +106,15 @@ def _saliency_direction(ripple: Ripple) -> _Direction | None:
 
 def _saturation_direction(ripple: Ripple) -> _Direction | None:
     """Direction in which the inductances fall: it follows the magnet even in a round motor."""
-    t = ripple.third
-    slope = np.array([t[0] + t[2], t[1] + t[3]])
-    by_t = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
     size = float(np.trace(ripple.hessian)) / max(ripple.flux_rms_wb, 1e-12)
-    return _direction(slope, by_t @ ripple.covariance[3:, 3:] @ by_t.T, size, 1)
+    return _direction(*_slope(ripple), size, 1)
+
+
+def _slope(ripple: Ripple) -> tuple[Array, Array]:
+    """Gradient of the Hessian's trace [A/Wb^2], shape (2,), and its covariance."""
+    t = ripple.third
+    by_t = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
+    return np.array([t[0] + t[2], t[1] + t[3]]), by_t @ ripple.covariance[3:, 3:] @ by_t.T
 
 
 def _direction(
@@ -126,27 +135,42 @@ def _turned(later: _Direction, earlier: _Direction) -> tuple[float, float]:
 
 
 @dataclass(frozen=True)
-class _Twist:
-    angle: float
-    follows: bool
+class _UnderTorque:
+    lean: float
+    """By how much the saliency at rest would have to turn for the coupling that is seen [rad]."""
+    follows: bool | None
+    """Whether the rotor goes where the current points; None: saturation would look the same."""
+
+    def in_words(self, tolerance_rad: float) -> str:
+        # A turn changes the coupling by half the saliency at most: what leans more is no turn.
+        if abs(self.lean) > 0.5:
+            return "cross-saturation under torque hides any twist"
+        size = f"twist under torque {math.degrees(self.lean):+.2f} deg el."
+        return size if abs(self.lean) <= tolerance_rad else f"apparent {size}: cross-saturation looks like it"
 
 
-def _verdict(rests: list[_Direction], twist: _Twist | None, tolerance_rad: float) -> LockChecked:
+def _verdict(rests: list[_Direction], torque: _UnderTorque | None, tolerance_rad: float) -> LockChecked:
     moved, std = max((_turned(rest, rests[0]) for rest in rests[1:]), key=lambda turn: abs(turn[0]))
     confidence = _within(moved, std, tolerance_rad)
     # A measurement blunter than the tolerance convicts nobody: then only a rotation beyond its own error does.
     blunt = 2.0 * std > tolerance_rad and abs(moved) < 3.0 * std
-    locked = confidence > 0.5 or blunt
+    locked: bool | None = confidence > 0.5 or blunt
     words = "locked" if confidence > 0.5 else "the rotor moved"
     if blunt:
         words = "no movement seen, but the saliency is too weak to tell to within the tolerance"
-    if twist is not None and twist.follows:
+    if torque is not None and torque.follows:
         words = "the saliency follows the current vector: the rotor is free"
         locked, confidence = False, min(confidence, 1e-6)
+    elif torque is not None and torque.follows is None and locked:
+        words = (
+            "cannot tell: under torque this weak saliency is that of a rotor that follows the current and comes back, "
+            "or of one that is held and saturates"
+        )
+        locked = None
     size = f"lasting rotation {math.degrees(moved):+.2f} +- {math.degrees(2 * std):.2f} deg el. (95 %)"
     seen = (
-        f"twist under torque {math.degrees(twist.angle):+.2f} deg el., cross-saturation included"
-        if twist is not None
+        torque.in_words(tolerance_rad)
+        if torque is not None
         else "seen by the direction of saturation, as the motor shows no saliency"
     )
     return LockChecked(
@@ -154,30 +178,70 @@ def _verdict(rests: list[_Direction], twist: _Twist | None, tolerance_rad: float
         confidence=confidence,
         moved_rad=moved,
         moved_std_rad=std,
-        twist_rad=twist.angle if twist is not None else 0.0,
+        twist_rad=torque.lean if torque is not None else 0.0,
         summary=f"{words}; {size}, tolerance {math.degrees(tolerance_rad):.2f} deg; {seen}",
     )
 
 
-def _twist(rest: Ripple, torques: list[Ripple]) -> _Twist:
-    """How far the saliency gives under torque, and whether it goes where the current points.
+def _under_torque(rest: Ripple, torques: list[Ripple]) -> _UnderTorque:
+    """How far the saliency leans under torque, and whether it goes where the current points.
 
     The angle is the one by which the saliency at rest would have to turn to give the coupling H_12 seen under torque,
     half the difference between both signs; the principal axes themselves do not serve, since saturation can make the
-    motor round, or salient the other way, at full current. A rotor that turned to the current shows, across the
-    current, its q axis, which saturation by that current cannot imitate.
+    motor round, or salient the other way, at full current.
     """
     _, axes = np.linalg.eigh(rest.hessian)
     along, across = axes.T if abs(axes[0, 0]) > abs(axes[0, 1]) else axes.T[::-1]
     saliency = float(along @ rest.hessian @ along - across @ rest.hessian @ across)
     turns: dict[bool, list[float]] = {True: [], False: []}
-    follows = False
     for ripple in torques:
         positive = bool(ripple.mean_current_dq @ across * np.sign(across[1]) > 0)
         turns[positive].append(float(ripple.hessian[0, 1] - rest.hessian[0, 1]) / saliency)
-        follows = follows or float(along @ (rest.hessian - ripple.hessian) @ along) / saliency > 0.5
     plus, minus = (float(np.mean(turns[way])) if turns[way] else 0.0 for way in (True, False))
-    return _Twist(0.5 * (plus - minus) if turns[True] and turns[False] else plus - minus, follows)
+    lean = 0.5 * (plus - minus) if turns[True] and turns[False] else plus - minus
+    return _UnderTorque(lean, _follows(rest, torques, along, across))
+
+
+def _follows(rest: Ripple, torques: list[Ripple], along: Array, across: Array) -> bool | None:
+    """Whether the rotor went where the current points; None where saturation by that current would look the same.
+
+    H is even about the rotor's d axis. In a rotor that lies along the current it falls and rises along the current
+    only, while in one that is held the magnet's share of its slope stays on the believed d axis: that tells, where the
+    magnet saturates the motor. Else the saliency has to: a rotor that followed shows its q axis across the current.
+    But saturation by that current raises H on both axes, and so makes an axis with the less H look like the other;
+    only an H that falls is none of it.
+    """
+    eighth = math.sqrt(0.5)  # cosine of the 45 degrees at which the saliency changes sides
+    kept = _slope_kept(rest, torques, (along, across))
+    if kept is not None and kept[0] > eighth:
+        return False
+    changes = [ripple.hessian - rest.hessian for ripple in torques]
+    saliency = float(along @ rest.hessian @ along - across @ rest.hessian @ across)
+    if not any(-float(along @ change @ along) / saliency > 0.5 for change in changes):
+        return False
+    falls = max(-float(axis @ change @ axis) for change in changes for axis in (along, across))
+    if falls > 0.5 * abs(saliency) or (kept is not None and kept[1] < 0.5 * eighth):
+        return True
+    return None
+
+
+def _slope_kept(rest: Ripple, torques: list[Ripple], axes: tuple[Array, Array]) -> tuple[float, float] | None:
+    """The least and the most of the slope at rest that is left under torque, at 3 sigma; None where it is not seen.
+
+    Along that of the principal axes on which the slope lies: they are known the better.
+    """
+    if _saturation_direction(rest) is None:
+        return None
+    slope, covariance = _slope(rest)
+    axis = max(axes, key=lambda e: abs(float(slope @ e)))
+    size = float(slope @ axis)
+    left = []
+    for ripple in torques:
+        now, scatter = _slope(ripple)
+        share = float(now @ axis) / size
+        std = math.sqrt(float(axis @ (scatter + share**2 * covariance) @ axis)) / abs(size)
+        left.append((share - 3.0 * std, share + 3.0 * std))
+    return min(low for low, _ in left), max(high for _, high in left)
 
 
 def _within(value: float, std: float, tolerance: float) -> float:

@@ -73,7 +73,8 @@ def said(message: Message) -> Said | None:
         case OperatorAnswered():
             return Said("answered", f"{message.answer} (by {message.by})")
         case LockChecked():
-            return Said("lock check", typographic(message.summary), "good" if message.locked else "bad")
+            mood = "info" if message.locked is None else "good" if message.locked else "bad"
+            return Said("lock check", typographic(message.summary), mood)
         case ResistanceEstimated():
             return Said("R_s", resistance(message.estimate), "good")
         case MapEstimated():

@@ -100,7 +100,9 @@ def summary(material: Material) -> Iterator[Line]:
     yield from _inductance_line(material)
     if material.lock is not None:
         locked = material.lock.locked
-        yield Line("Rotor", typographic(material.lock.summary), "good" if locked else "bad")
+        yield Line(
+            "Rotor", typographic(material.lock.summary), "info" if locked is None else "good" if locked else "bad"
+        )
     yield _amount(material)
 
 

@@ -47,7 +47,8 @@ class Status:
             if self.ended is None:
                 rows.append(("left", f"{duration(self.done.seconds_left)} of the drive's time"))
         if self.lock is not None:
-            rows.append(("rotor", "locked" if self.lock.locked else "NOT LOCKED"))
+            known = {True: "locked", False: "NOT LOCKED", None: "not known whether it is locked"}
+            rows.append(("rotor", known[self.lock.locked]))
         if self.resistance is not None:
             rows.append(("R_s", resistance(self.resistance)))
         if self.map_method is not None:

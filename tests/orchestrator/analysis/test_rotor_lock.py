@@ -118,3 +118,70 @@ def test_rests_and_torque_are_both_needed() -> None:
         judge_lock(everything[:2], TOLERANCE)
     with pytest.raises(NotMeasuredError):
         judge_lock([], TOLERANCE)
+
+
+def soft_d(psi: Array) -> Array:
+    """grad H of H = x^2/2L_d + y^2/2L_q + 9 x^3 + 6 x y^2 + 40 x^4 + 60 x^2 y^2 + 50 y^4, L_d a tenth above L_q.
+
+    3 A on q lower L_dd by nine tenths of the saliency.
+    """
+    x, y = psi[..., 0], psi[..., 1]
+    return np.stack(
+        [
+            x / 0.055 + 27 * x**2 + 6 * y**2 + 160 * x**3 + 120 * x * y**2,
+            y / 0.050 + 12 * x * y + 120 * x**2 * y + 200 * y**3,
+        ],
+        axis=-1,
+    )
+
+
+def soft_d_without_a_magnets_saturation(psi: Array) -> Array:
+    """The same without its odd terms: nothing but the saliency tells where its d axis is."""
+    x, y = psi[..., 0], psi[..., 1]
+    return np.stack(
+        [x / 0.055 + 160 * x**3 + 120 * x * y**2, y / 0.050 + 120 * x**2 * y + 200 * y**3],
+        axis=-1,
+    )
+
+
+def test_saturation_that_undoes_the_saliency_does_not_make_a_held_rotor_free() -> None:
+    verdict = judge_lock(captures([0.0] * 5, current_of=soft_d, noise_a=2e-3), TOLERANCE)
+    assert verdict.locked
+    assert verdict.confidence > 0.5
+    assert "locked" in verdict.summary
+
+
+@pytest.mark.parametrize("back", [0.0, QUARTER], ids=["springs back", "stays"])
+def test_such_a_rotor_is_caught_when_it_follows(back: float) -> None:
+    angles = [0.0, QUARTER, back, -QUARTER, -back]
+    verdict = judge_lock(captures(angles, FOLLOWED, soft_d), TOLERANCE)
+    assert verdict.locked is False
+    assert "free" in verdict.summary
+
+
+def test_what_saturation_and_a_free_rotor_would_both_show_is_not_known() -> None:
+    held = judge_lock(captures([0.0] * 5, current_of=soft_d_without_a_magnets_saturation), TOLERANCE)
+    assert held.locked is None
+    assert "cannot tell" in held.summary
+    moved = [0.0, QUARTER, QUARTER, QUARTER, QUARTER]
+    assert judge_lock(captures(moved, FOLLOWED, soft_d_without_a_magnets_saturation), TOLERANCE).locked is False
+
+
+def test_cross_saturation_is_not_called_a_twist() -> None:
+    def crossing(psi: Array) -> Array:
+        # H = x^2/2L_d + y^2/2L_q + 8 x y^2: the coupling under torque is that of a rotor turned by some degrees
+        x, y = psi[..., 0], psi[..., 1]
+        return np.stack([x / 0.043 + 8 * y**2, y / 0.069 + 16 * x * y], axis=-1)
+
+    def much(psi: Array) -> Array:
+        x, y = psi[..., 0], psi[..., 1]
+        return np.stack([x / 0.043 + 14 * y**2, y / 0.069 + 28 * x * y], axis=-1)
+
+    some = judge_lock(captures([0.0] * 5, current_of=crossing), TOLERANCE)
+    assert some.locked
+    assert 0.1 < some.twist_rad < 0.5
+    assert "apparent twist" in some.summary
+    more = judge_lock(captures([0.0] * 5, current_of=much), TOLERANCE)
+    assert more.twist_rad > 0.5
+    assert "deg el." not in more.summary.split("tolerance")[1].split(";")[1]
+    assert "apparent" not in judge_lock(captures([0.0] * 5, current_of=linear_current), TOLERANCE).summary
