@@ -41,6 +41,7 @@ from protocols import (
     StageStarted,
     StageState,
     StateChanged,
+    StorageError,
 )
 
 Ending = Literal["finished", "faulted", "aborted"]
@@ -109,6 +110,7 @@ class Commissioning:
             plugins,
         )
         self._summary: EstimationReport | None = None
+        self._unwritten: StorageError | None = None
 
     @property
     def state(self) -> str:
@@ -237,15 +239,24 @@ class Commissioning:
         if self._agenda.done:
             trouble.append(self._last_word(self._run.write_manifest))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
-        self._last_word(lambda: self._machine.fire(ENDINGS[outcome.ending], reason))
-        ended = RunEnded(outcome=outcome.ending, reason=reason, run=str(self._run.path), estimates=self._summary)
-        self._last_word(lambda: self._log.say(ended, durable=True))
-        return Outcome(outcome.ending, reason, outcome.error, self._summary)
+        ending = self._ending(outcome)
+        self._last_word(lambda: self._machine.fire(ENDINGS[ending], reason))
+        ended = RunEnded(outcome=ending, reason=reason, run=str(self._run.path), estimates=self._summary)
+        trouble.append(self._last_word(lambda: self._log.say(ended, durable=True)))
+        reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
+        return Outcome(self._ending(outcome), reason, outcome.error or self._unwritten, self._summary)
+
+    def _ending(self, outcome: Outcome) -> Ending:
+        """A run of which something could not be written has not finished, though every stage is done."""
+        return "faulted" if outcome.error is None and self._unwritten is not None else outcome.ending
 
     def _last_word(self, call: Callable[[], object]) -> str:
         """Do one thing of the way out; a disk that is full must not keep the next from being done."""
         try:
             call()
+        except StorageError as error:
+            self._unwritten = self._unwritten or error
+            return str(error)
         except (FluxbenchError, OSError) as error:
             return str(error)
         return ""

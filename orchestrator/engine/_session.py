@@ -96,7 +96,9 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
                 with run.at_work():
                     return _commission(run, plan, drive, capabilities, plugins, streams, crew)
         except BaseException:
-            # A run that is under way ends in an outcome: what comes here was before anything was energised.
+            # A run that is under way ends in an outcome. Where something was measured all the same, it stays.
+            if RunDirectory.has_captures(path):
+                raise
             for folder in (path, private_directory(path)):
                 shutil.rmtree(folder, ignore_errors=True)
             raise

@@ -1,6 +1,6 @@
 """Recordings on disk, format version 1: read strictly, written durably. Nothing here interprets a waveform."""
 
-from orchestrator.recording._files import remove_partial_files, replace_file
+from orchestrator.recording._files import remove_partial_files, replace_file, storage_error, sync_folder
 from orchestrator.recording._manifest import MANIFEST_NAME, capture_path, read_manifest, write_manifest
 from orchestrator.recording._model_file import MODEL_NAME, has_model, read_model, write_model
 from orchestrator.recording._reader import Recording, open_recording
@@ -19,6 +19,8 @@ __all__ = [
     "read_model",
     "remove_partial_files",
     "replace_file",
+    "storage_error",
+    "sync_folder",
     "write_manifest",
     "write_model",
 ]

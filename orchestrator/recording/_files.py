@@ -31,9 +31,15 @@ def replace_file(path: Path, content: bytes) -> None:
 
 
 def remove_partial_files(folder: Path) -> None:
-    """Remove what a killed process left half written in `folder`; only the folder's owner may call it."""
+    """Remove what a killed process left half written in `folder`; only the folder's owner may call it.
+
+    Raises `StorageError` where it cannot be removed.
+    """
     for leftover in folder.glob(f".*{PARTIAL_SUFFIX}"):
-        leftover.unlink(missing_ok=True)
+        try:
+            leftover.unlink(missing_ok=True)
+        except OSError as error:
+            raise storage_error(leftover, error) from error
 
 
 def partial_path(path: Path) -> Path:

@@ -6,6 +6,7 @@ import hashlib
 import math
 import os
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -110,8 +111,9 @@ class SegmentWriter:
     ) -> None:
         if self._file is None or self._file.closed:
             return
-        self._file.close()
-        self._partial.unlink(missing_ok=True)
+        with suppress(OSError):  # where nothing can be written, nothing can be removed either
+            self._file.close()
+            self._partial.unlink(missing_ok=True)
         if self._parquet is not None:
             self._parquet.close()
 
@@ -124,15 +126,18 @@ class SegmentWriter:
         self._start_s, self._rate = capture.start_s, capture.sampling_frequency_hz
         self._pending = {name: np.empty(ROW_GROUP, dtype=column.dtype) for name, column in columns_of(capture).items()}
         schema = pa.schema([pa.field(name, pa.from_numpy_dtype(c.dtype), False) for name, c in self._pending.items()])
-        self._parquet = pq.ParquetWriter(
-            pa.PythonFile(self._file, mode="w"),
-            schema,
-            compression="zstd",
-            compression_level=1,
-            use_dictionary=False,
-            use_byte_stream_split=True,
-            write_statistics=False,
-        )
+        try:
+            self._parquet = pq.ParquetWriter(
+                pa.PythonFile(self._file, mode="w"),
+                schema,
+                compression="zstd",
+                compression_level=1,
+                use_dictionary=False,
+                use_byte_stream_split=True,
+                write_statistics=False,
+            )
+        except OSError as error:
+            raise storage_error(self._path, error) from error
 
     def _check_continues(self, capture: Capture, columns: Mapping[str, RealArray]) -> None:
         if columns.keys() != self._pending.keys():

@@ -12,7 +12,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -149,6 +149,11 @@ class RunDirectory:
             RunDirectory.refuse_occupied(path)
             yield
 
+    @staticmethod
+    def has_captures(path: Path) -> bool:
+        """Whether something was measured into the directory, whatever its journal says."""
+        return next((path / _CAPTURES).glob("*.parquet"), None) is not None
+
     @classmethod
     def open(cls, path: Path) -> Self:
         """Open an existing run; raises `RecordingError` where there is none or `run.json` is damaged."""
@@ -270,8 +275,9 @@ def _flock(path: Path) -> Iterator[None]:
             raise RecordingError(
                 str(path), "", f"another fluxbench process ({holder}) is at work on this run"
             ) from None
-        os.ftruncate(descriptor, 0)
-        os.pwrite(descriptor, f"pid {os.getpid()}\n".encode(), 0)
+        with suppress(OSError):  # who holds it is a courtesy: the lock counts
+            os.ftruncate(descriptor, 0)
+            os.pwrite(descriptor, f"pid {os.getpid()}\n".encode(), 0)
         yield
     finally:
         os.close(descriptor)

@@ -1,12 +1,17 @@
 """The journal: one JSON line an event, appended and never changed; what the last instant tore off is dropped.
 
 It is the source of truth for resuming a run. What the messages mean is not known here.
+
+After a sync that failed nobody knows what of it is on the disk, and a later one that succeeds proves nothing (Rebello
+et al., Can applications recover from fsync failures?, ACM Trans. Storage 17, 2021, doi:10.1145/3450338). So the journal
+then ends with what the last good sync covered, and takes nothing more until it is opened again.
 """
 
 from __future__ import annotations
 
 import json
 import os
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
@@ -15,6 +20,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.recording import storage_error, sync_folder
 from protocols import JournalledMessage, RecordingError, StorageError
 
 
@@ -42,6 +48,8 @@ class Journal:
         self._descriptor: int | None = None
         self._next = 0
         self._size = 0
+        self._synced = 0
+        self._failure: StorageError | None = None
 
     def read(self) -> list[JournalRecord]:
         """All whole records in order; a torn last line is passed over.
@@ -55,48 +63,72 @@ class Journal:
 
     def __enter__(self) -> Self:
         records, self._size = self._read()
-        self._next = len(records)
+        self._next, self._synced, self._failure = len(records), self._size, None
         try:
             self._descriptor = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | os.O_CLOEXEC, 0o644)
             os.ftruncate(self._descriptor, self._size)
             os.fsync(self._descriptor)
+            sync_folder(self.path.parent)
         except OSError as error:
-            raise self._storage_error(error) from error
+            self._close()
+            raise storage_error(self.path, error) from error
         return self
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if self._descriptor is not None:
-            os.close(self._descriptor)
-            self._descriptor = None
+        self._close()
 
     def append(self, message: JournalledMessage, durable: bool = False) -> None:
         """Add a record; with `durable` it is on the disk when this returns.
 
-        Raises `StorageError` where it cannot be written; the journal then ends with the last whole record.
+        Raises `StorageError` where it cannot be written, and from a failed sync on at every call. What was not written
+        is cut off again, what was not synced too; where even that fails, the line is the last one, whole or torn.
         """
         if self._descriptor is None:
             raise ValueError("the journal is not open for appending")
+        if self._failure is not None:
+            raise self._failure
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
         line = f'{{"t":"{now}","n":{self._next},"message":{message.model_dump_json()}}}\n'.encode()
         try:
             self._write(self._descriptor, line)
-            if durable:
-                os.fdatasync(self._descriptor)
         except OSError as error:
-            raise self._storage_error(error) from error
+            raise self._cut(self._descriptor, error) from error
         self._next += 1
         self._size += len(line)
+        if durable:
+            self._sync(self._descriptor)
 
     def _write(self, descriptor: int, line: bytes) -> None:
         written = 0
+        while written < len(line):
+            written += os.write(descriptor, line[written:])
+
+    def _sync(self, descriptor: int) -> None:
         try:
-            while written < len(line):
-                written += os.write(descriptor, line[written:])
-        except OSError:
+            os.fdatasync(descriptor)
+        except OSError as error:
+            self._size = self._synced
+            self._failure = self._cut(descriptor, error)
+            raise self._failure from error
+        self._synced = self._size
+
+    def _cut(self, descriptor: int, why: OSError) -> StorageError:
+        """End the file where it is known good; where that cannot be done nothing may follow what is there."""
+        failure = storage_error(self.path, why)
+        try:
             os.ftruncate(descriptor, self._size)
-            raise
+        except OSError:
+            self._failure = failure
+        return failure
+
+    def _close(self) -> None:
+        """Let go of the file; what closing complains of has been written, or has failed, before."""
+        if self._descriptor is not None:
+            with suppress(OSError):
+                os.close(self._descriptor)
+            self._descriptor = None
 
     def _read(self) -> tuple[list[JournalRecord], int]:
         if self.path.exists() and not self.path.is_file():  # reading a pipe would wait for ever
@@ -125,6 +157,3 @@ class Journal:
         if record.n != number:
             raise RecordingError(where, "n", f"expected record {number}, got {record.n}: lines are missing or doubled")
         return record
-
-    def _storage_error(self, error: OSError) -> StorageError:
-        return StorageError(f"{self.path}: cannot be written: {error.strerror or error}")

@@ -21,7 +21,7 @@ import socket
 import struct
 import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -47,13 +47,20 @@ class ForkedCommand:
         Minus the number of the signal that ended it; None while it runs.
     """
 
-    def __init__(self, words: Sequence[str], cwd: Path | None = None) -> None:
+    def __init__(
+        self,
+        words: Sequence[str],
+        cwd: Path | None = None,
+        preload: Path | None = None,
+        environment: Mapping[str, str] | None = None,
+    ) -> None:
         self.returncode: int | None = None
         self._outputs = [os.memfd_create(name) for name in ("stdout", "stderr")]
         self._printed = ("", "")
         self._told, telling = os.pipe()
-        request = json.dumps({"words": list(words), "cwd": str(cwd or Path.cwd()), "environment": dict(os.environ)})
-        socket.send_fds(_server(), [request.encode()], [*self._outputs, telling])
+        around = {**os.environ, **(environment or {})}
+        request = json.dumps({"words": list(words), "cwd": str(cwd or Path.cwd()), "environment": around})
+        socket.send_fds(_server(preload), [request.encode()], [*self._outputs, telling])
         os.close(telling)
         self.pid = self._hear()
 
@@ -104,13 +111,14 @@ def _all_of(output: int) -> str:
 
 
 @functools.cache
-def _server() -> socket.socket:
-    """The way to a server of this process's own, which ends with it."""
+def _server(preload: Path | None) -> socket.socket:
+    """The way to a server of this process's own, which ends with it; `preload` is a library that comes first."""
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     with far:
         words = [sys.executable, "-m", "tests.support.forking", str(far.fileno())]
         nothing = subprocess.DEVNULL
-        process = subprocess.Popen(words, cwd=ROOT, stdin=nothing, stdout=nothing, pass_fds=[far.fileno()])
+        around = {**os.environ, "LD_PRELOAD": str(preload)} if preload else None
+        process = subprocess.Popen(words, cwd=ROOT, env=around, stdin=nothing, stdout=nothing, pass_fds=[far.fileno()])
     atexit.register(process.wait)
     atexit.register(near.close)
     return near

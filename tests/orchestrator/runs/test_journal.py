@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import resource
@@ -144,3 +145,53 @@ def test_a_full_disk_is_a_storage_error_and_the_journal_ends_with_a_whole_line(j
             journal.append(note("x" * 20_000))
         journal.append(note("fits again"))
     assert texts(journal) == ["fits", "fits again"]
+
+
+def unable(*_: int) -> None:
+    raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+
+def test_after_a_failed_sync_it_ends_with_what_was_synced_and_takes_nothing_more(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with journal:
+        journal.append(note("synced"), durable=True)
+        journal.append(note("in doubt"))
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fdatasync", unable)
+            with pytest.raises(StorageError, match="cannot be written: Input/output error"):
+                journal.append(note("not synced"), durable=True)
+        with pytest.raises(StorageError, match="cannot be written: Input/output error"):
+            journal.append(note("too late"), durable=True)
+    assert texts(journal) == ["synced"]
+    with journal:
+        journal.append(note("again"), durable=True)
+    assert texts(journal) == ["synced", "again"]
+
+
+@pytest.mark.parametrize("failing", ["fdatasync", "write"])
+def test_where_not_even_cutting_works_no_number_comes_twice(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch, failing: str
+) -> None:
+    with journal:
+        journal.append(note("synced"), durable=True)
+        with monkeypatch.context() as patch:
+            patch.setattr(os, failing, unable)
+            patch.setattr(os, "ftruncate", unable)
+            with pytest.raises(StorageError):
+                journal.append(note("in doubt"), durable=True)
+        with pytest.raises(StorageError):
+            journal.append(note("too late"))
+    with journal:
+        journal.append(note("again"), durable=True)
+    assert texts(journal) == ["synced", *(["in doubt"] if failing == "fdatasync" else []), "again"]
+
+
+def test_a_journal_that_cannot_be_synced_at_opening_leaves_no_file_open(
+    journal: Journal, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = len(list(Path("/proc/self/fd").iterdir()))
+    monkeypatch.setattr(os, "fsync", unable)
+    with pytest.raises(StorageError), journal:
+        pass
+    assert len(list(Path("/proc/self/fd").iterdir())) == before

@@ -1,0 +1,96 @@
+"""A disk that fails at any call of a run: it ends safely, nothing measured is lost, and resuming finishes it."""
+
+from __future__ import annotations
+
+import errno
+import random
+import shutil
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from orchestrator.recording import open_recording
+from orchestrator.runs import is_run
+from protocols import PointDone
+from tests.support.forking import ForkedCommand
+from tests.support.processes import called
+from tests.support.tiny import STAGES, messages_of, tiny_file
+
+SHORT = [*STAGES[:4], STAGES[5]]
+"""Six points, no estimates."""
+POINTS = ["gates_off-000", "alignment-000", *(f"resistance-{k:03d}" for k in range(4))]
+CALLS = ("write", "fsync", "fdatasync", "rename", "open")
+DISARMED = "current ramped down, drive disarmed"
+
+
+@pytest.fixture(scope="session")
+def failing_disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The shared library that makes calls fail."""
+    compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
+    if compiler is None:
+        pytest.skip("no C compiler here: the disk that fails is a shared library, preloaded")
+    library = tmp_path_factory.mktemp("failing_disk") / "failing_disk.so"
+    source = Path(__file__).parents[2] / "support" / "failing_disk.c"
+    subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
+    return library
+
+
+def ends_safely_and_resumes(folder: Path, library: Path, call: str, nth: int, error: int, once: bool) -> int:
+    """Run on that disk, then resume on a good one until every point is there once; returns the run's exit code."""
+    run = folder / "run"
+    fault = {"FAULT_CALL": call, "FAULT_BELOW": f"{run}/", "FAULT_NTH": str(nth), "FAULT_ERRNO": str(error)}
+    fault |= {"FAULT_ONCE": "1"} if once else {}
+    words = ["run", str(tiny_file(folder, stages=SHORT)), "--out", str(run), "--log", "json"]
+    command = ForkedCommand(words, preload=library, environment=fault)
+    shown, told = command.communicate(timeout=60)
+    assert command.returncode in (0, 3), told
+    assert "Traceback" not in told
+    if command.returncode == 3:
+        assert told.count("\n") == 1, told
+        assert "cannot be" in told
+    if '"target":"aligning"' in shown.replace(" ", ""):  # it was armed
+        assert DISARMED in shown
+    if not is_run(run):  # it failed before anything was measured, and left nothing behind
+        assert not run.exists()
+        return command.returncode
+    if command.returncode == 3:
+        resumed = called("resume", run, "--quiet")
+        assert resumed.returncode == 0, resumed.stderr
+    assert [message.id for message in messages_of(run) if isinstance(message, PointDone)] == POINTS
+    recording = open_recording(run)
+    assert [segment.id for segment in recording.segments()] == POINTS
+    for segment in recording.segments():
+        recording.load(segment)
+    assert not list(run.rglob("*.partial"))
+    return command.returncode
+
+
+@pytest.mark.parametrize(
+    ("call", "nth", "error", "once"),
+    [
+        ("fdatasync", 8, errno.EIO, True),
+        ("fdatasync", 6, errno.ENOSPC, False),
+        ("fsync", 7, errno.EIO, True),
+        ("write", 25, errno.ENOSPC, False),
+        ("rename", 3, errno.EIO, True),
+    ],
+)
+def test_a_run_on_a_failing_disk_ends_safely_and_can_be_resumed(
+    tmp_path: Path, failing_disk: Path, call: str, nth: int, error: int, once: bool
+) -> None:
+    assert ends_safely_and_resumes(tmp_path, failing_disk, call, nth, error, once) == 3
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("call", CALLS)
+def test_whichever_call_fails_every_point_is_there_once(tmp_path: Path, failing_disk: Path, call: str) -> None:
+    rng = random.Random(call)
+    failed = 0
+    for nth in [1, 2, 3, *rng.sample(range(4, 60), 9)]:
+        for once in (True, False):
+            folder = tmp_path / f"{nth}-{once}"
+            folder.mkdir()
+            error = rng.choice((errno.EIO, errno.ENOSPC))
+            failed += ends_safely_and_resumes(folder, failing_disk, call, nth, error, once) == 3
+    assert failed >= 6
