@@ -212,6 +212,8 @@ class Capabilities(Strict):
     """Whether `Drive.set_brake` moves a real brake."""
     motor_name: str | None = None
     """The motor that the drive is configured for, where it knows."""
+    notes: tuple[str, ...] = ()
+    """What a user should know of it beforehand, a line each; `check` prints them."""
 
 
 class DriveState(StrEnum):

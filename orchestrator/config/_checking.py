@@ -103,7 +103,7 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
         energy_j=_total([row.energy_j for row in rows]),
         rms_current_a=rms,
         stages=tuple(rows),
-        notes=(*plan.notes, *_heat_notes(plan, rms)),
+        notes=(*plan.notes, *_heat_notes(plan, rms), *(capabilities.notes if capabilities else ())),
     )
 
 

@@ -1,5 +1,7 @@
 """Flux maps of real machines as energies: a table psi(i) becomes a spline H(psi) with grad H = i.
 
+Files are read as everywhere else (`orchestrator.exporting.load_map`); where the magnet does not lie on d, the map is
+turned until it does.
 The spline is fitted to the currents, so that the model is free of curl and even in psi_q whatever
 the measurement's errors; third differences are held small, which smooths noise, and continues H
 quadratically (constant inductances) where the table has no points. Fitting needs the table only:
@@ -8,10 +10,10 @@ a nameplate beside it is handed through.
 
 from __future__ import annotations
 
-import csv
 import json
+import math
 from dataclasses import dataclass, replace
-from importlib.resources import files
+from importlib.resources import as_file, files
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +24,6 @@ from plugins.drives.simulated._inverse import flux_at
 from protocols import InputError, Motor
 
 WHERE = "drive.plant.magnetics"
-COLUMNS = ("i_d_A", "i_q_A", "psi_d_Vs", "psi_q_Vs")
 CELLS = (24, 36)
 SMOOTHER = (1.0, 3.0, 10.0, 30.0, 100.0)
 """Times the least weight of the third differences, until the energy is convex."""
@@ -41,6 +42,8 @@ class FluxTable:
     """The nameplate, for maps that come with the package."""
     smoothing: float = 0.03
     """Least weight of the third differences."""
+    turned_rad: float = 0.0
+    """By how much the file's frame was turned to lie on the magnet."""
 
     @property
     def reach_a(self) -> float:
@@ -68,61 +71,63 @@ def _about(name: str) -> dict[str, Any]:
 
 
 def load_table(name: str | None, file: Path | None) -> FluxTable:
-    """A shipped map by name, or the user's own file.
+    """A shipped map by name, or the user's own: whatever `orchestrator.exporting.load_map` reads.
 
     Raises
     ------
     InputError
         Where there is no such map, or the file does not hold one.
     """
-    if name is not None:
-        about = _about(name)
-        text = (files("plugins.drives.simulated") / "maps" / f"{name}.csv").read_text(encoding="utf-8")
-        table = _checked(name, *_parse_csv(name, text))
-        return replace(table, motor=Motor.model_validate(about["motor"]), smoothing=float(about["smoothing"]))
-    path = Path() if file is None else file
-    try:
-        if path.suffix == ".npz":
-            return _checked(str(path), *_read_npz(path))
-        return _checked(str(path), *_parse_csv(str(path), path.read_text(encoding="utf-8")))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(str(path), "", f"cannot be read: {error}") from None
+    if name is None:
+        path = Path() if file is None else file
+        return _on_the_magnet(_points(str(path), path))
+    about = _about(name)
+    with as_file(files("plugins.drives.simulated") / "maps" / f"{name}.csv") as path:
+        table = _points(name, path)
+    return replace(table, motor=Motor.model_validate(about["motor"]), smoothing=float(about["smoothing"]))
 
 
-def _parse_csv(source: str, text: str) -> tuple[Array, Array]:
-    rows = csv.DictReader(line for line in text.splitlines() if not line.startswith("#"))
-    for column in COLUMNS:
-        if column not in (rows.fieldnames or ()):
-            raise InputError(source, column, f"no such column; expected {', '.join(COLUMNS)}")
-    try:
-        table = np.array([[float(row[c]) for c in COLUMNS] for row in rows])
-    except (TypeError, ValueError):
-        raise InputError(source, "", "a row holds something that is not a number") from None
-    return table.reshape(-1, 4)[:, :2], table.reshape(-1, 4)[:, 2:]
+def _points(source: str, path: Path) -> FluxTable:
+    """The grid points at which a map is known."""
+    from orchestrator.exporting import load_map
 
-
-def _read_npz(path: Path) -> tuple[Array, Array]:
-    with path.open("rb") as stream:
-        try:
-            content = np.load(stream, allow_pickle=False)
-            i, psi = np.asarray(content["i_s_dq"]).ravel(), np.asarray(content["psi_s_dq"]).ravel()
-        except KeyError as error:
-            raise InputError(str(path), "", f"{error.args[0]}; expected complex i_s_dq and psi_s_dq") from None
-        except (ValueError, EOFError, TypeError) as error:
-            raise InputError(str(path), "", f"not an .npz file: {error}") from None
-    return np.column_stack((i.real, i.imag)).astype(np.float64), np.column_stack((psi.real, psi.imag)).astype(
-        np.float64
-    )
-
-
-def _checked(source: str, i_dq: Array, psi_dq: Array) -> FluxTable:
-    if i_dq.shape != psi_dq.shape or len(i_dq) < 16:
+    flux_map = load_map(path)
+    known = np.isfinite(flux_map.psi_d) & np.isfinite(flux_map.psi_q)
+    if known.sum() < 16:
         raise InputError(source, "", "expected 16 points or more, each with a current and a flux linkage")
-    if not (np.isfinite(i_dq).all() and np.isfinite(psi_dq).all()):
-        raise InputError(source, "", "a value is not finite")
+    i_d, i_q = np.meshgrid(flux_map.i_d, flux_map.i_q, indexing="ij")
+    i_dq = np.column_stack((i_d[known], i_q[known])).astype(np.float64)
     if not (np.ptp(i_dq, axis=0) > 0).all():
         raise InputError(source, "", "the points lie on one line")
-    return FluxTable(source, i_dq, psi_dq)
+    return FluxTable(source, i_dq, np.column_stack((flux_map.psi_d[known], flux_map.psi_q[known])).astype(np.float64))
+
+
+def _on_the_magnet(table: FluxTable, near: float = 0.1, least_share: float = 0.05) -> FluxTable:
+    """The table in the frame of its magnet.
+
+    The plant is even about its d axis, on which the magnet lies. Where that is, the flux at the point nearest to zero
+    current tells: a current `near` zero, relative to the largest, and a flux of `least_share` of the largest.
+    """
+    length = np.linalg.norm(table.i_dq, axis=1)
+    at = int(np.argmin(length))
+    flux = np.linalg.norm(table.psi_dq, axis=1)
+    if length[at] > near * length.max() or flux[at] < least_share * flux.max():
+        return table
+    rest_d, rest_q = table.psi_dq[at] - _inductance(table) @ table.i_dq[at]
+    angle = math.atan2(rest_q, rest_d)
+    if abs(angle) < 1e-6:
+        return table
+    c, s = math.cos(angle), math.sin(angle)
+    turn = np.array([[c, -s], [s, c]])  # rows times this: by -angle
+    return replace(table, i_dq=table.i_dq @ turn, psi_dq=table.psi_dq @ turn, turned_rad=angle)
+
+
+def _inductance(table: FluxTable) -> Array:
+    """Slope of the flux over the current about the table's point nearest to zero [H], shape (2, 2)."""
+    apart = np.linalg.norm(table.i_dq, axis=1)
+    near = np.argsort(apart, kind="stable")[:9]
+    design = np.column_stack((np.ones(len(near)), table.i_dq[near]))
+    return np.asarray(np.linalg.lstsq(design, table.psi_dq[near], rcond=None)[0][1:].T, dtype=np.float64)
 
 
 def map_energy(table: FluxTable) -> Magnetics:
@@ -182,6 +187,16 @@ def fit_error(table: FluxTable, magnetics: Magnetics) -> float:
     """Rms of grad H(psi) - i over the table's points [A]."""
     model = np.array([current(*magnetics, float(d), float(q)) for d, q in table.psi_dq])
     return float(np.sqrt(((model - table.i_dq) ** 2).sum(axis=1).mean()))
+
+
+def misfit_in_words(table: FluxTable, magnetics: Magnetics) -> str:
+    """By how much the plant's smooth map differs from the file's points, and how it was turned; one line."""
+    share = 100.0 * fit_error(table, magnetics) / math.sqrt(float((table.i_dq**2).sum(axis=1).mean()))
+    points = f"{len(table.i_dq)} points within {share:.2g} % of the current, rms"
+    told = f"{table.source}: the motor's smooth map meets its {points}"
+    if abs(table.turned_rad) > math.radians(0.05):
+        told += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
+    return told
 
 
 def _symmetrised(table: FluxTable) -> tuple[Array, Array]:

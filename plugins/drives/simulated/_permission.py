@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from orchestrator.driving import SINGLE
 from plugins.drives.simulated._derive import Nameplate, TruePlant
 from plugins.drives.simulated._derive_switching import carrier_frequencies, declared_delay
+from plugins.drives.simulated._map import misfit_in_words
 from plugins.drives.simulated._state import SQRT3
 from plugins.drives.simulated.options import SimulatedOptions
 from protocols import Capabilities, DriveRefused, Excitation, Injection, InputError, Trapezoid
@@ -45,6 +46,7 @@ class Permission:
             watchdog_covers=KINDS if options.watchdog_s is not None else frozenset(),
             has_brake=options.has_brake,
             motor_name=table.motor.name if table is not None and table.motor is not None else None,
+            notes=(misfit_in_words(table, plant.magnetics),) if table is not None else (),
         )
         return cls(capabilities, plant.reach_positive_d_a)
 

@@ -58,7 +58,7 @@ class MapMagnetics(Strict):
     name: str | None = None
     """Without it and without a file: an error that lists the names."""
     file: Path | None = None
-    """.npz with complex i_s_dq, psi_s_dq, or .csv with i_d_A, i_q_A, psi_d_Vs, psi_q_Vs."""
+    """Whatever `--model` reads (docs/export.md), half planes and holes included; turned until the magnet lies on d."""
 
     @model_validator(mode="after")
     def _one_source(self) -> MapMagnetics:

@@ -112,20 +112,6 @@ def test_the_measured_map_is_met_within_its_own_scatter() -> None:
     assert truth.pm_flux_wb == pytest.approx(0.444, abs=1e-3)
 
 
-@pytest.mark.parametrize("suffix", [".npz", ".csv"])
-def test_a_users_own_map_file_serves_as_well(tmp_path: Path, suffix: str) -> None:
-    table, path = load_table("baldor-5k6", None), tmp_path / f"own{suffix}"
-    if suffix == ".npz":
-        i, psi = (t[:, 0] + 1j * t[:, 1] for t in (table.i_dq, table.psi_dq))
-        np.savez(path, i_s_dq=i, psi_s_dq=psi)
-    else:
-        lines = (",".join(map(str, row)) for row in np.hstack((table.psi_dq, table.i_dq)))
-        path.write_text("\n".join(("psi_d_Vs,psi_q_Vs,i_d_A,i_q_A", *lines)))
-    own = magnetics_of(map_motor("baldor-5k6"), kind="map", file=str(path))
-    i_dq = grid(12.0, 5)
-    assert_close(own.flux(i_dq), shipped("baldor-5k6").flux(i_dq), 1e-8)
-
-
 @pytest.mark.parametrize(
     ("content", "complaint"),
     [
@@ -140,15 +126,21 @@ def test_a_broken_npz_is_named(tmp_path: Path, content: bytes, complaint: str) -
         magnetics_of(PM400, kind="map", file=str(path))
 
 
+def grid_text(rows: int, columns: int, line: str) -> str:
+    lines = (line.format(d=d, q=q) for d in range(rows) for q in range(columns))
+    return "\n".join(("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs", *lines))
+
+
 @pytest.mark.parametrize(
     ("text", "complaint"),
     [
-        ("", "i_d_A"),
-        ("i_d_A,i_q_A,psi_d_Vs\n1,2,3\n", "psi_q_Vs"),
-        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n1,2,x,4\n", "not a number"),
-        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n1,2,3,4\n", "16 points"),
-        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n" + "1,2,nan,4\n" * 20, "not finite"),
-        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n" + "1,2,3,4\n" * 20, "one line"),
+        ("", "i_d_a"),
+        ("i_d_A,i_q_A,psi_d_Vs\n1,2,3\n", "psi_q_wb"),
+        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n1,2,x,4\n", "a number"),
+        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n1,2,3,4\n", "too few"),
+        (grid_text(3, 4, "{d},{q},{d},{q}"), "16 points"),
+        (grid_text(5, 5, "{d},{q},nan,{q}"), "fewer than three"),
+        ("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n" + "1,2,3,4\n" * 20, "grid"),
     ],
 )
 def test_a_broken_csv_is_named(tmp_path: Path, text: str, complaint: str) -> None:
