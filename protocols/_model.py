@@ -106,8 +106,15 @@ class ModelNoise(Strict):
 
     offset_scatter_a: Annotated[float, Field(ge=0)] = 0.0
     """By how much the current readings' zero differs from segment to segment (rms)."""
+    voltage_scatter_v: Annotated[float, Field(ge=0)] = 0.0
+    """By how much held voltages are off, each its own way, on either axis (rms), at the drive's own PWM frequency."""
     variance_factors: dict[str, tuple[Annotated[float, Field(ge=1)], ...]] = Field(default_factory=dict)
     """Of each kind of stage's means and Fourier modes: variance over the readings' own, the model's error in it."""
+
+    @property
+    def scatters(self) -> bool:
+        """Whether something differs from segment to segment by chance."""
+        return self.offset_scatter_a > 0.0 or self.voltage_scatter_v > 0.0
 
 
 class MotorModel(Strict):

@@ -35,6 +35,7 @@ from orchestrator.diagnosis.selection.workflow import (
     without_doubtful,
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
+from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
 from orchestrator.recording import Recording, write_model
 from protocols import (
     DiagnosisReport,
@@ -210,9 +211,14 @@ def _remarks(
     """What is to be said beside the findings."""
     limits, chi2 = search.fit.criteria.selection, search.fit.chi2_per_dof
     remarks = list(setup.remarks)
-    if (sigma_a := setup.offset_scatter_a) > 0.0:
+    scatter = setup.fitter.noise.of_model
+    if scatter.offset_scatter_a > 0.0:
         text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
-        remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * sigma_a))
+        remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
+    if scatter.voltage_scatter_v > 0.0:
+        text = "as if held voltages were off by {scatter_mv:.2g} mV rms (a timer's step of {step_ns:.2g} ns): taken for noise"
+        sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * timer_step_s(scatter, setup)}
+        remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
     if verdict in ("explained", "mostly_explained") and chi2 > limits.noteworthy_chi2 and left.shape:

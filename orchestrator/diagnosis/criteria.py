@@ -281,6 +281,8 @@ class UncertaintyCriteria(Strict):
     most_offset_scatter: float = _is(0.002, "1", "practice")
     """Part of the rated current by which the readings' zero may wander from segment to segment (rms) and be noise: a
     sound sensor's does, in warm-up and over minutes; more is a fault, and has to be found as one."""
+    most_timer_step_s: float = _is(5e-8, "s", "practice")
+    """Step of a modulator's timer that scatters held voltages and is noise: those of drives run at 20 MHz and more."""
     form_doubt: float = _is(5e-4, "1", "simulated")
     """Standard deviation of what any effect's form leaves out, as a part of the effect.
 

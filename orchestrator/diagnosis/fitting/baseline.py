@@ -52,14 +52,9 @@ class DiagnosisSetup:
         return replace(self, fitter=whole, coarse_fitter=part)
 
     @property
-    def offset_scatter_a(self) -> float:
-        """By how much the readings' zero is taken to differ from segment to segment [A]."""
-        return self.fitter.noise.of_model.offset_scatter_a
-
-    @property
     def unweighed(self) -> DiagnosisSetup:
         """The same, the model's own error being none: what a model is judged by."""
-        return self.with_noise(ModelNoise(offset_scatter_a=self.offset_scatter_a))
+        return self.with_noise(self.fitter.noise.of_model.model_copy(update={"variance_factors": {}}))
 
     def judged(self, fit: Fit) -> Fit:
         """A fit's model held against the recording where the model's own error is no noise."""

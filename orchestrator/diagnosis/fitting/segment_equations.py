@@ -29,7 +29,7 @@ from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_two_phases, rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import EffectLayer, Signals
+from protocols import EffectLayer, SegmentStage, Signals
 
 
 @dataclass
@@ -62,9 +62,10 @@ class SegmentEquations:
             slopes = self._slopes(piece, base, model) if inverter else None
             factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
             covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, slopes)
-            common = None
-            if (sigma_a := self.noise.of_model.offset_scatter_a) > 0.0:
-                common = sigma_a * self._offset_rows(piece, base, corrected.signals, local, model.active)
+            common, scatter = None, self.noise.of_model
+            if scatter.scatters:
+                sigmas = np.repeat([scatter.offset_scatter_a, scatter.voltage_scatter_v], 2)
+                common = sigmas * self._common_rows(piece, base, corrected.signals, local, model.active)
             whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
@@ -73,18 +74,19 @@ class SegmentEquations:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
         return SegmentFrame(base, local, whitener, raw, white, mean, inverter)
 
-    def offsets(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Array:
-        """What one ampere on all readings of a phase does to the whitened equations, shape (rows, 2)."""
+    def common(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Array:
+        """What a segment's readings may have in common, whitened: columns as of `_common_rows`, shape (rows, 4)."""
         corrected = apply_effects(frame.base, model.active).signals
         local = local_map(piece, corrected, model.magnetics)
-        return frame.whitener(self._offset_rows(piece, frame.base, corrected, local, model.active))
+        return frame.whitener(self._common_rows(piece, frame.base, corrected, local, model.active))
 
-    def _offset_rows(
+    def _common_rows(
         self, piece: SegmentSignals, base: Signals, corrected: Signals, local: LocalMap, active: Sequence[Active]
     ) -> Array:
-        """What one ampere on all readings of phase a, and of phase b, does to the equations, shape (rows, 2).
+        """What one ampere on all readings of phase a, and of phase b, does to the equations, and a volt on each axis.
 
-        A step as small as the readings' noise: within an inverter's knee an offset acts through the voltage.
+        The volt is at rest alone, for a voltage that moves is dithered, and grows with the PWM frequency. The ampere's
+        step is as small as the readings' noise: within an inverter's knee it acts through the voltage. Shape (rows, 4).
         """
         step, sums = math.sqrt(0.5 * float(np.trace(self.noise.covariance))), []
         for phases in (1.0, 0.0), (0.0, 1.0):
@@ -92,6 +94,11 @@ class SegmentEquations:
             there = apply_effects(base.model_copy(update={"i_ab": off, "i_m_ab": off}), active).signals
             change = {n: (getattr(there, n) - getattr(corrected, n)) / step for n in ("i_ab", "i_m_ab", "v_ab")}
             sums.append(difference(piece, corrected, change, local, self.pm_flux_wb))
+        own = (base.drive.pwm_frequency_hz if base.drive is not None else None) or base.pwm_frequency_hz
+        at_rest = base.pwm_frequency_hz / own if piece.stage is SegmentStage.RESISTANCE else 0.0
+        for axis in np.eye(2):
+            volt = np.tile(at_rest * axis, (len(base.v_dc), 1))
+            sums.append(difference(piece, corrected, {"v_ab": volt}, local, self.pm_flux_wb))
         return piece.windows.combine(np.stack(sums, axis=-1))
 
     def _inverter(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:

@@ -21,7 +21,7 @@ from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
-from orchestrator.diagnosis.uncertainty.offset_scatter import beside_scatter
+from orchestrator.diagnosis.uncertainty.scatter import beside_scatter
 
 
 def all_together(
@@ -29,38 +29,49 @@ def all_together(
 ) -> tuple[DiagnosisSetup, Search] | None:
     """The ladder of what the joint fit found; None where it has no more to say than the search one by one.
 
-    A scatter of the readings' zero that is left beside all effects is noise to the setup which comes back.
+    What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
     fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
     if set(fit.model.names) <= set(quick.fit.model.names):
         return None
-    limits = fit.criteria.selection
-    if weighing := fit.chi2_per_dof > 1.0 + limits.explained_left:
-        setup, fit = weighed(setup, fit, library)
+    before = setup.fitter.noise.of_model
+    if _formless(fit):
+        setup, fit = with_its_noise(setup, fit, library)
         fit, rivals = exchanged(setup.coarse_fitter, fit, library)
     resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
     whole = setup.fitter.fit(resting)
     if whole.model.space.is_free:
         whole = with_detail(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
-    detected = whole.chi2_per_dof > limits.detected_chi2
-    if detected and not weighing and (wider := beside_scatter(setup, whole, library)) is not None:
-        setup, steps = wider, refitted_steps(wider, steps)
+    if setup.fitter.noise.of_model == before and whole.chi2_per_dof > whole.criteria.selection.detected_chi2:
+        setup = beside_scatter(setup, setup.fitter, whole, library) or setup
         whole = downwards(setup.fitter, refitted(setup.fitter, whole.model))
+    if setup.fitter.noise.of_model != before:
+        steps = refitted_steps(setup.unweighed, steps)
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
 
 
-def weighed(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
-    """A part's joint fit with the model's own error as noise, by stage and mode: where that is large, it says little.
+def _formless(fit: Fit) -> bool:
+    """Whether so much is left beside all effects that a form must be wrong."""
+    return fit.chi2_per_dof > 1.0 + fit.criteria.selection.explained_left
+
+
+def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
+    """A part's joint fit with what scatters as noise, and then the model's own error, by stage and mode.
 
     All effects are asked once more, for what errs most had the say in what there is; then the errors are.
     """
     there = {active.name: active for active in fit.model.active}
-    model = fit.model.with_active([there.get(c.name, c.absent()) for c in library])
-    for _ in range(fit.criteria.selection.weighings):
-        setup = setup.with_noise(with_model_error(setup.fitter.noise.of_model, fit))
-        fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, model))
-        model = fit.model
+    everything = fit.model.with_active([there.get(c.name, c.absent()) for c in library])
+    wider = beside_scatter(setup, setup.coarse_fitter, fit, library)
+    if wider is not None:
+        setup, fit = wider, downwards(wider.coarse_fitter, refitted(wider.coarse_fitter, everything))
+    if _formless(fit):
+        model = everything if wider is None else fit.model
+        for _ in range(fit.criteria.selection.weighings):
+            setup = setup.with_noise(with_model_error(setup.fitter.noise.of_model, fit))
+            fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, model))
+            model = fit.model
     return setup, fit
 
 

@@ -24,7 +24,7 @@ from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
-from orchestrator.diagnosis.uncertainty.offset_scatter import beside_scatter, explained_by_scatter
+from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter
 from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -127,7 +127,7 @@ def with_scatter_as_found(
     steps = refitted_steps(plain, search.steps)
     if steps[-1].fit.chi2_per_dof <= steps[-1].fit.criteria.selection.detected_chi2:
         return plain, replace(search, steps=steps, view=None)
-    found = beside_scatter(plain, search.fit, library) or plain
+    found = beside_scatter(plain, plain.fitter, search.fit, library) or plain
     return found, replace(search, steps=refitted_steps(found, search.steps), view=None)
 
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.uncertainty.offset_scatter import offset_scatter
+from orchestrator.diagnosis.uncertainty.scatter import scatter_of
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.frames import from_two_phases
 from plugins.effects.sensors import CurrentOffset
-from protocols import ModelNoise, SegmentStage
-from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared, with_voltage
 
 
 def _campaign() -> list[Plan]:
@@ -36,24 +36,24 @@ def test_scatter_is_found_as_large_as_it_is() -> None:
     offsets = np.random.default_rng(3).normal(0.0, sigma_a, (len(made.pieces), 2))
     maker = fitter(_shifted(made, offsets))
     fit = maker.fit(free_model())
-    found = offset_scatter(maker, fit, [])
+    found = scatter_of(maker, fit, [])
     # Some hundred offsets tell their standard deviation to a fourteenth; three of these.
-    assert found.sigma_a == pytest.approx(float(offsets.std()), rel=0.2)
+    assert found.noise.offset_scatter_a == pytest.approx(float(offsets.std()), rel=0.2)
     assert found.log_likelihood > 100.0
     assert fit.chi2_per_dof > 2.0
     assert found.chi2 == pytest.approx(1.0, abs=0.1)
     # With it as noise a fit has as much error as noise makes, and tells the same scatter again.
-    wider = maker.with_noise(ModelNoise(offset_scatter_a=found.sigma_a))
+    wider = maker.with_noise(found.noise)
     again = wider.fit(free_model())
     assert again.chi2_per_dof == pytest.approx(1.0, abs=0.1)
-    assert offset_scatter(wider, again, []).sigma_a == pytest.approx(found.sigma_a, rel=0.02)
+    assert scatter_of(wider, again, []).noise.offset_scatter_a == pytest.approx(found.noise.offset_scatter_a, rel=0.02)
 
 
 def test_no_scatter_is_found_where_there_is_none() -> None:
     maker = fitter(prepared(_campaign()))
-    found = offset_scatter(maker, maker.fit(free_model()), [])
-    assert found.log_likelihood < 4.0
-    assert found.sigma_a < 3e-4
+    found = scatter_of(maker, maker.fit(free_model()), [])
+    assert not found.noise.scatters
+    assert found.log_likelihood == 0.0
 
 
 def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
@@ -61,6 +61,17 @@ def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
     maker = fitter(_shifted(made, np.tile([0.02, -0.01], (len(made.pieces), 1))))
     library = scaled_library([CurrentOffset()], made.manifest)
     fit = maker.fit(free_model())
-    with_effect, without = offset_scatter(maker, fit, library), offset_scatter(maker, fit, [])
-    assert with_effect.sigma_a < 0.1 * without.sigma_a
-    assert with_effect.log_likelihood < 4.0 < without.log_likelihood
+    with_effect, without = scatter_of(maker, fit, library), scatter_of(maker, fit, [])
+    assert not with_effect.noise.scatters
+    assert without.noise.scatters
+
+
+def test_voltages_that_are_off_at_rest_are_told_from_readings_that_are() -> None:
+    made, rng = prepared(_campaign()), np.random.default_rng(4)
+    steps = {p.segment.id: rng.normal(0.0, 0.02, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
+    maker = fitter(with_voltage(made, steps))
+    found = scatter_of(maker, maker.fit(free_model()), [])
+    # Two numbers of each of 48 holds tell their standard deviation to a fourteenth; three of these.
+    assert found.noise.voltage_scatter_v == pytest.approx(0.02, rel=0.2)
+    assert found.noise.offset_scatter_a == 0.0
+    assert maker.with_noise(found.noise).fit(free_model()).chi2_per_dof == pytest.approx(1.0, abs=0.1)

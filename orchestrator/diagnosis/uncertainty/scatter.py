@@ -1,0 +1,185 @@
+"""What differs from segment to segment by chance, and by how much: the likeliest, whatever else is missing.
+
+The zero of a current sensor wanders while an experiment goes on; and a constant voltage is off by what the modulator's
+timer cannot resolve, while a moving one is dithered. With e the whitened residual of the training segments, X all
+columns (R_s, the map, every effect of the library) and U what these two do to each segment, in standard deviations,
+
+    e = X b + U d + noise,    d ~ N(0, 1),    V = 1 + U U^T
+    -2 log L = log det V + log det (X^T V^-1 X + P) + e^T V^-1 e - h^T (X^T V^-1 X + P)^-1 h
+
+P being the priors and h the gradient at b = 0: the restricted likelihood (H. D. Patterson, R. Thompson, Biometrika 58
+(1971), doi:10.1093/biomet/58.3.545), in which what the map or an effect can take is not scatter.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.numerics.types import Array
+from protocols import ModelNoise
+
+DECADES = tuple(range(-5, 1))
+"""Of amperes and of volts: from far below a sensor's noise to as much as there is of either."""
+
+
+@dataclass(frozen=True)
+class Scatter:
+    """What differs from segment to segment.
+
+    Attributes
+    ----------
+    noise : ModelNoise
+        With no more than the data ask for.
+    log_likelihood : float
+        What it gains over none.
+    chi2 : float
+        Per degree of freedom, where it is noise and all effects follow to first order.
+    """
+
+    noise: ModelNoise
+    log_likelihood: float
+    chi2: float
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """What scatters in one segment: its own information, that shared with all columns, and its pull."""
+
+    own: Array
+    shared: Array
+    pull: Array
+
+
+@dataclass(frozen=True)
+class _Likelihood:
+    """The restricted likelihood of a scatter; costs are minus twice its logarithm."""
+
+    segments: Sequence[_Segment]
+    normal: Array
+    gradient: Array
+    chi2: float
+    dof: float
+
+    def cost(self, sigmas: Sequence[float]) -> float:
+        """Of standard deviations of offset [A] and voltage [V]."""
+        return sum(self._parts(sigmas))
+
+    def chi2_per_dof(self, sigmas: Sequence[float]) -> float:
+        return self._parts(sigmas)[0] / self.dof
+
+    def _parts(self, sigmas: Sequence[float]) -> tuple[float, float]:
+        """What is left of chi2, and the determinants' logarithms."""
+        scale = np.repeat(sigmas, 2)
+        roots, log_det = [], 0.0
+        for one in self.segments:
+            inside = np.eye(len(scale)) + scale[:, None] * one.own * scale
+            factor = np.linalg.cholesky(inside)
+            log_det += 2.0 * float(np.log(np.diag(factor)).sum())
+            roots.append(np.linalg.solve(factor, scale[:, None] * np.column_stack([one.shared, one.pull])))
+        taken = np.concatenate(roots)
+        normal = self.normal - taken[:, :-1].T @ taken[:, :-1]
+        gradient = self.gradient - taken[:, :-1].T @ taken[:, -1]
+        chi2 = self.chi2 - float(taken[:, -1] @ taken[:, -1])
+        squares = chi2 - float(gradient @ np.linalg.solve(normal, gradient))
+        return squares, log_det + float(np.linalg.slogdet(normal)[1])
+
+
+def explained_by_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
+    """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
+    if setup.fitter.noise.of_model.scatters:
+        return None
+    scatter = scatter_of(setup.coarse_fitter, fit, library)
+    enough = scatter.chi2 <= 1.0 + fit.criteria.selection.explained_left
+    return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
+
+
+def beside_scatter(
+    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[Candidate]
+) -> DiagnosisSetup | None:
+    """The setup with a scatter as noise, where there is one beside all that a fit of the whole or of a part has."""
+    scatter = scatter_of(fitter, fit, library)
+    return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
+
+
+def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
+    """Whether a scatter is there, and no larger than a sound sensor's and modulator's."""
+    limits, noise = setup.prepared.criteria, scatter.noise
+    small = noise.offset_scatter_a <= limits.uncertainty.most_offset_scatter * setup.current_a
+    small = small and timer_step_s(noise, setup) <= limits.uncertainty.most_timer_step_s
+    return small and noise.scatters
+
+
+def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
+    """The step of a modulator's timer that makes a scatter of held voltages [s].
+
+    A step of t_q moves a leg's mean voltage by t_q f V_dc, of which it is anywhere: an axis has sqrt(2 / 3) / sqrt(12).
+    """
+    drive = setup.prepared.manifest.drive
+    bus_v = drive.dc_bus_voltage_v or float(np.median([p.signals.v_dc[0] for p in setup.prepared.pieces]))
+    pwm_hz = drive.pwm_frequency_hz or drive.sampling_frequency_hz
+    return math.sqrt(18.0) * noise.voltage_scatter_v / (bus_v * pwm_hz)
+
+
+def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Scatter:
+    """The likeliest scatter around a fit's model, all effects of the library following.
+
+    Parameters
+    ----------
+    fitter : Fitter
+        Whatever scatter it allows for is not.
+    """
+    likelihood = _likelihood(fitter.with_noise(ModelNoise()), fit, library)
+    least = 2.0 * fit.criteria.selection.log_evidence
+    none = (0.0, 0.0)
+    # The simpler one stays unless the data ask for more.
+    best, cost = none, likelihood.cost(none)
+    for which in ((True, False), (False, True), (True, True)):
+        sigmas = _likeliest(likelihood, which)
+        found = likelihood.cost(sigmas)
+        if cost - found > least:
+            best, cost = sigmas, found
+    noise = ModelNoise(offset_scatter_a=best[0], voltage_scatter_v=best[1])
+    return Scatter(noise, 0.5 * (likelihood.cost(none) - cost), likelihood.chi2_per_dof(best))
+
+
+def _likeliest(likelihood: _Likelihood, which: tuple[bool, bool]) -> tuple[float, float]:
+    """The standard deviations of the largest likelihood, those that are not asked for at nil."""
+    from scipy.optimize import minimize
+
+    def sigmas(decades: Sequence[float]) -> tuple[float, float]:
+        given = iter(decades)
+        offset, voltage = (10.0 ** next(given) if asked else 0.0 for asked in which)
+        return offset, voltage
+
+    def cost(decades: Array) -> float:
+        return likelihood.cost(sigmas(decades.tolist()))
+
+    grid = [np.array(place, dtype=np.float64) for place in product(DECADES, repeat=sum(which))]
+    found = minimize(cost, min(grid, key=cost), method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
+    return sigmas(np.asarray(found.x).tolist())
+
+
+def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Likelihood:
+    absent = absent_columns([c for c in library if c.name not in fit.model.names])
+    loose = fitter.evaluate(fit.model, fitter.frame(fit.model), absent)
+    normal, pulls = loose.system()
+    width, free = loose.normal.shape[0], loose.model.free
+    gradient = pulls.sum(axis=0)
+    # R_s and the map are where their gradient, prior included, is nil.
+    gradient[:width] = 0.0
+    gradient[width : width + len(free)] += [a.coordinate(n) for a, n in free]
+    segments = []
+    pieces = [(p, f) for p, f in zip(loose.prepared.pieces, loose.frame.pieces, strict=True) if not p.held_out]
+    for (piece, frame), (linear, d, e) in zip(pieces, loose.training(), strict=True):
+        u = fitter.equations.common(loose.model, piece, frame)
+        segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e))
+    return _Likelihood(segments, normal, gradient, loose.chi2, loose.dof)
