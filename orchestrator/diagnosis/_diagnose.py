@@ -216,7 +216,9 @@ def _remarks(
         text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
         remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
     if scatter.voltage_scatter_v > 0.0:
-        text = "as if a timer's step of {step_ns:.2g} ns put held voltages off by {scatter_mv:.2g} mV rms: taken for noise"
+        text = (
+            "as if a timer's step of {step_ns:.2g} ns put held voltages off by {scatter_mv:.2g} mV rms: taken for noise"
+        )
         sizes = {"scatter_mv": 1e3 * scatter.voltage_scatter_v, "step_ns": 1e9 * timer_step_s(scatter, setup)}
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"

@@ -86,7 +86,7 @@ def _added(
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
-            steps.append(Step(name, _grown(setup.fitter, fit, library[name])))
+            steps.append(Step(name, setup.fitter.fit(_grown(setup.fitter, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
             steps.append(Step(name, with_map_step(setup, fit, baseline)))
