@@ -49,6 +49,8 @@ class EnergyFit:
         Relative size of what dead time does to inductances where a phase current passes zero; taken out.
     taken_out : array, shape (n, 7)
         Of the inductances and their slopes, before all else: a common gain, and dead time.
+    taken_out_std : array, shape (n, 7)
+        Its standard deviation.
     trust : array, shape (n,)
         By what each point's information counts; less than one where nothing else confirms it.
     """
@@ -62,6 +64,7 @@ class EnergyFit:
     correlation: float
     inverter_step: float
     taken_out: Array
+    taken_out_std: Array
     trust: Array
 
     def flux(self, at: Array) -> tuple[Array, Array]:
@@ -182,11 +185,12 @@ class EnergyProblem:
         other.__dict__.update({name: self.__dict__[name] for name in kept if name in self.__dict__})
         return other
 
-    def taken_out(self, solution: Solution) -> Array:
-        """What the measurements' own modes are of the inductances and their slopes, shape (n, 7)."""
+    def taken_out(self, solution: Solution) -> tuple[Array, Array]:
+        """What the measurements' own modes are of the inductances and their slopes, and its std, shape (n, 7) each."""
         if self.points is None:
-            return np.zeros((0, 7))
-        return np.asarray(self._wrong @ solution.modes[self.free - self.wrong : self.free])
+            return np.zeros((0, 7)), np.zeros((0, 7))
+        own = slice(self.free - self.wrong, self.free)
+        return self._wrong @ solution.modes[own], np.linalg.norm(self._wrong @ solution.root[own], axis=-1)
 
     def inductances(self) -> tuple[Array, Array]:
         """Rows (n, 7, modes) and right-hand sides (n, 7) of the inductances and their slopes, in stated errors."""
@@ -325,16 +329,19 @@ def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
     modes = problem.modes
     root = modes @ solution.root
     weight = problem.errors.points
+    widened = float(np.sqrt((1.0 + sure) / (1.0 - sure)))
+    taken_out, taken_out_std = problem.taken_out(solution)
     return EnergyFit(
         spline=problem.spline,
         angle_rad=problem.angle_rad,
         coefficients=modes @ solution.modes,
-        covariance=root @ root.T * ((1.0 + sure) / (1.0 - sure)),
+        covariance=root @ root.T * widened**2,
         scales=np.array(problem.errors.scales),
         stiffening_per_h=problem.stiffening_per_h,
         correlation=correlation,
         inverter_step=problem.errors.inverter_step,
-        taken_out=problem.taken_out(solution),
+        taken_out=taken_out,
+        taken_out_std=widened * taken_out_std,
         trust=np.ones(count) if weight is None else weight,
     )
 

@@ -28,10 +28,13 @@ class EnergyEstimator:
     noises, correlated : float
         What the energy leaves of the inductances is spoken of where it is so many times their noise, and so much alike
         at neighbouring points: noise is neither.
+    sure : float
+        Standard deviations beyond which a share of dead time at a point is spoken of; there are some hundred points.
     """
 
     noises: float = 3.0
     correlated: float = 0.5
+    sure: float = 4.0
 
     name: ClassVar[str] = "energy"
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
@@ -87,8 +90,8 @@ class EnergyEstimator:
                 "neighbouring points (correlation {correlation:.2f}): an effect that is no magnetics"
             )
             told("no_magnetics", text, noises=float(fit.scales[0]), correlation=fit.correlation)
-        if fit.inverter_step:
-            most = 100.0 * float(np.abs(fit.taken_out[:, [0, 2]] / inductance[: len(fit.taken_out), [0, 2]]).max())
+        most = 100.0 * self._dead_time_share(fit, inductance)
+        if most > 0.0:
             text = (
                 "where a phase current passes zero, dead time makes injection's inductances look up to "
                 "{most_percent:.1f} % wrong; taken out"
@@ -101,6 +104,15 @@ class EnergyEstimator:
         if (inductance[:, 0] * inductance[:, 2] <= inductance[:, 1] ** 2).any():
             told("not_convex", "the energy is not convex everywhere: there the map cannot be inverted")
         return remarks
+
+    def _dead_time_share(self, fit: EnergyFit, inductance: Array) -> float:
+        """The most that dead time is of L_dd or L_qq, where what was taken out is beyond its own error; else zero."""
+        if not fit.inverter_step:
+            return 0.0
+        axes = [0, 2]
+        share = np.abs(fit.taken_out[:, axes] / inductance[: len(fit.taken_out), axes])
+        told = np.abs(fit.taken_out[:, axes]) > self.sure * fit.taken_out_std[:, axes]
+        return float(share[told].max(initial=0.0))
 
 
 def _checked(flux_map: FluxMap, rated: float | None, fit: EnergyFit, measured: Measurements) -> MapChecks:

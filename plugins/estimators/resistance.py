@@ -209,12 +209,14 @@ def _remarks(
         text = "too few different currents to tell R_s from the inverter's own voltage drop"
         remarks.append(Remark.of("few_currents", text))
     largest = max(float(np.linalg.norm(d.i_ab)) for d in used)
-    for pwm_hz, error in fit.error_v.items():
-        if error > 0.01 * fit.resistance_ohm * largest:
-            at = " at {pwm_khz:.3g} kHz" if pwm_hz else ""
-            text = f"the inverter keeps {{kept_v:.2f}} V from each phase{at} (dead time or device drops); taken out"
-            remarks.append(Remark.of("inverter_loss", text, kept_v=error, pwm_khz=pwm_hz / 1e3))
-    if fit.error_v and max(fit.error_v.values()) > 0.01 * fit.resistance_ohm * largest:
+    # Of a loss that is not there something is left as well: within its own error it is not spoken of.
+    least = 0.01 * fit.resistance_ohm * largest
+    kept = [loss for loss in fit.losses() if loss.phase_v > max(least, 3.0 * loss.std_v)]
+    for loss in kept:
+        at = " at {pwm_khz:.3g} kHz" if loss.pwm_frequency_hz else ""
+        text = f"the inverter keeps {{kept_v:.2f}} V from each phase{at} (dead time or device drops); taken out"
+        remarks.append(Remark.of("inverter_loss", text, kept_v=loss.phase_v, pwm_khz=loss.pwm_frequency_hz / 1e3))
+    if kept:
         text = "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
         remarks.append(Remark.of("device_resistance", text))
     change = readings[-1].value_ohm / readings[0].value_ohm - 1.0

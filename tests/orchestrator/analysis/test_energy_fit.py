@@ -139,6 +139,8 @@ def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
     found = fit.taken_out[:, :3][np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]]
     assert len(found) == 5
     assert np.abs(found[:, 0] / effect[np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0], 0, 0] - 1.0).max() < 0.2
+    clear = np.abs(fit.taken_out[:, 0]) > 4.0 * fit.taken_out_std[:, 0]
+    assert clear[np.abs(effect[:, 0, 0]) > 0.02 * points.matrix[:, 0, 0]].all()
     assert both().inverter_step == 0.0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from orchestrator.estimation import estimate_recording, load_flux_map
+from plugins.estimators._energies import EnergyFlux
 from plugins.estimators._maps import InjectedFlux, SweptFlux
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
@@ -105,3 +107,14 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
     assert "energy.flux_error" in {remark.code for remark in report.remarks}
     assert flux_error_percent(load_flux_map(tmp_path / "results" / "flux_map.nc"))[1] < 0.3
     assert (tmp_path / "results" / "flux_map_injection.nc").is_file()
+
+
+@pytest.mark.parametrize(("std_h", "said"), [(1e-4, True), (5e-4, False)], ids=["clear", "within its own error"])
+def test_dead_time_is_spoken_of_where_it_is_beyond_its_own_error(std_h: float, said: bool) -> None:
+    found = energy_of(True)
+    assert isinstance(found, EnergyFlux)
+    size = np.ones_like(found.fit.taken_out)
+    vague = replace(found.fit, inverter_step=0.04, taken_out=1e-3 * size, taken_out_std=std_h * size)
+    estimates = (injection_of(True), classical_of(True), found.model_copy(update={"fit": vague}))
+    again = EnergyEstimator().estimate(behind_dead_time(), EstimationContext(estimates))
+    assert ("inverter_step" in {remark.code for remark in again.remarks}) == said
