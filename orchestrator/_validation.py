@@ -25,6 +25,8 @@ _EXPECTED = {
     "bool_type": "true or false",
     "bool_parsing": "true or false",
 }
+LONGEST_NAME = 200
+"""Letters of an unknown name that are compared; the time goes with their square."""
 _NUMBER_ERRORS = {"float_parsing", "float_type", "int_parsing", "int_type", "int_from_float"}
 
 
@@ -63,7 +65,7 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: ob
 
 def nearest(name: str, candidates: Iterable[str]) -> str | None:
     """The candidate most like `name`, where one is near enough to be meant."""
-    close = difflib.get_close_matches(name, list(candidates), n=1, cutoff=0.6)
+    close = difflib.get_close_matches(name[:LONGEST_NAME], list(candidates), n=1, cutoff=0.6)
     return close[0] if close else None
 
 

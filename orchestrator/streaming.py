@@ -18,6 +18,7 @@ from functools import partial
 from types import FrameType
 from typing import TypeVar
 
+from orchestrator.presentation.sentences import cut, visible
 from protocols import Message, SamplesCaptured, Stream
 
 T = TypeVar("T")
@@ -109,7 +110,7 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
 def _tell(line: str) -> None:
     with suppress(OSError, ValueError):  # the terminal may be gone
         if sys.stderr.isatty():
-            print(f"fluxbench: {line}", file=sys.stderr, flush=True)
+            print(visible(cut(f"fluxbench: {line}")), file=sys.stderr, flush=True)
 
 
 class _Listener:

@@ -394,5 +394,7 @@ def _explain(error: Exception) -> int:
 
 
 def _say(line: str, code: int) -> int:
-    print(f"fluxbench: {' '.join(line.split())}", file=sys.stderr)
+    from orchestrator.cli._output import complain
+
+    complain(line)
     return code

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator.cli._output import say, say_notes, say_table
+from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_plan, read_procedure
 from orchestrator.engine import UsedPlugins, connected_drive
 from orchestrator.presentation.quantities import duration, number, quantity
@@ -39,9 +39,9 @@ def check(
         summary = check_plan(plan, capabilities)
         report = None if rehearsal is None else rehearsal.outlook(plan, capabilities)
     if as_json and report is not None:
-        print(report.model_dump_json(indent=2))
+        say_document(report.model_dump_json(indent=2))
     elif as_json:
-        print(summary.model_dump_json(indent=2))
+        say_document(summary.model_dump_json(indent=2))
     else:
         _print_summary(summary)
         if report is not None:

@@ -5,11 +5,12 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
-from orchestrator.cli._output import give_up_broken_output
+from orchestrator.cli._output import complain, give_up_broken_output, say_document
 from orchestrator.config import read_procedure
 from orchestrator.engine import (
     NOTHING_LEFT,
@@ -102,7 +103,7 @@ def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> i
             _warn(trouble)
     report = result.path / "report.html"
     if audience.console_mode == "auto" and report.is_file():
-        _tell(f"report: {report}", sys.stdout)
+        _tell(f"report: {report}")
     code = _exit_code(result, troubles, audience.as_json)
     give_up_broken_output()
     return code
@@ -120,10 +121,10 @@ def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int
 
         estimates = {} if outcome.estimates is None else outcome.estimates.model_dump(mode="json")
         found = {"run": str(result.path), "outcome": outcome.ending, "reason": outcome.reason, "estimates": estimates}
-        _tell(json.dumps(found, indent=2), sys.stdout)
+        _tell(json.dumps(found, indent=2))
     if outcome.error is None:
         if outcome.reason == NOTHING_LEFT and not as_json:
-            _tell(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute anew", sys.stdout)
+            _tell(f"{result.path}: {outcome.reason}; `fluxbench estimate` and `diagnose` compute anew")
         return 0
     if not isinstance(outcome.error, FluxbenchError):
         raise outcome.error  # a defect: its traceback is wanted, now that the drive is safe
@@ -133,11 +134,10 @@ def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int
 
 
 def _warn(line: str) -> None:
-    _tell(f"fluxbench: {' '.join(line.split())}", sys.stderr)
+    with suppress(OSError):  # the terminal is gone, and with it the reader
+        complain(line)
 
 
-def _tell(line: str, where: TextIO) -> None:
-    try:
-        print(line, file=where)
-    except OSError:  # the terminal is gone, and with it the reader
-        return
+def _tell(text: str) -> None:
+    with suppress(OSError):  # the terminal is gone, and with it the reader
+        say_document(text)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator import workbench
 from orchestrator.cli._interrupting import prompt_interrupt
-from orchestrator.cli._output import say, say_notes, say_table, stage_as_yaml
+from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._waiting import Waiting
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
@@ -21,7 +21,7 @@ def compare(path: Path, model: str | None, effects: Path | None, out: Path | Non
     with prompt_interrupt():
         report = workbench.compare(path, model=model, effects=effects or (), out=out)
     if as_json:
-        print(report.model_dump_json(indent=2))
+        say_document(report.model_dump_json(indent=2))
     else:
         _print_comparison(report)
     return 0
@@ -49,7 +49,7 @@ def diagnose(
             tell=Waiting(),
         )
     if as_json:
-        print(kept.report.model_dump_json(indent=2))
+        say_document(kept.report.model_dump_json(indent=2))
     else:
         _print_diagnosis(kept.report, kept.words)
     return 0
@@ -105,7 +105,7 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
 
 def _say_added(report: AddReport, as_json: bool) -> None:
     if as_json:
-        print(report.model_dump_json(indent=2))
+        say_document(report.model_dump_json(indent=2))
         return
     _print_ladder(report)
     say_notes(report.notes)

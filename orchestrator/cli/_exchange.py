@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator.cli._output import say, say_notes
+from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.config import load_motor
 from orchestrator.exporting import FORMATS, export_map, load_map
 from orchestrator.importing import import_files
@@ -21,10 +21,10 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
     folder = out if out is not None else (path if path.is_dir() else path.parent) / "export"
     report = export_map(flux_map, _motor_of(path, motor), folder, list(formats) or list(FORMATS))
     if as_json:
-        print(report.model_dump_json(indent=2))
+        say_document(report.model_dump_json(indent=2))
         return 0
     for file in report.files:
-        print(f"{file.format}: {file.path}")
+        say(f"{file.format}: {file.path}")
     say(f"{percent(report.measured_percent, 3)} of the grid was measured")
     say_notes(report.notes)
     return 0
@@ -44,8 +44,8 @@ def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> i
     """Turn somebody else's measurements into a recording."""
     report = import_files(mapping, files, out)
     if as_json:
-        print(report.model_dump_json(indent=2))
+        say_document(report.model_dump_json(indent=2))
         return 0
-    print(f"{report.recording}: {report.segments} segments, {report.samples} samples")
+    say(f"{report.recording}: {report.segments} segments, {report.samples} samples")
     say_notes(report.notes)
     return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator.cli._output import stage_as_yaml
+from orchestrator.cli._output import say_document, stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.presentation.names import plain
 from orchestrator.registry import PluginKind, make_plugins
@@ -44,7 +44,7 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[StageEn
         raise InputError(str(path), "", f"nothing to decide: {verdict}, and no experiment is proposed")
     experiment = report.next_experiment.stage
     if not is_run(path):
-        print(stage_as_yaml(experiment))
+        say_document(stage_as_yaml(experiment))
         problem = "missing: nobody knows the drive that this recording is from; put the stage above in a procedure"
         raise RecordingError(str(path), "run.json", problem)
     procedure = RunDirectory.open(path).procedure()

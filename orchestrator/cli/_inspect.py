@@ -7,6 +7,7 @@ from typing import Any
 
 from pydantic import BaseModel
 
+from orchestrator.cli._output import say, say_document
 from orchestrator.registry import PluginKind, installed, load_plugin
 from protocols import (
     InputError,
@@ -23,11 +24,11 @@ def plugins(as_json: bool) -> int:
     """List every installed plugin; one that does not load is said to be broken, and why."""
     rows = [_row(kind, info.name) | info.model_dump(mode="json") for kind in PluginKind for info in installed(kind)]
     if as_json:
-        print(json.dumps(rows, indent=2))
+        say_document(json.dumps(rows, indent=2))
         return 0
     for row in rows:
         state = "ok" if row["loads"] else f"broken: {row['problem']}"
-        print(f"{row['kind']:<11} {row['name']:<14} {row['distribution']} {row['version']}  {row['module']}  {state}")
+        say(f"{row['kind']:<11} {row['name']:<14} {row['distribution']} {row['version']}  {row['module']}  {state}")
     return 0
 
 
@@ -45,10 +46,10 @@ def procedures(name: str | None) -> int:
         from orchestrator.config import load_procedure
 
         for known in shipped_procedures():
-            print(f"{known:<8} {load_procedure(known).summary}")
+            say(f"{known:<8} {load_procedure(known).summary}")
         return 0
     try:
-        print(shipped_procedure(name), end="")
+        say_document(shipped_procedure(name).removesuffix("\n"))
     except KeyError:
         raise ProcedureError(name, "", f"no such procedure; there are {', '.join(shipped_procedures())}") from None
     return 0
@@ -68,5 +69,5 @@ def schema(name: str) -> int:
     }
     if name not in models:
         raise InputError("schema", name, f"expected one of {', '.join(models)}")
-    print(json.dumps(with_stages(models[name].model_json_schema()), indent=2))
+    say_document(json.dumps(with_stages(models[name].model_json_schema()), indent=2))
     return 0

@@ -8,13 +8,23 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from orchestrator.presentation.sentences import for_output, text_table
+from orchestrator.presentation.sentences import cut, for_output, text_table, visible
 
 
 def say(*lines: str) -> None:
     """Print lines, one each."""
     for line in lines:
-        print(for_output(line, sys.stdout))
+        print(for_output(cut(line), sys.stdout))
+
+
+def say_document(text: str) -> None:
+    """Print a whole document, as JSON or YAML."""
+    print(visible(text))
+
+
+def complain(line: str) -> None:
+    """What is wrong, as one line on standard error."""
+    print(for_output(cut(f"fluxbench: {' '.join(line.split())}"), sys.stderr), file=sys.stderr)
 
 
 def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

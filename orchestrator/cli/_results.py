@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator import workbench
-from orchestrator.cli._output import say, say_notes, say_table
+from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.presentation.names import PAPER_CROSSINGS
 from orchestrator.presentation.quantities import UNKNOWN, axes_percent
 from orchestrator.presentation.results import check_rows, coefficient_rows, resistance, resistance_course
@@ -17,7 +17,7 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
     """Run the estimators; results go into the recording's own results/, or below `out`."""
     report = workbench.estimate(path, estimators=names, out=out)
     if as_json:
-        print(report.model_dump_json(indent=2))
+        say_document(report.model_dump_json(indent=2))
     else:
         _print_report(report)
     return 0

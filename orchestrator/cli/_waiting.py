@@ -7,6 +7,8 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
+from orchestrator.presentation.sentences import cut, for_output
+
 
 class Waiting:
     """Says what is under way, and since when; nothing where nobody looks.
@@ -30,4 +32,4 @@ class Waiting:
         if not self._where.isatty() or (now < self._next and not text.startswith("+ ")):
             return
         self._next = now + 1.0
-        print(f"{now - self._began:5.0f} s  {text}", file=self._where, flush=True)
+        print(for_output(cut(f"{now - self._began:5.0f} s  {text}"), self._where), file=self._where, flush=True)

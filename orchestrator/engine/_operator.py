@@ -8,6 +8,7 @@ from typing import Protocol
 
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
+from orchestrator.presentation.sentences import cut, visible
 from protocols import OperatorAnswered, OperatorAsked, RunAborted
 
 
@@ -30,7 +31,7 @@ class TerminalOperator:
     """Asks on the terminal; a signal ends the waiting."""
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
-        print(f"{prompt} [yes/no] ", end="", flush=True)
+        print(f"{visible(cut(prompt))} [yes/no] ", end="", flush=True)
         while True:
             interrupts.check()
             ready, _, _ = select.select([sys.stdin], [], [], 0.2)

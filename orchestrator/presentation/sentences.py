@@ -8,6 +8,11 @@ from typing import TextIO
 
 from orchestrator.presentation.quantities import number
 
+LONGEST_LINE = 4000
+"""Letters of a line for people; what is longer did not come from here."""
+_OBEYED = re.compile(
+    r"[\x00-\x09\x0b-\x1f\x7f-\x9f\u061c\u200e\u200f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]"
+)
 _ASCII = str.maketrans(
     {"Ω": "ohm", "µ": "u", "−": "-", "–": "-", "×": "x", "━": "=", "→": "->", "±": "+-", "·": "*", "²": "^2"}
 )
@@ -39,6 +44,23 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
 
 
+def visible(text: str) -> str:
+    r"""What a terminal or a page would obey, rather than show, written as ``\u001b``.
+
+    Control characters (C0 but for the line feed, DEL, C1), marks that turn the direction of writing (UAX #9),
+    separators of lines and paragraphs, and halves of surrogate pairs. JSON stays the same JSON.
+    """
+    return _OBEYED.sub(lambda found: f"\\u{ord(found[0]):04x}", text)
+
+
+def cut(text: str, most: int = LONGEST_LINE) -> str:
+    """Each line of a text from outside with at most so many letters, and how many there were."""
+    if len(text) <= most:
+        return text
+    lines = text.split("\n")
+    return "\n".join(line if len(line) <= most else f"{line[:most]}... ({len(line)} characters)" for line in lines)
+
+
 def shortened(text: str, most: int) -> str:
     """At most so many letters, cut between words."""
     if len(text) <= most:
@@ -56,7 +78,8 @@ def can_print(output: TextIO) -> bool:
 
 
 def for_output(text: str, output: TextIO) -> str:
-    """The text as the output's encoding can take it."""
+    """The text as the output's encoding can take it, and as no terminal obeys it."""
+    text = visible(text)
     return text if can_print(output) else text.translate(_ASCII).encode("ascii", "replace").decode("ascii")
 
 

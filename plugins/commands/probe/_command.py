@@ -71,12 +71,14 @@ def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_js
         looked = [{"link": link.text, "why": why} for link, why in silent]
         print(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked}))
         return
+    from orchestrator.presentation.sentences import cut, one_line
+
     for drive in found:
-        print("\n".join(_told(drive)))
+        print("\n".join(one_line(cut(line)) for line in _told(drive)))
     if not found:
         print("No drive answered.")
     for link, why in silent:
-        print(f"no drive on {link.text}: {why}")
+        print(one_line(cut(f"no drive on {link.text}: {why}")))
 
 
 def _told(drive: Found) -> list[str]:

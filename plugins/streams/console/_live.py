@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import threading
+from collections.abc import Iterator
 from typing import TextIO
 
-from rich.console import Console, Group, RenderableType
+from rich.console import Console, ConsoleOptions, Group, RenderableType
 from rich.live import Live
 from rich.progress_bar import ProgressBar
+from rich.segment import Segment
 from rich.spinner import Spinner
 from rich.table import Table
 from rich.text import Text
@@ -16,7 +18,7 @@ from orchestrator.presentation.events import said
 from orchestrator.presentation.names import OUTCOME_MOODS, plain, slots
 from orchestrator.presentation.quantities import duration, plural, vector
 from orchestrator.presentation.results import resistance
-from orchestrator.presentation.sentences import one_line
+from orchestrator.presentation.sentences import cut, one_line, visible
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import stage_title, step_bar, step_line, summary_rows, time_left
 from protocols import (
@@ -45,10 +47,15 @@ IN_THE_DISPLAY = (StageStarted, StateChanged, StagesAppended, OperatorAsked, Run
 
 
 class TerminalConsole(Console):
-    """A rich console that lets a broken pipe surface, where rich itself would end the process."""
+    """A rich console that lets a broken pipe surface, where rich itself would end the process, and escapes texts."""
 
     def on_broken_pipe(self) -> None:
         raise BrokenPipeError("the terminal is gone")
+
+    def render(self, renderable: RenderableType, options: ConsoleOptions | None = None) -> Iterator[Segment]:
+        """What rich draws; of its texts nothing is obeyed by the terminal, whoever forgot to see to that."""
+        for segment in super().render(renderable, options):
+            yield segment if segment.control else Segment(visible(segment.text), segment.style)
 
 
 class LiveView:
@@ -79,7 +86,7 @@ class LiveView:
     def _tell(self, message: Message) -> None:
         told = said(message)
         if isinstance(message, RunStarted):
-            title = Text(one_line(message.name), style="bold")
+            title = Text(one_line(cut(message.name)), style="bold")
             title.append(one_line(f"  {message.motor.name} on the drive {message.drive}"), style="default not bold")
             self._console.print(title)
         elif isinstance(message, OperatorAnswered):
@@ -112,7 +119,7 @@ class LiveView:
 
     def _say(self, mark: str, text: str) -> None:
         sign, style = MARKS[mark]
-        self._console.print(Text.assemble((sign, style), one_line(text)))
+        self._console.print(Text.assemble((sign, style), one_line(cut(text))))
 
     def _start(self) -> None:
         self._live = Live(
@@ -172,7 +179,7 @@ class _Display:
     def _heading(self, progress: Progress) -> RenderableType:
         text = Text(plain(progress.state), style="bold")
         if progress.stage is not None:
-            text.append(f"  {stage_title(progress, progress.stage)}", style="default not bold")
+            text.append(one_line(cut(f"  {stage_title(progress, progress.stage)}")), style="default not bold")
             at = min(progress.stage.done + 1, progress.stage.points)
             text.append(f", point {at} of {progress.stage.points}", style="default not bold")
         self._spinner.update(text=text)
@@ -220,9 +227,9 @@ def _diagnosis(message: Diagnosed) -> RenderableType:
     assert told is not None
     sign, style = MARKS[told.mood]
     table = _two_columns()
-    table.add_row(Text(sign + told.subject, style=style), Text(one_line(told.text), style=style))
+    table.add_row(Text(sign + told.subject, style=style), Text(one_line(cut(told.text)), style=style))
     for title, text in slots(message.words):
-        table.add_row("  " + title, Text(one_line(text)))
+        table.add_row("  " + title, Text(one_line(cut(text))))
     return table
 
 
@@ -238,5 +245,5 @@ def _ending(message: RunEnded) -> RenderableType:
     _, style = MARKS[OUTCOME_MOODS[message.outcome]]
     table = _two_columns()
     for label, text in summary_rows(message):
-        table.add_row(label, Text(one_line(text), style=style if label == "outcome" else ""))
+        table.add_row(label, Text(one_line(cut(text)), style=style if label == "outcome" else ""))
     return Group("", table)

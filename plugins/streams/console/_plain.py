@@ -7,7 +7,7 @@ from typing import TextIO
 from orchestrator.presentation.events import said
 from orchestrator.presentation.names import slots
 from orchestrator.presentation.quantities import duration, plural, vector
-from orchestrator.presentation.sentences import columns, for_output, one_line
+from orchestrator.presentation.sentences import columns, cut, for_output, one_line
 from plugins.streams.console._progress import Progress
 from plugins.streams.console._words import stage_title, step_line, summary_rows, time_left
 from protocols import (
@@ -97,7 +97,7 @@ class PlainView:
         return [f"{progress.fraction:4.0%}  {counted}, {time_left(progress)}{reached}"]
 
     def _line(self, text: str) -> None:
-        self._output.write(for_output(one_line(text), self._output) + "\n")
+        self._output.write(for_output(one_line(cut(text)), self._output) + "\n")
         self._output.flush()
 
 

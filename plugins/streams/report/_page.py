@@ -11,6 +11,7 @@ import numpy as np
 
 from orchestrator.presentation.drawing import BASIS_LINES
 from orchestrator.presentation.names import MAP_QUANTITIES
+from orchestrator.presentation.sentences import cut, visible
 from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings
@@ -62,7 +63,9 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
     """The page as text, with so many rows of the journal."""
     from jinja2 import Environment, StrictUndefined
 
-    environment = Environment(autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True)
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_shown
+    )
     template = environment.from_string((files(__package__) / "template.html").read_text(encoding="utf-8"))
     motor = content.motor_of(material)
     main = next(iter(material.maps.values()), None)
@@ -88,6 +91,11 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         problems=material.problems,
         files=_files(material),
     )
+
+
+def _shown(value: object) -> object:
+    """What the template puts into the page: text from outside is cut, and nothing of it is obeyed."""
+    return visible(cut(value)) if type(value) is str else value  # not markup, which is the page's own
 
 
 def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:

@@ -11,6 +11,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.presentation.sentences import cut, visible
 from protocols import RecordingError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -149,4 +150,4 @@ def _picture(file: Path, to: Path, tab: str | None) -> int:
 
 
 def _tell(line: str) -> None:
-    print(f"fluxbench: {line}", file=sys.stderr, flush=True)
+    print(visible(cut(f"fluxbench: {line}")), file=sys.stderr, flush=True)

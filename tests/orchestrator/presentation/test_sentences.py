@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import json
+import unicodedata
 
 import pytest
 from hypothesis import given
@@ -11,6 +13,7 @@ from hypothesis import strategies as st
 from orchestrator.presentation.sentences import (
     can_print,
     columns,
+    cut,
     for_output,
     listed,
     markdown_table,
@@ -18,6 +21,7 @@ from orchestrator.presentation.sentences import (
     shortened,
     text_table,
     typographic,
+    visible,
 )
 
 
@@ -75,3 +79,29 @@ def test_tables_have_columns() -> None:
     assert columns([("a", "b"), ("ccc", "d")]) == ["a    b", "ccc  d"]
     assert columns([]) == []
     assert markdown_table(("x",), [("a|b",)]) == "| x |\n| --- |\n| a/b |"
+
+
+TURNING = {"LRE", "RLE", "LRO", "RLO", "PDF", "LRI", "RLI", "FSI", "PDI"}
+
+
+def is_obeyed(char: str) -> bool:
+    """Whether a terminal or a page does something at this character, by Unicode's own tables."""
+    turns = unicodedata.bidirectional(char) in TURNING or char in "\u061c\u200e\u200f"
+    return char != "\n" and (turns or unicodedata.category(char) in ("Cc", "Cs", "Zl", "Zp"))
+
+
+def test_of_all_characters_those_that_are_obeyed_are_written_out() -> None:
+    for code in range(0x110000):
+        char = chr(code)
+        assert (visible(char) != char) == is_obeyed(char), hex(code)
+
+
+@given(st.text(st.characters(), max_size=50))
+def test_what_is_made_visible_reads_the_same_in_json(text: str) -> None:
+    document = json.dumps({"name": text}, ensure_ascii=False)
+    assert json.loads(visible(document)) == {"name": text}
+
+
+def test_a_line_from_outside_is_cut_and_says_how_long_it_was() -> None:
+    assert cut("short\n" + "x" * 10_000_000, 5) == "short\nxxxxx... (10000000 characters)"
+    assert cut("x" * 4000) == "x" * 4000

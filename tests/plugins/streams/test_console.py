@@ -9,12 +9,14 @@ import json
 import re
 import sys
 import threading
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 import pytest
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
+from orchestrator.presentation.sentences import visible
 from orchestrator.testing._messages import MOTOR, a_run, one_of_each, points_done
 from plugins.streams.console import ConsoleOptions, ConsoleStream
 from plugins.streams.console._progress import Progress
@@ -35,6 +37,7 @@ from protocols import (
 )
 
 ESCAPE = "\x1b"
+HOSTILE = "\x1b]0;owned\x07\x9b2J\u202egnp.\r\t\x00"
 
 
 class Output(io.StringIO):
@@ -295,3 +298,31 @@ def test_a_stage_ends_with_the_next_or_with_a_stop() -> None:
 def test_an_unknown_mode_is_refused() -> None:
     with pytest.raises(ValidationError, match="mode"):
         ConsoleOptions.model_validate({"mode": "loud"})
+
+
+def with_hostile_texts(value: Any) -> Any:
+    """The message as it is, with every free text in it replaced."""
+    if isinstance(value, BaseModel):
+        changed = value
+        for name, held in value:
+            replaced = with_hostile_texts(held)
+            if replaced is not held:
+                with suppress(ValidationError):  # a kind, an outcome: no free text
+                    changed = type(value).model_validate({**dict(changed), name: replaced})
+        return changed
+    return HOSTILE * 3 if isinstance(value, str) else value
+
+
+@pytest.mark.parametrize("mode", ["plain", "quiet", "jsonl", "live"])
+def test_nothing_that_a_message_holds_is_obeyed_by_the_terminal(mode: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    output = Output(terminal=mode == "live")
+    monkeypatch.setattr(sys, "stdout", output)
+    stream = ConsoleStream(StreamSetup(run=Path("run"), options=ConsoleOptions.model_validate({"mode": mode})))
+    for message in one_of_each(Path("run")):
+        stream.receive(with_hostile_texts(message))
+    stream.close()
+    shown = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", output.getvalue())  # the live display's own styling
+    assert "owned" in shown
+    allowed = "\n\r" if mode == "live" else "\n"
+    obeyed = [char for char in shown if visible(char) != char and char not in allowed]
+    assert not obeyed, obeyed

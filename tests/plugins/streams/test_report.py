@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from markupsafe import Markup
 from matplotlib import pyplot
 
 from plugins.streams.report import ReportStream, write_report
@@ -22,7 +23,7 @@ from plugins.streams.report._figures import (
     held_currents,
     inductance_figure,
 )
-from plugins.streams.report._page import render
+from plugins.streams.report._page import _shown, render
 from protocols import (
     Basis,
     ClosedForm,
@@ -343,3 +344,9 @@ def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(tmp_path: Pa
     assert [bar.text for bar in shown["Reciprocity"].bars] == ["0.66 %"]
     alone = checks(collect(estimated(run, **given, maps=energy)))
     assert any("By construction" in check.meaning for check in alone)
+
+
+def test_nothing_in_the_page_is_obeyed_rather_than_shown() -> None:
+    assert _shown("\x1b[2J\u202egnp.\n\x9b") == "\\u001b[2J\\u202egnp.\n\\u009b"
+    assert len(str(_shown("x" * 10_000_000))) < 5000
+    assert _shown(Markup("<svg>\u202e</svg>")) == Markup("<svg>\u202e</svg>")

@@ -1,0 +1,64 @@
+"""Whatever a file holds, and whatever is typed: no character of it is obeyed by the terminal."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, example, given, settings
+from hypothesis import strategies as st
+
+from orchestrator.presentation.sentences import LONGEST_LINE, visible
+from tests.support.processes import called
+from tests.support.tiny import tiny_document
+
+HOSTILE = "\x1b]0;owned\x07\x9b2J\u202egnp.\r\t\x00\u2066"
+WORDS = st.text(st.characters(codec="utf-8"), min_size=1, max_size=20)
+
+
+def assert_plain(text: str) -> None:
+    assert [char for char in text if visible(char) != char] == []
+    assert max(map(len, text.split("\n"))) < 2 * LONGEST_LINE
+
+
+def tell_all(folder: Path, text: str) -> None:
+    """Put a text into every place where a command would print it."""
+    document = tiny_document()
+    document["name"] = document["motor"]["name"] = text
+    procedure = folder / "p.yaml"
+    procedure.write_text(json.dumps(document), encoding="utf-8")
+    unknown = folder / "u.yaml"
+    unknown.write_text(json.dumps({**document, text: 1}), encoding="utf-8")
+    manifest = folder / "recording.json"
+    manifest.write_text(json.dumps({"format": "fluxbench-recording", "version": 1, text: text}), encoding="utf-8")
+    for words in (
+        ("check", procedure),
+        ("check", procedure, "--json"),
+        ("check", unknown),
+        ("check", procedure, "--set", f"{text}=1"),
+        ("check", procedure, "--drive", text),
+        ("estimate", folder),
+        (text,),
+    ):
+        done = called(*words)
+        assert_plain(done.stdout)
+        assert_plain(done.stderr)
+
+
+@settings(max_examples=4, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(text=WORDS)
+@example(text=HOSTILE)
+def test_no_text_from_outside_is_obeyed_by_the_terminal(tmp_path: Path, text: str) -> None:
+    tell_all(tmp_path, text)
+
+
+@pytest.mark.parametrize("text", ["x" * 10_000_000, HOSTILE * 10_000], ids=["long", "hostile"])
+def test_texts_of_megabytes_are_cut(tmp_path: Path, text: str) -> None:
+    document = tiny_document()
+    path = tmp_path / "p.yaml"
+    path.write_text(json.dumps({**document, "name": text, text: 1}), encoding="utf-8")
+    done = called("check", path)
+    assert done.returncode == 2
+    assert done.stderr.count("\n") == 1
+    assert_plain(done.stderr)
