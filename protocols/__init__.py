@@ -8,6 +8,7 @@ events are what the engine says while it works.
 from protocols._base import (
     ArrayModel,
     Lenient,
+    Phases,
     RealArray,
     Samples,
     Shape,
@@ -289,6 +290,7 @@ __all__ = [
     "OperatorAsked",
     "ParameterRole",
     "ParameterValue",
+    "Phases",
     "PluginError",
     "PluginUse",
     "Point",

@@ -73,6 +73,9 @@ Samples = Annotated[RealArray, Shape(("n",))]
 Vectors = Annotated[RealArray, Shape(("n", 2))]
 """One two-axis vector a sample, shape (n, 2): time first, then axis."""
 
+Phases = Annotated[RealArray, Shape(("n", 3))]
+"""One value a phase and sample, shape (n, 3)."""
+
 
 class ArrayModel(BaseModel):
     """A frozen model that holds arrays by reference; named dimensions must agree across fields."""

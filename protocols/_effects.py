@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Protocol, dataclass_transform, runt
 
 import numpy as np
 
-from protocols._base import ArrayModel, RealArray, Samples, Shape, Vectors
+from protocols._base import ArrayModel, Phases, RealArray, Samples, Shape, Vectors
 from protocols._errors import PluginError
 from protocols._motor import Motor
 from protocols._recording import DriveRecord
@@ -266,6 +266,14 @@ class Signals(ArrayModel):
     """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
     i_smooth_ab: Vectors | None = None
     """The stator current that belongs to the smooth flux [A]."""
+    i_abc: Phases | None = None
+    """Phase currents as the sensors read them [A], where the recording holds them; no effect changes them."""
+    clarke_of_three: bool | None = None
+    """Whether the vector was made of three readings (else of a and b); None where the recording does not tell."""
+    temperature_c: Samples | None = None
+    """As logged, where the drive has a thermometer."""
+    start_temperature_c: float | None = None
+    """The first one that was logged in the experiment."""
     losses: LossHistory | None = None
     motor: Motor | None = None
     """The nameplate."""
@@ -283,7 +291,11 @@ class Signals(ArrayModel):
 
 @runtime_checkable
 class Effect(Protocol):
-    """A candidate for what the model lacks."""
+    """A candidate for what the model lacks.
+
+    One that shows only in some recordings says so by a method ``shows_in(signals) -> bool``: where it is true of no
+    segment, a diagnosis does not look for the effect, which then costs nothing.
+    """
 
     name: ClassVar[str]
     summary: ClassVar[str]

@@ -10,10 +10,9 @@ from collections.abc import Sequence
 from enum import StrEnum
 from typing import Annotated, Any, Literal, Protocol
 
-import numpy as np
 from pydantic import Field, model_validator
 
-from protocols._base import ArrayModel, Lenient, Samples, Shape, Vectors
+from protocols._base import ArrayModel, Lenient, Phases, Samples, Vectors
 from protocols._motor import Motor, Positive
 
 SegmentId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
@@ -47,7 +46,7 @@ class Capture(ArrayModel):
     """Commanded voltage (alpha, beta) [V], shape (n, 2)."""
     v_dc: Samples
     """DC-bus voltage [V], shape (n,)."""
-    i_abc: Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("n", 3))] | None = None
+    i_abc: Phases | None = None
     """Phase currents [A], shape (n, 3), where the drive measures all three."""
     temperature_c: Samples | None = None
 

@@ -12,7 +12,13 @@ from orchestrator.diagnosis.conventions import convention_report, find_conventio
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.experiment_design.proposal import next_experiment
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate, require_known, scaled_library
+from orchestrator.diagnosis.fitting.candidates import (
+    MAP_RUNGS,
+    Candidate,
+    require_known,
+    scaled_library,
+    those_that_can_show,
+)
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
@@ -135,10 +141,11 @@ def diagnose_recording(
         report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), tell=tell)
-    library = scaled_library(effects, setup.prepared.manifest, without)
+    every = scaled_library(effects, setup.prepared.manifest, without)
+    library = those_that_can_show(every, [p.signals for p in setup.prepared.pieces])
     if isinstance(model, MotorModel):
         model = reduced(model, without)
-    steps = map_steps(setup, model, {c.name: c for c in library}, without)
+    steps = map_steps(setup, model, {c.name: c for c in every}, without)
     setup, search = search_effects(setup, steps, library)
     if search.shares:
         search, doubtful = without_stand_ins(search)

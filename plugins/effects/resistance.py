@@ -1,4 +1,4 @@
-"""Resistance that is not one constant: phases that differ, a winding that warms up, skin effect in the ripple."""
+"""Resistance that is not one constant: phases that differ, what warms up, skin effect in the ripple."""
 
 from __future__ import annotations
 
@@ -108,6 +108,42 @@ def _warmth(
             out[k] = before + min(max(part, 0.0), 1.0) * (after - before)
             k += 1
     return out
+
+
+class ResistanceWithTemperature:
+    """Resistance that follows the logged temperature: R = R_0 (1 + alpha (T - T_0)), T_0 the first that was logged.
+
+    alpha [1/K] is 0.39 %/K where the thermometer is in a winding of copper, less where it tells of a part of the
+    resistance only: of the transistors' r_on, by the heat sink, or of a winding that it is not in.
+    """
+
+    name: ClassVar[str] = "resistance_with_temperature"
+    summary: ClassVar[str] = "The resistance follows the temperature that was logged."
+    signature: ClassVar[str] = "A residual along the current that goes with the thermometer."
+    layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = "R_s is the resistance at the first temperature that was logged."
+
+    class Parameters(EffectParameters):
+        per_k: float = amplitude("1/K", typical=0.0039, prior_width=0.004, low=0.0, high=0.02)
+
+    def shows_in(self, signals: Signals) -> bool:
+        """Where a temperature was logged that is not the first one, by a kelvin at least."""
+        return signals.temperature_c is not None and float(np.abs(_warmer_k(signals)).max()) >= 1.0
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        """Raise the resistance by what the thermometer says; nothing without one."""
+        if signals.temperature_c is None:
+            return Correction()
+        return Correction(resistance_ohm=signals.resistance_ohm * (1.0 + p.per_k * _warmer_k(signals)))
+
+
+def _warmer_k(signals: Signals) -> Array:
+    """By how much it is warmer than at the first reading [K], shape (n,); zeros without a thermometer."""
+    if signals.temperature_c is None:
+        return np.zeros(len(signals.v_dc))
+    first = signals.temperature_c[0] if signals.start_temperature_c is None else signals.start_temperature_c
+    return np.asarray(signals.temperature_c - first, dtype=np.float64)
 
 
 class SkinEffect:

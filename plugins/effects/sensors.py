@@ -1,4 +1,8 @@
-"""Errors of two current sensors, in phases a and b, whose third phase is computed: gain, offset, drift, curvature."""
+"""Errors of the current sensors: gain, offset, drift, curvature.
+
+Of two, in phases a and b, the third current is computed; of three, all make the vector, and a zero sequence drops out.
+A recording without phase currents is taken for one of two.
+"""
 
 from __future__ import annotations
 
@@ -6,12 +10,33 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.numerics.frames import from_two_phases, to_phases
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement
+from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
+from orchestrator.numerics.types import Array
+from protocols import (
+    Contrast,
+    Correction,
+    EffectLayer,
+    EffectParameters,
+    RealArray,
+    Signals,
+    amplitude,
+    refinement,
+)
+
+
+def _vectors(read: Array, three: bool) -> Array:
+    """Vectors (n, 2) as a drive of two or of three sensors makes them of readings (n, 3)."""
+    return from_phases(read) if three else from_two_phases(read[:, 0], read[:, 1])
+
+
+def _ungained(i_ab: RealArray, gains: tuple[float, float, float], three: bool) -> Array:
+    """The vectors of which sensors with these gains made `i_ab`."""
+    read = _vectors(to_phases(np.eye(2)) * np.array(gains), three)
+    return np.asarray(i_ab @ np.linalg.inv(read))
 
 
 class CurrentGainMismatch:
-    """Gains 1 + g/2 of sensor a and 1 - g/2 of sensor b, g dimensionless; i_c = -i_a - i_b as computed."""
+    """Gains 1 + g/2 of sensor a and 1 - g/2 of sensor b, g dimensionless; i_c = -i_a - i_b, or as a third one reads."""
 
     name: ClassVar[str] = "current_gain_mismatch"
     summary: ClassVar[str] = "The current sensors of phases a and b differ in gain."
@@ -26,12 +51,41 @@ class CurrentGainMismatch:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Divide each sensor's reading by its gain."""
         half = 0.5 * p.gain_a_minus_b
-        a, b = to_phases(np.eye(2))[:, :2].T
-        return Correction(i_ab=signals.i_ab @ from_two_phases(a / (1.0 + half), b / (1.0 - half)))
+        return Correction(i_ab=_ungained(signals.i_ab, (1.0 + half, 1.0 - half, 1.0), signals.clarke_of_three is True))
+
+
+class ThirdCurrentSensor:
+    """Gain 1 + g of sensor c where three sensors make the vector: it is stretched along phase c by 2/3 g.
+
+    Its offset moves the vector as those of a and b do, and is told as theirs.
+    """
+
+    name: ClassVar[str] = "third_current_sensor"
+    summary: ClassVar[str] = "The third current sensor differs in gain from the other two."
+    signature: ClassVar[str] = "Resistance and inductance are stretched alike along phase c, and nothing is turned."
+    layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = "A gain common to all sensors scales R_s and the flux together: +g of c is -g of a and b."
+
+    class Parameters(EffectParameters):
+        gain_c_minus_1: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)
+
+    def shows_in(self, signals: Signals) -> bool:
+        """Where it is not known that a and b alone make the vector."""
+        return signals.clarke_of_three is not False
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        """Divide the third reading by its gain; nothing where there is none."""
+        if not self.shows_in(signals):
+            return Correction()
+        return Correction(i_ab=_ungained(signals.i_ab, (1.0, 1.0, 1.0 + p.gain_c_minus_1), True))
 
 
 class CurrentOffset:
-    """Sensors a and b read i + o [A]; the computed phase c reads i_c - o_a - o_b."""
+    """Sensors a and b read i + o [A]; a computed phase c reads i_c - o_a - o_b, a third sensor i_c.
+
+    Three offsets o_a, o_b, o_c are seen as o_a - o_c and o_b - o_c.
+    """
 
     name: ClassVar[str] = "current_offset"
     summary: ClassVar[str] = "The current sensors read a constant beside the current."
@@ -48,7 +102,12 @@ class CurrentOffset:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the offsets."""
-        return Correction(i_ab=signals.i_ab - from_two_phases(p.offset_a_a, p.offset_b_a))
+        return Correction(i_ab=signals.i_ab - _offset(p.offset_a_a, p.offset_b_a, signals))
+
+
+def _offset(a: float, b: float, signals: Signals) -> Array:
+    """The vector (1, 2) that sensors a and b show without a current."""
+    return _vectors(np.array([[a, b, 0.0]]), signals.clarke_of_three is True)
 
 
 class CurrentOffsetDrift:
@@ -75,11 +134,11 @@ class CurrentOffsetDrift:
         now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
         s = p.settling_per_s
         grown = now if s == 0.0 else -np.expm1(-s * now) / s
-        return Correction(i_ab=signals.i_ab - grown[:, None] * from_two_phases(p.rate_a_a_per_s, p.rate_b_a_per_s))
+        return Correction(i_ab=signals.i_ab - grown[:, None] * _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals))
 
 
 class CurrentNonlinearity:
-    """Sensors a and b read i + k i^3 [A], k in 1/A^2: a core that begins to saturate, or the amplifier behind it."""
+    """Every sensor reads i + k i^3 [A], k in 1/A^2: a core that begins to saturate, or the amplifier behind it."""
 
     name: ClassVar[str] = "current_nonlinearity"
     summary: ClassVar[str] = "The current sensors' characteristic is curved."
@@ -94,7 +153,7 @@ class CurrentNonlinearity:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Solve m = i + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
         k = p.cubic_per_a2
-        read = to_phases(signals.i_ab)[:, :2]
+        read = to_phases(signals.i_ab)
         square = read * read
         near = read * (1.0 - k * square / (1.0 + 3.0 * abs(k) * square))
-        return Correction(i_ab=from_two_phases(*(read - k * near * near * near).T))
+        return Correction(i_ab=signals.i_ab - _vectors(k * near * near * near, signals.clarke_of_three is True))

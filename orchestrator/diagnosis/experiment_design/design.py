@@ -23,7 +23,7 @@ from orchestrator.diagnosis.experiment_design.proposal import catalogue
 from orchestrator.diagnosis.experiment_design.rehearsal import Rehearsal, rehearse
 from orchestrator.diagnosis.experiment_design.shortest import Offer, out_of_reach, shortest
 from orchestrator.diagnosis.experiment_design.writing import stages_of
-from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
+from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library, those_that_can_show
 from orchestrator.diagnosis.weak_form.segments import USABLE
 from protocols import Capabilities, Effect, ProcedureError, SegmentStage, StageEntry
 
@@ -83,7 +83,8 @@ def design(
     """
     criteria, name = criteria or Criteria(), plan.procedure.name
     base = rehearse(plan, drive, machine, noise_a, criteria)
-    library = scaled_library(effects, base.setup.prepared.manifest)
+    every = scaled_library(effects, base.setup.prepared.manifest)
+    library = those_that_can_show(every, [p.signals for p in base.setup.prepared.pieces])
     offer = _offer(base, drive, machine, library, criteria)
     if beyond := out_of_reach(offer, size, criteria):
         what = ", ".join(f"{q[0]} is not found" if len(q) == 1 else "{} or {}".format(*q) for q in beyond)

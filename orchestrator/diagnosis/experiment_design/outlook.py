@@ -14,7 +14,13 @@ from orchestrator.diagnosis.experiment_design.information import information
 from orchestrator.diagnosis.experiment_design.isolability import Isolability, isolability
 from orchestrator.diagnosis.experiment_design.machine import Machine
 from orchestrator.diagnosis.experiment_design.rehearsal import Rehearsal, rehearse
-from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library, typical_coordinate, value_at
+from orchestrator.diagnosis.fitting.candidates import (
+    Candidate,
+    scaled_library,
+    those_that_can_show,
+    typical_coordinate,
+    value_at,
+)
 from orchestrator.diagnosis.selection.identifiability import parted_by
 from protocols import Capabilities, Contrast, Effect, Strict
 
@@ -105,7 +111,8 @@ def outlook(
     """
     criteria = criteria or Criteria()
     rehearsal = rehearse(plan, drive, machine, noise_a, criteria)
-    library = scaled_library(effects, rehearsal.setup.prepared.manifest)
+    every = scaled_library(effects, rehearsal.setup.prepared.manifest)
+    library = those_that_can_show(every, [p.signals for p in rehearsal.setup.prepared.pieces])
     known = information(rehearsal, library)
     told = isolability(known, known.total, criteria)
     more = additions(rehearsal, drive, machine, library, known, told)

@@ -203,6 +203,7 @@ def _piece(
         motor=s.motor,
         drive=s.drive,
         bridge_on=kind is not SegmentStage.GATES_OFF,
+        clarke_of_three=s.clarke_of_three,
     )
     windows = windows_of(segment, fs, i_ab, v_ab, setup.prepared.criteria.weak_form)
     assert windows is not None

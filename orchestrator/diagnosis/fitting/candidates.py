@@ -10,7 +10,7 @@ from functools import cached_property
 from orchestrator._validation import suggestion
 from orchestrator.diagnosis.fitting.guarded import require_effect
 from orchestrator.diagnosis.fitting.machine_scale import MachineScale
-from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError
+from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError, Signals
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
@@ -98,6 +98,19 @@ def scaled_library(effects: Sequence[Effect], manifest: Manifest, without: Seque
         for effect in effects
         if effect.name not in without
     )
+
+
+def those_that_can_show(library: Sequence[Candidate], signals: Sequence[Signals]) -> tuple[Candidate, ...]:
+    """The candidates that some segment can show; raises `PluginError` where an effect fails to say."""
+    return tuple(c for c in library if any(_can_show(c.effect, s) for s in signals))
+
+
+def _can_show(effect: Effect, signals: Signals) -> bool:
+    shows_in = getattr(effect, "shows_in", None)
+    try:
+        return shows_in is None or bool(shows_in(signals))
+    except Exception as error:  # somebody else's code may raise anything
+        raise PluginError("effects", effect.name, f"shows_in: {type(error).__name__}: {error}") from error
 
 
 def require_known(names: Sequence[str], effects: Sequence[Effect]) -> None:

@@ -10,6 +10,7 @@ from typing import Literal
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
+from orchestrator.diagnosis.weak_form.logged import since_the_start, what_is_logged
 from orchestrator.diagnosis.weak_form.loss_history import (
     SegmentHeat,
     heat_of_unread,
@@ -36,7 +37,7 @@ from protocols import (
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
 USABLE = (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
-_SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
+_SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j", "i_abc", "temperature_c")
 
 
 @dataclass(frozen=True)
@@ -122,6 +123,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
     pieces.sort(key=lambda p: p.segment.start_s)
+    pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
@@ -149,7 +151,7 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     stop = count + 1
     if stop >= n or count < criteria.coarse_least_samples:
         return piece
-    cut = {name: getattr(s, name)[:stop] for name in _SAMPLED}
+    cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
     signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"]})
     windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
     return piece if windows is None else replace(piece, signals=signals, windows=windows)
@@ -211,6 +213,7 @@ def _piece(
         motor=recording.manifest.motor,
         drive=drive,
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
+        **what_is_logged(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab, criteria) == "dq"
     return SegmentSignals(segment, held_out or diagonal, signals, windows, scatter, width, before)

@@ -63,6 +63,16 @@ def wandering(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="session")
+def of_three_sensors(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "third", third_gain=0.01)
+
+
+@pytest.fixture(scope="session")
+def with_thermometer(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "thermometer", warming_per_k=0.0035)
+
+
+@pytest.fixture(scope="session")
 def correlated(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "correlated", noise_correlation=0.6)
 

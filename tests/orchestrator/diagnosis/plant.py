@@ -36,6 +36,10 @@ class Flaws:
     sensor_bend_v: float = 0.0
     noise_correlation: float = 0.0
     jitter_s: float = 0.0
+    third_gain: float = 0.0
+    """By how much the third of three sensors reads more; where it is not nil, their readings are logged."""
+    warming_per_k: float = 0.0
+    """Resistance per kelvin of a thermometer that is logged, and that climbs by 12 K as the experiment goes on."""
     second_pwm: bool = False
     """Held currents at twice the PWM frequency too, where dead time takes twice the voltage."""
 
@@ -64,14 +68,15 @@ def _capture(psi: Array, start_s: float, flaws: Flaws, rng: np.random.Generator)
     """A capture of len(psi) - 1 samples."""
     i, middle = current(psi), current(0.5 * (psi[1:] + psi[:-1]))
     mean = (i[:-1] + 4.0 * middle + i[1:]) / 6.0
-    v = np.diff(psi, axis=0) / TS + R_S * mean
+    t = start_s + np.arange(len(psi) - 1) * TS
+    warmer = 12.0 * (1.0 - np.exp(-t / 4.0))
+    v = np.diff(psi, axis=0) / TS + R_S * (1.0 + flaws.warming_per_k * warmer)[:, None] * mean
     c, s = math.cos(flaws.misalignment_rad), math.sin(flaws.misalignment_rad)
     to_stator = np.array([[c, s], [-s, c]])
     i_ab, v_ab, mean_ab = i[:-1] @ to_stator, v @ to_stator, mean @ to_stator
     phases = np.array([[1.0, 0.0], [-0.5, math.sqrt(0.75)], [-0.5, -math.sqrt(0.75)]])
     v_ab = v_ab + flaws.dead_time_v * np.tanh(mean_ab @ phases.T / 0.05) @ phases * (2.0 / 3.0)
     v_ab = v_ab + flaws.sensor_bend_v * np.abs(mean_ab @ phases.T) @ phases * (2.0 / 3.0)
-    t = start_s + np.arange(len(i_ab)) * TS
     drift = flaws.drift_a_per_s * t
     drifts = np.stack([drift, drift / math.sqrt(3.0)], axis=1)
     if flaws.offset_scatter_a:
@@ -85,7 +90,15 @@ def _capture(psi: Array, start_s: float, flaws: Flaws, rng: np.random.Generator)
     late = flaws.jitter_s * rng.normal(0.0, 1.0, len(t)) / TS if flaws.jitter_s else np.zeros(len(t))
     moved = late[:, None] * np.diff(i_ab, axis=0, append=i_ab[-1:])
     read = i_ab + moved + noise + drifts
-    return Capture(start_s=start_s, sampling_frequency_hz=FS, i_ab=read, v_ab=v_ab, v_dc=np.full(len(t), 540.0))
+    logged = {}
+    if flaws.third_gain:
+        logged["i_abc"] = read @ phases.T * np.array([1.0, 1.0, 1.0 + flaws.third_gain])
+        read = logged["i_abc"] @ phases * (2.0 / 3.0)
+    if flaws.warming_per_k:
+        logged["temperature_c"] = 22.0 + warmer
+    return Capture(
+        start_s=start_s, sampling_frequency_hz=FS, i_ab=read, v_ab=v_ab, v_dc=np.full(len(t), 540.0), **logged
+    )
 
 
 def _trapezoid(period: int) -> Array:

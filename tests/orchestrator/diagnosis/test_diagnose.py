@@ -22,9 +22,9 @@ from orchestrator.recording import Recording, SegmentWriter, open_recording, rea
 from orchestrator.stages import parse_stage
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
-from plugins.effects.iron import EddyCurrents, Hysteresis
-from plugins.effects.resistance import WindingHeating
-from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset, CurrentOffsetDrift
+from plugins.effects.iron import EddyCurrents, Hysteresis, SlotHarmonics
+from plugins.effects.resistance import PhaseResistanceImbalance, ResistanceWithTemperature, WindingHeating
+from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset, CurrentOffsetDrift, ThirdCurrentSensor
 from plugins.effects.timing import VoltageDelay
 from protocols import Capture, DiagnosisStep, Effect, NotMeasuredError, PluginError, Segment, SegmentStage
 
@@ -180,6 +180,30 @@ def test_a_drift_that_is_in_the_library_is_named(drifting: Recording, tmp_path: 
     report = diagnose_recording(drifting, [*LIBRARY, CurrentOffsetDrift()], out=tmp_path).report
     assert [e.name for e in report.effects] == ["current_offset_drift"]
     assert report.effects[0].parameters["rate_a_a_per_s"].value == pytest.approx(0.004, rel=0.02)
+
+
+def test_a_third_sensor_that_reads_more_is_named_and_nothing_beside_it(
+    of_three_sensors: Recording, tmp_path: Path
+) -> None:
+    library = [*LIBRARY, ThirdCurrentSensor(), PhaseResistanceImbalance(), SlotHarmonics()]
+    report = diagnose_recording(of_three_sensors, library, out=tmp_path).report
+    assert report.verdict == "explained"
+    assert [e.name for e in report.effects] == ["third_current_sensor"]
+    assert report.effects[0].parameters["gain_c_minus_1"].value == pytest.approx(0.01, rel=0.02)
+
+
+def test_a_resistance_that_goes_with_the_logged_temperature_is_named(
+    with_thermometer: Recording, tmp_path: Path
+) -> None:
+    report = diagnose_recording(with_thermometer, [*LIBRARY, ResistanceWithTemperature()], out=tmp_path).report
+    assert report.verdict == "explained"
+    assert [e.name for e in report.effects] == ["resistance_with_temperature"]
+    assert report.effects[0].parameters["per_k"].value == pytest.approx(0.0035, rel=0.02)
+
+
+def test_what_cannot_show_is_not_looked_for(clean: Recording, tmp_path: Path) -> None:
+    diagnosis = diagnose_recording(clean, [DeadTime(), ResistanceWithTemperature()], out=tmp_path)
+    assert [c.name for c in diagnosis.library] == ["dead_time"]
 
 
 def test_effect_taken_out_of_the_library_leaves_something_unknown(misaligned: Recording, tmp_path: Path) -> None:

@@ -11,8 +11,14 @@ from orchestrator.numerics.types import Array
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
-from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
-from plugins.effects.sensors import CurrentGainMismatch, CurrentNonlinearity, CurrentOffset, CurrentOffsetDrift
+from plugins.effects.resistance import PhaseResistanceImbalance, ResistanceWithTemperature, WindingHeating
+from plugins.effects.sensors import (
+    CurrentGainMismatch,
+    CurrentNonlinearity,
+    CurrentOffset,
+    CurrentOffsetDrift,
+    ThirdCurrentSensor,
+)
 from plugins.effects.timing import CurrentFilter, VoltageDelay
 from protocols import DriveRecord, Effect, LossHistory, Motor, RealArray, Signals
 from tests.support.close import assert_close
@@ -94,6 +100,41 @@ def test_sensor_errors_are_undone() -> None:
     assert_close(read.i_m_ab, signals.i_ab, 1e-14)
     bent = _reads(signals, _from_two(true + 3e-4 * true**3))
     assert_close(_corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4).i_ab, signals.i_ab, 1e-7)
+
+
+def _of_three(signals: Signals, i_abc: Array) -> Signals:
+    """As a drive of three sensors reads it: the vector is the Clarke transform of all."""
+    a, b, c = i_abc.T
+    read = _reads(signals, np.stack([(2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0)], axis=1))
+    return read.model_copy(update={"i_abc": i_abc, "clarke_of_three": True})
+
+
+def test_errors_of_three_sensors_are_undone() -> None:
+    signals = _signals()
+    a, b = _two(signals.i_ab).T
+    true = np.stack([a, b, -a - b], axis=1)
+    gained = _of_three(signals, true * np.array([1.0, 1.0, 1.01]))
+    assert_close(_corrected(ThirdCurrentSensor(), gained, gain_c_minus_1=0.01).i_ab, signals.i_ab, 1e-14)
+    gained = _of_three(signals, true * np.array([1.01, 0.99, 1.0]))
+    assert_close(_corrected(CurrentGainMismatch(), gained, gain_a_minus_b=0.02).i_m_ab, signals.i_ab, 1e-14)
+    offset = _of_three(signals, true + np.array([0.03, 0.0, 0.01]))
+    assert_close(_corrected(CurrentOffset(), offset, offset_a_a=0.02, offset_b_a=-0.01).i_ab, signals.i_ab, 1e-14)
+    bent = _of_three(signals, true + 3e-4 * true**3)
+    assert_close(_corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4).i_ab, signals.i_ab, 1e-5)
+
+
+def test_a_third_sensor_that_is_known_not_to_be_there_has_no_error() -> None:
+    signals = _signals().model_copy(update={"clarke_of_three": False})
+    assert not ThirdCurrentSensor().shows_in(signals)
+    assert _corrected(ThirdCurrentSensor(), signals, gain_c_minus_1=0.01) is signals
+
+
+def test_resistance_goes_with_the_thermometer_from_its_first_reading() -> None:
+    warm = _signals().model_copy(update={"temperature_c": np.full(400, 35.0), "start_temperature_c": 25.0})
+    out = _corrected(ResistanceWithTemperature(), warm, per_k=0.004)
+    np.testing.assert_allclose(out.resistance_ohm, 4.0 * 1.04)
+    assert ResistanceWithTemperature().shows_in(warm)
+    assert not ResistanceWithTemperature().shows_in(_signals())
 
 
 def test_a_drift_grows_with_the_time_since_the_start_and_settles() -> None:
