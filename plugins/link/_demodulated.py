@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from plugins.link._host import Host
 from plugins.link._machine import Machine
-from plugins.link._raw import bus_voltage
+from plugins.link._raw import bus_voltage, temperature
 from plugins.link._reading import Reader
 from plugins.wire import (
     RIPPLE,
@@ -142,6 +142,7 @@ class RippleRead:
             i_ab=self._stator(i[first:stop]),
             v_ab=self._stator(v[first:stop]),
             v_dc=bus_voltage(self._host, stop - first),
+            temperature_c=temperature(self._host, stop - first),
         )
 
     def _waveforms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -9,7 +9,7 @@ import numpy as np
 from plugins.link._host import Host
 from plugins.link._machine import Machine
 from plugins.link._reading import Reader
-from plugins.wire import CaptureFormat, Channel, RowFormat
+from plugins.wire import NO_TEMPERATURE_C, CaptureFormat, Channel, RowFormat
 from protocols import Capture, DriveFault, FaultCause
 
 
@@ -71,6 +71,7 @@ class RawRead:
             i_ab=vectors(Channel.I_ALPHA, Channel.I_BETA),
             v_ab=vectors(Channel.V_ALPHA, Channel.V_BETA),
             v_dc=bus_voltage(self._host, stop - first) if v_dc is None else v_dc.astype(np.float32),
+            temperature_c=temperature(self._host, stop - first),
         )
 
 
@@ -78,3 +79,11 @@ def bus_voltage(host: Host, rows: int) -> np.ndarray[tuple[int], np.dtype[np.flo
     """The bus voltage by telemetry, for drives that do not capture it."""
     status = host.link.news.status
     return np.full(rows, status.v_dc if status else 0.0, dtype=np.float32)
+
+
+def temperature(host: Host, rows: int) -> np.ndarray[tuple[int], np.dtype[np.float32]] | None:
+    """What the drive's thermometer reads now, for a block of rows; None where its telemetry says that it has none."""
+    status = host.link.news.status
+    if status is None or status.temperature == NO_TEMPERATURE_C:
+        return None
+    return np.full(rows, host.read("temperature_c"), dtype=np.float32)

@@ -19,6 +19,7 @@ from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated.rig import Rig
 from plugins.wire import (
     DESCRIPTION,
+    NO_TEMPERATURE_C,
     PROTOCOL_MAJOR,
     PROTOCOL_MINOR,
     Ack,
@@ -96,7 +97,7 @@ class Device:
         self._layout = layout(self._settings.block_bytes)
         self._facts = facts_of_rig(self.rig, self._settings, text)
         self._file = RegisterFile(capability_registers(self.rig.capabilities, self._facts))
-        self._file["temperature_c"] = -273.0
+        self._tell_temperature()
         self._file["brake"] = float(self.rig.braked)
         self._programs = Programs(self.rig, self._file, self._facts, self._settings)
         self._ledger = Ledger()
@@ -141,13 +142,21 @@ class Device:
     def _news(self) -> Iterator[Message]:
         now_s, power, period_s = self._clock(), self.power, self._file["telemetry_period_s"]
         shown = self.rig.shown
-        status = self._telemetry.status(now_s, power.state, power.cause, power.faults, power.last_beat, shown[2])
-        yield from status
+        warmth = self._tell_temperature()
+        yield from self._telemetry.status(
+            now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], warmth
+        )
         yield from self._telemetry.periodic(now_s, period_s, shown, self._facts.scales.current_a, self.rig.ticks)
         rows = power.capture.done if power.capture else 0
         number = power.capture.number if power.capture else 0
         busy = power.state is PowerState.RUNNING
         yield from self._telemetry.progress(now_s, power.phase, number, rows, busy)
+
+    def _tell_temperature(self) -> int:
+        """Put the winding's temperature into its register; the same as telemetry says it."""
+        measured = self.rig.temperature_c
+        self._file["temperature_c"] = -273.0 if measured is None else measured
+        return NO_TEMPERATURE_C if measured is None else round(min(max(measured, -127.0), 127.0))
 
     # Messages
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from plugins.commands.emulator._bounds import BOUNDS
-from plugins.wire import NO_TEMPERATURE_C, Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
+from plugins.wire import Fault, Measurement, Message, Phase, PowerState, Progress, Status, Tick
 
 
 class Telemetry:
@@ -20,7 +20,7 @@ class Telemetry:
         self._phase: tuple[Phase, int] = (Phase.IDLE, 0)
 
     def status(
-        self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float
+        self, now_s: float, state: PowerState, cause: Fault, faults: int, beat: int, v_dc: float, warmth_c: int
     ) -> Iterator[Message]:
         """Status, when it is due or something has changed."""
         told = (state, cause, faults)
@@ -28,7 +28,7 @@ class Telemetry:
             return
         self._told = told
         self._status = (self._status + 1) % 256
-        yield Status(state, cause, beat, faults, _volts(v_dc), NO_TEMPERATURE_C, self._status)
+        yield Status(state, cause, beat, faults, _volts(v_dc), warmth_c, self._status)
 
     def periodic(
         self, now_s: float, period_s: float, shown: tuple[float, float, float], scale_a: float, ticks: int

@@ -66,13 +66,26 @@ class Simulator:
 
     block_s: ClassVar[float] = 0.5
     """Longest block of rows that is handed out at a time."""
+    start_c: ClassVar[float] = 20.0
+    """Of the winding when the plant was made."""
+    copper_per_k: ClassVar[float] = 3.93e-3
+    """At 20 degrees (IEC 60028)."""
 
-    def __init__(self, plant: TruePlant, sampling_frequency_hz: float, seed: int, angle_rad: float) -> None:
+    def __init__(
+        self,
+        plant: TruePlant,
+        sampling_frequency_hz: float,
+        seed: int,
+        angle_rad: float,
+        *,
+        thermometer: bool = False,
+    ) -> None:
         self.plant = plant
         self.parameters = plant.parameters
         self.sampling_frequency_hz = sampling_frequency_hz
         self.seed = seed % 2**64
         self.block = max(1, int(Simulator.block_s * sampling_frequency_hz))
+        self._thermometer = thermometer
         self._sums = np.zeros(2)
         self._three = plant.bench is not None and plant.bench.sensing.three
         self._scratch = _buffers(self.block, self._three)
@@ -99,6 +112,13 @@ class Simulator:
         """(i_d, i_q, v_dc) as telemetry shows them: readings, low-passed."""
         x = self.memory.state
         return float(x[layout.SHOWN_D]), float(x[layout.SHOWN_Q]), float(x[layout.BUS])
+
+    @property
+    def temperature_c(self) -> float | None:
+        """Of the winding, by how much its resistance has risen; None without a thermometer."""
+        if not self._thermometer:
+            return None
+        return self.start_c + float(self.memory.state[layout.HEAT]) / self.copper_per_k
 
     def turn_to(self, theta_rad: float) -> None:
         """Put the resting rotor to an electrical angle."""
@@ -146,6 +166,7 @@ class Simulator:
         switching = self._switching(pwm_ratio)
         ahead = sorted(stops)
         elapsed, rows, remaining = 0, self._scratch, program.captured
+        warmth = np.empty(0, np.float32)
         filled, room = 0, 0
         for stretch in program.stretches:
             if stretch.averaged:
@@ -157,13 +178,16 @@ class Simulator:
                 if stretch.captured and room == 0:
                     room, filled = min(self.block, remaining), 0
                     start_s = self.time_s
-                    rows = _buffers(room, self._three)
+                    rows, warmth = _buffers(room, self._three), np.empty(room, np.float32)
                 n = min(piece.samples - done, room if stretch.captured else self.block)
                 if ahead:
                     n = min(n, ahead[0] - elapsed)
+                before = self.temperature_c
                 self._rows(
                     switching, control, piece, done, n, noise, rows if stretch.captured else self._scratch, filled
                 )
+                if before is not None and self.temperature_c is not None and stretch.captured:
+                    warmth[filled : filled + n] = np.linspace(before, self.temperature_c, n, endpoint=False)
                 done += n
                 elapsed += n
                 if stretch.captured:
@@ -176,6 +200,7 @@ class Simulator:
                             v_ab=rows[1],
                             v_dc=rows[2],
                             i_abc=rows[3] if self._three else None,
+                            temperature_c=warmth if self._thermometer else None,
                         )
                         filled = 0
             self._end(stretch)

@@ -86,7 +86,15 @@ class SimulatedDrive(DriveShell):
         self._watch()
         i_d, i_q, v_dc = self._plant.shown
         time_s = self._plant.time_s
-        return Telemetry(state=self.state, time_s=time_s, i_d_a=i_d, i_q_a=i_q, v_dc_v=v_dc, faults=self.faults)
+        return Telemetry(
+            state=self.state,
+            time_s=time_s,
+            i_d_a=i_d,
+            i_q_a=i_q,
+            v_dc_v=v_dc,
+            temperature_c=self._plant.temperature_c,
+            faults=self.faults,
+        )
 
     def ramp(self) -> None:
         """Current to zero under control, then held there."""

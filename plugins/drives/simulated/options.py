@@ -159,6 +159,8 @@ class SimulatedOptions(Strict):
     """Three: all are recorded, and the vector is the Clarke transform of all (with `plant.inverter: switched`)."""
     current_sampling: Literal["turning_point", "averaged"] = "turning_point"
     """Where the carrier turns, or the mean since the last row; the declared delay is half a sample longer then."""
+    thermometer: bool = False
+    """One in the winding, recorded with the currents (with `effects.winding_heating`, else it stays at 20 degrees)."""
     max_current_a: Positive | None = None
     """None: 2.5 times the rated current, or as far as the motor is known."""
     max_voltage_v: Positive | None = None

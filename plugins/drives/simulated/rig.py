@@ -67,7 +67,8 @@ class Rig:
         plant = derive(options, self.nameplate, bus_v)
         self.permission = Permission.of(options, self.nameplate, plant, bus_v)
         self.bench = Bench(options.plant, seed)
-        self.simulator = Simulator(plant, options.sampling_frequency_hz, seed, self.bench.rest_angle())
+        rest, fs = self.bench.rest_angle(), options.sampling_frequency_hz
+        self.simulator = Simulator(plant, fs, seed, rest, thermometer=options.thermometer)
         self.simulator.hold_rotor(self.bench.mechanics(self.simulator))
         own = self.permission.capabilities
         self._power = _Power(CurrentControl(), own.max_current_a, own.max_voltage_v)
@@ -98,6 +99,11 @@ class Rig:
     def shown(self) -> tuple[float, float, float]:
         """(i_d, i_q, v_dc), low-passed, in the believed dq frame."""
         return self.simulator.shown
+
+    @property
+    def temperature_c(self) -> float | None:
+        """Of the winding; None without a thermometer."""
+        return self.simulator.temperature_c
 
     @property
     def reading_a(self) -> float:

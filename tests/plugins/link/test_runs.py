@@ -51,6 +51,21 @@ def test_a_run_over_a_serial_line_measures_what_a_run_in_process_does(capture: s
         np.testing.assert_allclose(over_line[name], expected, atol=5e-3, err_msg=name)
 
 
+@pytest.mark.parametrize("capture", ["raw", "demodulated"])
+def test_the_drives_thermometer_is_in_the_recording(capture: str, tmp_path: Path) -> None:
+    drive = {"name": "serial", "port": str(tmp_path / "line"), "capture": capture}
+    heating = ("--set", "plant.effects.winding_heating.rise_per_watt=0.05", "--set", "thermometer=true")
+    with emulator(tmp_path, "--speed", "max", *heating):
+        result = run_tiny(tmp_path, drive=drive, stages=MEASURING)
+        assert result.outcome.ending == "finished", result.outcome.reason
+    recording = open_recording(tmp_path / "run")
+    found = [recording.load(segment).temperature_c for segment in recording.segments()]
+    warmth = np.concatenate([t for t in found if t is not None])
+    assert len(warmth) == sum(segment.samples for segment in recording.segments())
+    assert warmth[0] == pytest.approx(20.0, abs=0.5)
+    assert 20.5 < warmth.max() < 60.0
+
+
 def maps(path: Path) -> xr.Dataset:
     with xr.open_dataset(path / "results" / "flux_map.nc", engine="h5netcdf") as found:
         return found.load()

@@ -151,6 +151,26 @@ def test_captures_are_gap_free_blocks_of_half_a_second_at_most(bench: Bench) -> 
     assert drive.telemetry().time_s == pytest.approx(2.25, abs=1e-12)
 
 
+def test_a_thermometer_in_the_winding_is_recorded_as_the_winding_warms(bench: Bench) -> None:
+    heating = {"winding_heating": {"rise_per_watt": 0.003, "time_constant_s": 20.0}}
+    drive = bench(effects=heating, thermometer=True)
+    blocks = list(drive.execute(hold(3.0, 0.0, duration_s=4.0)))
+    assert all(b.temperature_c is not None for b in blocks)
+    warmth = np.concatenate([b.temperature_c for b in blocks if b.temperature_c is not None])
+    risen = float(drive._plant.memory.state[layout.HEAT])
+    assert warmth[-1] == pytest.approx(20.0 + risen / 0.00393, rel=1e-3)
+    assert np.diff(warmth).min() >= 0.0
+    # 57 W (and more as it warms) for 4 s, of which a lag of 20 s shows 18 %, make 0.03 more resistance.
+    assert warmth[-1] - warmth[0] == pytest.approx(0.18 * 57.4 * 0.003 / 0.00393, rel=0.1)
+    assert drive.telemetry().temperature_c == pytest.approx(warmth[-1], rel=1e-3)
+
+
+def test_without_a_thermometer_no_temperature_is_recorded(bench: Bench) -> None:
+    drive = bench()
+    assert all(b.temperature_c is None for b in drive.execute(hold(1.0, 0.0)))
+    assert drive.telemetry().temperature_c is None
+
+
 def test_a_row_is_the_current_before_its_voltage_acts(bench: Bench) -> None:
     """psi(i[k+1]) - psi(i[k]) = (v[k] - R i) Ts, on the row of the voltage's edge too."""
     magnetics = {"kind": "nameplate", "d_fall": 0.0, "q_fall": 0.0, "cross": 0.0}
