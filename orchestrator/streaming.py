@@ -24,6 +24,8 @@ from protocols import Message, SamplesCaptured, Stream
 T = TypeVar("T")
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
+_THREADS = "stream "
+"""How the names of the streams' threads begin."""
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,26 @@ class StreamTally:
     """Whether it came to its end in time."""
     notes: tuple[str, ...] = ()
     """What the stream itself has to say at its end (its attribute `notes`, where it has one)."""
+
+    @property
+    def has_failed(self) -> bool:
+        """Whether something that it should have made may be missing."""
+        return self.errors > 0 or not self.closed
+
+    @property
+    def trouble(self) -> str:
+        """All that went wrong with it, in one line; empty where nothing did."""
+        if not (self.has_failed or self.dropped or self.notes):
+            return ""
+        counted = f"{self.delivered} delivered, {self.dropped} dropped, {self.errors} errors"
+        first = f" (first: {self.first_error})" if self.first_error else ""
+        said = [counted + first] if self.has_failed or self.dropped else []
+        return f"stream {self.name}: {'; '.join([*said, *self.notes])}"
+
+
+def has_unfinished_streams() -> bool:
+    """Whether a stream's thread is still at work in this process, though nobody waits for it any more."""
+    return any(thread.name.startswith(_THREADS) for thread in threading.enumerate())
 
 
 class Dispatcher:
@@ -125,7 +147,7 @@ class _Listener:
         self._delivered = self._dropped = self._errors = 0
         self._first_error = ""
         self._notes: tuple[str, ...] = ()
-        self._thread = threading.Thread(target=self._work, name=f"stream {name}", daemon=True)
+        self._thread = threading.Thread(target=self._work, name=f"{_THREADS}{name}", daemon=True)
 
     def start(self) -> None:
         self._thread.start()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from contextlib import suppress
+from typing import NoReturn
 
 
 def main() -> None:
@@ -13,7 +15,18 @@ def main() -> None:
     # Before numpy is there: threads of a BLAS wait for each other by spinning, which on busy cores costs many times
     # more than they bring to matrices as small as these. Who has set a number keeps it.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    sys.exit(run_app(sys.argv[1:]))
+    leave(run_app(sys.argv[1:]))
+
+
+def leave(code: int) -> NoReturn:
+    """End the process; at once where a stream was given up, for its library may wait for it for ever."""
+    streaming = sys.modules.get("orchestrator.streaming")
+    if streaming is not None and streaming.has_unfinished_streams():
+        for output in (sys.stdout, sys.stderr):
+            with suppress(OSError, ValueError):  # nobody reads it any more
+                output.flush()
+        os._exit(code)
+    sys.exit(code)
 
 
 __all__ = ["main"]

@@ -24,7 +24,6 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
-from orchestrator.streaming import StreamTally
 from orchestrator.workbench import run_directory
 from protocols import FluxbenchError
 
@@ -96,8 +95,7 @@ def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> i
     operator: Operator = AbsentOperator() if alone else TerminalOperator()
     with handling_signals() as interrupts:
         result = commission(Crew(operator, interrupts, audience.options()))
-    troubles = [_trouble(tally) for tally in result.streams if tally.dropped or tally.errors or not tally.closed]
-    troubles += [f"stream {tally.name}: {note}" for tally in result.streams for note in tally.notes]
+    troubles = [tally.trouble for tally in result.streams if tally.trouble]
     if result.outcome.error is None:
         for trouble in troubles:
             _warn(trouble)
@@ -107,11 +105,6 @@ def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> i
     code = _exit_code(result, troubles, audience.as_json)
     give_up_broken_output()
     return code
-
-
-def _trouble(tally: StreamTally) -> str:
-    told = f"stream {tally.name}: {tally.delivered} delivered, {tally.dropped} dropped, {tally.errors} errors"
-    return told + (f" (first: {tally.first_error})" if tally.first_error else "")
 
 
 def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int:

@@ -28,11 +28,13 @@ from protocols import (
     Drive,
     DriveSetup,
     FluxbenchError,
+    Note,
     PluginError,
     Procedure,
     RecordingError,
     StageEntry,
     StagesAppended,
+    StorageError,
     Stream,
     StreamSetup,
 )
@@ -211,4 +213,9 @@ def _commission(
     log = RunLog(run.journal, dispatcher)
     commissioning = Commissioning(run, plan, drive, capabilities, plugins, crew.operator, crew.interrupts, log)
     outcome = commissioning.execute()
-    return RunResult(run.path, outcome, dispatcher.close())
+    tallies = dispatcher.close()
+    for tally in tallies:
+        if tally.has_failed:
+            with suppress(StorageError):  # the disk that a stream could not write may be the journal's
+                run.journal.append(Note(level="warning", text=tally.trouble))
+    return RunResult(run.path, outcome, tallies)

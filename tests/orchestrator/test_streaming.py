@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import signal
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -12,8 +14,9 @@ import numpy as np
 import pytest
 from pydantic import BaseModel
 
-from orchestrator.streaming import Dispatcher
+from orchestrator.streaming import Dispatcher, has_unfinished_streams
 from protocols import Capture, Message, NoOptions, Note, SamplesCaptured, StreamSetup
+from tests.support.processes import wait_until
 
 
 class Listening:
@@ -195,5 +198,26 @@ def test_a_stop_signal_ends_the_closing_and_its_handler_is_put_back() -> None:
     assert time.monotonic() - begun < 3.0
     assert not tally.closed
     assert tally.notes == ("was left unfinished",)
+    assert tally.trouble == "stream report: 0 delivered, 0 dropped, 0 errors; was left unfinished"
     assert signal.getsignal(signal.SIGINT) is before
+    assert has_unfinished_streams()
     release.set()
+    wait_until(lambda: not has_unfinished_streams())
+
+
+LEAVING = """
+import atexit, threading, time
+from orchestrator.cli import leave
+from orchestrator.streaming import Dispatcher, has_unfinished_streams
+{stream}
+atexit.register(time.sleep, 60.0)  # as a library that waits for its own thread
+print("all said")
+leave(3)
+"""
+STUCK = "Dispatcher({'stuck': threading.Event().wait}).close(timeout_s=0.1)"
+
+
+def test_a_process_ends_though_the_library_of_a_stream_that_was_given_up_waits_for_it() -> None:
+    words = [sys.executable, "-c", LEAVING.replace("{stream}", STUCK)]
+    ended = subprocess.run(words, capture_output=True, text=True, timeout=20.0, check=False)
+    assert (ended.returncode, ended.stdout, ended.stderr) == (3, "all said\n", "")

@@ -1,12 +1,13 @@
 /* A disk that fails: preloaded, it makes one kind of call fail for files below one directory.
  *
  * FAULT_CALL   write, fsync, fdatasync, rename or open
- * FAULT_BELOW  the directory, as an absolute path
+ * FAULT_BELOW  the directory, or the file, as an absolute path
  * FAULT_NTH    the call that fails first, from 1
  * FAULT_ERRNO  with which error
  * FAULT_ONCE   set: only that one call; not set: from then on all
  *
- * The viewer's file is spared: its library writes it, from a thread of its own, and nothing measured is in it.
+ * The viewer's file is spared unless it is the one: its library writes it, from a thread of its own, and nothing
+ * measured is in it.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>
@@ -26,7 +27,7 @@ static atomic_long calls;
 static int fails(const char *call, const char *path) {
     const char *wanted = getenv("FAULT_CALL"), *below = getenv("FAULT_BELOW"), *nth = getenv("FAULT_NTH");
     if (!wanted || !below || !nth || strcmp(wanted, call) != 0 || strncmp(path, below, strlen(below)) != 0 ||
-        strstr(path, "view.rrd"))
+        (strstr(path, "view.rrd") && !strstr(below, "view.rrd")))
         return 0;
     long now = atomic_fetch_add(&calls, 1) + 1, first = atol(nth);
     if (now < first || (now > first && getenv("FAULT_ONCE")))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
@@ -20,6 +20,7 @@ from protocols import (
     FluxMap,
     LockChecked,
     Manifest,
+    Note,
     PointDone,
     RealArray,
     RecordingError,
@@ -131,9 +132,23 @@ def collect(directory: Path, *, reads_paths: bool = True) -> Material:
         paths = attempt(lambda: _paths(recording, achieved, problems), wanted=reads_paths)
     manifest = None if recording is None else recording.manifest
     diagnosis = attempt(lambda: load_diagnosis(directory), wanted=True)
+    problems += _said_after_the_end(journal)
     return Material(
         directory, manifest, record, tuple(journal), estimates, maps, paths or Paths(), diagnosis, tuple(problems)
     )
+
+
+def _said_after_the_end(journal: Sequence[JournalRecord]) -> list[str]:
+    """What a run says when it is over: which of its by-products could not be written."""
+    said: list[str] | None = None
+    for entry in journal:
+        if isinstance(entry.message, RunEnded):
+            said = []
+        elif not isinstance(entry.message, Note):
+            said = None
+        elif said is not None:
+            said.append(f"when the run had ended: {entry.message.text}")
+    return said or []
 
 
 def _paths(

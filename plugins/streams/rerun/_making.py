@@ -54,7 +54,7 @@ def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
         return Found(file)
     if file.is_file() and _is_at_work(directory):
         return Found(file, f"{directory} is still under way: what is written so far is shown")
-    why = "is torn (the run was killed)" if file.is_file() else "is missing"
+    why = "is torn (the run was killed, or could not write it)" if file.is_file() else "is missing"
     tell(f"{file} {why}: making it from the recording and its results")
     return make_view(directory)
 

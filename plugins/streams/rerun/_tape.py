@@ -14,7 +14,8 @@ import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
 from plugins.streams.rerun._programs import executable
-from protocols import RealArray, RecordingError, StorageError
+from plugins.streams.rerun._spool import Spool
+from protocols import RealArray, RecordingError
 
 APPLICATION = "fluxbench"
 FILE_NAME = "view.rrd"
@@ -123,6 +124,7 @@ class Tape:
     """Of the recording; by default that of the file's folder."""
     recording_id: str = field(init=False)
     _stream: rr.RecordingStream = field(init=False)
+    _spool: Spool = field(init=False)
 
     def __post_init__(self) -> None:
         self.recording_id = f"{self.name or self.file.resolve().parent.name}-{uuid.uuid4().hex[:8]}"
@@ -130,7 +132,9 @@ class Tape:
         if self.file.is_file():
             self.file.replace(before)
         self._stream = new_stream(self.recording_id)
-        self._stream.save(self.file)
+        self._spool = Spool(self.file)
+        self._stream.save(self._spool.entrance)
+        self._spool.opened()
         if before.is_file():
             take_over(before, self._stream)
             before.unlink(missing_ok=True)
@@ -148,12 +152,9 @@ class Tape:
 
     def close(self) -> None:
         """Finish the file; raises `StorageError` where it cannot be written."""
-        try:
-            self._stream.flush()
-        except RuntimeError as error:
-            raise StorageError(f"{self.file}: cannot be written (is the disk full?): {error}") from None
-        finally:
-            self._stream.disconnect()
+        self._stream.flush()
+        self._stream.disconnect()
+        self._spool.close()
 
 
 def take_over(file: Path, stream: rr.RecordingStream) -> None:

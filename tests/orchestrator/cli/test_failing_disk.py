@@ -12,6 +12,7 @@ import pytest
 
 from orchestrator.recording import open_recording
 from orchestrator.runs import is_run
+from plugins.streams.report._collect import collect
 from protocols import PointDone
 from tests.support.forking import ForkedCommand
 from tests.support.processes import called
@@ -80,6 +81,18 @@ def test_a_run_on_a_failing_disk_ends_safely_and_can_be_resumed(
     tmp_path: Path, failing_disk: Path, call: str, nth: int, error: int, once: bool
 ) -> None:
     assert ends_safely_and_resumes(tmp_path, failing_disk, call, nth, error, once) == 3
+
+
+def test_a_view_that_cannot_be_written_costs_the_run_one_line(tmp_path: Path, failing_disk: Path) -> None:
+    run = tmp_path / "run"
+    fault = {"FAULT_CALL": "write", "FAULT_BELOW": str(run / "view.rrd"), "FAULT_NTH": "2", "FAULT_ERRNO": "28"}
+    words = ["run", str(tiny_file(tmp_path, stages=SHORT[:1])), "--out", str(run), "--quiet"]
+    command = ForkedCommand(words, preload=failing_disk, environment=fault)
+    shown, told = command.communicate(timeout=40)
+    assert (command.returncode, shown, told.count("\n")) == (0, "", 1), told
+    assert "stream rerun" in told
+    assert "view.rrd: cannot be written: No space left on device" in told
+    assert told.split("fluxbench: ")[1].strip() in collect(run).problems[0]
 
 
 @pytest.mark.slow
