@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,7 +12,16 @@ import typer.core
 
 
 class _Commands(typer.core.TyperGroup):
-    """The group of commands; typer itself would leave at Ctrl-C without a word."""
+    """The group of commands; typer itself would leave at Ctrl-C without a word.
+
+    Where the context's object is callable, it is told which command it is before that begins.
+    """
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        found = super().resolve_command(ctx, args)
+        if callable(ctx.obj):
+            ctx.obj(found[0])
+        return found
 
     def invoke(self, ctx: Any) -> Any:
         try:
@@ -353,13 +362,16 @@ def schema_command(
     return schema(name)
 
 
-def run_app(arguments: Sequence[str]) -> int:
-    """Run one command; what is wrong becomes one line on stderr and an exit code."""
+def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | None = None) -> int:
+    """Run one command; what is wrong becomes one line on stderr and an exit code.
+
+    `settle` is told the command's name before it begins.
+    """
     from orchestrator.cli._foreign import with_plugin_commands
     from orchestrator.cli._output import give_up_broken_output
 
     try:
-        code = int(with_plugin_commands(app)(list(arguments), standalone_mode=False) or 0)
+        code = int(with_plugin_commands(app)(list(arguments), standalone_mode=False, obj=settle) or 0)
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt):
         return _say("interrupted", 130)
