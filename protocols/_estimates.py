@@ -8,7 +8,7 @@ from typing import Annotated, Any, ClassVar, Protocol, TypeVar, runtime_checkabl
 
 import numpy as np
 
-from protocols._base import ArrayModel, Lenient, Shape, Strict, Vectors
+from protocols._base import ArrayModel, Lenient, RealArray, Shape, Strict, Vectors
 from protocols._recording import RecordingReader
 from protocols._remarks import Number, Remarks
 
@@ -107,6 +107,18 @@ class FluxPoints(ArrayModel):
     """Id of the segment each point is from."""
 
 
+class IncrementalInductances(ArrayModel):
+    """What a small ripple of one frequency and size sees at the points where it was injected."""
+
+    frequency_hz: float
+    amplitude_v: float
+    """rms."""
+    i_dq: Vectors
+    """[A]."""
+    inductance: Annotated[RealArray, Shape(("n", 3))]
+    """(L_dd, L_dq, L_qq) [H], shape (n, 3)."""
+
+
 class AxisPercent(Strict):
     """A check's figure on each axis, in per cent of the rated flux."""
 
@@ -149,6 +161,8 @@ class FluxMapEstimate(ArrayModel):
     checks: MapChecks
     form: ClosedForm | None = None
     """Where the map is one of a few numbers' rather than a table."""
+    incremental: tuple[IncrementalInductances, ...] = ()
+    """Where it rests on injection: one entry for each frequency and size of the ripple, by frequency."""
     remarks: Remarks = ()
 
 

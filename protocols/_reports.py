@@ -257,6 +257,35 @@ class MapReport(Lenient):
     form: ClosedForm | None = None
 
 
+class SeenByInjection(Lenient):
+    """What sensorless control by injection sees at one frequency and size of the ripple, beside the large-signal map.
+
+    The map's inductances are the slopes of its flux, which currents follow that move far; a small and fast ripple sees
+    less of hysteresis and through eddy currents. Angles are electrical.
+    """
+
+    method: str
+    """Of the large-signal map."""
+    frequency_hz: float
+    amplitude_v: float
+    """rms."""
+    points: int
+    """Of the plane, that the map covers too."""
+    l_dd_percent: Number
+    """Mean difference to the map's L_dd, in percent of that; likewise L_qq."""
+    l_qq_percent: Number
+    saliency_low: Number
+    """Largest over smallest inductance, the least over the points and the most."""
+    saliency_high: Number
+    map_saliency_low: Number
+    """The same of the map."""
+    map_saliency_high: Number
+    angle_error_rad: Number
+    """The largest: how far cross-saturation turns the axis of least inductance, which a tracking takes for d."""
+    left_by_map_rad: Number
+    """The largest error that is left where this turn is taken from the map instead of from the ripple."""
+
+
 class MapCriteria(Lenient):
     """What a flux map has to keep to be relied on; per cent of the rated flux unless a line says otherwise."""
 
@@ -298,6 +327,8 @@ class EstimatorsReport(Lenient):
     """What speaks against it, and what could not be estimated and why."""
     maps: dict[str, MapReport] = Field(default_factory=dict)
     """Every map that was made, by method, the best first."""
+    seen_by_injection: tuple[SeenByInjection, ...] = ()
+    """By frequency; empty where nothing was injected, or no map rests on sweeps."""
     criteria: MapCriteria = MapCriteria()
     """By which the maps were judged."""
     files: dict[str, str] = Field(default_factory=dict)

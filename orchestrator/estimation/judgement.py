@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
+from orchestrator.estimation.sensorless import seen_by_injection
 from protocols import (
     Basis,
     EstimationReport,
@@ -74,6 +75,7 @@ def judged(found: Found, rated_a: float | None, criteria: MapCriteria) -> Estima
             *(remark.by(method) for method, made in found.maps.items() for remark in made.remarks),
         ),
         maps={method: _map_report(made) for method, made in maps.items()},
+        seen_by_injection=seen_by_injection(tuple(maps.values())),
         criteria=criteria,
     )
 

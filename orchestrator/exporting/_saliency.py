@@ -1,39 +1,15 @@
-"""Incremental saliency of a flux map, as sensorless control by injection sees it; knows no controller."""
+"""Incremental saliency over a flux map."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
-from orchestrator.numerics.types import Array
+from orchestrator.numerics.saliency import Saliency, principal
 from protocols import FluxMap
 
-
-@dataclass(frozen=True)
-class Saliency:
-    """Principal incremental inductances over the map's grid, shape (d, q); NaN where not measured."""
-
-    l_max: Array
-    """[H]"""
-    l_min: Array
-    ratio: Array
-    """l_max / l_min; NaN where l_min is not positive."""
-    angle_rad: Array
-    """From the d axis to the axis of least inductance, electrical, -pi/2 to pi/2."""
+__all__ = ["Saliency", "saliency"]
 
 
 def saliency(flux_map: FluxMap) -> Saliency:
-    """Eigenvalues of the incremental inductance matrix, and where its axis of least inductance points.
-
-    With s = (l_dd + l_qq)/2 and h = (l_qq - l_dd)/2 the eigenvalues are s +- sqrt(h^2 + l_dq^2), and the axis of least
-    inductance stands at -1/2 atan2(l_dq, h) from the d axis: the position error of a tracking by injection that
-    takes this axis for the d axis. Cross-saturation makes it differ from zero; past +-45 degrees the saliency is
-    inverted.
-    """
-    l_dd, l_dq, l_qq = (np.asarray(t, dtype=np.float64) for t in (flux_map.l_dd, flux_map.l_dq, flux_map.l_qq))
-    mean, half = 0.5 * (l_dd + l_qq), 0.5 * (l_qq - l_dd)
-    radius = np.hypot(half, l_dq)
-    l_max, l_min = mean + radius, mean - radius
-    ratio = np.where(l_min > 0, l_max / np.where(l_min > 0, l_min, 1.0), np.nan)
-    return Saliency(l_max, l_min, ratio, angle_rad=-0.5 * np.arctan2(l_dq, half))
+    """Of a map's grid, shape (d, q); NaN where not measured."""
+    return principal(*(np.asarray(table, dtype=np.float64) for table in (flux_map.l_dd, flux_map.l_dq, flux_map.l_qq)))

@@ -40,6 +40,7 @@ from protocols import (
     EstimationContext,
     FluxMap,
     FluxPoints,
+    IncrementalInductances,
     NotMeasuredError,
     RecordingReader,
     Remark,
@@ -58,6 +59,10 @@ class _Group:
     @property
     def size(self) -> float:
         return float(np.median([r.flux_rms_wb for r in self.ripples]))
+
+    @property
+    def frequency_hz(self) -> float:
+        return self.ripples[0].frequency_hz
 
     def __str__(self) -> str:
         first = self.ripples[0]
@@ -111,6 +116,7 @@ class InjectionEstimator:
             checks=check_map(flux_map, rated, _misfit(points)),
             remarks=(*_remarks(groups, chosen, points, flux), *(Remark(code="skipped", text=one) for one in skipped)),
             inductances=points,
+            incremental=tuple(_seen(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
         )
 
     def _groups(self, recording: RecordingReader, loss: PhaseLoss) -> tuple[list[_Group], list[str]]:
@@ -143,6 +149,16 @@ class InjectionEstimator:
         """Whether two ripples are of one frequency and size."""
         same_frequency = math.isclose(other.frequency_hz, one.frequency_hz, rel_tol=self.same_frequency)
         return same_frequency and math.isclose(other.flux_rms_wb, one.flux_rms_wb, rel_tol=self.same_ripple)
+
+
+def _seen(group: _Group) -> IncrementalInductances:
+    found = invert(group.ripples)
+    return IncrementalInductances(
+        frequency_hz=group.frequency_hz,
+        amplitude_v=float(np.median([r.amplitude_v for r in group.ripples])),
+        i_dq=found.current,
+        inductance=np.stack([found.matrix[:, i, j] for i, j in ((0, 0), (0, 1), (1, 1))], axis=1),
+    )
 
 
 def _known_loss(context: EstimationContext) -> PhaseLoss:

@@ -19,12 +19,15 @@ from protocols import (
     StageState,
 )
 
+_STEPS = {"paths": 30, "grid": 2, "corners": 1}
+"""From zero current to the range's end, where `step_a` is left out."""
+
 
 class InjectionStage(EnergisedStage):
     """Signal injection at many operating points.
 
     `pattern` "paths" steps along the paths of the classical stage, "grid" covers a square grid
-    row by row in alternating direction; `points_a`, where given, goes instead of both.
+    row by row in alternating direction, "corners" one of three by three; `points_a`, where given, goes instead.
     """
 
     name = "injection"
@@ -32,7 +35,7 @@ class InjectionStage(EnergisedStage):
     measuring = StageState("sweeping_injection", "sweep_injection")
     records_as = SegmentStage.INJECTION
 
-    pattern: Literal["paths", "grid"] = "grid"
+    pattern: Literal["paths", "grid", "corners"] = "grid"
     points_a: tuple[Point, ...] | None = None
     axes: tuple[Literal["q", "d", "dq"], ...] = ("q", "d", "dq")
     range_a: Positive | None = None
@@ -44,6 +47,8 @@ class InjectionStage(EnergisedStage):
     amplitude_ratios: tuple[Positive, ...] = (1.0,)
     """One sweep for each, where `amplitudes_v` is left out."""
     frequency_hz: Positive | None = None
+    frequency_ratio: Positive = 1.0
+    """Of the frequency that is taken where `frequency_hz` is left out."""
     rotation_hz: Positive | None = None
     waveform: Literal["square", "sine"] = "square"
     settle_s: Positive | None = None
@@ -53,7 +58,7 @@ class InjectionStage(EnergisedStage):
 
     def filled(self, context: StageContext) -> Self:
         scaling = Scaling(context)
-        frequency = scaling.injection_hz(self.frequency_hz)
+        frequency = self.frequency_hz or self.frequency_ratio * scaling.injection_hz(None)
         rotation, duration = scaling.turns(self.rotation_hz, self.duration_s, frequency)
         amplitudes = self.amplitudes_v
         if amplitudes is None:
@@ -107,7 +112,7 @@ class InjectionStage(EnergisedStage):
         if self.anchor:
             return (anchor_point(reach),)
         on_paths = self.pattern == "paths"
-        step = self.step_a if self.step_a is not None else reach / (30 if on_paths else 2)
+        step = self.step_a if self.step_a is not None else reach / _STEPS[self.pattern]
         lines = 2 * len(self.held_a or range(5)) + 1 if on_paths else 2 * reach / step + 1
         if (2 * reach / step + 1) * lines > MOST_POINTS:
             raise scaling.error("step_a", f"{step:g} A gives more than {MOST_POINTS} points")

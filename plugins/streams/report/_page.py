@@ -16,6 +16,7 @@ from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _figures as figures
+from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
 from plugins.streams.report._picture import Picture
@@ -80,6 +81,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
         remarks=content.remarks(material),
+        sensorless={"head": sensorless.HEAD, "rows": sensorless.rows(material), "told": sensorless.told(material)},
         formulas=list(content.formulas(material)),
         pictures=list(_pictures(material, main)) if draws else [_undrawn(material)],
         quantities=list(MAP_QUANTITIES.values()),

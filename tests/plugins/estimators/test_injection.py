@@ -19,6 +19,7 @@ from tests.plugins.estimators.recordings import (
     flux_error_percent,
     injection_of,
 )
+from tests.support.close import assert_close
 
 
 def test_injection_map_is_right_to_a_few_thousandths() -> None:
@@ -63,7 +64,12 @@ def test_frequencies_are_kept_apart_as_well() -> None:
     captures = at_500.captures | {names[s.id]: at_300.load(s) for s in at_300.manifest.segments}
     renamed = tuple(s.model_copy(update={"id": names[s.id]}) for s in at_300.manifest.segments)
     both = MemoryRecording(at_500.manifest, captures).with_segments((*at_500.manifest.segments, *renamed))
-    told = InjectionEstimator().estimate(both, EstimationContext()).remarks
+    found = InjectionEstimator().estimate(both, EstimationContext())
+    assert [round(seen.frequency_hz) for seen in found.incremental] == [300, 500, 500]
+    for seen in found.incremental:
+        true = np.linalg.inv(saturated_hessian(flux_for(seen.i_dq.astype(np.float64), saturated_current)))
+        assert_close(seen.inductance, np.stack([true[:, 0, 0], true[:, 0, 1], true[:, 1, 1]], axis=1), 5e-3)
+    told = found.remarks
     assert [one.values["injection"] for one in told if one.code == "several_injections"] == ["20 V rms at 500 Hz"]
     others = {str(one.values["by"]): one.values for one in told if one.code == "other_injection"}
     assert {"40 V rms at 300 Hz", "40 V rms at 500 Hz"} <= others.keys()

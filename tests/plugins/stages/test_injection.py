@@ -32,6 +32,22 @@ def test_injection_swings_the_flux_by_a_fifth_of_the_rated_currents(
     assert swing == pytest.approx(0.2 * 1.66 * math.sqrt(2) * 0.04325, rel=0.05)
 
 
+def test_a_ratio_scales_the_frequency_and_the_voltage_with_it(pm400: Bench) -> None:
+    limits = {"current_a": 5.0, "voltage_v": 300.0}
+    one, two = (
+        injections(make_plan(pm400.procedure({"kind": "injection", "frequency_ratio": ratio}, limits=limits), None))[0]
+        for ratio in (1.0, 2.0)
+    )
+    assert two.frequency_hz == 2.0 * one.frequency_hz == 1000.0
+    assert two.amplitude_v == pytest.approx(2.0 * one.amplitude_v, rel=0.05)
+
+
+def test_corners_are_three_by_three(pm400: Bench) -> None:
+    stage = {"kind": "injection", "pattern": "corners", "range_a": 2.0}
+    points = targets(make_plan(pm400.procedure(stage), None))
+    assert sorted(points) == [(d, q) for d in (-2.0, 0.0, 2.0) for q in (-2.0, 0.0, 2.0)]
+
+
 def test_injection_leaves_room_for_the_resistive_drop(pm400: Bench) -> None:
     procedure = pm400.procedure({"kind": "injection"}, limits={"current_a": 5.0, "voltage_v": 40.0})
     point = injections(make_plan(procedure, None))[0]

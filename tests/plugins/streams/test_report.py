@@ -34,6 +34,7 @@ from protocols import (
     RecordingError,
     Remark,
     RunEnded,
+    SeenByInjection,
     StorageError,
     StreamSetup,
 )
@@ -332,6 +333,32 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(tmp_path:
     page = render(material, draws=False)
     assert "The map by polynomial as a formula" in page
     assert "−12.5" in page
+
+
+def test_what_sensorless_control_sees_is_a_section_with_what_it_means(tmp_path: Path) -> None:
+    seen = SeenByInjection(
+        method="energy",
+        frequency_hz=500.0,
+        amplitude_v=40.0,
+        points=25,
+        l_dd_percent=-2.1,
+        l_qq_percent=-4.25,
+        saliency_low=1.2,
+        saliency_high=2.1,
+        map_saliency_low=1.25,
+        map_saliency_high=2.15,
+        angle_error_rad=0.2,
+        left_by_map_rad=0.01,
+    )
+    bare = a_run_directory(tmp_path / "run")
+    assert "For sensorless control" not in render(collect(bare), draws=False)
+    page = render(collect(estimated(bare, seen_by_injection=(seen,))), draws=False)
+    assert "For sensorless control" in page
+    assert "up to 4.2 % off the slopes of the large-signal map (by energy)" in page
+    assert "by up to 11.5°" in page
+    assert "<td>−2.10 %</td><td>−4.25 %</td><td>1.20 to 2.10</td>" in page.replace("\n", "")
+    alike = seen.model_copy(update={"l_dd_percent": 0.3, "l_qq_percent": -0.4})
+    assert "one map serves both" in render(collect(estimated(bare, seen_by_injection=(alike,))), draws=False)
 
 
 def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(tmp_path: Path) -> None:

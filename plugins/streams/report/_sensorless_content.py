@@ -1,0 +1,79 @@
+"""What sensorless control by injection sees of the motor, in words and as a table. Computes nothing but extremes."""
+
+from __future__ import annotations
+
+import math
+
+from orchestrator.presentation.quantities import fixed, number
+from plugins.streams.report._collect import Material
+from protocols import SeenByInjection
+
+HEAD = (
+    "injected",
+    "points",
+    "L_dd, beside the map",
+    "L_qq, beside the map",
+    "saliency",
+    "the map’s",
+    "axis off by up to",
+    "left with the map’s turn",
+)
+ALIKE_PERCENT = 1.0
+"""Ripple and map agree where neither inductance differs by more: what a drive's control does not feel."""
+
+
+def rows(material: Material) -> list[tuple[str, ...]]:
+    """One row for each frequency and size of the ripple."""
+    return [_row(seen) for seen in _seen(material)]
+
+
+def told(material: Material) -> str:
+    """What it means for a control, in a few sentences; empty where there is nothing to say."""
+    seen = _seen(material)
+    if not seen:
+        return ""
+    most = max(abs(value or 0.0) for one in seen for value in (one.l_dd_percent, one.l_qq_percent))
+    worst, left = (max(getattr(one, name) or 0.0 for one in seen) for name in ("angle_error_rad", "left_by_map_rad"))
+    map_ = f"the large-signal map (by {seen[0].method})"
+    if most <= ALIKE_PERCENT:
+        first = f"A small ripple sees the slopes of {map_}, within {fixed(most, 1)} %: one map serves both."
+    else:
+        first = (
+            f"A small ripple sees inductances that are on average up to {fixed(most, 1)} % off the slopes "
+            f"of {map_}. Current control, flux observers and MTPA follow the map; gain and compensation of a tracking "
+            "by injection belong to the row of its own frequency."
+        )
+    second = (
+        f"Cross-saturation turns the axis of least inductance, which a tracking takes for the d axis, by up to "
+        f"{_degrees(worst)}; with that turn taken from the map, up to {_degrees(left)} is left."
+    )
+    return f"{first} {second}"
+
+
+def _seen(material: Material) -> tuple[SeenByInjection, ...]:
+    return material.estimates.seen_by_injection if material.estimates is not None else ()
+
+
+def _row(seen: SeenByInjection) -> tuple[str, ...]:
+    return (
+        f"{number(seen.frequency_hz, 4)} Hz, {number(seen.amplitude_v, 3)} V rms",
+        str(seen.points),
+        _percent(seen.l_dd_percent),
+        _percent(seen.l_qq_percent),
+        _between(seen.saliency_low, seen.saliency_high),
+        _between(seen.map_saliency_low, seen.map_saliency_high),
+        _degrees(seen.angle_error_rad),
+        _degrees(seen.left_by_map_rad),
+    )
+
+
+def _percent(value: float | None) -> str:
+    return "" if value is None else f"{'+' if value > 0 else ''}{fixed(value, 2)} %"
+
+
+def _between(low: float | None, high: float | None) -> str:
+    return "" if low is None or high is None else f"{fixed(low, 2)} to {fixed(high, 2)}"
+
+
+def _degrees(angle_rad: float | None) -> str:
+    return "" if angle_rad is None else f"{fixed(math.degrees(angle_rad), 1)}°"
