@@ -16,6 +16,7 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
+from orchestrator.diagnosis.weak_form.zero_sequence import gains_told
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import RecordingReader, Remark
 
@@ -48,7 +49,8 @@ def open_for_diagnosis(
     watched.conclude()
     noise = sensor_noise(prepared.pieces, criteria.weak_form)
     require_enough(prepared, noise)
-    remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection)]
+    told = gains_told([p.signals for p in prepared.pieces])
+    remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection), *told]
     return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell)
 
 

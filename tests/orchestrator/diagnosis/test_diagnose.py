@@ -190,6 +190,8 @@ def test_a_third_sensor_that_reads_more_is_named_and_nothing_beside_it(
     assert report.verdict == "explained"
     assert [e.name for e in report.effects] == ["third_current_sensor"]
     assert report.effects[0].parameters["gain_c_minus_1"].value == pytest.approx(0.01, rel=0.02)
+    (sum_,) = (remark for remark in report.remarks if remark.code == "gains_by_sum")
+    assert sum_.values["c_percent"] == pytest.approx(0.667, rel=0.02)
 
 
 def test_a_resistance_that_goes_with_the_logged_temperature_is_named(
