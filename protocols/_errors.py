@@ -72,6 +72,8 @@ class FaultCause(StrEnum):
     WRONG_DATA = "wrong_data"
     PROGRAM_TOO_LONG = "program_too_long"
     EMERGENCY_STOP = "emergency_stop"
+    STILL_ARMED = "still_armed"
+    """Its power stage is on after it was told to switch it off."""
     INTERNAL = "internal"
 
 

@@ -49,6 +49,8 @@ class Capture(ArrayModel):
     i_abc: Phases | None = None
     """Phase currents [A], shape (n, 3), where the drive measures all three."""
     temperature_c: Samples | None = None
+    clipped_rows: int = 0
+    """Rows in which a reading or a voltage stood at the end of its scale, as far as the drive can tell."""
 
     def __len__(self) -> int:
         return int(self.i_ab.shape[0])
@@ -77,6 +79,8 @@ class Segment(Lenient):
     settings: dict[str, Any] = Field(default_factory=dict)
     """What was asked for, never what was reached."""
     sha256: Annotated[str, Field(pattern=r"^[0-9a-f]{64}$")] | None = None
+    clipped_rows: Annotated[int, Field(ge=0)] = 0
+    """Rows in which a reading or a voltage stood at the end of its scale: there was more than it says."""
 
     @property
     def is_anchor(self) -> bool:

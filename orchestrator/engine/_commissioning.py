@@ -236,6 +236,8 @@ class Commissioning:
         if stood_down:
             level: Literal["info", "error"] = "info" if stood_down == SAFE else "error"
             trouble.append(self._last_word(lambda: self._log.say(Note(level=level, text=stood_down))))
+        if self._power.unsafe is not None and outcome.ending != "faulted":
+            outcome = Outcome("faulted", stood_down, self._power.unsafe, outcome.estimates)
         if self._agenda.done:
             trouble.append(self._last_word(self._run.write_manifest))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))

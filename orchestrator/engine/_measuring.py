@@ -12,7 +12,7 @@ from orchestrator.engine._log import RunLog
 from orchestrator.engine._power import PowerStage
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
-from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, SamplesCaptured, Segment
+from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
 
 OVERSHOOT = 1.5
 """Current in samples that a drive should long have tripped on, against the limit."""
@@ -24,12 +24,13 @@ class MeanCurrent:
     def __init__(self, rotor_angle_rad: float) -> None:
         self._turn = np.exp(-1j * rotor_angle_rad)
         self._sum = 0j
-        self.samples = 0
+        self.samples = self.clipped_rows = 0
 
     def add(self, capture: Capture) -> None:
         alpha, beta = capture.i_ab.sum(axis=0, dtype=np.float64)
         self._sum += complex(alpha, beta)
         self.samples += len(capture)
+        self.clipped_rows += capture.clipped_rows
 
     def dq(self) -> tuple[float, float]:
         """(i_d, i_q) [A]."""
@@ -108,7 +109,12 @@ class Measurement:
             rotor_angle_rad=angle,
             settings=point.settings,
             sha256=written.sha256,
+            clipped_rows=mean.clipped_rows,
         )
+        if mean.clipped_rows:
+            rows = f"{mean.clipped_rows} of {mean.samples} rows"
+            told = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
+            self._log.say(Note(level="warning", text=told))
         return segment, mean.dq()
 
     def _check_current(self, capture: Capture, segment: str) -> None:

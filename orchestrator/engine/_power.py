@@ -53,6 +53,8 @@ class PowerStage:
         self._drive, self._capabilities, self._limits = drive, capabilities, limits
         self._interrupts = interrupts
         self._keeper: HeartbeatKeeper | None = None
+        self.unsafe: FluxbenchError | None = None
+        """Why the drive may still be energised, though it was told to disarm."""
 
     @property
     def armed(self) -> bool:
@@ -120,29 +122,41 @@ class PowerStage:
         """Ramp to zero, disarm, stop the heartbeat. Never raises; tells in words what was reached, if it was armed."""
         if self._keeper is None:
             return ""
-        failures = [self._attempt("ramping down", self._drive.ramp_down)]
+        failed_ramp = self._attempt(self._drive.ramp_down)
         self._keeper.renew()
-        failures.append(self._attempt("disarming", self._drive.disarm))
+        self.unsafe = self._attempt(self._disarm)
         self._keeper.__exit__(None, None, None)
         self._keeper = None
-        told = "; ".join(filter(None, failures))
-        if not told:
-            return SAFE
-        watchdog = self._capabilities.watchdog_s
-        rest = (
-            f"its watchdog makes it safe within {watchdog:g} s"
-            if watchdog is not None
-            else "it has no watchdog: CUT ITS POWER"
-        )
-        return f"{told}; {rest}"
+        failures = {"ramping down": failed_ramp, "disarming": self.unsafe}
+        told = "; ".join(f"{deed} failed ({error})" for deed, error in failures.items() if error is not None)
+        return f"{told}; {self._what_is_left()}" if told else SAFE
 
-    def _attempt(self, deed: str, call: Callable[[], None]) -> str:
+    def _what_is_left(self) -> str:
+        """What makes a drive safe that did not do as it was told."""
+        if isinstance(self.unsafe, DriveFault) and self.unsafe.cause is FaultCause.STILL_ARMED:
+            return "THE DRIVE MAY STILL BE ARMED: CUT ITS POWER"
+        watchdog = self._capabilities.watchdog_s
+        if watchdog is None:
+            return "it has no watchdog: CUT ITS POWER"
+        return f"its watchdog makes it safe within {watchdog:g} s"
+
+    def _disarm(self) -> None:
+        """PWM off; raises `DriveFault` where the drive says that it is armed all the same."""
+        self._drive.disarm()
+        try:
+            is_armed = self.telemetry().state is DriveState.ARMED
+        except FluxbenchError:
+            return  # it has done as it was told, and says nothing else
+        if is_armed:
+            raise DriveFault(FaultCause.STILL_ARMED, "after disarming, its telemetry says that it is armed")
+
+    def _attempt(self, call: Callable[[], None]) -> FluxbenchError | None:
         try:
             with as_drive_errors(self._capabilities.name), self._interrupts.deadline(WAY_OUT_S):
                 call()
         except FluxbenchError as error:
-            return f"{deed} failed ({error})"
-        return ""
+            return error
+        return None
 
 
 @contextmanager

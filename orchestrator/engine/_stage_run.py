@@ -45,10 +45,13 @@ class Engine:
     plugins: UsedPlugins
 
     def stand_down(self, reason: str) -> None:
-        """Disarm, where the drive is armed, and say so."""
+        """Disarm, where the drive is armed, and say so; raises where it may still be armed."""
         if self.power.armed:
             self.machine.fire(Trigger.STOP, reason)
-            self.log.say(Note(level="info", text=self.power.stand_down()))
+            told, unsafe = self.power.stand_down(), self.power.unsafe
+            self.log.say(Note(level="info" if unsafe is None else "error", text=told))
+            if unsafe is not None:
+                raise unsafe
 
 
 class StageAtWork:

@@ -142,8 +142,17 @@ class RippleRead:
             i_ab=self._stator(i[first:stop]),
             v_ab=self._stator(v[first:stop]),
             v_dc=bus_voltage(self._host, stop - first),
+            clipped_rows=self._clipped(first, stop),
             temperature_c=temperature(self._host, stop - first),
         )
+
+    def _clipped(self, first: int, stop: int) -> int:
+        """Samples of rows that have a count at the end of its scale."""
+        starts = self._grid.starts(len(self._counts))
+        rows = slice(int(np.searchsorted(starts, first, "right")) - 1, int(np.searchsorted(starts, stop)))
+        counts = self._counts[max(rows.start, 0) : rows.stop]
+        share = np.count_nonzero(np.abs(counts.astype(np.int32)).max(axis=1, initial=0) >= 32767) / max(len(counts), 1)
+        return round(share * (stop - first))
 
     def _waveforms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         rows = self._rows_ready

@@ -11,26 +11,27 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from orchestrator.driving import DriveShell
+from plugins.link._claims import ENERGISED, require_memory, require_sound
 from plugins.link._errors import link_errors
 from plugins.link._host import Host, fault_names, known_fault, require_held, words
 from plugins.link._link import Link
-from plugins.link._machine import Machine
+from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._options import LinkOptions
 from plugins.link._patience import PATIENCE
 from plugins.link._port import Port
 from plugins.link._running import Program
+from plugins.link._timeline import CLOCK, SIMULATED, Timeline
 from plugins.wire import (
     NO_TEMPERATURE_C,
     Ack,
     AckStatus,
     Capability,
-    CaptureFormat,
+    EStop,
     Fault,
     Op,
     PowerState,
-    RowFormat,
     Status,
-    Unwrapped,
+    StopReason,
     capabilities_of,
     facts_of,
     limit_registers,
@@ -50,7 +51,6 @@ from protocols import (
 )
 
 DEMODULATED = "injections as ripple demodulated on the drive"
-_ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
 
 
 class LinkDrive(DriveShell):
@@ -62,8 +62,9 @@ class LinkDrive(DriveShell):
         self._link: Link | None = None
         self._host: Host | None = None
         self._machine: Machine | None = None
-        self._unwrapped = Unwrapped()
+        self._timeline: Timeline | None = None
         self._origin_s = 0.0
+        self._number = 0
 
     @abstractmethod
     def open_port(self) -> Port:
@@ -93,7 +94,7 @@ class LinkDrive(DriveShell):
         self._clear_what_is_over(host)
         host.write({"telemetry_period_s": self._options.telemetry_period_s}, anew=True)
         self._origin_s = 0.0
-        self._origin_s = self._seconds(host.tick().tick)
+        self._origin_s = self._seconds(self._clock().now())
         return self._machine.capabilities
 
     def _learned(self, host: Host) -> Machine:
@@ -106,6 +107,9 @@ class LinkDrive(DriveShell):
                 raise DriveRefused("this drive demodulates no ripple; capture it raw")
             description = description | {"name": f"{description.get('name', 'drive')} ({DEMODULATED})"}
         machine = Machine(capabilities_of(own, description, None), facts, layout, demodulated)
+        require_memory(facts, layout, row_format(machine).row_bytes)
+        fs = machine.capabilities.sampling_frequency_hz
+        self._timeline = Timeline(host, fs, description.get(CLOCK) == SIMULATED)
         longest_s = longest_capture(machine, host.link.port.bulk_rate(layout))
         capabilities = machine.capabilities.model_copy(update={"longest_capture_s": longest_s})
         return replace(machine, capabilities=capabilities)
@@ -119,7 +123,7 @@ class LinkDrive(DriveShell):
 
     def release(self) -> None:
         """Let go of the link."""
-        link, self._link, self._host, self._machine = self._link, None, None, None
+        link, self._link, self._host, self._machine, self._timeline = self._link, None, None, None, None
         if link is not None:
             link.close()
 
@@ -142,6 +146,7 @@ class LinkDrive(DriveShell):
         host, _ = self._connected()
         if self.faults and not host.fault_told:
             raise host.fault()
+        self._require_sound()
 
     def energise(self, limits: Limits) -> None:
         """Hand over nameplate and limits, read the limits back, and enable the power stage."""
@@ -153,16 +158,19 @@ class LinkDrive(DriveShell):
         ack = host.do(Op.ARM)
         host.conversation.armed(ack)
         self.heartbeat()
-        self._await(host, (*_ENERGISED, PowerState.FAULTED), PATIENCE.settle_s)
+        self._await(host, (*ENERGISED, PowerState.FAULTED), PATIENCE.settle_s)
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Write the program and start it; its rows come as the iterator is drawn from."""
         host, machine = self._connected()
         try:
-            program = Program(host, machine, excitation)
+            program = Program(host, machine, excitation, self._clock(), self._require_sound)
         except DriveRefused:
             self._raise_fault_behind(host)
             raise
+        if program.number == self._number:
+            raise DriveFault(FaultCause.WRONG_DATA, f"the drive gives two captures in a row the number {self._number}")
+        self._number = program.number
         return program.captures(self._seconds)
 
     def telemetry(self) -> Telemetry:
@@ -170,7 +178,7 @@ class LinkDrive(DriveShell):
         host, machine = self._connected()
         news, link = host.link.news, host.link
         readings = news.measurements
-        tick = host.tick()
+        now = self._clock().now()
         link.wait(lambda: news.measurements > readings + 1, 3.0 * self._options.telemetry_period_s)
         status, measurement = news.status, news.measurement
         if status is None or measurement is None:
@@ -178,7 +186,7 @@ class LinkDrive(DriveShell):
         scale = machine.facts.scales.current_a
         return Telemetry(
             state=_state_of(status),
-            time_s=self._seconds(tick.tick),
+            time_s=self._seconds(now),
             i_d_a=scale * measurement.i_d,
             i_q_a=scale * measurement.i_q,
             v_dc_v=measurement.v_dc,
@@ -190,16 +198,23 @@ class LinkDrive(DriveShell):
         """Stop what runs, and wait until the current is zero."""
         host = self._reachable(Op.STOP)
         ack = host.command(Op.STOP)
-        if ack.status is AckStatus.OK and ack.state in _ENERGISED:
+        if ack.status is AckStatus.OK and ack.state in ENERGISED:
             self._await(host, (PowerState.HOLDING, PowerState.DISARMED, PowerState.FAULTED), PATIENCE.ramp_s)
 
     def switch_off(self) -> None:
-        """PWM off."""
+        """PWM off; a drive that does not is told by an emergency stop, and said to have needed it.
+
+        Raises `DriveFault`: still_armed.
+        """
         host = self._reachable(Op.STOP, Op.DISARM)
         ack = host.command(Op.DISARM)
-        if ack.state in _ENERGISED:
-            raise DriveFault(FaultCause.INTERNAL, f"the drive does not disarm: {words(ack.status)}")
-        self._await(host, (PowerState.DISARMED, PowerState.FAULTED), PATIENCE.settle_s)
+        off = (PowerState.DISARMED, PowerState.FAULTED)
+        if ack.state in off and self._gets_to(host, off):
+            return
+        host.link.try_to_send(EStop(StopReason.HOST_ERROR))
+        what_then = "only an emergency stop switched it off" if self._gets_to(host, off) else "nor by an emergency stop"
+        told = f"the drive does not disarm when it is told to ({words(ack.status)}), {what_then}"
+        raise DriveFault(FaultCause.STILL_ARMED, told)
 
     def forget_fault(self) -> None:
         """Clear the drive's latched faults; one that is still ramping down is asked again."""
@@ -209,7 +224,7 @@ class LinkDrive(DriveShell):
             if time.monotonic() > deadline:
                 raise DriveRefused(f"the drive refuses to clear its fault: {words(ack.status)}")
             time.sleep(0.05)
-        self._await(host, (PowerState.DISARMED, *_ENERGISED), PATIENCE.settle_s)
+        self._await(host, (PowerState.DISARMED, *ENERGISED), PATIENCE.settle_s)
         host.fault_told = False
 
     def set_brake(self, engaged: bool) -> None:
@@ -226,14 +241,24 @@ class LinkDrive(DriveShell):
 
     def restore(self, point_id: str, start_s: float) -> None:
         """Let the experiment's clock go on from `start_s`."""
-        host, _ = self._connected()
-        self._origin_s += self._seconds(host.tick().tick) - start_s
+        self._connected()
+        self._origin_s += self._seconds(self._clock().now()) - start_s
+
+    def _clock(self) -> Timeline:
+        self._connected()
+        assert self._timeline is not None
+        return self._timeline
 
     def _seconds(self, tick: int) -> float:
         assert self._machine is not None
-        return self._unwrapped(tick) / self._machine.capabilities.sampling_frequency_hz - self._origin_s
+        return tick / self._machine.capabilities.sampling_frequency_hz - self._origin_s
 
     # What the methods share
+
+    def _require_sound(self) -> None:
+        host, machine = self._connected()
+        news, limit_a = host.link.news, None if self.limits is None else self.limits.current_a
+        require_sound(news.status, news.measurement, machine.facts.scales.current_a, limit_a)
 
     def _connected(self) -> tuple[Host, Machine]:
         """Raises `DriveFault` where the link is lost; once lost, nothing is armed again."""
@@ -248,14 +273,15 @@ class LinkDrive(DriveShell):
             self._host.shout(*last_words)
         return self._connected()[0]
 
-    def _await(self, host: Host, states: tuple[PowerState, ...], timeout_s: float) -> None:
+    def _gets_to(self, host: Host, states: tuple[PowerState, ...], timeout_s: float = PATIENCE.settle_s) -> bool:
+        """Whether the drive's status says so in time."""
         news = host.link.news
+        return host.link.wait(lambda: news.status is not None and news.status.state in states, timeout_s)
 
-        def there() -> bool:
-            return news.status is not None and news.status.state in states
-
-        if not host.link.wait(there, timeout_s):
-            now = "unknown" if news.status is None else news.status.state.name.lower()
+    def _await(self, host: Host, states: tuple[PowerState, ...], timeout_s: float) -> None:
+        if not self._gets_to(host, states, timeout_s):
+            status = host.link.news.status
+            now = "unknown" if status is None else status.state.name.lower()
             wanted = " or ".join(state.name.lower() for state in states)
             raise DriveFault(FaultCause.NO_ANSWER, f"the drive is {now} after {timeout_s:g} s instead of {wanted}")
 
@@ -266,21 +292,7 @@ class LinkDrive(DriveShell):
             raise host.fault()
 
 
-def longest_capture(machine: Machine, bulk_rate: float | None) -> float | None:
-    """Longest raw capture that memory and line allow together [s]; None where nothing limits it.
-
-    A ring is read while it fills, so that only what the line is behind has to fit.
-    """
-    row_bytes = RowFormat(machine.channels, CaptureFormat.INT16, machine.facts.scales).row_bytes
-    row_rate = machine.capabilities.sampling_frequency_hz * row_bytes
-    if machine.facts.bits & Capability.CAPTURE_RING:
-        if bulk_rate is None or bulk_rate > row_rate:
-            return None
-        row_rate -= bulk_rate
-    return machine.facts.memory_bytes / row_rate
-
-
 def _state_of(status: Status) -> DriveState:
     if status.state is PowerState.FAULTED:
         return DriveState.FAULTED
-    return DriveState.ARMED if status.state in _ENERGISED else DriveState.DISARMED
+    return DriveState.ARMED if status.state in ENERGISED else DriveState.DISARMED

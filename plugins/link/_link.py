@@ -39,6 +39,10 @@ _FROM_DRIVE = frame_id("Status")
 """Lower identifiers are the host's own, which some buses hand back."""
 
 
+PROGRESS_S = 0.1
+"""Period of a program's progress."""
+
+
 class News:
     """The latest of each message that the drive sends by itself, and how many there were of it."""
 
@@ -65,6 +69,7 @@ class Link:
         self.port, self.news = port, News()
         self._period_s = telemetry_s
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
+        self._progress_gate = TelemetryGate(PROGRESS_S)
         self._replies: deque[Ack | ParameterValue] = deque(maxlen=PATIENCE.most_replies)
         self._ripple: list[RippleD | RippleQ] = []
         self._bulk: deque[Frame] = deque(maxlen=PATIENCE.most_bulk)
@@ -223,7 +228,7 @@ class Link:
                 news.status, news.statuses, self._silent_s = message, news.statuses + 1, 0.0
             case Measurement() if self._measurement_gate.accept(message.seq, now_s):
                 news.measurement, news.measurements = message, news.measurements + 1
-            case Progress():
+            case Progress() if self._progress_gate.accept(message.seq, now_s):
                 news.progress = message
             case Tick():
                 news.tick, news.ticks = message, news.ticks + 1

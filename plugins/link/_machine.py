@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-from plugins.wire import VECTORS, BlockLayout, Channel, DriveFacts
+from plugins.wire import VECTORS, BlockLayout, Capability, CaptureFormat, Channel, DriveFacts, RowFormat
 from protocols import Capabilities, Capture
 
 
@@ -46,3 +46,21 @@ class SecondsOfTick(Protocol):
     """Turns a tick of the drive into seconds since the start of the experiment."""
 
     def __call__(self, tick: int, /) -> float: ...
+
+
+def row_format(machine: Machine) -> RowFormat:
+    """How a raw row of this drive is laid out."""
+    return RowFormat(machine.channels, CaptureFormat.INT16, machine.facts.scales)
+
+
+def longest_capture(machine: Machine, bulk_rate: float | None) -> float | None:
+    """Longest raw capture that memory and line allow together [s]; None where nothing limits it.
+
+    A ring is read while it fills, so that only what the line is behind has to fit.
+    """
+    row_rate = machine.capabilities.sampling_frequency_hz * row_format(machine).row_bytes
+    if machine.facts.bits & Capability.CAPTURE_RING:
+        if bulk_rate is None or bulk_rate > row_rate:
+            return None
+        row_rate -= bulk_rate
+    return machine.facts.memory_bytes / row_rate

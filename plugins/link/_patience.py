@@ -33,6 +33,12 @@ class Patience:
     """A block without rows is yielded when none with rows came for so long."""
     stuck_s: float = 5.0
     """A program whose progress stands still for longer than it has to settle, and this, is given up."""
+    slow: float = 5.0
+    """A program that takes so many times as long as was asked for, and `stuck_s` more, does not end."""
+    clock_s: float = 0.2
+    """What a drive's clock may be off between two looks at it, beside `clock_part` of the time between."""
+    clock_part: float = 0.1
+    """No oscillator is that far off; what is simulated says so."""
     ramp_s: float = 8.0
     """A current that is not zero after so long is not ramping down."""
     settle_s: float = 1.0

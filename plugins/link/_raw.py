@@ -12,6 +12,9 @@ from plugins.link._reading import Reader
 from plugins.wire import NO_TEMPERATURE_C, CaptureFormat, Channel, RowFormat
 from protocols import Capture, DriveFault, FaultCause
 
+_MOST = 32767
+"""Largest count of int16."""
+
 
 class RawRead:
     """The rows of one program; implements `Rows`.
@@ -72,7 +75,15 @@ class RawRead:
             v_ab=vectors(Channel.V_ALPHA, Channel.V_BETA),
             v_dc=bus_voltage(self._host, stop - first) if v_dc is None else v_dc.astype(np.float32),
             temperature_c=temperature(self._host, stop - first),
+            clipped_rows=clipped_rows(data, len(self._format.channels)),
         )
+
+
+def clipped_rows(data: bytes | memoryview, channels: int) -> int:
+    """Rows of int16 counts that have one at the end of its scale, where converters and scales saturate."""
+    counts = np.frombuffer(data, dtype="<i2").reshape(-1, channels)
+    at_the_end = (counts >= _MOST) | (counts <= -_MOST)
+    return int(np.count_nonzero(at_the_end.any(axis=1)))
 
 
 def bus_voltage(host: Host, rows: int) -> np.ndarray[tuple[int], np.dtype[np.float32]]:

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 from orchestrator.driving import sign_of_life
+from plugins.link._claims import ProgramProgress
 from plugins.link._clock import AttentiveClock
 from plugins.link._demodulated import RippleRead, ripple_periods
 from plugins.link._host import Host
 from plugins.link._machine import Machine, Rows, SecondsOfTick
 from plugins.link._patience import PATIENCE
 from plugins.link._raw import RawRead
+from plugins.link._timeline import Timeline
 from plugins.wire import (
     Channel,
     Op,
@@ -35,13 +37,26 @@ class Program:
     host : Host
     machine : Machine
     excitation : Excitation
+    timeline : Timeline
+        The drive's clock.
+    require_sound : callable
+        Raises where the drive's telemetry cannot be.
 
     Raises `DriveRefused` where the drive does not run it; nothing has moved then.
     """
 
-    def __init__(self, host: Host, machine: Machine, excitation: Excitation) -> None:
+    def __init__(
+        self,
+        host: Host,
+        machine: Machine,
+        excitation: Excitation,
+        timeline: Timeline,
+        require_sound: Callable[[], None],
+    ) -> None:
         self._host, self._machine, self._excitation = host, machine, excitation
+        self._timeline, self._require_sound = timeline, require_sound
         self._fs = machine.capabilities.sampling_frequency_hz
+        self._rows = excitation.rows(self._fs)
         periods = 0
         if machine.demodulated and isinstance(excitation, Injection):
             periods = ripple_periods(excitation, machine.facts)
@@ -56,9 +71,9 @@ class Program:
         if periods and isinstance(excitation, Injection):
             self._source = RippleRead(host, machine, self.number, excitation, periods)
         else:
-            self._source = RawRead(host, machine, self.number, excitation.rows(self._fs))
+            self._source = RawRead(host, machine, self.number, self._rows)
         self._has_run = False
-        self._seen: tuple[Phase, int] = (Phase.IDLE, 0)
+        self._seen = ProgramProgress(self._rows)
         self._clock = AttentiveClock()
         self._moved_s = 0.0
 
@@ -67,7 +82,7 @@ class Program:
 
         Raises `DriveFault` where the drive trips, is lost, or sends what does not fit.
         """
-        given, start_s = 0, None
+        given, start = 0, None
         told_s = time.monotonic()
         finished = False
         while not finished:
@@ -75,15 +90,17 @@ class Program:
             started = progress is not None and progress.phase in (Phase.CAPTURING, Phase.COMPLETE)
             complete = self._is_complete(progress)
             finished = self._source.turn(progress.rows if progress else 0, complete, PATIENCE.listen_s)
-            if start_s is None and (started or complete):
-                start_s = seconds_of_tick(self._start_tick())
-            while start_s is not None and self._due(given, finished):
+            if start is None and (started or complete):
+                start = self._timeline.begins(self._start_tick())
+            if start is not None and finished:
+                self._timeline.ends(start, self._rows)
+            while start is not None and self._due(given, finished):
                 stop = min(self._source.ready, given + round(LONGEST_S * self._fs))
-                yield self._source.block(given, stop, start_s + given / self._fs)
+                yield self._source.block(given, stop, seconds_of_tick(start) + given / self._fs)
                 given, told_s = stop, time.monotonic()
             if time.monotonic() - told_s > PATIENCE.quiet_s:
                 tick = self._host.link.news.tick
-                yield sign_of_life(seconds_of_tick(tick.tick) if tick else 0.0, self._fs)
+                yield sign_of_life(seconds_of_tick(self._timeline.count(tick.tick)) if tick else 0.0, self._fs)
                 told_s = time.monotonic()
 
     def _due(self, given: int, finished: bool) -> bool:
@@ -107,6 +124,7 @@ class Program:
             raise DriveFault(FaultCause.INTERNAL, "the drive disarmed itself in the middle of a program")
         if progress is not None and progress.phase is Phase.GIVEN_UP:
             raise DriveRefused("the excitation was given up")
+        self._require_sound()
         self._has_run = self._has_run or (status is not None and status.state is PowerState.RUNNING)
         self._require_progress(progress)
         return progress
@@ -119,11 +137,15 @@ class Program:
         return self._has_run and status is not None and status.state is PowerState.HOLDING
 
     def _require_progress(self, progress: Progress | None) -> None:
-        now_s, seen = self._clock(), (progress.phase, progress.rows) if progress else self._seen
-        if seen != self._seen or self._is_complete(progress):
-            self._seen, self._moved_s = seen, now_s
-        asked = self._excitation
+        """Raises where the program stands still, goes back, or never ends."""
+        now_s, asked = self._clock(), self._excitation
+        if (progress is not None and self._seen.takes(progress)) or self._is_complete(progress):
+            self._moved_s = now_s
         patience_s = PATIENCE.stuck_s + asked.settling_s
         if now_s - self._moved_s > patience_s:
-            told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen[0].name.lower()})"
+            told = f"{asked.kind}: no progress for {patience_s:.3g} s ({self._seen.phase.name.lower()})"
             raise DriveFault(FaultCause.NO_ANSWER, told)
+        most_s = PATIENCE.stuck_s + PATIENCE.slow * (asked.settling_s + asked.captured_s)
+        if now_s > most_s and not self._is_complete(progress):
+            told = f"{asked.kind}: not at its end after {most_s:.3g} s ({self._seen.phase.name.lower()})"
+            raise DriveFault(FaultCause.PROGRAM_TOO_LONG, told)

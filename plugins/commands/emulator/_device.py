@@ -382,5 +382,5 @@ class Device:
 
 
 def _describe(motor: str, seed: int) -> str:
-    lines = {"name": "fluxbench emulator", "motor": motor, "serial": str(seed)}
+    lines = {"name": "fluxbench emulator", "motor": motor, "serial": str(seed), "clock": "simulated"}
     return "\n".join(f"{key}: {' '.join(value.split())}" for key, value in lines.items())

@@ -111,6 +111,15 @@ class Script:
     bits: Capability = Capability.RAW_CAPTURE | Capability.CAPTURE_RING | Capability.RIPPLE_ON_DRIVE
     slow_blocks_s: float = 0.0
     """Takes so long to answer a request for blocks of a capture."""
+    lie: Callable[[Message], Message] | None = None
+    """What it says instead of each message, blocks of captures apart."""
+    memory_bytes: int = 65536
+    deaf_to: frozenset[Op] = frozenset()
+    """Commands that it acknowledges and does not do."""
+    saturated: int = 0
+    """So many rows of a capture, from the first, stand at the end of the scale."""
+    described: str = "\nclock: simulated"
+    """More lines of its description."""
     live_every: int = 1
     """Sends each n-th live ripple row."""
 
@@ -121,12 +130,12 @@ class Device:
     def __init__(self, layout: BlockLayout, script: Script | None = None) -> None:
         self.script = script or Script()
         self.layout = layout
-        text = f"name: {OWN.name}\nmotor: {OWN.motor_name}\nfirmware: 0.1"
+        text = f"name: {OWN.name}\nmotor: {OWN.motor_name}\nfirmware: 0.1" + self.script.described
         self.facts = DriveFacts(
             bits=self.script.bits,
             channels=Channel(511),
             scales=Scales.spanning(12.0, 200.0, 400.0, 6.0),
-            memory_bytes=65536,
+            memory_bytes=self.script.memory_bytes,
             block_bytes=240,
             ripple_rate_max_hz=100.0,
             ripple_memory_rows=4000,
@@ -177,7 +186,9 @@ class Device:
     def _through(self, frames: list[Frame]) -> list[Frame]:
         if self.script.mute:
             return []
-        every = self.script.drop_every
+        every, lie = self.script.drop_every, self.script.lie
+        if lie is not None:
+            frames = [encode(lie(message)) if (message := decode(*f)) is not None else f for f in frames]
         return [f for f in frames if not every or np.random.default_rng().integers(every)]
 
     def _respond(self, message: Message) -> list[Frame]:
@@ -236,6 +247,8 @@ class Device:
 
     def _done(self, message: Command) -> Ack:
         status, value = AckStatus.OK, 0
+        if message.op in self.script.deaf_to:
+            return self._ack(message, message.op, status)
         energised = self.state in (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
         match message.op:
             case Op.IDENTIFY:
@@ -314,6 +327,7 @@ class Device:
         if mask:
             form = RowFormat(mask, CaptureFormat.INT16, self.facts.scales)
             i, v = ((x[:, 0] + 1j * x[:, 1]) * turn for x in (i_dq, v_dq))
+            v[: self.script.saturated] += 1e6
             columns = {
                 Channel.I_ALPHA: i.real,
                 Channel.I_BETA: i.imag,
@@ -337,6 +351,7 @@ class Device:
             )
             base = base_voltage(program)
             self._counts = demodulate(i_dq, v_dq, base, grid).counts(self.facts.scales)
+            self._counts[: self.script.saturated] = 32767
             self.file["ripple_rows"] = float(len(self._counts))
             self.file["base_voltage_d_v"], self.file["base_voltage_q_v"] = base
         return AckStatus.OK, self._number

@@ -1,0 +1,70 @@
+"""What a drive says of itself that cannot be, each with its name. Knows messages; sends nothing."""
+
+from __future__ import annotations
+
+import math
+
+from plugins.link._host import fault_names
+from plugins.wire import BlockLayout, DriveFacts, Measurement, Phase, PowerState, Progress, Status
+from protocols import DriveFault, FaultCause
+
+ENERGISED = (PowerState.HOLDING, PowerState.RUNNING, PowerState.STOPPING)
+OVERSHOOT = 1.5
+"""Current in a reading that a drive should long have tripped on, against the limit."""
+
+
+def require_sound(
+    status: Status | None, measurement: Measurement | None, scale_a: float, limit_a: float | None
+) -> None:
+    """Hold the latest telemetry against itself and the limit that the drive was armed with.
+
+    Raises `DriveFault`: wrong_data for a power stage that is on beside latched faults, overcurrent for a current with
+    which the drive goes on.
+    """
+    if status is not None and status.state in ENERGISED and status.faults:
+        told = f"the drive says that it is {status.state.name.lower()}, with faults: {', '.join(fault_names(status))}"
+        raise DriveFault(FaultCause.WRONG_DATA, told)
+    if measurement is None or limit_a is None:
+        return
+    current_a = scale_a * math.hypot(measurement.i_d, measurement.i_q)
+    if current_a > OVERSHOOT * limit_a:
+        told = f"the drive reads {current_a:.3g} A, the limit is {limit_a:.3g} A, and it went on"
+        raise DriveFault(FaultCause.OVERCURRENT, told)
+
+
+def require_memory(facts: DriveFacts, layout: BlockLayout, row_bytes: int) -> None:
+    """Raise `DriveFault` (wrong_data) where the memory for captures does not hold a row and a block."""
+    least = max(row_bytes, layout.block)
+    if facts.memory_bytes < least:
+        told = f"register capture_memory_bytes: {facts.memory_bytes} bytes hold no row of a capture, nor a block"
+        raise DriveFault(FaultCause.WRONG_DATA, told)
+
+
+class ProgramProgress:
+    """How far one program says that it is: it goes on, never back, and not beyond its rows.
+
+    Parameters
+    ----------
+    rows : int
+        Of its capture.
+    """
+
+    def __init__(self, rows: int) -> None:
+        self._rows = rows
+        self.phase, self.done = Phase.IDLE, 0
+
+    def takes(self, progress: Progress) -> bool:
+        """Whether it got on; raises `DriveFault` (wrong_data) where it cannot have."""
+        before = (self.phase, self.done)
+        if progress.rows > self._rows:
+            told = f"the drive has captured {progress.rows} rows of {self._rows}"
+            raise DriveFault(FaultCause.WRONG_DATA, told)
+        if progress.phase < self.phase or progress.rows < self.done:
+            told = f"the program goes back from {_told(*before)} to {_told(progress.phase, progress.rows)}"
+            raise DriveFault(FaultCause.WRONG_DATA, told)
+        self.phase, self.done = progress.phase, progress.rows
+        return (self.phase, self.done) != before
+
+
+def _told(phase: Phase, rows: int) -> str:
+    return f"{phase.name.lower()} at row {rows}"

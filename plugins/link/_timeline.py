@@ -1,0 +1,106 @@
+"""The drive's clock, held against this machine's and against what the drive captures: it neither stops nor jumps.
+
+What is asked for and answered was taken between the question and the answer, so that no busy machine is mistaken for a
+lying drive. An emulated drive, which says ``clock: simulated`` in its description, keeps its own time: of its clock
+only the order counts.
+"""
+
+from __future__ import annotations
+
+import time
+from typing import NamedTuple
+
+from plugins.link._host import Host
+from plugins.link._patience import PATIENCE
+from plugins.wire import Unwrapped
+from protocols import DriveFault, FaultCause
+
+CLOCK, SIMULATED = "clock", "simulated"
+"""Key and value of an emulated drive's description."""
+SLACK = 2
+"""Samples that roundings of a tick may make."""
+_HOST_CLOCK = getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC)
+"""Goes on while the machine sleeps, as the drive's does."""
+
+
+class Reading(NamedTuple):
+    """A tick, counted without wraps, and the times on the host's clock between which it was taken [s]."""
+
+    tick: int
+    asked_s: float
+    had_s: float
+
+
+class Timeline:
+    """The ticks of one connection.
+
+    Parameters
+    ----------
+    host : Host
+    sampling_frequency_hz : float
+        Ticks a second.
+    is_simulated : bool
+        Whether the drive's time is its own.
+    """
+
+    def __init__(self, host: Host, sampling_frequency_hz: float, is_simulated: bool) -> None:
+        self._host, self._fs, self._is_simulated = host, sampling_frequency_hz, is_simulated
+        self._unwrapped = Unwrapped()
+        self._last: Reading | None = None
+        self._captured = 0
+        self._has_captured = False
+
+    def now(self) -> int:
+        """The drive's clock, asked for; a tick that was long under way is asked for again.
+
+        Raises `DriveFault` (wrong_data) where it went back, stands still, or is not where so much time takes it.
+        """
+        reading = self._read()
+        if self._problem(reading):
+            reading = self._read()
+            problem = self._problem(reading)
+            if problem:
+                raise DriveFault(FaultCause.WRONG_DATA, f"the drive's clock {problem}")
+        self._last = reading
+        return reading.tick
+
+    def count(self, tick: int) -> int:
+        """A tick that was told, without wraps."""
+        return self._unwrapped(tick)
+
+    def begins(self, tick: int) -> int:
+        """Row 0 of a capture, without wraps; raises `DriveFault` (wrong_data) where the one before had not ended."""
+        start = self._unwrapped(tick)
+        if self._has_captured and start < self._captured - SLACK:
+            early_s = (self._captured - start) / self._fs
+            raise DriveFault(FaultCause.WRONG_DATA, f"the capture starts {early_s:.3g} s before the last one has ended")
+        self._captured, self._has_captured = start, True
+        return start
+
+    def ends(self, start: int, rows: int) -> None:
+        """All rows are captured; raises `DriveFault` (wrong_data) where the drive's clock is not there yet."""
+        end, now = start + rows, self.now()
+        if now < end - SLACK:
+            told = f"the drive's clock stands {(end - now) / self._fs:.3g} s before the end of what it has captured"
+            raise DriveFault(FaultCause.WRONG_DATA, told)
+        self._captured = end
+
+    def _read(self) -> Reading:
+        asked_s = time.clock_gettime(_HOST_CLOCK)
+        tick = self._host.tick().tick
+        return Reading(self._unwrapped(tick), asked_s, time.clock_gettime(_HOST_CLOCK))
+
+    def _problem(self, reading: Reading) -> str:
+        if self._last is None:
+            return ""
+        passed_s = (reading.tick - self._last.tick) / self._fs
+        if passed_s < 0.0:
+            return f"went back by {-passed_s:.3g} s"
+        if self._is_simulated:
+            return ""
+        least_s, most_s = reading.asked_s - self._last.had_s, reading.had_s - self._last.asked_s
+        if passed_s > (1.0 + PATIENCE.clock_part) * most_s + PATIENCE.clock_s:
+            return f"jumped by {passed_s:.3g} s in {most_s:.3g} s"
+        if passed_s < (1.0 - PATIENCE.clock_part) * least_s - PATIENCE.clock_s:
+            return f"went on by {passed_s:.3g} s in {least_s:.3g} s"
+        return ""
