@@ -1,4 +1,4 @@
-"""Angles that are not what the operator believes: a misaligned rotor, and a brake that gives way."""
+"""Angles that are not what the operator believes: a misaligned rotor, a brake that gives way, or has play."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import ClassVar
 
 import numpy as np
 
+from orchestrator.numerics.types import Array
 from plugins.effects._filters import low_pass
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, shape
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
 
 class RotorMisalignment:
@@ -55,14 +56,59 @@ class BrakeCompliance:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Add the twist to the angle; without a flux in the signals there is no torque, and nothing changes."""
-        # A torque with the readings' noise in it would turn the frame to and fro with every sample.
-        psi, i = signals.psi_smooth_ab, signals.i_smooth_ab
-        if psi is None or i is None:
-            psi, i = signals.psi_ab, signals.i_ab
-        if psi is None:
+        torque = _torque_nm(signals)
+        if torque is None:
             return Correction()
-        pairs = signals.motor.pole_pairs if signals.motor is not None else 1
-        torque = 1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0])
-        decay = math.exp(-1.0 / (p.lag_s * signals.sampling_frequency_hz))
-        late = low_pass(np.ascontiguousarray(torque[:, None], dtype=np.float64), decay)[:, 0]
-        return Correction(theta_rad=signals.theta_rad + p.rad_per_nm * late)
+        return Correction(theta_rad=signals.theta_rad + p.rad_per_nm * _late(torque, p.lag_s, signals))
+
+
+class BrakeBacklash:
+    """A brake with play: the rotor lies at either end of a gap, delta = gap/2 s(T_e / T_f), with a lag.
+
+    The gap is in electrical radians; within the torque T_f [Nm], friction's, it is crossed by
+    s(x) = x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
+    """
+
+    name: ClassVar[str] = "brake_backlash"
+    summary: ClassVar[str] = "The locked rotor has play, and turns to its other end with the torque's sign."
+    signature: ClassVar[str] = "A voltage where the torque changes its sign, and two angles, one for each sign."
+    layer: ClassVar[EffectLayer] = EffectLayer.FRAME
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = ""
+
+    class Parameters(EffectParameters):
+        gap_rad: float = amplitude("rad", typical=0.01, prior_width=0.01, low=0.0, high=0.2)
+        friction_nm: float = shape("Nm", typical=0.05, prior_width=1.0, low=1e-3, high=1.0)
+        lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
+        softness: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.1, high=1.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        """Add to the angle where in its gap the rotor lies; without a flux in the signals nothing changes."""
+        torque = _torque_nm(signals)
+        if torque is None:
+            return Correction()
+        x = torque / p.friction_nm
+        size = np.abs(x)
+        # Powers of what is below one alone, so that none overflows.
+        small, large = np.minimum(size, 1.0), np.maximum(size, 1.0)
+        share = small / (small ** (1.0 / p.softness) + large ** (-1.0 / p.softness)) ** p.softness
+        end = np.copysign(share, x)
+        return Correction(theta_rad=signals.theta_rad + 0.5 * p.gap_rad * _late(end, p.lag_s, signals))
+
+
+def _torque_nm(signals: Signals) -> Array | None:
+    """T_e = 3/2 n (psi_d i_q - psi_q i_d), shape (n,); None without a flux."""
+    # A torque with the readings' noise in it would turn the frame to and fro with every sample.
+    psi, i = signals.psi_smooth_ab, signals.i_smooth_ab
+    if psi is None or i is None:
+        psi, i = signals.psi_ab, signals.i_ab
+    if psi is None:
+        return None
+    pairs = signals.motor.pole_pairs if signals.motor is not None else 1
+    return np.asarray(1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0]), dtype=np.float64)
+
+
+def _late(x: Array, lag_s: float, signals: Signals) -> Array:
+    """The same (n,) behind a first-order lag."""
+    decay = math.exp(-1.0 / (lag_s * signals.sampling_frequency_hz))
+    return np.asarray(low_pass(np.ascontiguousarray(x[:, None]), decay)[:, 0])

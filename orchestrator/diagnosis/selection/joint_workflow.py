@@ -46,6 +46,8 @@ def all_together(
     if setup.fitter.noise.of_model == before and whole.chi2_per_dof > whole.criteria.selection.detected_chi2:
         setup = beside_scatter(setup, setup.fitter, whole, library) or setup
         whole = downwards(setup.fitter, refitted(setup.fitter, whole.model))
+    if not whole.model.active:
+        return None
     if setup.fitter.noise.of_model != before:
         steps = refitted_steps(setup.unweighed, steps)
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.types import Array
-from plugins.effects.frame import BrakeCompliance, RotorMisalignment
+from plugins.effects.frame import BrakeBacklash, BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.resistance import PhaseResistanceImbalance, ResistanceWithTemperature, WindingHeating
@@ -184,6 +184,18 @@ def test_heating_reaches_its_steady_rise() -> None:
 def test_misalignment_is_true_minus_believed() -> None:
     out = _corrected(RotorMisalignment(), _signals(), angle_rad=-0.03)
     assert out.theta_rad[0] == pytest.approx(0.17)
+
+
+def test_a_brake_with_play_lies_at_the_end_that_the_torque_points_to() -> None:
+    signals = _signals()
+    flux = 0.3 * np.array([math.cos(0.2), math.sin(0.2)])
+    quarter = np.array([-math.sin(0.2), math.cos(0.2)])
+    for q in (2.0, -2.0, 1e-3):
+        at = signals.model_copy(update={"psi_ab": np.tile(flux, (400, 1)), "i_ab": np.tile(q * quarter, (400, 1))})
+        turned = _corrected(BrakeBacklash(), at, gap_rad=0.01, friction_nm=0.05, lag_s=1e-3).theta_rad - 0.2
+        torque = 1.5 * 2 * 0.3 * q
+        expected = 0.005 * torque / math.hypot(torque, 0.05)
+        assert_close(turned, np.full(400, expected), 1e-9, of=[0.01])
 
 
 def test_brake_twists_with_the_torque() -> None:
