@@ -99,6 +99,10 @@ class Stage(Strict):
         """What a filled stage measures, in order."""
         return ()
 
+    def before_point(self, run: StageRun, excitation: Excitation) -> Excitation:
+        """A planned excitation as it is to be run, by what was measured before it: of the same kind and length."""
+        return excitation
+
     def after_point(self, run: StageRun, segment: Segment) -> None:
         """What to look at with each point (a thermometer), shortly: the drive still holds it."""
 

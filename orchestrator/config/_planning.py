@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 from orchestrator.stages import NOMINAL_SAMPLING_HZ, parse_stages
@@ -36,6 +36,13 @@ class PlannedPoint:
     excitation: Excitation
     settings: dict[str, Any]
     """What was asked for, as the segment's settings."""
+
+    def run_as(self, excitation: Excitation) -> PlannedPoint:
+        """The point with another excitation of the same kind, and settings that say what is really asked for."""
+        if excitation == self.excitation:
+            return self
+        now = excitation.model_dump()
+        return replace(self, excitation=excitation, settings={k: now.get(k, v) for k, v in self.settings.items()})
 
     @property
     def target(self) -> Point | None:

@@ -171,7 +171,8 @@ class Commissioning:
             for point in self._within_limits(index, left):
                 if self._interrupts.pause_wanted:
                     self._pause(stage.measuring)
-                self._measure_point(point, partial(stage.after_point, at_work))
+                excitation = stage.before_point(at_work, point.excitation)
+                self._measure_point(point.run_as(excitation), partial(stage.after_point, at_work))
         if self._agenda.has_work(index):
             stage.work(at_work)
 

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
+import numpy as np
+
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
 from orchestrator.stages import Scaling, given
 from protocols import (
     EnergisedStage,
+    Excitation,
     Hold,
     Positive,
+    RecordingReader,
     Segment,
     SegmentStage,
     StageContext,
@@ -20,7 +27,11 @@ from protocols import (
 
 
 class AlignmentStage(EnergisedStage):
-    """Turn the free rotor onto a current vector; its angle is the believed one from then on."""
+    """Turn the free rotor onto a current vector; its angle is the believed one from then on.
+
+    What the sensors read with the gates off, where that was measured before, is added to what they are to read: it is
+    no current, and would turn the rotor by its share of the current.
+    """
 
     name = "alignment"
     title = "alignment"
@@ -56,6 +67,20 @@ class AlignmentStage(EnergisedStage):
             )
         )
 
+    largest_offset: ClassVar[float] = 0.1
+    """Part of the current beyond which a reading without current is no offset, but a fault, and nothing is added."""
+
+    def before_point(self, run: StageRun, excitation: Excitation) -> Excitation:
+        reading = _without_current(run.recording())
+        if reading is None or not isinstance(excitation, Hold):
+            return excitation
+        offset_d, offset_q = to_dq(reading, excitation.rotor_angle_rad)[0]
+        d, q = excitation.current_d_a + float(offset_d), excitation.current_q_a + float(offset_q)
+        too_large = math.hypot(offset_d, offset_q) > self.largest_offset * given(self.current_a)
+        if too_large or math.hypot(d, q) > run.procedure.limits.current_a:
+            return excitation
+        return excitation.model_copy(update={"current_d_a": d, "current_q_a": q})
+
     def after_point(self, run: StageRun, segment: Segment) -> None:
         if self.brake is not None:
             run.set_brake(True)
@@ -67,3 +92,9 @@ class AlignmentStage(EnergisedStage):
     @property
     def current_field(self) -> str:
         return "current_a"
+
+
+def _without_current(recording: RecordingReader) -> Array | None:
+    """Mean vector (1, 2) of the latest reading with the gates off [A]; None where there is none."""
+    segments = recording.segments(SegmentStage.GATES_OFF)
+    return recording.load(segments[-1]).i_ab.mean(axis=0, dtype=np.float64)[None] if segments else None

@@ -6,14 +6,29 @@ import math
 from dataclasses import dataclass, field
 from typing import Any, cast
 
+import numpy as np
 import pytest
 
+from orchestrator.config import PlannedPoint
 from orchestrator.testing import StageConformance
 from plugins.drives.simulated import SimulatedOptions
 from plugins.drives.simulated._state import THETA
 from plugins.drives.simulated.rig import Rig
 from plugins.stages.alignment import AlignmentStage
-from protocols import Limits, Motor, Segment, SegmentStage, Stage, StageRun
+from protocols import (
+    Capture,
+    DriveRecord,
+    Hold,
+    Limits,
+    Manifest,
+    Motor,
+    Procedure,
+    Segment,
+    SegmentStage,
+    Stage,
+    StageRun,
+)
+from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.support.benches import Bench, plan_of
 
 
@@ -40,24 +55,34 @@ class Run:
 
     rig: Rig
     moved: list[bool] = field(default_factory=list)
+    read: MemoryRecording | None = None
+    procedure: Procedure | None = None
+
+    def recording(self) -> MemoryRecording:
+        assert self.read is not None
+        return self.read
 
     def set_brake(self, engaged: bool) -> None:
         self.moved.append(engaged)
         self.rig.set_brake(engaged)
 
 
-def angle_after_alignment(pm400: Bench, stage: dict[str, Any], offset_a: float) -> tuple[float, list[bool]]:
+def angle_after_alignment(
+    pm400: Bench, stage: dict[str, Any], offset_a: float, *, known: bool = False
+) -> tuple[float, list[bool]]:
     """Electrical angle of a free rotor after alignment and the way down [deg], and how the brake was moved."""
     plant = {"effects": {"current_offset": {"offset_b_a": offset_a}}, "brake": {"start": "released"}}
     options = SimulatedOptions.model_validate({"dc_bus_voltage_v": pm400.bus_v, "plant": plant})
     rig = Rig(options, Motor.model_validate(pm400.motor), 3)
     rig.limit(Limits.model_validate(pm400.limits))
     (point,) = plan_of(pm400, {"kind": "alignment", **stage}).points
-    for _ in rig.excite(point.excitation, 1 << 60):
+    readings = [(0.0, 2.0 / math.sqrt(3.0) * offset_a)] if known else []
+    run = Run(rig, read=read_without_current(pm400, *readings), procedure=pm400.procedure({"kind": "alignment"}))
+    filled = AlignmentStage.model_validate({**stage, "current_a": point.excitation.longest_current_a})
+    for _ in rig.excite(filled.before_point(cast(StageRun, run), point.excitation), 1 << 60):
         pass
-    run = Run(rig)
     segment = Segment(id="alignment-000", stage=SegmentStage.ALIGNMENT, start_s=0.0, samples=1)
-    AlignmentStage.model_validate(stage).after_point(cast(StageRun, run), segment)
+    filled.after_point(cast(StageRun, run), segment)
     for _ in rig.to_zero(1 << 60):
         pass
     rig.drain()
@@ -76,7 +101,67 @@ def test_a_rotor_that_is_braked_under_current_stays_where_it_was_aligned(pm400: 
     assert abs(turned) > 4 * abs(held)
 
 
+def test_an_offset_that_was_read_before_does_not_turn_the_rotor(pm400: Bench) -> None:
+    unknown, _ = angle_after_alignment(pm400, {"brake": "engage"}, 0.05)
+    known, _ = angle_after_alignment(pm400, {"brake": "engage"}, 0.05, known=True)
+    assert abs(unknown) > 1.0
+    assert abs(known) < 0.1
+
+
 def test_without_an_offset_the_brake_makes_no_difference(pm400: Bench) -> None:
     held, _ = angle_after_alignment(pm400, {"brake": "engage"}, 0.0)
     turned, _ = angle_after_alignment(pm400, {}, 0.0)
     assert held == pytest.approx(turned, abs=0.1)
+
+
+def read_without_current(pm400: Bench, *readings: tuple[float, float]) -> MemoryRecording:
+    """A recording of what the sensors say with the gates off, (alpha, beta) in each segment [A]."""
+    names = [f"gates_off-{k:03d}" for k in range(len(readings))]
+    segments = [
+        Segment(id=name, stage=SegmentStage.GATES_OFF, start_s=float(k), samples=50) for k, name in enumerate(names)
+    ]
+    captures = {
+        name: Capture(
+            start_s=float(k),
+            sampling_frequency_hz=1e4,
+            i_ab=np.tile(np.array(reading, np.float32), (50, 1)),
+            v_ab=np.zeros((50, 2), np.float32),
+            v_dc=np.full(50, 540.0, np.float32),
+        )
+        for k, (name, reading) in enumerate(zip(names, readings, strict=True))
+    }
+    manifest = Manifest(
+        format="fluxbench-recording",
+        version=1,
+        name="so far",
+        created="2026-01-01T00:00:00Z",
+        motor=Motor.model_validate(pm400.motor),
+        drive=DriveRecord(name="d", sampling_frequency_hz=1e4, dc_bus_voltage_v=540.0),
+        segments=tuple(segments),
+    )
+    return MemoryRecording(manifest, captures)
+
+
+def asked_for(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
+    """The alignment's point at 90 degrees, as it is run after these readings."""
+    (point,) = plan_of(pm400, {"kind": "alignment", "angle_rad": math.pi / 2, "current_a": 2.0}).points
+    stage = AlignmentStage(angle_rad=math.pi / 2, current_a=2.0)
+    read, procedure = read_without_current(pm400, *readings), pm400.procedure({"kind": "alignment"})
+    run = cast(StageRun, Run(cast(Rig, None), [], read, procedure))
+    return point.run_as(stage.before_point(run, point.excitation))
+
+
+def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm400: Bench) -> None:
+    point = asked_for(pm400, (0.5, 0.5), (0.02, 0.05))
+    assert isinstance(point.excitation, Hold)
+    assert (point.excitation.current_d_a, point.excitation.current_q_a) == pytest.approx((2.05, -0.02))
+    assert (point.settings["current_d_a"], point.settings["current_q_a"]) == pytest.approx((2.05, -0.02))
+    assert point.excitation.rotor_angle_rad == pytest.approx(math.pi / 2)
+
+
+@pytest.mark.parametrize("readings", [[], [(0.3, 0.0)], [(0.0, 1.0)]])
+def test_nothing_is_added_without_a_reading_or_to_one_that_is_no_offset(
+    pm400: Bench, readings: list[tuple[float, float]]
+) -> None:
+    point = asked_for(pm400, *readings)
+    assert point.settings == {"current_d_a": 2.0, "current_q_a": 0.0}
