@@ -7,7 +7,7 @@ a model that holds arrays describes them by dtype and shape.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated, Any, Self
+from typing import Annotated, Any, Self, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,13 +17,41 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 RealArray = NDArray[np.floating[Any]]
 
 
-class Strict(BaseModel):
+def _refuse_coercion(value: object) -> object:
+    """Numbers are numbers: pydantic by itself takes true for 1, and "4" for 4."""
+    if isinstance(value, bool | str | bytes):
+        raise PydanticCustomError("float_type", "Input should be a number")
+    return value
+
+
+def strict_numbers(schema: Any) -> Any:
+    """A core schema whose numbers take neither booleans nor text; what is a whole number may still be written 4.0."""
+    if isinstance(schema, list | tuple):
+        return type(schema)(map(strict_numbers, schema))
+    if not isinstance(schema, dict):
+        return schema
+    if schema.get("type") in ("float", "int"):
+        return core_schema.no_info_before_validator_function(_refuse_coercion, cast(CoreSchema, schema))
+    if schema.get("type") == "function-before" and schema["function"].get("function") is _refuse_coercion:
+        return schema  # of a model within a model
+    return {key: strict_numbers(value) for key, value in schema.items()}
+
+
+class _StrictNumbers(BaseModel):
+    """What all models of files have in common."""
+
+    @classmethod
+    def __get_pydantic_core_schema__(cls, source: Any, handler: GetCoreSchemaHandler) -> CoreSchema:
+        return cast(CoreSchema, strict_numbers(handler(source)))
+
+
+class Strict(_StrictNumbers):
     """A frozen model for what people write: unknown keys and non-finite numbers are errors."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)
 
 
-class Lenient(BaseModel):
+class Lenient(_StrictNumbers):
     """A frozen model for what other tools write: unknown keys are passed over."""
 
     model_config = ConfigDict(extra="ignore", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True)

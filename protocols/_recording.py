@@ -15,7 +15,8 @@ from pydantic import Field, model_validator
 from protocols._base import ArrayModel, Lenient, Phases, Samples, Vectors
 from protocols._motor import Motor, Positive
 
-SegmentId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
+SegmentId = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$", max_length=200)]
+"""It names a file, and file systems take 255 bytes with all that is put before and behind it."""
 
 
 class SegmentStage(StrEnum):

@@ -11,6 +11,9 @@ def main() -> None:
     signals = EarlySignals()  # before anything is imported that takes time
     from orchestrator.cli._app import run_app
     from orchestrator.cli._leaving import leave
+    from orchestrator.cli._quiet import hush_libraries
+
+    hush_libraries()
 
     # Before numpy is there: threads of a BLAS wait for each other by spinning, which on busy cores costs many times
     # more than they bring to matrices as small as these. Who has set a number keeps it.

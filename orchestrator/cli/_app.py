@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -385,9 +386,12 @@ def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | Non
         return 0
     except OSError as error:
         if error.filename is not None:
-            return _say(f"{error.filename}: {error.strerror or error}", 3)
+            asked_for = error.errno == errno.ENAMETOOLONG  # a name that was given, and no fault of the disk
+            return _say(f"{error.filename}: {error.strerror or error}", 2 if asked_for else 3)
         give_up_broken_output()
         return _say(f"standard output: cannot be written: {error.strerror or error}", 3)
+    except MemoryError as error:  # numpy says for what, Python itself does not
+        return _say(f"not enough memory: {error}" if str(error) else "not enough memory", 3)
     except Exception as error:
         return _explain(error)
     return code

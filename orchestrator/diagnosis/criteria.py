@@ -348,6 +348,8 @@ class ConventionCriteria(Strict):
     """Readings that stay at their limit, over all in the strip below it: the tail of any noise has next to none."""
     strip: float = _is(0.02, "1", "practice")
     """Width of that strip, relative to the limit."""
+    bus_spike: float = _is(0.5, "1", "theory")
+    """Step of single readings of the bus, relative to it, that its capacitors cannot make within a sample."""
     bridge_limit: float = _is(0.45, "1", "theory")
     """Voltage, in bus voltages, from which on it may be the bridge that ends it: 1/2 to 2/3, as it is modulated."""
     edge: float = _is(0.3, "1", "theory")

@@ -19,6 +19,7 @@ from orchestrator.recording._columns import (
     first_non_finite,
 )
 from orchestrator.recording._manifest import MANIFEST_NAME, capture_path, read_manifest
+from orchestrator.recording._memory import require_memory
 from protocols import Capture, Manifest, RealArray, RecordingError, Segment, SegmentStage
 
 
@@ -123,7 +124,9 @@ def _check_file(path: Path, segment: Segment) -> None:
     if not path.is_file():
         raise RecordingError(str(path), "", f"missing, though {MANIFEST_NAME} lists segment {segment.id!r}")
     with _Parquet(path, str(path)) as parquet:
-        _check_shape(path, parquet.schema_arrow, parquet.metadata.num_rows, segment)
+        names = _check_shape(path, parquet.schema_arrow, parquet.metadata.num_rows, segment)
+        row_bytes = sum(parquet.schema_arrow.field(name).type.bit_width // 8 for name in names)
+    require_memory(path, segment.samples, row_bytes)
 
 
 def _decode(path: Path, content: bytes, segment: Segment) -> dict[str, RealArray]:

@@ -131,6 +131,11 @@ class SoundRecording:
         if not low <= measured <= high:
             told = f"{measured:.4g} V (median) on a nominal bus of {bus:g} V; a unit is wrong"
             self._refuse(f"{segment.id}: v_dc", told)
+        most = float(np.max(capture.v_dc, initial=0.0))
+        if most > high:
+            row = int(np.argmax(capture.v_dc))
+            told = f"sample {row}: {most:.4g} V on a nominal bus of {bus:g} V: no bus does that"
+            self._refuse(f"{segment.id}: v_dc", told)
 
     def _check_polarity_and_resistance(self, seen: Sequence[_Seen]) -> None:
         i2, v2 = sum(x.i_squared for x in seen), sum(x.v_squared for x in seen)

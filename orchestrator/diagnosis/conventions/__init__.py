@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from orchestrator.diagnosis.conventions.channels import clipped, dead_channel, require_response
+from orchestrator.diagnosis.conventions.channels import bus_spikes, clipped, dead_channel, require_response
 from orchestrator.diagnosis.conventions.correction import CorrectedRecording
 from orchestrator.diagnosis.conventions.nameplate import against_nameplate
 from orchestrator.diagnosis.conventions.report import convention_remark, convention_report, convention_words
@@ -28,6 +28,7 @@ HYPOTHESES: tuple[Callable[[Responses], Convention | None], ...] = (
     without_set_points,
     delay,
     against_nameplate,
+    lambda seen: bus_spikes(seen.survey),
 )
 """In this order: what is not in the file at all, what spoils every other look at it, and the rest."""
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.diagnosis.conventions.responses import shares
 from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors, parts
@@ -108,6 +110,32 @@ def clipped(survey: Survey) -> Convention | None:
                 correction=ManifestCorrection(text=f"record again with a wider range of the {name}, or smaller {name}"),
             )
     return None
+
+
+def bus_spikes(survey: Survey) -> Convention | None:
+    """Single readings of the bus voltage that the capacitors of no bus can follow."""
+    limits = survey.criteria
+    found = [(int(np.count_nonzero(_spikes(s.v_dc, limits))), s) for s in survey.seen]
+    count = sum(number for number, _ in found)
+    if not count:
+        return None
+    worst = max(found, key=lambda one: one[0])[1]
+    at = int(np.argmax(_spikes(worst.v_dc, limits)))
+    typical = float(np.median(worst.v_dc))
+    told = f"{worst.segment.id}: sample {at}: {worst.v_dc[at]:.4g} V between readings of {typical:.4g} V"
+    return Convention(
+        kind="bus_spikes",
+        what=f"{count} readings of v_dc look like spikes",
+        evidence=told,
+        correction=ManifestCorrection(text="measure the bus anew, or give its nominal voltage in every row"),
+    )
+
+
+def _spikes(v_dc: NDArray[np.floating[Any]], limits: ConventionCriteria) -> NDArray[np.bool_]:
+    """Which readings are far from the rest; none where they are more than a few, for then the bus itself has moved."""
+    typical = float(np.median(v_dc))
+    far: NDArray[np.bool_] = np.abs(v_dc - typical) > limits.bus_spike * abs(typical)
+    return far if np.count_nonzero(far) < limits.flat * len(far) else np.zeros_like(far)
 
 
 def _piled(survey: Survey, field: str) -> Iterator[tuple[str, float, float]]:

@@ -33,12 +33,15 @@ class Sighting:
         Current and commanded voltage, stator frame [A, V].
     phases : array, shape (n, 3), or None
         The phase currents' own columns [A].
+    v_dc : array, shape (n,)
+        Bus voltage [V].
     """
 
     segment: Segment
     i: Vectors
     v: Vectors
     phases: NDArray[np.floating[Any]] | None
+    v_dc: NDArray[np.floating[Any]]
 
     @property
     def theta_rad(self) -> float:
@@ -133,7 +136,7 @@ def _sighting(recording: RecordingReader, segment: Segment, criteria: Convention
     capture = recording.load(segment)
     rows = slice(0, criteria.looked_at_of_a_segment)
     i, v = (_complex(x[rows]) for x in (capture.i_ab, capture.v_ab))
-    return Sighting(segment, i, v, None if capture.i_abc is None else capture.i_abc[rows])
+    return Sighting(segment, i, v, None if capture.i_abc is None else capture.i_abc[rows], capture.v_dc[rows])
 
 
 def _complex(x: NDArray[np.floating[Any]]) -> Vectors:

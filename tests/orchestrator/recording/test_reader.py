@@ -15,6 +15,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from orchestrator.recording import capture_path, open_recording
+from orchestrator.recording._memory import spare_memory
 from protocols import Capture, RecordingError, RecordingReader, SegmentStage
 
 REDUCED = Path(__file__).parents[2] / "data" / "pm400-reduced"
@@ -311,3 +312,35 @@ def test_any_value_for_any_field_gives_a_recording_or_the_projects_error(
         open_recording(directory)
     except RecordingError as error:
         expect_one_line(error)
+
+
+def test_more_rows_than_the_machine_holds_are_refused_before_any_is_read(
+    make_recording: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    directory = make_recording()
+    assert (spare_memory() or 0) > 1e6
+    monkeypatch.setattr("orchestrator.recording._memory.spare_memory", lambda: 5000)
+    monkeypatch.setattr(pq.ParquetFile, "read", lambda *_: pytest.fail("it was read"))
+    told = complaint(lambda: open_recording(directory))
+    assert "rows: 100 rows take some 0.0 GB of memory to work on, and 0.0 GB are free" in told
+
+
+def test_a_limit_on_the_address_space_counts_as_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("orchestrator.recording._memory.resource.getrlimit", lambda _: (1 << 20, 1 << 20))
+    assert spare_memory() == 0
+
+
+@pytest.mark.parametrize("value", [True, False, "1.0"])
+@pytest.mark.parametrize("field", ["start_s", "samples", "rotor_angle_rad"])
+def test_a_number_is_neither_a_boolean_nor_text(make_recording: Make, field: str, value: object) -> None:
+    directory = make_recording()
+    edit_manifest(directory, lambda raw: raw["segments"][0].update({field: value}))
+    told = complaint(lambda: open_recording(directory))
+    assert f"segments.0.{field}: expected a number" in told
+    assert told.endswith(f"got {value!r}")
+
+
+def test_an_id_that_no_file_system_takes_is_refused(make_recording: Make) -> None:
+    directory = make_recording()
+    edit_manifest(directory, lambda raw: raw["segments"][0].update(id="a" * 5000))
+    assert "segments.0.id: string should have at most 200 characters" in complaint(lambda: open_recording(directory))

@@ -10,6 +10,7 @@ import pytest
 from scipy.signal import lfilter
 
 from orchestrator.diagnosis.conventions import find_convention
+from orchestrator.recording._recording_checks import SoundRecording
 from protocols import Capture, NotMeasuredError
 from tests.support.rewriting import TO_PHASES, Field, Rewritten, gain
 
@@ -41,6 +42,36 @@ def test_clipped_readings_are_named_with_their_limit(right: Rewritten, field: Fi
     assert found is not None
     assert found.kind == f"clipped_{name}"
     assert f"{limit:g}" in found.what
+
+
+@pytest.mark.parametrize(("spikes", "size"), [(1, 3.0), (5, -0.4), (5, 19.0)])
+def test_spikes_of_the_bus_are_named(right: Rewritten, spikes: int, size: float) -> None:
+    def spiked(c: Capture) -> dict[str, Any]:
+        v_dc = c.v_dc.copy()
+        v_dc[50 : 50 + 7 * spikes : 7] *= size
+        return {"v_dc": v_dc}
+
+    found = find_convention(right.captured(spiked))
+    assert found is not None
+    assert found.kind == "bus_spikes"
+    assert "sample 50" in found.evidence
+
+
+def test_a_spike_that_no_bus_makes_is_refused(right: Rewritten) -> None:
+    def spiked(c: Capture) -> dict[str, Any]:
+        v_dc = c.v_dc.copy()
+        v_dc[50] *= 1e3
+        return {"v_dc": v_dc}
+
+    with pytest.raises(NotMeasuredError, match=r"v_dc: sample 50: .* no bus does that"):
+        SoundRecording(right.captured(spiked)).read_through()
+
+
+def test_a_bus_that_moves_is_no_spike(right: Rewritten) -> None:
+    def moved(c: Capture) -> dict[str, Any]:
+        return {"v_dc": c.v_dc * np.where(np.arange(len(c)) < len(c) // 4, 1.8, 1.0).astype(c.v_dc.dtype)}
+
+    assert find_convention(right.captured(moved)) is None
 
 
 def test_noise_in_the_place_of_a_current_is_refused(right: Rewritten, rng: np.random.Generator) -> None:
