@@ -294,7 +294,8 @@ class Effect(Protocol):
     """A candidate for what the model lacks.
 
     One that shows only in some recordings says so by a method ``shows_in(signals) -> bool``: where it is true of no
-    segment, a diagnosis does not look for the effect, which then costs nothing.
+    segment, a diagnosis does not look for the effect, which then costs nothing. One that readings prove, whatever the
+    motor is, says it by ``measured(segments) -> EffectParameters | None``: a diagnosis then begins with it.
     """
 
     name: ClassVar[str]

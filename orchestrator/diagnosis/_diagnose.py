@@ -27,6 +27,7 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, re
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
+from orchestrator.diagnosis.selection.measured import with_measured
 from orchestrator.diagnosis.selection.shares import can_tell, rated_flux_wb, shares, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import verdict_of
@@ -145,7 +146,7 @@ def diagnose_recording(
     library = those_that_can_show(every, [p.signals for p in setup.prepared.pieces])
     if isinstance(model, MotorModel):
         model = reduced(model, without)
-    steps = map_steps(setup, model, {c.name: c for c in every}, without)
+    steps = with_measured(setup, map_steps(setup, model, {c.name: c for c in every}, without), library)
     setup, search = search_effects(setup, steps, library)
     if search.shares:
         search, doubtful = without_stand_ins(search)

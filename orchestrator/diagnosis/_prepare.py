@@ -16,9 +16,9 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
-from orchestrator.diagnosis.weak_form.zero_sequence import gains_told
+from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
-from protocols import RecordingReader, Remark
+from protocols import RecordingReader, Remark, Signals
 
 
 def open_for_diagnosis(
@@ -49,8 +49,12 @@ def open_for_diagnosis(
     watched.conclude()
     noise = sensor_noise(prepared.pieces, criteria.weak_form)
     require_enough(prepared, noise)
-    told = gains_told([p.signals for p in prepared.pieces])
-    remarks = [*prepared.remarks, *what_is_missing(prepared), *_of_noise(noise, criteria.selection), *told]
+    remarks = [
+        *prepared.remarks,
+        *what_is_missing(prepared),
+        *_of_noise(noise, criteria.selection),
+        *_of_gains([p.signals for p in prepared.pieces]),
+    ]
     return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell)
 
 
@@ -105,6 +109,19 @@ def _of_noise(noise: SensorNoise, criteria: SelectionCriteria) -> list[Remark]:
         text = "{kind}: {amplitude_ma:.2g} mA at {frequency_hz:.4g} Hz in the holds"
         remarks.append(Remark.of("periodic", text, kind=kind, **size))
     return remarks
+
+
+def _of_gains(signals: Sequence[Signals]) -> list[Remark]:
+    """What three currents say of their sensors by not adding up to zero, where that is certain."""
+    gains = gains_of(signals)
+    if gains is None or all(gains.differ(pair) is None for pair in ((1, -1, 0), (0, 1, -1), (1, 0, -1))):
+        return []
+    text = (
+        "the three currents do not add up to zero: by their sum, sensors a, b, c read {a_percent:+.2f}, "
+        "{b_percent:+.2f}, {c_percent:+.2f} % off their mean"
+    )
+    a, b, c = (100.0 * float(value) for value in gains.off_mean)
+    return [Remark.of("gains_by_sum", text, a_percent=a, b_percent=b, c_percent=c)]
 
 
 def _rough_inductance(prepared: PreparedRecording) -> float:

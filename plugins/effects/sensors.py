@@ -6,12 +6,14 @@ A recording without phase currents is taken for one of two.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
 
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
 from orchestrator.numerics.types import Array
+from orchestrator.numerics.zero_sequence import gains_of
 from protocols import (
     Contrast,
     Correction,
@@ -53,6 +55,12 @@ class CurrentGainMismatch:
         half = 0.5 * p.gain_a_minus_b
         return Correction(i_ab=_ungained(signals.i_ab, (1.0 + half, 1.0 - half, 1.0), signals.clarke_of_three is True))
 
+    def measured(self, signals: Sequence[Signals]) -> Parameters | None:
+        """What three readings that do not add up to zero say of it."""
+        gains = gains_of(signals)
+        value = None if gains is None else gains.differ((1.0, -1.0, 0.0))
+        return None if value is None else self.Parameters(gain_a_minus_b=value)
+
 
 class ThirdCurrentSensor:
     """Gain 1 + g of sensor c where three sensors make the vector: it is stretched along phase c by 2/3 g.
@@ -79,6 +87,12 @@ class ThirdCurrentSensor:
         if not self.shows_in(signals):
             return Correction()
         return Correction(i_ab=_ungained(signals.i_ab, (1.0, 1.0, 1.0 + p.gain_c_minus_1), True))
+
+    def measured(self, signals: Sequence[Signals]) -> Parameters | None:
+        """What three readings that do not add up to zero say of it."""
+        gains = gains_of(signals)
+        value = None if gains is None else gains.differ((-0.5, -0.5, 1.0))
+        return None if value is None else self.Parameters(gain_c_minus_1=value)
 
 
 class CurrentOffset:

@@ -59,4 +59,5 @@ def imperfect(rng: Rng, bench: Bench) -> tuple[Bench, tuple[str, ...]]:
     brought = ["duty_quantum", "minimum_pulse"]
     brought += ["sampling_offset"] if late_s else []
     brought += ["bus_gain"] if gain not in (0.0, 1.0) else []
+    brought += ["third_current_sensor"] if third else []
     return replace(bench, plant=plant, bridge=bridge), tuple(brought)

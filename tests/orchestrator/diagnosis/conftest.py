@@ -68,6 +68,11 @@ def of_three_sensors(tmp_path_factory: pytest.TempPathFactory) -> Recording:
 
 
 @pytest.fixture(scope="session")
+def first_of_three_sensors(tmp_path_factory: pytest.TempPathFactory) -> Recording:
+    return _recording(tmp_path_factory, "first", first_gain=0.01)
+
+
+@pytest.fixture(scope="session")
 def with_thermometer(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return _recording(tmp_path_factory, "thermometer", warming_per_k=0.0035)
 

@@ -36,8 +36,9 @@ class Flaws:
     sensor_bend_v: float = 0.0
     noise_correlation: float = 0.0
     jitter_s: float = 0.0
+    first_gain: float = 0.0
     third_gain: float = 0.0
-    """By how much the third of three sensors reads more; where it is not nil, their readings are logged."""
+    """By how much one of three sensors reads more; where it is not nil, their readings are logged."""
     warming_per_k: float = 0.0
     """Resistance per kelvin of a thermometer that is logged, and that climbs by 12 K as the experiment goes on."""
     second_pwm: bool = False
@@ -91,8 +92,8 @@ def _capture(psi: Array, start_s: float, flaws: Flaws, rng: np.random.Generator)
     moved = late[:, None] * np.diff(i_ab, axis=0, append=i_ab[-1:])
     read = i_ab + moved + noise + drifts
     logged = {}
-    if flaws.third_gain:
-        logged["i_abc"] = read @ phases.T * np.array([1.0, 1.0, 1.0 + flaws.third_gain])
+    if flaws.first_gain or flaws.third_gain:
+        logged["i_abc"] = read @ phases.T * np.array([1.0 + flaws.first_gain, 1.0, 1.0 + flaws.third_gain])
         read = logged["i_abc"] @ phases * (2.0 / 3.0)
     if flaws.warming_per_k:
         logged["temperature_c"] = 22.0 + warmer

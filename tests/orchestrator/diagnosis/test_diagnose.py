@@ -194,6 +194,18 @@ def test_a_third_sensor_that_reads_more_is_named_and_nothing_beside_it(
     assert sum_.values["c_percent"] == pytest.approx(0.667, rel=0.02)
 
 
+def test_gains_that_three_readings_prove_are_not_told_as_a_resistance(
+    first_of_three_sensors: Recording, tmp_path: Path
+) -> None:
+    """Phase a lies on the d axis, where the map would take its gain."""
+    library = [*LIBRARY, ThirdCurrentSensor(), PhaseResistanceImbalance(), SlotHarmonics()]
+    report = diagnose_recording(first_of_three_sensors, library, out=tmp_path).report
+    assert report.verdict == "explained"
+    found = {e.name: next(iter(e.parameters.values())).value for e in report.effects}
+    # Beside the mean of the other two, c reads half of a's excess less.
+    assert found == pytest.approx({"current_gain_mismatch": 0.01, "third_current_sensor": -0.005}, rel=0.02)
+
+
 def test_a_resistance_that_goes_with_the_logged_temperature_is_named(
     with_thermometer: Recording, tmp_path: Path
 ) -> None:

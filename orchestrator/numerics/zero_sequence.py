@@ -16,7 +16,7 @@ import numpy as np
 
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
-from protocols import Remark, Signals
+from protocols import Signals
 
 _SURE = 5.0
 """Standard deviations beyond which gains differ; so rare by chance that nobody meets it."""
@@ -30,6 +30,12 @@ class Gains:
 
     off_mean: Array
     std: Array
+
+    def differ(self, weights: tuple[float, float, float]) -> float | None:
+        """A sum of the three by weights that add up to zero; None where it may be zero as well."""
+        value = float(np.dot(weights, self.off_mean))
+        least = max(_SURE * float(np.dot(np.abs(weights), self.std)), _NOTEWORTHY)
+        return value if abs(value) > least else None
 
 
 def gains_of(signals: Sequence[Signals]) -> Gains | None:
@@ -48,16 +54,3 @@ def gains_of(signals: Sequence[Signals]) -> Gains | None:
     # From differences to c into parts off the mean of all.
     turn = np.array([[2.0, -1.0], [-1.0, 2.0], [-1.0, -1.0]]) / 3.0
     return Gains(turn @ found[:2], np.sqrt(np.diag(turn @ variance[:2, :2] @ turn.T)))
-
-
-def gains_told(signals: Sequence[Signals]) -> list[Remark]:
-    """The remark where the sensors' gains differ for certain."""
-    found = gains_of(signals)
-    if found is None or not (np.abs(found.off_mean) > np.maximum(_SURE * found.std, _NOTEWORTHY)).any():
-        return []
-    text = (
-        "the three currents do not add up to zero: by their sum, sensors a, b, c read {a_percent:+.2f}, "
-        "{b_percent:+.2f}, {c_percent:+.2f} % off their mean"
-    )
-    a, b, c = (100.0 * float(value) for value in found.off_mean)
-    return [Remark.of("gains_by_sum", text, a_percent=a, b_percent=b, c_percent=c)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.zero_sequence import gains_of, gains_told
+from orchestrator.numerics.zero_sequence import gains_of
 from protocols import SegmentStage, Signals
 from tests.orchestrator.diagnosis.pieces import Plan, hold, piece, sweep
 
@@ -32,14 +32,16 @@ def test_gains_are_found_but_for_what_they_have_in_common(gains: tuple[float, fl
     assert found.std.max() < 1e-4
 
 
-def test_gains_that_differ_are_told_and_noise_is_not() -> None:
-    (told,) = gains_told(_signals((1.0, 1.0, 1.01)))
-    assert told.code == "gains_by_sum"
-    assert told.values["c_percent"] == pytest.approx(0.667, abs=0.02)
-    assert "% off their mean" in told.text
-    assert not gains_told(_signals((1.005, 1.005, 1.005)))
+def test_a_difference_is_one_where_it_is_beyond_its_noise() -> None:
+    found = gains_of(_signals((1.0, 1.0, 1.01)))
+    assert found is not None
+    assert found.differ((-0.5, -0.5, 1.0)) == pytest.approx(0.01, rel=0.03)
+    assert found.differ((1.0, -1.0, 0.0)) is None
+    alike = gains_of(_signals((1.005, 1.005, 1.005)))
+    assert alike is not None
+    assert alike.differ((-0.5, -0.5, 1.0)) is None
 
 
 def test_two_sensors_say_nothing_by_their_sum() -> None:
     assert gains_of([s.model_copy(update={"clarke_of_three": False}) for s in _signals((1.0, 1.0, 1.01))]) is None
-    assert not gains_told([piece(Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0))).signals])
+    assert gains_of([piece(Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0))).signals]) is None

@@ -1,0 +1,44 @@
+"""Effects that readings prove, whatever the motor is: they are in the model before any search begins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate, coordinate_of
+from orchestrator.diagnosis.selection.forward_search import Step
+from protocols import PluginError, Signals
+
+
+def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> list[Step]:
+    """The ladder gone on with each effect that says how large it is, as far as it is worth its name.
+
+    Raises
+    ------
+    PluginError
+        Where an effect fails to say.
+    """
+    signals, steps = [piece.signals for piece in setup.prepared.pieces], list(steps)
+    for candidate in library:
+        before = steps[-1].fit
+        active = None if candidate.name in before.model.names else _measured(candidate, signals)
+        if active is None:
+            continue
+        fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]))
+        gain = 0.5 * (before.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
+        if gain > fit.criteria.selection.log_evidence:
+            steps.append(Step(candidate.name, fit, gain))
+    return steps
+
+
+def _measured(candidate: Candidate, signals: Sequence[Signals]) -> Active | None:
+    measured = getattr(candidate.effect, "measured", None)
+    try:
+        found = None if measured is None else measured(signals)
+        values = {} if found is None else {name: float(getattr(found, name)) for name in candidate.amplitudes}
+    except Exception as error:  # somebody else's code may raise anything
+        raise PluginError("effects", candidate.name, f"measured: {type(error).__name__}: {error}") from error
+    active = candidate.absent()
+    for name, value in values.items():
+        active = active.moved(name, coordinate_of(candidate.named(name), value))
+    return None if active.is_absent else active
