@@ -116,6 +116,8 @@ class EffectParameter:
     strong_when_small: bool = False
     """Relative size is typical / value instead of value / typical."""
     role: ParameterRole = ParameterRole.AMPLITUDE
+    other_form: float | None = None
+    """Of a refinement: where a second form stands, so unlike the first that a fit begins at each of them."""
 
     def problem(self) -> str | None:
         """What would make no sense to a fit, in a few words; None where all is well."""
@@ -124,9 +126,10 @@ class EffectParameter:
                 return f"{name} is {getattr(self, name)}"
         if not self.low < self.high:
             return f"low {self.low:g} is not below high {self.high:g}"
-        for name in ("neutral", "typical"):
-            if not self.low <= getattr(self, name) <= self.high:
-                return f"{name} {getattr(self, name):g} is not between low {self.low:g} and high {self.high:g}"
+        for name in ("neutral", "typical", "other_form"):
+            value = getattr(self, name)
+            if value is not None and not self.low <= value <= self.high:
+                return f"{name} {value:g} is not between low {self.low:g} and high {self.high:g}"
         if self.prior_width <= 0.0:
             return f"prior_width {self.prior_width:g} is not positive"
         if self.role is ParameterRole.SHAPE and self.low <= 0.0:
@@ -161,13 +164,16 @@ def shape(unit: str, *, typical: float, prior_width: float, low: float, high: fl
     return _declared(ParameterRole.SHAPE, typical, unit, typical, prior_width, low, high, typical)
 
 
-def refinement(unit: str, *, neutral: float, prior_width: float, low: float, high: float) -> Any:
+def refinement(
+    unit: str, *, neutral: float, prior_width: float, low: float, high: float, other_form: float | None = None
+) -> Any:
     """A field of `EffectParameters` that bends the effect's form; its default, neutral, is the simple form."""
-    return _declared(ParameterRole.REFINEMENT, neutral, unit, neutral, prior_width, low, high, neutral)
+    facts = (unit, neutral, prior_width, low, high, neutral, False)
+    return _declared(ParameterRole.REFINEMENT, neutral, *facts, other_form)
 
 
 def _declared(role: ParameterRole, default: float, *facts: Any) -> Any:
-    names = ("unit", "typical", "prior_width", "low", "high", "neutral", "strong_when_small")
+    names = ("unit", "typical", "prior_width", "low", "high", "neutral", "strong_when_small", "other_form")
     return dataclasses.field(default=default, metadata={"role": role, **dict(zip(names, facts, strict=False))})
 
 
@@ -266,6 +272,8 @@ class Signals(ArrayModel):
     """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
     i_smooth_ab: Vectors | None = None
     """The stator current that belongs to the smooth flux [A]."""
+    i_quiet_ab: Vectors | None = None
+    """The stator current as its readings tell it without their noise [A], for what bends within it; None: unknown."""
     i_abc: Phases | None = None
     """Phase currents as the sensors read them [A], where the recording holds them; no effect changes them."""
     clarke_of_three: bool | None = None
@@ -284,8 +292,11 @@ class Signals(ArrayModel):
     def corrected(self, correction: Correction) -> Signals:
         """These signals with what an effect changed of them."""
         changed = correction.arrays
-        if "i_ab" in changed and "i_m_ab" not in changed:
-            changed["i_m_ab"] = self.i_m_ab + (changed["i_ab"] - self.i_ab)
+        if "i_ab" in changed:
+            moved = changed["i_ab"] - self.i_ab
+            changed.setdefault("i_m_ab", self.i_m_ab + moved)
+            if self.i_quiet_ab is not None:
+                changed["i_quiet_ab"] = self.i_quiet_ab + moved
         return self.model_copy(update=changed) if changed else self
 
 

@@ -48,6 +48,7 @@ def open_for_diagnosis(
     prepared = prepare(watched, criteria)
     watched.conclude()
     noise = sensor_noise(prepared.pieces, criteria.weak_form)
+    prepared = replace(prepared, pieces=tuple(noise.taken_out_of(piece) for piece in prepared.pieces))
     require_enough(prepared, noise)
     remarks = [
         *prepared.remarks,

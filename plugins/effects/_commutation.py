@@ -10,9 +10,10 @@ the edge is late by
 for the current i out of the leg at a falling edge and into it at a rising one; the leg loses
 V_dt (late(-x_rising) - late(x_falling)).
 
-Edges do not see the mean current: all legs of a symmetric carrier rise about a quarter and fall about three quarters
-through its period T, and in phase x the ripple there is -+ T / (12 L) sum_y |v_x - v_y|, from the volt-seconds of the
-legs that switched before.
+x is not of the mean current. Each leg's edge steps the voltage on the other phases; rises are about a quarter, falls
+about three quarters through a symmetric carrier's period. With the time of its edge, dead time included, known of every
+leg, the current in a swing is that of the valley or the peak before it and a ramp from every edge that comes before the
+swing ends. How late one edge is decides how late others are: few passes settle it.
 """
 
 from __future__ import annotations
@@ -22,6 +23,10 @@ from numba import njit
 
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
+
+PASSES = 3
+SETTLED = 2e-3
+"""Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
 
 
 @njit(cache=True, nogil=True)
@@ -33,43 +38,86 @@ def _late(x: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def lost_at_edges(v_ab: Array, i_ab: Array, volts: Array, knees_per_a: float, knees_per_v: float, cycles: int) -> Array:
+def _ramp(start: float, width: float) -> float:
+    """Mean of max(0, s - start) over a swing 0..width, each instant weighted by what is left of it."""
+    if start >= width:
+        return 0.0
+    if start <= 0.0:
+        return width / 3.0 - start
+    left = width - start
+    return left * left * left / (3.0 * width * width)
+
+
+@njit(cache=True, nogil=True)
+def lost_at_edges(v_ab: Array, i_ab: Array, volts: Array, knees_per_a: float, pull: Array, cycles: int) -> Array:
     """Voltage (n, 2) that dead time takes over each interval.
 
     Parameters
     ----------
     v_ab, i_ab : array, shape (n, 2)
     volts : array, shape (n,)
-        V_dt in each interval.
+        V_dt in each interval: dead time as a part of the carrier's period, times V_dc.
     knees_per_a : float
         1 / i_k.
-    knees_per_v : float
-        T / (12 L) in knees: the ripple that a volt between two phases makes at an edge.
+    pull : array, shape (3, 3)
+        By how many knees a volt on one phase's terminal moves each current over a carrier's period.
     cycles : int
         Carrier periods in an interval.
     """
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    now, step, felt, lost = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    valley, step, commanded, lost = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    up, down = np.empty(3), np.empty(3)
     for k in range(n):
         after = min(k + 1, n - 1)
-        now[0], now[1], now[2] = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
+        valley[0], valley[1], valley[2] = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
         step[0], step[1], step[2] = phases_of(
-            knees_per_a * (i_ab[after, 0] - i_ab[k, 0]), knees_per_a * (i_ab[after, 1] - i_ab[k, 1])
+            knees_per_a / cycles * (i_ab[after, 0] - i_ab[k, 0]), knees_per_a / cycles * (i_ab[after, 1] - i_ab[k, 1])
         )
-        felt[0], felt[1], felt[2] = phases_of(v_ab[k, 0], v_ab[k, 1])
+        commanded[0], commanded[1], commanded[2] = phases_of(v_ab[k, 0], v_ab[k, 1])
         for x in range(3):
-            middle = now[x] + 0.5 * step[x]
-            felt[x] -= volts[k] * (_late(-middle) - _late(middle))
-        for x in range(3):
-            others = abs(felt[x] - felt[0]) + abs(felt[x] - felt[1]) + abs(felt[x] - felt[2])
-            ripple = knees_per_v * others
             lost[x] = 0.0
-            for cycle in range(cycles):
-                rising = now[x] + (cycle + 0.25) / cycles * step[x] - ripple
-                falling = now[x] + (cycle + 0.75) / cycles * step[x] + ripple
-                lost[x] += (_late(-rising) - _late(falling)) / cycles
+        for _ in range(cycles):
+            _settle(valley, step, commanded, volts[k], pull, up, down)
+            for x in range(3):
+                lost[x] += (up[x] - down[x]) / cycles
+                valley[x] += step[x]
         alpha, beta = vector_of(lost[0], lost[1], lost[2])
         out[k, 0] = volts[k] * alpha
         out[k, 1] = volts[k] * beta
     return out
+
+
+@njit(cache=True, nogil=True)
+def _settle(valley: Array, step: Array, commanded: Array, volts: float, pull: Array, up: Array, down: Array) -> None:
+    """How late the three rises and falls of a period are, in parts of the dead time, into `up` and `down`.
+
+    Times are told by the volts that a pulse gains or loses by them.
+    """
+    for x in range(3):
+        middle = valley[x] + 0.5 * step[x]
+        up[x] = _late(-middle)
+        down[x] = _late(middle)
+    for _ in range(PASSES):
+        rises, falls = (up[0], up[1], up[2]), (down[0], down[1], down[2])
+        moved = 0.0
+        for x in range(3):
+            drift = step[x]
+            for y in range(3):
+                drift -= pull[x, y] * (commanded[y] - volts * (rises[y] - falls[y]))
+            rising = valley[x] + 0.25 * drift
+            falling = valley[x] + 0.75 * drift
+            swing_up = volts * min(1.0, 2.0 * rises[x])
+            swing_down = volts * min(1.0, 2.0 * falls[x])
+            for y in range(3):
+                if y != x:
+                    ahead = 0.5 * (commanded[y] - commanded[x])
+                    falling += pull[x, y] * (ahead + volts * (rises[x] - rises[y]))
+                    rising += pull[x, y] * _ramp(volts * rises[y] - ahead, swing_up)
+                    falling -= pull[x, y] * _ramp(volts * falls[y] + ahead, swing_down)
+            # The leg's own swing brakes the current that drives it.
+            up[x] = _late(-rising / (1.0 + pull[x, x] * swing_up * swing_up / (12.0 * volts)))
+            down[x] = _late(falling / (1.0 + pull[x, x] * swing_down * swing_down / (12.0 * volts)))
+            moved = max(moved, abs(up[x] - rises[x]), abs(down[x] - falls[x]))
+        if moved < SETTLED:
+            return

@@ -115,7 +115,7 @@ class DeadTime:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=1.0)
-        switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
+        switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
@@ -124,23 +124,32 @@ class DeadTime:
         scale = p.voltage_v * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz) / bus
         volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
         commanded = v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
-        i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        i_ab = _without_noise(signals)
         if p.switched < 1.0:
             v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p)
         if p.switched > 0.0:
             # Current between samples hardly bends: two carrier periods stand for all of them.
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
-            ripple = _edge_ripple(signals) / p.threshold_a
-            v_ab = v_ab - p.switched * lost_at_edges(commanded, i_ab, volts, 1.0 / p.threshold_a, ripple, cycles)
+            pull = _pull(signals) / p.threshold_a
+            v_ab = v_ab - p.switched * lost_at_edges(commanded, i_ab, volts, 1.0 / p.threshold_a, pull, cycles)
         return Correction(v_ab=v_ab)
 
 
-def _edge_ripple(signals: Signals) -> float:
-    """T / (12 L) [A/V]: how far from the mean the current at an edge is, a volt between two phases; 0 if unknown."""
+def _without_noise(signals: Signals) -> Array:
+    """The stator current; a bend near zero would turn its noise into a mean."""
+    quiet = signals.i_ab if signals.i_quiet_ab is None else signals.i_quiet_ab
+    return np.ascontiguousarray(quiet, dtype=np.float64)
+
+
+def _pull(signals: Signals) -> Array:
+    """By how much a volt on one phase's terminal moves each current over a carrier's period [A/V]; 0 if unknown."""
     motor = signals.motor
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
-        return 0.0
-    return (0.5 / motor.d_inductance_h + 0.5 / motor.q_inductance_h) / (12.0 * signals.pwm_frequency_hz)
+        return np.zeros((3, 3))
+    phase = np.arange(3) * 2.0 * np.pi / 3.0 - float(np.mean(signals.theta_rad))
+    d, q = np.cos(phase), -np.sin(phase)
+    inverse = np.outer(d, d) / motor.d_inductance_h + np.outer(q, q) / motor.q_inductance_h
+    return np.asarray(inverse / (1.5 * signals.pwm_frequency_hz), dtype=np.float64)
 
 
 class DeviceDrop:
@@ -164,7 +173,7 @@ class DeviceDrop:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
         v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
-        i_ab = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        i_ab = _without_noise(signals)
         volts = np.full(len(signals.v_dc), p.voltage_v)
         return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p))
 

@@ -67,6 +67,13 @@ class Active:
     def freeing(self, *names: str) -> Active:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))
 
+    def in_other_form(self) -> Active | None:
+        """The same with its refinements free, begun at the second form; None where it has but one."""
+        others = [p for p in self.candidate.parameters if p.other_form is not None]
+        there = {p.name: p.other_form for p in others if p.other_form is not None}
+        freed = self.freeing(*self.candidate.of_role(ParameterRole.REFINEMENT))
+        return replace(freed, values={**self.values, **there}) if others else None
+
     @cached_property
     def parameters(self) -> EffectParameters:
         """The values as the effect reads them."""

@@ -43,7 +43,9 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
         arrays = correction.arrays
         for name, array in arrays.items():
             _require_array(item.name, name, getattr(signals, name), array)
-        changed |= arrays.keys() | ({"i_m_ab"} if "i_ab" in arrays else set())
+        changed |= arrays.keys()
+        if "i_ab" in arrays:
+            changed |= {"i_m_ab"} if signals.i_quiet_ab is None else {"i_m_ab", "i_quiet_ab"}
         signals = signals.corrected(correction)
     return Corrected(signals, frozenset(changed))
 

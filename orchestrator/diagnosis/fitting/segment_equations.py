@@ -29,7 +29,7 @@ from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_two_phases, rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import EffectLayer, SegmentStage, Signals
+from protocols import Correction, EffectLayer, SegmentStage, Signals
 
 
 @dataclass
@@ -91,7 +91,7 @@ class SegmentEquations:
         step, sums = math.sqrt(0.5 * float(np.trace(self.noise.covariance))), []
         for phases in (1.0, 0.0), (0.0, 1.0):
             off = base.i_ab + step * from_two_phases(*phases)
-            there = apply_effects(base.model_copy(update={"i_ab": off, "i_m_ab": off}), active).signals
+            there = apply_effects(base.corrected(Correction(i_ab=off)), active).signals
             change = {n: (getattr(there, n) - getattr(corrected, n)) / step for n in ("i_ab", "i_m_ab", "v_ab")}
             sums.append(difference(piece, corrected, change, local, self.pm_flux_wb))
         own = (base.drive.pwm_frequency_hz if base.drive is not None else None) or base.pwm_frequency_hz
@@ -151,7 +151,7 @@ class SegmentEquations:
             shift = np.zeros(2)
             shift[axis] = math.sqrt(sensor[axis, axis])
             ahead, behind = (
-                apply_effects(base.model_copy(update={"i_ab": base.i_ab + side * shift}), inverter).signals
+                apply_effects(base.corrected(Correction(i_ab=base.i_ab + side * shift)), inverter).signals
                 for side in (1.0, -1.0)
             )
             voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])

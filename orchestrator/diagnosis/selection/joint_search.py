@@ -38,6 +38,7 @@ def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> 
     fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
     for freed in (with_shapes, with_flexible_forms):
         fit = refitted(fitter, freed(fitter, fit), fit)
+    fit = in_better_form(fitter, fit)
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
     return downwards(fitter, with_overlooked(fitter, fit, library)), rivals
 
@@ -85,6 +86,20 @@ def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
         pays = bool(columns) and linear_gain(normal, right, fitted, columns)[0] > least
         active.append(one.freeing(*one.candidate.of_role(ParameterRole.REFINEMENT)) if pays else one)
     return fit.model.with_active(active)
+
+
+def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit with those effects in their second form that do better so; no descent from the first leads there."""
+    limits = fit.criteria.selection
+    for one in fit.model.active:
+        other = one.in_other_form()
+        if other is None or set(other.free) != set(one.free):
+            continue
+        active = [other if a.name == one.name else a for a in fit.model.active]
+        trial = refitted(fitter, fit.model.with_active(active), fit)
+        if _evidence_gain(trial, fit) > limits.tie:
+            fit = trial
+    return fit
 
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:

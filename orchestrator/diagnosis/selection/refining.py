@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
@@ -55,12 +56,30 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
     if fitter.effort.exhausted or set(names) <= set(active[index].free):
         return None
-    active[index] = active[index].freeing(*names)
+    trials = [_bent(fitter, fit, index, form, inflation) for form in _forms(active[index])]
+    bent = [trial for trial in trials if trial is not None]
+    if not bent:
+        return None
+    best = max(bent, key=lambda trial: -trial.objective)
+    inflation = max(1.0, min(inflation, best.chi2_per_dof))
+    tie = fit.criteria.selection.tie
+    return best if log_evidence(best, inflation) > log_evidence(fit, inflation) + tie else None
+
+
+def _forms(active: Active) -> list[Active]:
+    """An effect's flexible form, begun where it is, and at its second form where it has one."""
+    other = active.in_other_form()
+    freed = active.freeing(*active.candidate.of_role(ParameterRole.REFINEMENT))
+    return [freed] if other is None else [freed, other]
+
+
+def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, inflation: float) -> Fit | None:
+    """The fit with one effect in a flexible form; None where that does not pay early."""
+    active = list(fit.model.active)
+    begun_there = form.values == active[index].values
+    active[index] = form
     # Whether it pays shows early; the last fit of all is taken to its end.
     trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
-    tie = fit.criteria.selection.tie
-    if fitter.promise(trial) < tie * inflation:
+    if begun_there and fitter.promise(trial) < fit.criteria.selection.tie * inflation:
         return None
-    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
-    inflation = max(1.0, min(inflation, trial.chi2_per_dof))
-    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) + tie else None
+    return fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numba import njit
@@ -26,6 +26,7 @@ from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
 from orchestrator.diagnosis.weak_form.spectral_lines import SpectralLine, added_noise, find_lines
 from orchestrator.diagnosis.weak_form.windows import hat_weights
 from orchestrator.numerics.frames import rotation
+from orchestrator.numerics.quieting import quieted
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise, SegmentStage
 
@@ -58,6 +59,11 @@ class SensorNoise:
         """Covariance of one sample of a piece (a mean of several readings), if samples were independent."""
         covariance = self.ripple if piece.stage is SegmentStage.INJECTION else self.covariance
         return np.asarray(covariance / piece.averaged)
+
+    def taken_out_of(self, piece: SegmentSignals) -> SegmentSignals:
+        """A piece that has its current without noise beside the measured one."""
+        quiet = quieted(np.asarray(piece.signals.i_ab, dtype=np.float64), np.sqrt(np.diag(self.of(piece))))
+        return replace(piece, signals=piece.signals.model_copy(update={"i_quiet_ab": quiet}))
 
     def colour(self, piece: SegmentSignals) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""

@@ -1,0 +1,65 @@
+"""What the kernel of a switching leg's edges says, beside three legs switched in steps of ten nanoseconds."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.numerics.frames import from_phases, to_phases
+from orchestrator.numerics.types import Array
+from plugins.effects._commutation import lost_at_edges
+
+BUS, PERIOD, STEP = 540.0, 1e-4, 1e-8
+DEAD = 193
+"""Dead time in steps."""
+L_D, L_Q = 0.043, 0.069
+VOLT = 2.0 * BUS * STEP / PERIOD
+"""The voltage that shifts each edge by a step, so that all of them are on the grid."""
+
+
+def _switched(i_abc: Array, steps: Array, capacitance_f: float) -> tuple[Array, Array]:
+    """Currents after a period that begins in the valley, and the mean phase voltages in it; each shape (3,).
+
+    A node follows its switch, or what the current makes of its capacitance while neither conducts; the d axis of the
+    motor is along phase a.
+    """
+    n = round(PERIOD / STEP)
+    rise, fall = n // 4 - steps, 3 * n // 4 + steps
+    node, mean, i = np.zeros(3), np.zeros(3), i_abc.copy()
+    admittance = np.array([[2.0, -1.0, -1.0], [-1.0, 0.5, 0.5], [-1.0, 0.5, 0.5]]) / (3.0 * L_D)
+    admittance += np.array([[0.0, 0.0, 0.0], [0.0, 0.5, -0.5], [0.0, -0.5, 0.5]]) / L_Q
+    for k in range(n):
+        floating = np.clip(node - i * (STEP / capacitance_f), 0.0, BUS)
+        driven = np.where((k >= rise + DEAD) & (k < fall), BUS, 0.0)
+        node = np.where((k < rise) | ((k >= rise + DEAD) & (k < fall)) | (k >= fall + DEAD), driven, floating)
+        i += STEP * (admittance @ node)
+        mean += node / n
+    return i, mean - mean.mean()
+
+
+@pytest.mark.parametrize("capacitance_f", [64e-12, 128e-12])
+@pytest.mark.parametrize(
+    ("i_a", "i_b", "steps"),
+    [
+        (0.0003, 2.6, (-3, 206, -203)),
+        (0.0002, 0.2165, (-1, 106, -105)),
+        (-0.002, 0.2, (0, 106, -106)),
+        (0.02, -0.01, (74, -37, -37)),
+        (0.25, -0.125, (138, -69, -69)),
+        (0.02, 0.5, (-278, 370, -92)),
+    ],
+)
+def test_the_kernel_agrees_with_legs_switched_step_by_step(
+    i_a: float, i_b: float, steps: tuple[int, int, int], capacitance_f: float
+) -> None:
+    i_abc = np.array([i_a, i_b, -i_a - i_b])
+    after, mean = _switched(i_abc, np.array(steps), capacitance_f)
+    commanded = VOLT * np.array(steps, dtype=np.float64)
+    volts = DEAD * STEP / PERIOD * BUS
+    knee = capacitance_f * BUS / (DEAD * STEP)
+    towards_d = np.cos(2.0 * np.pi / 3.0 * np.arange(3))
+    across = np.sin(2.0 * np.pi / 3.0 * np.arange(3))
+    pull = PERIOD / 1.5 * (np.outer(towards_d, towards_d) / L_D + np.outer(across, across) / L_Q)
+    i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
+    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), 1.0 / knee, pull / knee, 1))[0]
+    np.testing.assert_allclose(lost, commanded - mean, atol=0.006 * volts)
