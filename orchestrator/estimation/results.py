@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from pydantic import ValidationError
 
 from orchestrator.estimation.flux_map_file import save_flux_map
+from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
 from protocols import EstimationReport, FluxMap, RecordingError, StorageError
 
@@ -67,5 +68,5 @@ def write_results(
                 new.replace(folder / new.name)
     except OSError as error:
         raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    replace_file(folder / REPORT_NAME, (report.model_dump_json(indent=2) + "\n").encode())
+    replace_file(folder / REPORT_NAME, (visible(report.model_dump_json(indent=2)) + "\n").encode())
     return report

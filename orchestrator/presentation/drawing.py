@@ -11,6 +11,7 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.presentation.sentences import visible
 from protocols import Basis
 
 if TYPE_CHECKING:
@@ -81,6 +82,12 @@ def current_plane(axes: Axes) -> None:
     """Axes of the current plane, both on one scale."""
     axes.set_aspect("equal", adjustable="box")
     name_axes(axes, *CURRENT_LABELS.values())
+
+
+def label(text: str, most: int = 40) -> str:
+    """A name from outside as a picture's text: no mathematics, nothing that is obeyed, and short."""
+    plain = visible(text.replace("\n", " "))
+    return (plain if len(plain) <= most else plain[: most - 1] + "…").replace("$", r"\$")
 
 
 def signed_scale(values: Any, margin: float = 1.0) -> dict[str, Any]:

@@ -61,6 +61,11 @@ def cut(text: str, most: int = LONGEST_LINE) -> str:
     return "\n".join(line if len(line) <= most else f"{line[:most]}... ({len(line)} characters)" for line in lines)
 
 
+def shown(text: str) -> str:
+    """Text from outside as it may be printed or drawn: obeyed by nobody, and no longer than a line may be."""
+    return visible(cut(text))
+
+
 def shortened(text: str, most: int) -> str:
     """At most so many letters, cut between words."""
     if len(text) <= most:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from orchestrator.presentation.sentences import visible
 from orchestrator.recording._files import replace_file
 from orchestrator.recording._json import read_json
 from protocols import Manifest
@@ -24,4 +25,4 @@ def read_manifest(path: Path) -> Manifest:
 
 def write_manifest(directory: Path, manifest: Manifest) -> None:
     """Replace the manifest of the recording in `directory`; raises `StorageError`."""
-    replace_file(directory / MANIFEST_NAME, (manifest.model_dump_json(indent=1) + "\n").encode())
+    replace_file(directory / MANIFEST_NAME, (visible(manifest.model_dump_json(indent=1)) + "\n").encode())

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from orchestrator.presentation.sentences import visible
 from orchestrator.recording._files import replace_file
 from orchestrator.recording._json import read_json
 from protocols import MotorModel, StorageError
@@ -33,6 +34,6 @@ def write_model(directory: Path, model: MotorModel) -> None:
     path = directory / MODEL_NAME
     try:
         directory.mkdir(parents=True, exist_ok=True)
-        replace_file(path, (model.model_dump_json(indent=1) + "\n").encode())
+        replace_file(path, (visible(model.model_dump_json(indent=1)) + "\n").encode())
     except (OSError, StorageError) as error:
         raise StorageError(f"{path} was not written: {error}") from None

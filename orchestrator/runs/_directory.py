@@ -19,6 +19,7 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.presentation.sentences import visible
 from orchestrator.recording import (
     MANIFEST_NAME,
     capture_path,
@@ -118,7 +119,7 @@ class RunDirectory:
         except OSError as error:
             raise StorageError(f"{run.path}: cannot be made: {error.strerror or error}") from error
         replace_file(secrets, (json.dumps(hidden, indent=1) + "\n").encode())
-        replace_file(run.path / _RECORD, (record.model_dump_json(indent=1) + "\n").encode())
+        replace_file(run.path / _RECORD, (visible(record.model_dump_json(indent=1)) + "\n").encode())
         return run
 
     @staticmethod

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.presentation.sentences import visible
 from orchestrator.recording import storage_error, sync_folder
 from protocols import JournalledMessage, RecordingError, StorageError
 
@@ -90,7 +91,7 @@ class Journal:
         if self._failure is not None:
             raise self._failure
         now = datetime.now(UTC).isoformat(timespec="milliseconds")
-        line = f'{{"t":"{now}","n":{self._next},"message":{message.model_dump_json()}}}\n'.encode()
+        line = f'{{"t":"{now}","n":{self._next},"message":{visible(message.model_dump_json())}}}\n'.encode()
         try:
             self._write(self._descriptor, line)
         except OSError as error:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
 from protocols import (
     CurrentExcerpt,
@@ -75,7 +76,7 @@ def save_diagnosis(
     np.savez_compressed(buffer, allow_pickle=False, **_packed(steps))
     replace_file(results / STEPS_NAME, buffer.getvalue())
     content = {"report": report.model_dump(mode="json"), "words": words.model_dump(mode="json")}
-    replace_file(results / REPORT_NAME, (json.dumps(content, indent=1, ensure_ascii=False) + "\n").encode())
+    replace_file(results / REPORT_NAME, (visible(json.dumps(content, indent=1, ensure_ascii=False)) + "\n").encode())
 
 
 def load_diagnosis(directory: Path) -> SavedDiagnosis | None:

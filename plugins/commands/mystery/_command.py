@@ -11,6 +11,7 @@ import typer
 
 from orchestrator.presentation.names import parameter_words
 from orchestrator.presentation.quantities import number, percent
+from orchestrator.presentation.sentences import shown, visible
 from protocols import InputError
 
 if TYPE_CHECKING:
@@ -81,12 +82,12 @@ def _measure(number: int, path: Path, quiet: bool, as_json: bool) -> int:
     if as_json:
         _print_json(path)
     elif not quiet:
-        print(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
-        print(f"  fluxbench compare {path}")
-        print(f"  fluxbench diagnose {path}")
-        print("and say what it is, by the names that `fluxbench plugins` lists as effects:")
+        _say(f"{path} is a motor with something hidden in it, or nothing. Look at it:")
+        _say(f"  fluxbench compare {path}")
+        _say(f"  fluxbench diagnose {path}")
+        _say("and say what it is, by the names that `fluxbench plugins` lists as effects:")
         usual = path == Path("runs") / f"mystery-{number}"
-        print(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
+        _say(f"  fluxbench mystery {number} --guess NAME,NAME" + ("" if usual else f" --out {path}"))
     return 0
 
 
@@ -145,13 +146,13 @@ def _print_verdict(verdict: Verdict) -> None:
     for name in verdict.right:
         size = sizes.get(name)
         told = f"; {parameter_words(size.parameter)} {number(size.guessed)} is {_off(size.ratio)}" if size else ""
-        print(f"{name}: right{told}")
+        _say(f"{name}: right{told}")
     for name in verdict.wrong:
-        print(f"{name}: not in this motor")
+        _say(f"{name}: not in this motor")
     if verdict.complete:
-        print("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
+        _say("That is all there is." if verdict.right else "Right: nothing is hidden in this motor.")
     elif verdict.still_hidden:
-        print(f"{verdict.still_hidden} {'more is' if verdict.still_hidden == 1 else 'more are'} hidden.")
+        _say(f"{verdict.still_hidden} {'more is' if verdict.still_hidden == 1 else 'more are'} hidden.")
 
 
 def _off(ratio: float | None) -> str:
@@ -177,9 +178,9 @@ def _fitted(path: Path) -> dict[str, dict[str, float]]:
 
 def _print_hidden(hidden: Effects) -> None:
     if not hidden:
-        print("Nothing was hidden.")
+        _say("Nothing was hidden.")
     for name, parameters in hidden.items():
-        print(f"{name}: " + ", ".join(f"{key} = {number(value)}" for key, value in parameters.items()))
+        _say(f"{name}: " + ", ".join(f"{key} = {number(value)}" for key, value in parameters.items()))
 
 
 def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | None = None) -> None:
@@ -190,4 +191,8 @@ def _print_json(path: Path, verdict: Verdict | None = None, hidden: Effects | No
         content["guess"] = {**verdict.model_dump(mode="json"), "complete": verdict.complete}
     if hidden is not None:
         content["hidden"] = hidden
-    print(json.dumps(content, indent=2))
+    print(visible(json.dumps(content, indent=2)))
+
+
+def _say(line: str) -> None:
+    print(shown(line))

@@ -65,14 +65,14 @@ def _split(bus: str) -> tuple[str, str]:
 
 
 def _print(found: Sequence[Found], silent: Sequence[tuple[LinkName, str]], as_json: bool) -> None:
+    from orchestrator.presentation.sentences import cut, one_line, visible
+
     if as_json:
         import json
 
         looked = [{"link": link.text, "why": why} for link, why in silent]
-        print(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked}))
+        print(visible(json.dumps({"drives": [drive.as_json() for drive in found], "no_drive": looked})))
         return
-    from orchestrator.presentation.sentences import cut, one_line
-
     for drive in found:
         print("\n".join(one_line(cut(line)) for line in _told(drive)))
     if not found:

@@ -21,6 +21,7 @@ def reproduce(
     """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""
     from orchestrator.config import load_procedure
     from orchestrator.engine import AbsentOperator, Crew, handling_signals, start_run
+    from orchestrator.presentation.sentences import shown
     from plugins.commands.reproduction._material import collect
     from plugins.commands.reproduction._page import write_page
 
@@ -29,7 +30,7 @@ def reproduce(
             result = start_run(load_procedure("paper"), run, Crew(AbsentOperator(), interrupts, {"console": {}}))
         if result.outcome.error is not None:
             raise result.outcome.error
-    print(write_page(collect(run), out))
+    print(shown(str(write_page(collect(run), out))))
     return 0
 
 

@@ -8,6 +8,7 @@ from typing import Annotated
 
 import typer
 
+from orchestrator.presentation.sentences import shown
 from plugins.streams.report._page import write_report
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -19,7 +20,7 @@ def report(
     out: Annotated[Path | None, typer.Option(help="The file to write; by default report.html in RUN.")] = None,
 ) -> int:
     """Write the report of a run or recording: one self-contained page."""
-    print(write_report(directory, out))
+    print(shown(str(write_report(directory, out))))
     return 0
 
 

@@ -20,6 +20,7 @@ from orchestrator.presentation.drawing import (
     bare,
     current_plane,
     empty_figure,
+    label,
     legend_above,
     name_axes,
     new_figure,
@@ -58,7 +59,7 @@ def ladder_figure(ladder: Sequence[Rung], floor_v: float) -> str:
     axes.set_xlim(min(low, 0.8), max(high, 3.0))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value:g}")
     axes.xaxis.set_minor_formatter("")
-    axes.set_yticks(places, [rung_name(rung.added, k) for k, rung in enumerate(ladder)])
+    axes.set_yticks(places, [label(rung_name(rung.added, k)) for k, rung in enumerate(ladder)])
     axes.set_ylim(len(ladder) - 0.5, -0.5)
     name_axes(axes, "rms residual over noise", "")
     legend_above(axes, 3)
@@ -309,7 +310,7 @@ def joint_figure(joint: Sequence[JointEntry]) -> str:
         sure = abs(z) >= 4.0
         axes.barh(place, size, height=0.62, color=MODEL if sure else "none", edgecolor=MODEL if sure else GUIDE)
         axes.text(size, place, f"  z = {number(z, 3)}", va="center", fontsize=STYLE.small_pt - 1)
-    axes.set_yticks(range(len(joint)), [plain(entry.name) for entry in joint])
+    axes.set_yticks(range(len(joint)), [label(plain(entry.name)) for entry in joint])
     axes.set_ylim(len(joint) - 0.4, -0.6)
     largest = max((e.relative_size or 0.0 for e in joint), default=1.0) or 1.0
     axes.set_xlim(0.0, 1.3 * largest)

@@ -11,7 +11,7 @@ from typing import Annotated
 
 import typer
 
-from orchestrator.presentation.sentences import cut, visible
+from orchestrator.presentation.sentences import shown, visible
 from protocols import RecordingError
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
@@ -44,7 +44,7 @@ def view(
     if not runs:
         raise RecordingError(str(path), "", "neither a run nor a recording, and no run is in it")
     rows = [row(run) for run in runs]
-    print(json.dumps(rows, indent=2) if as_json else as_text(rows), flush=True)
+    print(visible(json.dumps(rows, indent=2)) if as_json else shown(as_text(rows)), flush=True)
     return 0 if as_json else _browse(runs, web, port)
 
 
@@ -145,9 +145,9 @@ def _picture(file: Path, to: Path, tab: str | None) -> int:
     if not shots:
         raise RecordingError(str(file), "tab", f"has no tab named {tab!r}")
     replace_file(to, shots[0].png)
-    print(to)
+    print(shown(str(to)))
     return 0
 
 
 def _tell(line: str) -> None:
-    print(visible(cut(f"fluxbench: {line}")), file=sys.stderr, flush=True)
+    print(shown(f"fluxbench: {line}"), file=sys.stderr, flush=True)

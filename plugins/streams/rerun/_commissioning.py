@@ -28,6 +28,7 @@ from orchestrator.presentation.events import said
 from orchestrator.presentation.names import plain
 from orchestrator.presentation.profiles import flux_at_zero
 from orchestrator.presentation.quantities import vector
+from orchestrator.presentation.sentences import shown
 from orchestrator.stages import installed_stages
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach
 from plugins.streams.rerun._clock import Clock
@@ -153,7 +154,7 @@ class Commissioning:
 
     def _said(self, message: Message) -> list[Entry]:
         told = said(message)
-        return [] if told is None else [entry("log", self.when, rr.TextLog(told.line, level=_LEVELS[told.mood]))]
+        return [] if told is None else [entry("log", self.when, rr.TextLog(shown(told.line), level=_LEVELS[told.mood]))]
 
     def _page(self) -> Entry:
         return page("status", self.when, self._status.page())

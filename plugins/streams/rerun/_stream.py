@@ -11,6 +11,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from pydantic import BaseModel
 
+from orchestrator.presentation.sentences import shown
 from plugins.streams.rerun import _blueprints as blueprints
 from plugins.streams.rerun import _diagnosis as diagnosis
 from plugins.streams.rerun._commissioning import Commissioning
@@ -87,7 +88,7 @@ class RerunStream:
             self._live.close()
         self._tape.listener = None
         for note in self.notes:
-            self._tape.put([entry("log", self._commissioning.when, rr.TextLog(note, level="WARN"))])
+            self._tape.put([entry("log", self._commissioning.when, rr.TextLog(shown(note), level="WARN"))])
         if self._layout == blueprints.COMMISSIONING:
             # The whole run from its beginning to its end; who looks on keeps the layout as it is.
             self._tape.keep(blueprint(self._layout, blueprints.commissioning(self._commissioning.when.experiment_s)))

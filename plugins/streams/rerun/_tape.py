@@ -13,6 +13,7 @@ import rerun as rr
 import rerun.blueprint as rrb
 from rerun.chunk import RrdReader
 
+from orchestrator.presentation.sentences import shown
 from plugins.streams.rerun._programs import executable
 from plugins.streams.rerun._spool import Spool
 from protocols import RealArray, RecordingError
@@ -91,7 +92,7 @@ def properties(name: str, values: Mapping[str, Any]) -> Entry:
 
 def titled(title: str) -> Entry:
     """The name that the viewer lists the run under."""
-    return Entry("__properties", lambda stream: stream.send_recording_name(title), is_static=True)
+    return Entry("__properties", lambda stream: stream.send_recording_name(shown(title)), is_static=True)
 
 
 def blueprint(job: str, layout: rrb.Blueprint) -> Entry:

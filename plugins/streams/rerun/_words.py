@@ -9,14 +9,14 @@ import rerun as rr
 from orchestrator.presentation.names import PAPER_CROSSINGS, slots
 from orchestrator.presentation.quantities import UNKNOWN, percent
 from orchestrator.presentation.results import resistance, resistance_course
-from orchestrator.presentation.sentences import markdown_table, one_line
+from orchestrator.presentation.sentences import markdown_table, one_line, visible
 from plugins.streams.rerun._tape import Entry, When, entry
 from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate
 
 
 def page(path: str, when: When, text: str) -> Entry:
     """A page of Markdown."""
-    return entry(path, when, rr.TextDocument(text, media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
+    return entry(path, when, rr.TextDocument(visible(text), media_type=rr.MediaType.MARKDOWN), array_bytes=len(text))
 
 
 def resistance_page(found: ResistanceEstimate) -> str:

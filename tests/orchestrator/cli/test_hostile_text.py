@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 from pathlib import Path
 
@@ -10,6 +11,13 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from orchestrator.presentation.sentences import LONGEST_LINE, visible
+from orchestrator.runs import Journal
+from plugins.commands.mystery._command import _print_verdict
+from plugins.commands.mystery._guessing import Verdict
+from plugins.commands.probe._command import command as probe
+from plugins.streams.report._diagnosis_figures import joint_figure
+from protocols import JointEntry, Note
+from tests.plugins.link.device import Script, on_a_pty
 from tests.support.processes import called
 from tests.support.tiny import tiny_document
 
@@ -53,7 +61,39 @@ def test_no_text_from_outside_is_obeyed_by_the_terminal(tmp_path: Path, text: st
     tell_all(tmp_path, text)
 
 
-@pytest.mark.parametrize("text", ["x" * 10_000_000, HOSTILE * 10_000], ids=["long", "hostile"])
+def test_what_a_journal_holds_is_obeyed_by_no_terminal_and_comes_back_as_it_was(tmp_path: Path) -> None:
+    said = f"\x7f{HOSTILE}\n\u2028"
+    journal = Journal(tmp_path / "journal.jsonl")
+    with journal:
+        journal.append(Note(level="info", text=said))
+    assert_plain(journal.path.read_text(encoding="utf-8"))
+    (record,) = journal.read()
+    assert isinstance(record.message, Note)
+    assert record.message.text == said
+
+
+@pytest.mark.parametrize("name", [HOSTILE, r"$\frac{$", "x" * 100_000, "a\nb"])
+def test_a_name_in_a_picture_is_plain_text(name: str) -> None:
+    drawn = joint_figure([JointEntry(name=name, relative_size=1.0, z=9.0)])
+    picture = base64.b64decode(drawn.partition("base64,")[2]).decode()
+    assert [char for char in picture if visible(char) != char] == []
+    assert len(picture) < 100_000
+
+
+def test_a_drive_says_what_it_likes_and_a_probe_prints_none_of_it_raw(capsys: pytest.CaptureFixture[str]) -> None:
+    lines = HOSTILE.replace("\r", "") + "\x7f"
+    for words in ([], ["--json"]):
+        with on_a_pty(Script(described=f"\nmotor: {lines}\nfirmware: {lines}")) as (_, port):
+            assert probe(["--serial", port, *words]) == 0
+        assert_plain(capsys.readouterr().out)
+
+
+def test_a_guess_is_judged_in_plain_text(capsys: pytest.CaptureFixture[str]) -> None:
+    _print_verdict(Verdict(right=(HOSTILE,), wrong=("x" * 10_000_000, HOSTILE), still_hidden=1, sizes=()))
+    assert_plain(capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("text", ["x" * 2_000_000, HOSTILE * 10_000], ids=["long", "hostile"])
 def test_texts_of_megabytes_are_cut(tmp_path: Path, text: str) -> None:
     document = tiny_document()
     path = tmp_path / "p.yaml"
