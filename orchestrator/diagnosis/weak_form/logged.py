@@ -13,7 +13,9 @@ from protocols import Capture, RealArray, Signals
 _LOOKED_AT = 2000
 """Rows by which it is seen of what a vector was made."""
 _FITS = 1e-3
-"""Of the current: by how much a vector may be off what it was made of, by rounding."""
+"""Of the current: by how much a vector may be off what it was made of, by the rounding of a log."""
+_SINGLE = 1e-6
+"""The same by the rounding of single precision."""
 
 
 def what_is_logged(capture: Capture, rows: int, width: int) -> dict[str, Any]:
@@ -44,9 +46,10 @@ def clarke_of_three(i_ab: RealArray, i_abc: RealArray) -> bool | None:
     vector, phases = i_ab[rows], i_abc[rows]
     off_three = float(np.abs(vector - from_phases(phases)).max())
     off_two = float(np.abs(vector - from_two_phases(phases[:, 0], phases[:, 1])).max())
-    if off_three < 0.1 * off_two:
+    size = float(np.abs(vector).max())
+    if _SINGLE * size < off_two and off_three < 0.1 * off_two:
         return True
-    return False if off_two <= _FITS * float(np.abs(vector).max()) else None
+    return False if off_two <= _FITS * size else None
 
 
 def since_the_start(signals: Sequence[Signals]) -> list[Signals]:

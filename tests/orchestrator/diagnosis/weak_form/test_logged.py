@@ -33,10 +33,13 @@ def test_a_vector_of_three_readings_is_told_from_one_of_two() -> None:
         assert clarke_of_three(_two(phases).astype(np.float32), phases.astype(np.float32)) is False
 
 
-def test_a_third_current_that_was_computed_is_no_third_sensor() -> None:
+@pytest.mark.parametrize("computed", [0, 1, 2])
+def test_a_third_current_that_was_computed_is_no_third_sensor(computed: int) -> None:
     phases = _phases()
-    phases[:, 2] = -phases[:, 0] - phases[:, 1]
+    phases[:, computed] = -np.delete(phases, computed, axis=1).sum(axis=1)
     assert clarke_of_three(_three(phases).astype(np.float32), phases.astype(np.float32)) is False
+    exact = phases.astype(np.float32).astype(np.float64)
+    assert clarke_of_three(_three(exact), exact) is False
 
 
 def test_a_vector_of_something_else_says_nothing_of_the_sensors() -> None:
