@@ -16,7 +16,7 @@ STAMP := $(VENV)/.installed
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
-.PHONY: demo test suite test-all test-socketcan bench blind pictures lint lock clean
+.PHONY: demo test suite test-all test-socketcan bench torture blind pictures lint lock clean
 
 demo: $(STAMP)
 	$(BIN)/fluxbench run demo
@@ -37,6 +37,11 @@ test-socketcan: $(STAMP)
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks
+
+# The attacks of tests/torture, from where the last call ended; the table in docs/robustness.md.
+MINUTES ?= 300
+torture: $(COMPILED)
+	$(BIN)/python -m tests.torture --minutes $(MINUTES) --write docs/robustness.md
 
 # The diagnosis, examined with a plant that it does not know: some hours for the aims' full counts.
 SEED ?= $(shell date +%s)

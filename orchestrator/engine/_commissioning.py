@@ -232,8 +232,12 @@ class Commissioning:
 
     def _leave(self, outcome: Outcome) -> Outcome:
         """Stop, whatever has happened; what can no longer be written is told in the reason."""
-        trouble = [self._last_word(lambda: self._machine.fire(Trigger.STOP, outcome.reason))]
-        stood_down = self._power.stand_down()
+        trouble: list[str] = []
+        try:
+            if self._machine.may(Trigger.STOP):  # else it was on its way when something failed
+                trouble.append(self._last_word(lambda: self._machine.fire(Trigger.STOP, outcome.reason)))
+        finally:  # a defect comes after the drive
+            stood_down = self._power.stand_down()
         if stood_down:
             level: Literal["info", "error"] = "info" if stood_down == SAFE else "error"
             trouble.append(self._last_word(lambda: self._log.say(Note(level=level, text=stood_down))))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
+import functools
 import random
 import shutil
 import subprocess
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -26,12 +29,20 @@ DISARMED = "current ramped down, drive disarmed"
 
 
 @pytest.fixture(scope="session")
-def failing_disk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def failing_disk() -> Path:
     """The shared library that makes calls fail."""
+    return compiled()
+
+
+@functools.cache
+def compiled() -> Path:
+    """The same, made once in a process."""
     compiler = shutil.which("cc") or shutil.which("gcc") or shutil.which("clang")
     if compiler is None:
         pytest.skip("no C compiler here: the disk that fails is a shared library, preloaded")
-    library = tmp_path_factory.mktemp("failing_disk") / "failing_disk.so"
+    folder = tempfile.TemporaryDirectory(prefix="failing-disk-")
+    atexit.register(folder.cleanup)
+    library = Path(folder.name) / "failing_disk.so"
     source = Path(__file__).parents[2] / "support" / "failing_disk.c"
     subprocess.run([compiler, "-shared", "-fPIC", "-O1", "-o", library, source, "-ldl"], check=True)
     return library
@@ -70,7 +81,7 @@ def ends_safely_and_resumes(folder: Path, library: Path, call: str, nth: int, er
 @pytest.mark.parametrize(
     ("call", "nth", "error", "once"),
     [
-        ("fdatasync", 8, errno.EIO, True),
+        ("fdatasync", 9, errno.EIO, True),  # in the middle of a change of state
         ("fdatasync", 6, errno.ENOSPC, False),
         ("fsync", 7, errno.EIO, True),
         ("write", 25, errno.ENOSPC, False),

@@ -1,0 +1,1 @@
+"""The attacks of the tests, thousands of times: resumable, bounded, from a seed (docs/robustness.md)."""

@@ -1,0 +1,252 @@
+"""What is done to the program, once each: an attack draws all it does from its generator, and raises what it finds."""
+
+from __future__ import annotations
+
+import copy
+import errno
+import functools
+import hashlib
+import json
+import random
+import shutil
+import signal
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from orchestrator.recording import open_recording
+from plugins.wire import Message, PowerState
+from protocols import DriveError, Excitation, PointDone
+from tests.orchestrator.cli.test_failing_disk import CALLS, compiled, ends_safely_and_resumes
+from tests.orchestrator.cli.test_signals_and_kills import kill_and_resume_until_done
+from tests.plugins.link.bench import Bench as LinkBench
+from tests.plugins.link.bench import armed, taken
+from tests.plugins.link.device import FS, Script, waveforms
+from tests.plugins.link.test_drive import HOLD, INJECTION, TRAPEZOID, turned
+from tests.plugins.link.test_kills import Bench, require_named_end
+from tests.support.processes import called
+from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tiny_file
+
+REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
+SHORT = [*STAGES[:4], STAGES[5]]
+"""Six points, no estimates."""
+
+
+@dataclass(frozen=True)
+class Attack:
+    """One kind of attack."""
+
+    name: str
+    usual: int
+    """How often it is made, where nothing else is asked for."""
+    told: str
+    """What must hold afterwards."""
+    once: Callable[[random.Random, Path], str]
+    """Made in an empty folder; gives what came of it in a word or two."""
+
+
+# Kills
+
+
+def killed(rng: random.Random, folder: Path) -> str:
+    """A run is killed up to three times at random instants; what it then holds is bit for bit that of another."""
+    procedure = tiny_file(folder, stages=SHORT, drive={"realtime_factor": 0.7})
+    kills = kill_and_resume_until_done(procedure, folder / "run", rng.randint(1, 3), rng)
+    assert [message.id for message in messages_of(folder / "run") if isinstance(message, PointDone)] == list(_whole())
+    assert _captures(folder / "run") == _whole()
+    return f"killed {kills} times"
+
+
+@functools.cache
+def _whole() -> dict[str, str]:
+    with tempfile.TemporaryDirectory() as name:
+        return _captures(run_tiny(Path(name), stages=SHORT).path)
+
+
+def _captures(run: Path) -> dict[str, str]:
+    files = {segment.id: run / "captures" / f"{segment.id}.parquet" for segment in open_recording(run).segments()}
+    assert len(files) == len(list((run / "captures").iterdir()))
+    return {name: hashlib.sha256(file.read_bytes()).hexdigest() for name, file in files.items()}
+
+
+# Inputs
+
+
+def mutated(rng: random.Random, folder: Path) -> str:
+    """A file with something wrong in it is read, or refused in one line."""
+    if rng.random() < 0.4:
+        file = folder / "procedure.yaml"
+        file.write_bytes(_damaged(rng, _changed(rng, tiny_document())))
+        words: list[str | Path] = ["check", file]
+    else:
+        recording = folder / "recording"
+        (recording / "captures").mkdir(parents=True)
+        manifest = json.loads((REDUCED / "recording.json").read_text(encoding="utf-8"))
+        manifest["segments"] = [s for s in manifest["segments"] if s["stage"] == "resistance"][:3]
+        names = [f"{segment['id']}.parquet" for segment in manifest["segments"]]
+        for name in names:
+            shutil.copy(REDUCED / "captures" / name, recording / "captures" / name)
+        chosen = recording / "captures" / rng.choice(names)
+        if rng.random() < 0.6:
+            (recording / "recording.json").write_bytes(_damaged(rng, _changed(rng, manifest)))
+        else:
+            for segment in manifest["segments"]:
+                segment["sha256"] = None
+            (recording / "recording.json").write_text(json.dumps(manifest), encoding="utf-8")
+            chosen.write_bytes(_damaged(rng, chosen.read_bytes(), always=True))
+        words = ["estimate", recording, "--estimator", "resistance", "--out", folder / "out"]
+    done = called(*words)
+    assert done.returncode in (0, 2, 3), done.stderr
+    assert done.stderr.count("\n") <= 1, done.stderr
+    assert (done.returncode == 0) == (not done.stderr), done.stderr
+    return {0: "taken", 2: "refused", 3: "given up"}[done.returncode]
+
+
+_ODD: tuple[Any, ...] = (
+    True, None, -1, 0, 1e300, -1e-300, 2**70, "", "x" * 5000, "\x1b[2J\u202e",
+    [], {}, [[]], "nan", "1", 0.5, [1, 2], {"a": {}},
+)  # fmt: skip
+
+
+def _changed(rng: random.Random, document: Any) -> bytes:
+    """A document with some values replaced, left out or doubled."""
+    document = json.loads(json.dumps(document))
+    for _ in range(rng.choice((0, 1, 1, 1, 2, 5))):
+        here: Any = document
+        while isinstance(here, dict | list) and here:
+            key = rng.choice(list(here)) if isinstance(here, dict) else rng.randrange(len(here))
+            if not isinstance(here[key], dict | list) or not here[key] or rng.random() < 0.15:
+                if rng.random() < 0.2:
+                    del here[key]
+                else:
+                    here[key] = copy.deepcopy(rng.choice(_ODD))
+                break
+            here = here[key]
+    text = json.dumps(document) if rng.random() < 0.5 else yaml.safe_dump(document)
+    return text.encode("utf-8", "surrogatepass")
+
+
+def _damaged(rng: random.Random, content: bytes, *, always: bool = False) -> bytes:
+    """Bytes, some of them others, or an end that is missing."""
+    if not always and rng.random() < 0.7:
+        return content
+    data = bytearray(content)
+    for _ in range(rng.choice((1, 2, 10, 100))):
+        data[rng.randrange(max(0, len(data) - rng.choice((400, 4000, len(data)))), len(data))] = rng.randrange(256)
+    return bytes(data[: rng.randrange(len(data))] if rng.random() < 0.2 else data)
+
+
+# Disks
+
+
+def failed(rng: random.Random, folder: Path) -> str:
+    """A call of the disk's fails, once or from then on: the run ends safely, and is whole when it was resumed."""
+    error = rng.choice((errno.EIO, errno.ENOSPC))
+    code = ends_safely_and_resumes(folder, compiled(), rng.choice(CALLS), rng.randint(1, 60), error, rng.random() < 0.5)
+    return "finished" if code == 0 else "ended in a fault"
+
+
+# Lies
+
+
+def lied(rng: random.Random, folder: Path) -> str:
+    """A drive that says something else than is so: what comes is what was captured, or a fault, and it is off."""
+    excitation = rng.choice((HOLD, INJECTION, TRAPEZOID))
+    script = Script(saturated=rng.choice((0, 0, 0, 5)))
+    begun_s = time.monotonic()
+    with armed(script=script) as b:
+        script.lie = _lie(rng)
+        named = [_named(lambda: _require_true(b, excitation)) for _ in range(2)]
+        named += [_named(b.drive.ramp_down), _named(b.drive.disarm)]
+        assert b.device.state in (PowerState.DISARMED, PowerState.FAULTED), b.device.state
+    assert time.monotonic() - begun_s < 60.0
+    return "named" if any(named) else "harmless"
+
+
+def _require_true(b: LinkBench, excitation: Excitation) -> None:
+    capture = taken(b.drive, excitation)
+    i_dq, _ = waveforms(excitation, excitation.rows(FS))
+    true = turned(i_dq, excitation.rotor_angle_rad)
+    np.testing.assert_allclose(capture.i_ab, true, atol=0.51 * b.device.facts.scales.current_a)
+
+
+def _named(call: Callable[[], object]) -> str:
+    """What the drive's fault says; empty where there was none."""
+    try:
+        call()
+    except DriveError as error:
+        told = str(error)
+    else:
+        return ""
+    assert "\n" not in told
+    return told
+
+
+def _lie(rng: random.Random) -> Callable[[Message], Message]:
+    """Another value in one field of one kind of message, always, now and then, or from some time on."""
+    kind = rng.choice(("Status", "Measurement", "Progress", "Tick", "Ack", "ParameterValue"))
+    field, size, often = rng.random(), rng.choice((1, 255, 65535)), rng.choice((1.0, 0.3, 0.05))
+
+    def lie(message: Any) -> Any:
+        if type(message).__name__ != kind or rng.random() > often:
+            return message
+        name = message._fields[int(field * len(message._fields))]
+        value = getattr(message, name)
+        made: Any = type(value)
+        if isinstance(value, float):
+            return message._replace(**{name: value * rng.choice((-1.0, 0.0, 10.0, 1e6))})
+        if made is int:
+            return message._replace(**{name: value ^ rng.randint(0, size) if value >= 0 else -value})
+        return message._replace(**{name: rng.choice(list(made))})
+
+    return lambda message: _sendable(lie(message), message)
+
+
+def _sendable(changed: Message, message: Message) -> Message:
+    """The lie, where the wire has room for it."""
+    from plugins.wire import encode
+
+    try:
+        encode(changed)
+    except Exception:  # whatever the codec says of a value that is none
+        return message
+    return changed
+
+
+# Links
+
+
+def cut(rng: random.Random, folder: Path) -> str:
+    """One end of the line is killed: the drive is safe in time, the run ends by its name and can be resumed."""
+    host = rng.random() < 0.5
+    with Bench.at(folder, rng.randrange(1 << 30)) as bench:
+        process = bench.start()
+        if not bench.wait_a_while(process):
+            return "over before"
+        if host:
+            process.kill()
+            killed_s = time.monotonic()
+            process.communicate()
+            bench.require_safe_since(killed_s)
+        else:
+            bench.machine.send(signal.SIGKILL)
+            require_named_end(bench, process, time.time())
+            bench.restart_machine()
+        bench.require_points_kept()
+        bench.finish()
+    return "host killed" if host else "drive killed"
+
+
+ATTACKS = (
+    Attack("kills", 1000, "every point once, bit-equal to a run in one go", killed),
+    Attack("inputs", 10_000, "read, or one line and exit 2 or 3", mutated),
+    Attack("disks", 500, "safe end, whole after resuming", failed),
+    Attack("lies", 200, "a named fault or the true capture; off in the end", lied),
+    Attack("links", 400, "safe within 220 ms, named end within 1 s", cut),
+)
