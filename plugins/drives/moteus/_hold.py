@@ -36,6 +36,8 @@ class Row:
     i: complex
     v: complex
     v_dc: float
+    temperature_c: float
+    """Of the power stage; NaN where the board has none."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +49,7 @@ class Rows:
 
     def capture(self, sampling_frequency_hz: float, origin_s: float) -> Capture:
         """The same as a drive hands it out; its clock began at `origin_s`."""
+        warmth = np.array([row.temperature_c for row in self.rows])
         i, v = (np.array(values, dtype=complex) for values in zip(*((r.i, r.v) for r in self.rows), strict=True))
         return Capture(
             start_s=self.start_s - origin_s,
@@ -54,6 +57,7 @@ class Rows:
             i_ab=np.column_stack((i.real, i.imag)),
             v_ab=np.column_stack((v.real, v.imag)),
             v_dc=np.array([row.v_dc for row in self.rows]),
+            temperature_c=warmth if np.isfinite(warmth).all() else None,
         )
 
 
@@ -150,5 +154,6 @@ class Holding:
                 return None
             if (what := limiting(now.code)) is not None:
                 raise DriveFault(FaultCause.INTERNAL, f"the board keeps the current below its target because of {what}")
-            rows.append(Row(self._frame.stator(now.d_a, now.q_a, target.theta_rad), v, now.bus_v))
+            i = self._frame.stator(now.d_a, now.q_a, target.theta_rad)
+            rows.append(Row(i, v, now.bus_v, now.temperature_c))
         return Rows(begun_s, tuple(rows))

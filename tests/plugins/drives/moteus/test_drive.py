@@ -82,6 +82,7 @@ def test_a_hold_is_captured_where_it_was_asked_for_and_its_voltage_is_the_resist
     expected = complex(3.0, -2.0) * cmath.exp(0.7j)
     i, v = (complex(*x.mean(axis=0)) for x in (measured.i_ab, measured.v_ab))
     assert len(measured.i_ab) == ROWS
+    assert all(b.temperature_c is not None and (b.temperature_c == 31.5).all() for b in measured.blocks if len(b))
     assert abs(i - expected) < 0.02
     assert abs(v - 0.4 * expected) < 0.01
 
