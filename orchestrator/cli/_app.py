@@ -60,7 +60,9 @@ ViewOption = Annotated[bool, typer.Option("--view", help="Open the viewer, and f
 StreamOption = Annotated[
     list[str] | None, typer.Option("--stream", help="Let this installed stream listen as well (may be repeated).")
 ]
-EffectsOption = Annotated[Path | None, typer.Option("--effects", help="Python file with candidates of your own.")]
+EffectsOption = Annotated[
+    Path | None, typer.Option("--effects", help="Python file with candidates of your own; its code is run.")
+]
 RehearsedOption = Annotated[
     str | None, typer.Option("--model", help="Rehearse on a flux map or model.json instead of the nameplate.")
 ]
@@ -337,7 +339,10 @@ def new_command(
 
 @app.command("plugins")
 def plugins_command(as_json: JsonOption = False) -> int:
-    """What is installed, and whether it loads."""
+    """What is installed, and whether it loads.
+
+    Plugins are Python: those that are listed have been imported, and their code has the rights that you have.
+    """
     from orchestrator.cli._inspect import plugins
 
     return plugins(as_json)

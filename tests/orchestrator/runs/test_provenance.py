@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import platform
 import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from orchestrator.registry import PluginKind, installed
 from orchestrator.runs import Provenance, provenance
 from orchestrator.runs._provenance import _git_state
+from tests.support.tiny import STAGES, run_tiny
 
 
 def git(folder: Path, *words: str) -> str:
@@ -57,3 +59,16 @@ def test_without_git_there_is_no_state_and_no_error(tmp_path: Path, monkeypatch:
     assert _git_state(tmp_path) is None
     monkeypatch.setenv("PATH", "")
     assert _git_state(tmp_path) is None
+
+
+def test_a_run_says_nothing_of_who_made_it_or_of_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told = {"HOME": "/home/lovelace", "USER": "lovelace", "LOGNAME": "lovelace", "API_TOKEN": "hush-hush"}
+    for name, value in told.items():
+        monkeypatch.setenv(name, value)
+    run = run_tiny(tmp_path, stages=STAGES[:1]).path
+    for file in ("run.json", "recording.json"):
+        text = (run / file).read_text(encoding="utf-8")
+        found = [secret for secret in {*told.values(), str(Path.cwd()), str(tmp_path), sys.prefix} if secret in text]
+        assert found == [], file

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import http.client
 import json
 import os
 import resource
@@ -147,12 +148,27 @@ def test_without_a_display_it_is_a_page_on_this_machine_until_interrupted(
             assert wait_for_viewer(port, 30.0, lambda: process.poll() is not None)
             wait_until(lambda: bool(listening(process.pid)))
             assert listening(process.pid) == {HOST}
+            assert process.stdout is not None
+            page = process.stdout.readline()
+            data_port = int(page.rpartition("%3A")[2].partition("%2F")[0])
+            assert allowed_origin(data_port, f"http://{HOST}:{port}") == f"http://{HOST}:{port}"
+            assert allowed_origin(data_port, "https://elsewhere.example") is None
         finally:
             process.send_signal(by)
-        out, err = process.communicate(timeout=20)
+        _, err = process.communicate(timeout=20)
     assert process.returncode == 0, err
-    assert out.startswith(f"http://{HOST}:{port}/?url=")
+    assert page.startswith(f"http://{HOST}:{port}/?url=")
     assert not wait_for_viewer(port, 0.3)
+
+
+def allowed_origin(port: int, origin: str) -> str | None:
+    """Which pages a browser lets read what this port says, when a page of `origin` asks."""
+    line = http.client.HTTPConnection(HOST, port, timeout=5.0)
+    try:
+        line.request("OPTIONS", "/", headers={"Origin": origin, "Access-Control-Request-Method": "POST"})
+        return line.getresponse().getheader("access-control-allow-origin")
+    finally:
+        line.close()
 
 
 def test_a_killed_page_takes_its_server_with_it(tmp_path: Path, example: Path) -> None:
