@@ -124,3 +124,18 @@ def test_seconds_hold_the_settling_and_captured_seconds_do_not(pm400: Bench) -> 
 def test_a_stage_without_a_point_is_refused(pm400: Bench, stage: dict[str, Any]) -> None:
     with pytest.raises(ProcedureError, match=r"stages\.0: .*without a point"):
         plan_of(pm400, stage)
+
+
+def test_full_holds_what_parts_effects() -> None:
+    plan = make_plan(load_procedure("full"), None)
+    stages = [stage.name for stage in plan.stages]
+    injections = [p for p in plan.points if p.stage is SegmentStage.INJECTION]
+    anchors = [p for p in plan.points if p.settings.get("anchor")]
+    assert {p.settings["frequency_hz"] for p in injections} == {250.0, 500.0, 1000.0}
+    assert len({p.settings["amplitude_v"] for p in injections if p.settings["frequency_hz"] == 500.0}) == 2
+    assert len({p.settings.get("pwm_frequency_hz") for p in plan.points if p.stage is SegmentStage.RESISTANCE}) >= 2
+    assert len({p.excitation.rotor_angle_rad for p in injections}) == 2
+    # Cold and warm, at one angle of the rotor, and the lock is checked wherever it is held.
+    assert len(anchors) == 4
+    assert {p.excitation.rotor_angle_rad for p in anchors} == {0.0}
+    assert stages.count("lock_check") == stages.count("alignment") == 2
