@@ -11,8 +11,8 @@ from tests.torture.__main__ import HEADING, attempts, main, section
 from tests.torture.attacks import ATTACKS, Attack
 
 SEED = 20261122
-SAMPLE = {"kills": 1, "inputs": 25, "disks": 1, "lies": 3, "links": 0}
-"""Of each attack; the others wait for `make torture`."""
+SAMPLE = {"kills": 0, "inputs": 25, "disks": 0, "lies": 3, "links": 0}
+"""Of each attack; kills, disks and links have tests of their own, and hundreds of them in `make torture`."""
 
 
 @pytest.mark.parametrize("attack", [a for a in ATTACKS if SAMPLE[a.name]], ids=lambda attack: attack.name)
