@@ -273,7 +273,7 @@ class Signals(ArrayModel):
     i_smooth_ab: Vectors | None = None
     """The stator current that belongs to the smooth flux [A]."""
     i_quiet_ab: Vectors | None = None
-    """The stator current as its readings tell it without their noise [A], for what bends within it; None: unknown."""
+    """The stator current as a hold's readings tell it without their noise [A], for what bends within it; else None."""
     i_abc: Phases | None = None
     """Phase currents as the sensors read them [A], where the recording holds them; no effect changes them."""
     clarke_of_three: bool | None = None

@@ -61,7 +61,13 @@ class SensorNoise:
         return np.asarray(covariance / piece.averaged)
 
     def taken_out_of(self, piece: SegmentSignals) -> SegmentSignals:
-        """A piece that has its current without noise beside the measured one."""
+        """A hold that has its current without noise beside the measured one; any other piece as it is.
+
+        A hold's window is so long that the noise in it is that of the mean, which stays. In a sweep's short windows the
+        readings' own noise passes through the inverter, and is counted so.
+        """
+        if piece.stage is not SegmentStage.RESISTANCE:
+            return piece
         quiet = quieted(np.asarray(piece.signals.i_ab, dtype=np.float64), np.sqrt(np.diag(self.of(piece))))
         return replace(piece, signals=piece.signals.model_copy(update={"i_quiet_ab": quiet}))
 
