@@ -17,11 +17,20 @@ from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 RealArray = NDArray[np.floating[Any]]
 
 
-def _refuse_coercion(value: object) -> object:
+def _number_as_such(value: Any) -> Any:
     """Numbers are numbers: pydantic by itself takes true for 1, and "4" for 4."""
     if isinstance(value, bool | str | bytes):
         raise PydanticCustomError("float_type", "Input should be a number")
     return value
+
+
+def _whole_number_as_such(value: Any) -> Any:
+    if isinstance(value, bool | str | bytes):
+        raise PydanticCustomError("int_type", "Input should be a whole number")
+    return value
+
+
+_AS_SUCH = {"float": _number_as_such, "int": _whole_number_as_such}
 
 
 def strict_numbers(schema: Any) -> Any:
@@ -30,9 +39,9 @@ def strict_numbers(schema: Any) -> Any:
         return type(schema)(map(strict_numbers, schema))
     if not isinstance(schema, dict):
         return schema
-    if schema.get("type") in ("float", "int"):
-        return core_schema.no_info_before_validator_function(_refuse_coercion, cast(CoreSchema, schema))
-    if schema.get("type") == "function-before" and schema["function"].get("function") is _refuse_coercion:
+    if schema.get("type") in _AS_SUCH:
+        return core_schema.no_info_before_validator_function(_AS_SUCH[schema["type"]], cast(CoreSchema, schema))
+    if schema.get("type") == "function-before" and schema["function"].get("function") in _AS_SUCH.values():
         return schema  # of a model within a model
     return {key: strict_numbers(value) for key, value in schema.items()}
 
