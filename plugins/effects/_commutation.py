@@ -49,7 +49,9 @@ def _ramp(start: float, width: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def lost_at_edges(v_ab: Array, i_ab: Array, volts: Array, knees_per_a: float, pull: Array, cycles: int) -> Array:
+def lost_at_edges(
+    v_ab: Array, i_ab: Array, volts: Array, legs: Array, knees_per_a: float, pull: Array, cycles: int
+) -> Array:
     """Voltage (n, 2) that dead time takes over each interval.
 
     Parameters
@@ -57,6 +59,8 @@ def lost_at_edges(v_ab: Array, i_ab: Array, volts: Array, knees_per_a: float, pu
     v_ab, i_ab : array, shape (n, 2)
     volts : array, shape (n,)
         V_dt in each interval: dead time as a part of the carrier's period, times V_dc.
+    legs : array, shape (3,)
+        Each leg's own dead time in parts of that.
     knees_per_a : float
         1 / i_k.
     pull : array, shape (3, 3)
@@ -78,7 +82,7 @@ def lost_at_edges(v_ab: Array, i_ab: Array, volts: Array, knees_per_a: float, pu
         for x in range(3):
             lost[x] = 0.0
         for _ in range(cycles):
-            _settle(valley, step, commanded, volts[k], pull, up, down)
+            _settle(valley, step, commanded, volts[k], legs, pull, up, down)
             for x in range(3):
                 lost[x] += (up[x] - down[x]) / cycles
                 valley[x] += step[x]
@@ -89,15 +93,17 @@ def lost_at_edges(v_ab: Array, i_ab: Array, volts: Array, knees_per_a: float, pu
 
 
 @njit(cache=True, nogil=True)
-def _settle(valley: Array, step: Array, commanded: Array, volts: float, pull: Array, up: Array, down: Array) -> None:
+def _settle(
+    valley: Array, step: Array, commanded: Array, volts: float, legs: Array, pull: Array, up: Array, down: Array
+) -> None:
     """How late the three rises and falls of a period are, in parts of the dead time, into `up` and `down`.
 
     Times are told by the volts that a pulse gains or loses by them.
     """
     for x in range(3):
         middle = valley[x] + 0.5 * step[x]
-        up[x] = _late(-middle)
-        down[x] = _late(middle)
+        up[x] = legs[x] * _late(-middle * legs[x])
+        down[x] = legs[x] * _late(middle * legs[x])
     for _ in range(PASSES):
         rises, falls = (up[0], up[1], up[2]), (down[0], down[1], down[2])
         moved = 0.0
@@ -107,8 +113,8 @@ def _settle(valley: Array, step: Array, commanded: Array, volts: float, pull: Ar
                 drift -= pull[x, y] * (commanded[y] - volts * (rises[y] - falls[y]))
             rising = valley[x] + 0.25 * drift
             falling = valley[x] + 0.75 * drift
-            swing_up = volts * min(1.0, 2.0 * rises[x])
-            swing_down = volts * min(1.0, 2.0 * falls[x])
+            swing_up = volts * min(legs[x], 2.0 * rises[x])
+            swing_down = volts * min(legs[x], 2.0 * falls[x])
             for y in range(3):
                 if y != x:
                     ahead = 0.5 * (commanded[y] - commanded[x])
@@ -116,8 +122,8 @@ def _settle(valley: Array, step: Array, commanded: Array, volts: float, pull: Ar
                     rising += pull[x, y] * _ramp(volts * rises[y] - ahead, swing_up)
                     falling -= pull[x, y] * _ramp(volts * falls[y] + ahead, swing_down)
             # The leg's own swing brakes the current that drives it.
-            up[x] = _late(-rising / (1.0 + pull[x, x] * swing_up * swing_up / (12.0 * volts)))
-            down[x] = _late(falling / (1.0 + pull[x, x] * swing_down * swing_down / (12.0 * volts)))
+            up[x] = legs[x] * _late(-rising * legs[x] / (1.0 + pull[x, x] * swing_up * swing_up / (12.0 * volts)))
+            down[x] = legs[x] * _late(falling * legs[x] / (1.0 + pull[x, x] * swing_down * swing_down / (12.0 * volts)))
             moved = max(moved, abs(up[x] - rises[x]), abs(down[x] - falls[x]))
         if moved < SETTLED:
             return

@@ -45,7 +45,7 @@ def _look_up(table: Array, place: float) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _without_sign(v_ab: Array, i_ab: Array, volts: Array, steps: float, table: Array) -> Array:
+def _without_sign(v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: float, table: Array) -> Array:
     """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the table are one ampere."""
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
@@ -66,7 +66,7 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, steps: float, table: A
             m1 = s1 + 4.0 * _look_up(table, 0.5 * (b0 + b1)) + e1
             m2 = s2 + 4.0 * _look_up(table, 0.5 * (c0 + c1)) + e2
             sixth = volts[k - 1] / 6.0
-            alpha, beta = vector_of(m0, m1, m2)
+            alpha, beta = vector_of(legs[0] * m0, legs[1] * m1, legs[2] * m2)
             out[k - 1, 0] = v_ab[k - 1, 0] - sixth * alpha
             out[k - 1, 1] = v_ab[k - 1, 1] - sixth * beta
         a0, b0, c0 = a1, b1, c1
@@ -82,14 +82,22 @@ class Knee(EffectParameters):
 
 
 def _less_step(
-    v_ab: Array, i_ab: Array, volts: Array, threshold_a: float, knee: Knee, *, step: float = 0.01, end: float = 40.0
+    v_ab: Array,
+    i_ab: Array,
+    volts: Array,
+    threshold_a: float,
+    knee: Knee,
+    legs: Array,
+    *,
+    step: float = 0.01,
+    end: float = 40.0,
 ) -> Array:
-    """The voltage without `volts` (n,) against the sign of each phase current.
+    """The voltage without `volts` (n,) against the sign of each phase current, in each leg times its part (3,).
 
     s is read, linearly between entries, from a table of this `step` and `end`, in thresholds; beyond it is flat.
     """
     table = _soft_sign(knee.softness, knee.variance, step, end)
-    return np.asarray(_without_sign(v_ab, i_ab, volts, 1.0 / (threshold_a * step), table))
+    return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), table))
 
 
 class DeadTime:
@@ -102,6 +110,7 @@ class DeadTime:
     capacitances are not constant; and a share `switched` of the voltage is lost as at the edges of a switching leg,
     each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
     C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing.
+    `leg_a` and `leg_b` are by how much of the mean dead time those legs' own differs; leg c makes up for both.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -116,6 +125,8 @@ class DeadTime:
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=1.0)
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
+        leg_a: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.5, high=0.5)
+        leg_b: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.5, high=0.5)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
@@ -125,13 +136,14 @@ class DeadTime:
         volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
         commanded = v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
         i_ab = _without_noise(signals)
+        legs = np.array([1.0 + p.leg_a, 1.0 + p.leg_b, 1.0 - p.leg_a - p.leg_b])
         if p.switched < 1.0:
-            v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p)
+            v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p, legs)
         if p.switched > 0.0:
             # Current between samples hardly bends: two carrier periods stand for all of them.
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
             pull = _pull(signals) / p.threshold_a
-            v_ab = v_ab - p.switched * lost_at_edges(commanded, i_ab, volts, 1.0 / p.threshold_a, pull, cycles)
+            v_ab = v_ab - p.switched * lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles)
         return Correction(v_ab=v_ab)
 
 
@@ -175,7 +187,7 @@ class DeviceDrop:
         v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
         i_ab = _without_noise(signals)
         volts = np.full(len(signals.v_dc), p.voltage_v)
-        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p))
+        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3)))
 
 
 class VoltageBias:

@@ -61,5 +61,5 @@ def test_the_kernel_agrees_with_legs_switched_step_by_step(
     across = np.sin(2.0 * np.pi / 3.0 * np.arange(3))
     pull = PERIOD / 1.5 * (np.outer(towards_d, towards_d) / L_D + np.outer(across, across) / L_Q)
     i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
-    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), 1.0 / knee, pull / knee, 1))[0]
+    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, pull / knee, 1))[0]
     np.testing.assert_allclose(lost, commanded - mean, atol=0.006 * volts)

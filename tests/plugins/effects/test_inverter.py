@@ -80,6 +80,19 @@ def test_without_ripple_what_is_lost_is_odd_where_the_current_holds() -> None:
         assert np.abs(there + back).max() < 1e-12 * np.abs(there).max()
 
 
+@pytest.mark.parametrize("switched", [0.0, 1.0])
+def test_a_leg_with_more_dead_time_loses_more_and_its_neighbours_less(switched: float) -> None:
+    signals = _signals(np.tile([2.0, 2.0, -4.0], (10, 1)), known=False)
+    effect = DeadTime()
+    p = effect.Parameters(voltage_v=VOLTS, threshold_a=1e-3, switched=switched, leg_a=0.3, leg_b=-0.1)
+    v_ab = effect.correct(signals, p).v_ab
+    assert v_ab is not None
+    lost = to_phases(signals.v_ab - v_ab)[0]
+    # Between two phases it is the difference of what their legs lose, whatever the star point does.
+    assert lost[0] - lost[1] == pytest.approx(0.4 * VOLTS, rel=2e-3)
+    assert lost[1] - lost[2] == pytest.approx((0.9 + 0.8) * VOLTS, rel=2e-3)
+
+
 def test_a_share_of_the_switched_form_is_in_between() -> None:
     signals = _signals(_held(0.03))
     soft, switched, half = (_lost(signals, 0.05, share) for share in (0.0, 1.0, 0.5))
