@@ -24,17 +24,32 @@ from numba import njit
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 
-PASSES = 3
-SETTLED = 2e-3
+PASSES = 4
+SETTLED = 5e-4
 """Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
 
 
 @njit(cache=True, nogil=True)
-def _late(x: float) -> float:
-    """Delay of an edge's mean in parts of the dead time, at a current x that helps the edge, in knees."""
+def _late(knees: float, leg: float, brake: float, before: float) -> float:
+    """Delay of an edge's mean in parts of the dead time.
+
+    Parameters
+    ----------
+    knees : float
+        The current that helps the edge.
+    leg : float
+        The leg's own dead time.
+    brake : float
+        By how much a swing of all the dead time brakes the current that drives it.
+    before : float
+        The delay as it was believed, which tells how long the swing is.
+    """
+    x = knees * leg
     if x <= 0.0:
-        return 1.0
-    return 1.0 - 0.5 * x if x < 1.0 else 0.5 / x
+        return leg
+    swing = min(leg, 2.0 * before)
+    braked = 1.0 + brake * swing * swing
+    return leg * (1.0 - 0.5 * x / braked if x < braked else 0.5 * braked / x)
 
 
 @njit(cache=True, nogil=True)
@@ -71,7 +86,7 @@ def lost_at_edges(
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
     valley, step, commanded, lost = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    up, down = np.empty(3), np.empty(3)
+    up, down = np.ones(3), np.ones(3)
     for k in range(n):
         after = min(k + 1, n - 1)
         valley[0], valley[1], valley[2] = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
@@ -96,14 +111,10 @@ def lost_at_edges(
 def _settle(
     valley: Array, step: Array, commanded: Array, volts: float, legs: Array, pull: Array, up: Array, down: Array
 ) -> None:
-    """How late the three rises and falls of a period are, in parts of the dead time, into `up` and `down`.
+    """How late the three rises and falls of a period are, in parts of the dead time, from what they were before.
 
     Times are told by the volts that a pulse gains or loses by them.
     """
-    for x in range(3):
-        middle = valley[x] + 0.5 * step[x]
-        up[x] = legs[x] * _late(-middle * legs[x])
-        down[x] = legs[x] * _late(middle * legs[x])
     for _ in range(PASSES):
         rises, falls = (up[0], up[1], up[2]), (down[0], down[1], down[2])
         moved = 0.0
@@ -122,8 +133,9 @@ def _settle(
                     rising += pull[x, y] * _ramp(volts * rises[y] - ahead, swing_up)
                     falling -= pull[x, y] * _ramp(volts * falls[y] + ahead, swing_down)
             # The leg's own swing brakes the current that drives it.
-            up[x] = legs[x] * _late(-rising * legs[x] / (1.0 + pull[x, x] * swing_up * swing_up / (12.0 * volts)))
-            down[x] = legs[x] * _late(falling * legs[x] / (1.0 + pull[x, x] * swing_down * swing_down / (12.0 * volts)))
+            brake = pull[x, x] * volts / 12.0
+            up[x] = _late(-rising, legs[x], brake, rises[x])
+            down[x] = _late(falling, legs[x], brake, falls[x])
             moved = max(moved, abs(up[x] - rises[x]), abs(down[x] - falls[x]))
         if moved < SETTLED:
             return

@@ -56,7 +56,7 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
     if fitter.effort.exhausted or set(names) <= set(active[index].free):
         return None
-    trials = [_bent(fitter, fit, index, form, inflation) for form in _forms(active[index])]
+    trials = [_bent(fitter, fit, index, form, inflation) for form in _forms(active[index], fit)]
     bent = [trial for trial in trials if trial is not None]
     if not bent:
         return None
@@ -66,20 +66,19 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     return best if log_evidence(best, inflation) > log_evidence(fit, inflation) + tie else None
 
 
-def _forms(active: Active) -> list[Active]:
-    """An effect's flexible form, begun where it is, and at its second form where it has one."""
-    other = active.in_other_form()
+def _forms(active: Active, fit: Fit) -> list[Active]:
+    """An effect's flexible form, begun where it is, and at its second form where the first has not explained all."""
     freed = active.freeing(*active.candidate.of_role(ParameterRole.REFINEMENT))
+    other = active.in_other_form() if fit.chi2_per_dof > fit.criteria.selection.detected_chi2 else None
     return [freed] if other is None else [freed, other]
 
 
 def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, inflation: float) -> Fit | None:
     """The fit with one effect in a flexible form; None where that does not pay early."""
     active = list(fit.model.active)
-    begun_there = form.values == active[index].values
     active[index] = form
     # Whether it pays shows early; the last fit of all is taken to its end.
     trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
-    if begun_there and fitter.promise(trial) < fit.criteria.selection.tie * inflation:
+    if fit.objective - trial.objective + fitter.promise(trial) < fit.criteria.selection.tie * inflation:
         return None
     return fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
