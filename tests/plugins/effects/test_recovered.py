@@ -24,6 +24,7 @@ def diagnosed(effects: dict[str, Any], library: list[Effect], out: Path) -> Diag
     return diagnose_recording(cast(Recording, recording), library, out=out).report
 
 
+@pytest.mark.slow
 def test_play_in_the_brake(tmp_path: Path) -> None:
     library: list[Effect] = [BrakeBacklash(), BrakeCompliance(), RotorMisalignment()]
     report = diagnosed({"brake_compliance": {"rad_per_nm": 0.0, "backlash_rad": 0.01}}, library, tmp_path)

@@ -54,6 +54,7 @@ def test_a_damper_is_closed_on_one_axis_alone(axis: str) -> None:
     assert stepped(plant, other, 5.0) == pytest.approx(0.0, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_behind_a_switched_bridge_core_and_damper_see_the_same_mean_voltage() -> None:
     eddy = {"core_loss_ohm": 800.0, "core_loss_q_ohm": 500.0, "time_constant_s": 1e-3}
     damper = {"axis": "q", "ohm": 50.0, "time_constant_s": 3e-3}
