@@ -331,12 +331,14 @@ def test_a_limit_on_the_address_space_counts_as_memory(monkeypatch: pytest.Monke
 
 
 @pytest.mark.parametrize("value", [True, False, "1.0"])
-@pytest.mark.parametrize("field", ["start_s", "samples", "rotor_angle_rad"])
-def test_a_number_is_neither_a_boolean_nor_text(make_recording: Make, field: str, value: object) -> None:
+@pytest.mark.parametrize(
+    ("field", "kind"), [("start_s", "number"), ("samples", "whole number"), ("rotor_angle_rad", "number")]
+)
+def test_a_number_is_neither_a_boolean_nor_text(make_recording: Make, field: str, kind: str, value: object) -> None:
     directory = make_recording()
     edit_manifest(directory, lambda raw: raw["segments"][0].update({field: value}))
     told = complaint(lambda: open_recording(directory))
-    assert f"segments.0.{field}: expected a number" in told
+    assert f"segments.0.{field}: expected a {kind}" in told
     assert told.endswith(f"got {value!r}")
 
 

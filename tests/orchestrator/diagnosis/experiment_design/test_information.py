@@ -37,7 +37,8 @@ def test_stages_add_up_to_the_whole(known: Information) -> None:
 def test_every_effect_has_columns_for_its_amplitudes_in_every_shape(known: Information) -> None:
     dead_time, bias = known.effects["dead_time"], known.effects["voltage_bias"]
     shapes = len(Criteria().rehearsal.shapes)
-    assert [len(dead_time.amplitudes), len(dead_time.forms), len(dead_time.others)] == [1, 4, shapes]
+    bends = len(effects("dead_time")[0].Parameters.declared()) - 1
+    assert [len(dead_time.amplitudes), len(dead_time.forms), len(dead_time.others)] == [1, bends, shapes]
     assert [len(bias.amplitudes), len(bias.forms), len(bias.others)] == [2, 0, 0]
     places = np.concatenate([effect.all for effect in known.effects.values()])
     assert sorted(places) == list(range(known.machine, known.total.shape[0]))
