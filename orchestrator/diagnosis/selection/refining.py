@@ -56,11 +56,11 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
     if fitter.effort.exhausted or set(names) <= set(active[index].free):
         return None
-    trials = [_bent(fitter, fit, index, form, inflation) for form in _forms(active[index], fit)]
-    bent = [trial for trial in trials if trial is not None]
-    if not bent:
+    best = fit
+    for form in _forms(active[index], fit):
+        best = _bent(fitter, fit, index, form, best, inflation) or best
+    if best is fit:
         return None
-    best = max(bent, key=lambda trial: -trial.objective)
     inflation = max(1.0, min(inflation, best.chi2_per_dof))
     tie = fit.criteria.selection.tie
     return best if log_evidence(best, inflation) > log_evidence(fit, inflation) + tie else None
@@ -73,12 +73,13 @@ def _forms(active: Active, fit: Fit) -> list[Active]:
     return [freed] if other is None else [freed, other]
 
 
-def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, inflation: float) -> Fit | None:
-    """The fit with one effect in a flexible form; None where that does not pay early."""
+def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, best: Fit, inflation: float) -> Fit | None:
+    """The fit with one effect in a flexible form; None where it does no better than the best so far, or promises so."""
     active = list(fit.model.active)
     active[index] = form
     # Whether it pays shows early; the last fit of all is taken to its end.
     trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
-    if fit.objective - trial.objective + fitter.promise(trial) < fit.criteria.selection.tie * inflation:
+    if best.objective - trial.objective + fitter.promise(trial) < fit.criteria.selection.tie * inflation:
         return None
-    return fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
+    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
+    return trial if trial.objective < best.objective else None
