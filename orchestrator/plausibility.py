@@ -29,6 +29,7 @@ MOTOR_RANGES: Mapping[str, Range] = {
     "rated_speed_rpm": (0.01, 1e7),
     "rated_torque_nm": (1e-7, 1e8),
     "stator_resistance_ohm": (1e-6, 1e5),
+    "stator_resistance_std_ohm": (1e-9, 1e5),
     "d_inductance_h": (1e-8, 100.0),
     "q_inductance_h": (1e-8, 100.0),
     "pm_flux_wb": (0.0, 100.0),

@@ -28,6 +28,8 @@ class Motor(Lenient):
     rated_speed_rpm: Positive | None = None
     rated_torque_nm: Positive | None = None
     stator_resistance_ohm: Positive | None = None
+    stator_resistance_std_ohm: Positive | None = None
+    """Standard deviation of the one above, where it was measured: it is then believed that far, and no further."""
     d_inductance_h: Positive | None = None
     q_inductance_h: Positive | None = None
     pm_flux_wb: Annotated[float, Field(ge=0)] | None = None

@@ -12,6 +12,7 @@ from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomi
 from orchestrator.analysis._energy_search import fit_energy
 from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
+from orchestrator.analysis._known_resistance import KnownResistance, known_resistance
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._rotor_lock import judge_lock
@@ -37,6 +38,7 @@ __all__ = [
     "FluxPath",
     "Inductances",
     "IntegratedFlux",
+    "KnownResistance",
     "Network",
     "PhaseLoss",
     "PolynomialFit",
@@ -63,6 +65,7 @@ __all__ = [
     "invert",
     "join_paths",
     "judge_lock",
+    "known_resistance",
     "rated_flux_wb",
     "sweep_of",
     "temperature_rise",

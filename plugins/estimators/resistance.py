@@ -10,7 +10,16 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.analysis import COPPER_PER_K, Dwell, dwell, each_capture, find_dwells, temperature_rise
+from orchestrator.analysis import (
+    COPPER_PER_K,
+    Dwell,
+    KnownResistance,
+    dwell,
+    each_capture,
+    find_dwells,
+    known_resistance,
+    temperature_rise,
+)
 from orchestrator.numerics.types import Array
 from plugins.estimators._inverter import VoltageFit, fit_voltage
 from protocols import (
@@ -25,6 +34,9 @@ from protocols import (
     Segment,
     SegmentStage,
 )
+
+_NEEDING = (SegmentStage.CLASSICAL,)
+"""Stages whose flux takes an R_s: where nothing rests in them, the nameplate's has to do."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +91,10 @@ class ResistanceEstimator:
         holds, rests = self._holds(recording), _rests(recording)
         used = holds or rests
         largest = max((float(np.linalg.norm(d.i_ab)) for _, d in used), default=0.0)
+        known = known_resistance(recording.manifest.motor)
         if largest <= 0.0:
+            if known is not None and recording.segments(*_NEEDING):
+                return _as_known(known)
             problem = "no segment of stage resistance or classical in which a current rests"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
         fit = fit_voltage(
@@ -94,17 +109,17 @@ class ResistanceEstimator:
         found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
         found += self._injected(recording, fit, self.strong_share * largest)
         readings = tuple(sorted(found, key=lambda reading: reading.start_s))
-        half = _student_95(fit.freedom) * fit.std_ohm
+        value, half, beside = _with_known(known, fit)
         return ResistanceEstimate(
-            value_ohm=fit.resistance_ohm,
-            low=fit.resistance_ohm - half,
-            high=fit.resistance_ohm + half,
+            value_ohm=value,
+            low=value - half,
+            high=value + half,
             first_ohm=readings[0].value_ohm,
             last_ohm=readings[-1].value_ohm,
             readings=readings,
             temperature_rise_k=temperature_rise(readings),
             inverter=tuple(fit.losses()),
-            remarks=_remarks(fit, [d for _, d in used], bool(holds), readings),
+            remarks=(*beside, *_remarks(fit, [d for _, d in used], bool(holds), readings)),
         )
 
     def constant_currents(self, recording: RecordingReader) -> list[Dwell]:
@@ -170,6 +185,40 @@ class ResistanceEstimator:
             return None
         value = float(along @ (weight @ v - lost)) / length
         return ResistanceReading(start_s=capture.start_s + first / rate, value_ohm=value, std_ohm=std)
+
+
+def _as_known(known: KnownResistance) -> ResistanceEstimate:
+    """What was known beforehand, where nothing rests."""
+    half = 1.96 * known.std_ohm
+    text = "no current rests: R_s = {value_ohm:.4g} ohm is the nameplate's, believed to +-{half_percent:.2g} % (95 %)"
+    if not known.is_measured:
+        text += ", for it has no stator_resistance_std_ohm"
+    values = {"value_ohm": known.value_ohm, "half_percent": 100.0 * half / known.value_ohm}
+    return ResistanceEstimate(
+        value_ohm=known.value_ohm,
+        low=known.value_ohm - half,
+        high=known.value_ohm + half,
+        first_ohm=known.value_ohm,
+        last_ohm=known.value_ohm,
+        remarks=(Remark.of("as_known", text, **values),),
+    )
+
+
+def _with_known(
+    known: KnownResistance | None, fit: VoltageFit, doubtful: float = 3.0
+) -> tuple[float, float, list[Remark]]:
+    """R_s of the holds, half its 95 % interval, and remarks; what was measured before counts where both agree."""
+    half = _student_95(fit.freedom) * fit.std_ohm
+    if known is None or not known.is_measured:
+        return fit.resistance_ohm, half, []
+    apart = known.apart(fit.resistance_ohm, half / 1.96)
+    if apart > doubtful:
+        text = (
+            "R_s is {apart:.0f} standard deviations off the {known_ohm:.4g} ohm that were known: is the winding warm?"
+        )
+        return fit.resistance_ohm, half, [Remark.of("off_the_known", text, apart=apart, known_ohm=known.value_ohm)]
+    value, std = known.with_measured(fit.resistance_ohm, half / 1.96)
+    return value, 1.96 * std, []
 
 
 def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from orchestrator.analysis import known_resistance
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Frame, MapSpace, Model, SegmentRows
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -37,6 +38,11 @@ def solved(
     normal[1:, 0] = normal[0, 1:]
     total = normal.copy()
     total[1:, 1:] += space.prior.T @ space.prior
+    known = known_resistance(prepared.manifest.motor)
+    believed = 1.0 / known.std_ohm**2 if known is not None and known.is_measured else 0.0
+    nominal = known.value_ohm if known is not None else 0.0
+    total[0, 0] += believed
+    right[0] -= believed * nominal
     # Equations are written around the model's own coefficients; the prior is around the space's origin.
     free_numbers = _free_numbers(space, model.magnetics.coefficients)
     right[1:] += space.prior.T @ (space.prior @ free_numbers)
@@ -60,7 +66,7 @@ def solved(
         frame=frame,
         prepared=prepared,
         chi2=chi2,
-        objective=chi2 + log_det + priors + float(rough @ rough),
+        objective=chi2 + log_det + priors + float(rough @ rough) + believed * (r_s - nominal) ** 2,
         log_det=log_det,
         dof=max(sum(len(e) for e in training) - effective - len(model.free), 1.0),
         residual=tuple(residual),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -42,3 +44,17 @@ def test_the_start_does_not_matter_to_what_is_linear(clean: Fitter) -> None:
     at = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 1.5], [-1.0, 1.0]])
     (psi, _), (again, _) = (fit.model.magnetics.flux_and_inductance(at) for fit in (one, other))
     np.testing.assert_allclose(again - again[0], psi - psi[0], atol=1e-3 * float(np.ptp(psi)))
+
+
+def test_a_resistance_that_was_measured_before_is_held_as_far_as_it_says(clean: Fitter) -> None:
+    def solved(std: float) -> float:
+        manifest = clean.prepared.manifest
+        motor = manifest.motor.model_copy(
+            update={"stator_resistance_ohm": 1.02 * R_S, "stator_resistance_std_ohm": std * R_S}
+        )
+        told = replace(clean.prepared, manifest=manifest.model_copy(update={"motor": motor}))
+        return replace(clean, prepared=told).fit(free_model()).model.r_s / R_S
+
+    alone = clean.fit(free_model()).model.r_s / R_S
+    assert solved(1e-7) == pytest.approx(1.02, abs=1e-6)
+    assert solved(10.0) == pytest.approx(alone, abs=1e-6)
