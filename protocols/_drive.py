@@ -212,6 +212,10 @@ class Capabilities(Strict):
     """Whether `Drive.set_brake` moves a real brake."""
     motor_name: str | None = None
     """The motor that the drive is configured for, where it knows."""
+    interlocks: tuple[str, ...] = ()
+    """Names of the interlock inputs that it reads (door, emergency stop)."""
+    simulated: bool = False
+    """Whether nothing real is energised: the motor is computed, or a recording is played back."""
     notes: tuple[str, ...] = ()
     """What a user should know of it beforehand, a line each; `check` prints them."""
 
@@ -235,6 +239,8 @@ class Telemetry(Strict):
     v_dc_v: float
     temperature_c: float | None = None
     faults: tuple[str, ...] = ()
+    open_interlocks: tuple[str, ...] = ()
+    """Those of `Capabilities.interlocks` that forbid power now."""
 
 
 class NoOptions(Strict):
@@ -293,6 +299,8 @@ class Drive(Protocol):
         quiet for longer (settling) yields blocks without rows as a sign of life. After the last
         block the drive goes on holding the operating point (gates off after `GatesOff`). Leaving
         the iterator early leaves the drive energised: `ramp_down` follows.
+
+        An interlock that opens meanwhile is the drive's to trip on; the engine asks for it between excitations only.
 
         Raises `DriveRefused` before moving anything, `DriveFault` when the drive trips.
         """

@@ -105,6 +105,8 @@ class OperatorAnswered(Strict):
     kind: Literal["operator_answered"] = "operator_answered"
     answer: str
     by: Literal["operator", "procedure"]
+    words: str = ""
+    """By which the procedure's answer was let count on a real drive, spelled out by whoever started the run."""
 
 
 class LockChecked(Strict):

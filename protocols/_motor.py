@@ -44,3 +44,6 @@ class ProcedureMotor(Motor, Strict):
     """The same nameplate where a person writes it: an unknown key is an error."""
 
     model_config = Strict.model_config
+
+    example: bool = False
+    """A motor to try things with: a drive is not energised with it unless it is simulated, or set up for that motor."""

@@ -57,6 +57,8 @@ class Procedure(Strict):
     seed: int = 1
     """Seeds everything random in the run (a simulated drive's noise)."""
     control: CurrentControl = CurrentControl()
+    interlocks: tuple[str, ...] = ()
+    """Interlock inputs that the drive has to have; all that it has are asked before arming and between points."""
     accept_no_watchdog: Literal["I stand beside the drive and can cut its power"] | None = None
     """A drive without a dead man is refused unless this sentence is written out."""
     stages: Annotated[tuple[StageEntry, ...], Field(min_length=1)]

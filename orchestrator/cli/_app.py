@@ -71,7 +71,13 @@ NoiseOption = Annotated[
     typer.Option("--noise", min=1e-12, help="Of each phase current's reading, standard deviation [A].", metavar="A"),
 ]
 AbsentOption = Annotated[
-    bool, typer.Option("--unattended", help="Nobody is there: a question that the procedure leaves open ends the run.")
+    str | None,
+    typer.Option(
+        "--unattended",
+        help='"I have made the bench safe": nobody is there, and the procedure answers its questions, on a real '
+        "drive too.",
+        metavar="WORDS",
+    ),
 ]
 
 
@@ -93,7 +99,7 @@ def run_command(
     view: ViewOption = False,
     streams: StreamOption = None,
     log: LogOption = "text",
-    unattended: AbsentOption = False,
+    unattended: AbsentOption = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> int:
@@ -121,7 +127,7 @@ def resume_command(
     view: ViewOption = False,
     streams: StreamOption = None,
     log: LogOption = "text",
-    unattended: AbsentOption = False,
+    unattended: AbsentOption = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> int:

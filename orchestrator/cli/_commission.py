@@ -32,7 +32,8 @@ from protocols import FluxbenchError
 class Audience:
     """Who follows a run, and how it is told to them."""
 
-    unattended: bool = False
+    unattended: str | None = None
+    """Words by which the procedure's own answers count on a real drive."""
     quiet: bool = False
     as_json: bool = False
     log: str = "text"
@@ -91,8 +92,8 @@ def resume(path: Path, audience: Audience) -> int:
 def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> int:
     # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
     os.environ.setdefault("RUST_LOG", "off")
-    alone = audience.unattended or not sys.stdin.isatty()
-    operator: Operator = AbsentOperator() if alone else TerminalOperator()
+    alone = audience.unattended is not None or not sys.stdin.isatty()
+    operator: Operator = AbsentOperator(audience.unattended) if alone else TerminalOperator()
     with handling_signals() as interrupts:
         result = commission(Crew(operator, interrupts, audience.options()))
     troubles = [tally.trouble for tally in result.streams if tally.trouble]

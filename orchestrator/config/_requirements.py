@@ -43,12 +43,15 @@ class Requirements:
         self._released = _stages_with_released_brake(plan)
 
     def check_drive(self) -> None:
-        """Motor, limits and dead man; raises `CapabilityError`."""
+        """Motor, interlocks, limits and dead man; raises `CapabilityError`."""
         if self._drive is None:
             return
-        drive, motor, limits = self._drive, self._procedure.motor, self._limits
-        if drive.motor_name is not None and drive.motor_name != motor.name:
-            raise self._error("motor.name", f"{motor.name!r}, but the drive is set up for {drive.motor_name!r}")
+        drive, limits = self._drive, self._limits
+        self._check_motor(drive)
+        missing = [name for name in self._procedure.interlocks if name not in drive.interlocks]
+        if missing:
+            those = ", ".join(drive.interlocks) or "none"
+            raise self._error("interlocks", f"{drive.name!r} has no input {', '.join(missing)}; it has {those}")
         if limits.current_a > drive.max_current_a:
             raise self._error("limits.current_a", f"{limits.current_a:g} A, the drive takes {drive.max_current_a:g} A")
         if limits.voltage_v > drive.max_voltage_v:
@@ -66,6 +69,14 @@ class Requirements:
             return
         self._check_offered(point, self._drive)
         self._check_sampling(point, self._drive.sampling_frequency_hz)
+
+    def _check_motor(self, drive: Capabilities) -> None:
+        motor = self._procedure.motor
+        if drive.motor_name is not None and drive.motor_name != motor.name:
+            raise self._error("motor.name", f"{motor.name!r}, but the drive is set up for {drive.motor_name!r}")
+        if motor.example and not drive.simulated and drive.motor_name is None:
+            problem = f"{motor.name!r} is an example, and {drive.name!r} a real drive"
+            raise self._error("motor.example", f"{problem}: give the real nameplate by --motor FILE")
 
     def _check_free_rotor(self, point: PlannedPoint) -> None:
         if isinstance(point.excitation, Trapezoid | Injection):

@@ -3,7 +3,7 @@
 from orchestrator.engine._commissioning import Commissioning, Outcome
 from orchestrator.engine._heartbeat import HeartbeatKeeper
 from orchestrator.engine._interrupts import Interrupts, handling_signals
-from orchestrator.engine._operator import AbsentOperator, Operator, TerminalOperator
+from orchestrator.engine._operator import WORDS, AbsentOperator, Operator, TerminalOperator
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import PowerStage
 from orchestrator.engine._session import (
@@ -28,6 +28,7 @@ from orchestrator.engine._states import (
 __all__ = [
     "NOTHING_LEFT",
     "TERMINAL",
+    "WORDS",
     "AbsentOperator",
     "Commissioning",
     "Crew",

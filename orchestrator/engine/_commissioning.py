@@ -105,7 +105,7 @@ class Commissioning:
             self._machine,
             self._power,
             log,
-            Questions(operator, interrupts, log),
+            Questions(operator, interrupts, log, simulated=capabilities.simulated),
             interrupts,
             plugins,
         )

@@ -100,6 +100,7 @@ class Measurement:
                 self._log.say(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
             self._interrupts.check()
             self._check_length(point, mean.samples)
+            self._power.require_interlocks()
             written = writer.finish()
         segment = Segment(
             id=point.id,

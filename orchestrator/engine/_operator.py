@@ -9,7 +9,10 @@ from typing import Protocol
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.presentation.sentences import cut, visible
-from protocols import OperatorAnswered, OperatorAsked, RunAborted
+from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
+
+WORDS = "I have made the bench safe"
+"""By which a procedure's own answers count on a real drive; kept in the journal."""
 
 
 class Operator(Protocol):
@@ -21,7 +24,23 @@ class Operator(Protocol):
 
 
 class AbsentOperator:
-    """Nobody is there: every question that the procedure does not answer ends the run."""
+    """Nobody is there: every question that the procedure does not answer ends the run.
+
+    Parameters
+    ----------
+    words : str, optional
+        `WORDS`, spelled out: the procedure's answers count on a real drive as well. By default on simulated ones only.
+
+    Raises
+    ------
+    InputError
+        Other words.
+    """
+
+    def __init__(self, words: str | None = None) -> None:
+        if words not in (None, WORDS):
+            raise InputError("--unattended", "", f'expected "{WORDS}", spelled out; got {cut(repr(words))}')
+        self.words = words
 
     def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
         raise RunAborted(f"nobody is there to answer: {prompt}")
@@ -50,13 +69,18 @@ class TerminalOperator:
 
 
 class Questions:
-    """Puts questions to the operator, and keeps them and their answers in the journal."""
+    """Puts questions to the operator, and keeps them and their answers in the journal.
 
-    def __init__(self, operator: Operator, interrupts: Interrupts, log: RunLog) -> None:
+    On a real drive a procedure does not answer for a person, unless whoever started the run has said `WORDS`.
+    """
+
+    def __init__(self, operator: Operator, interrupts: Interrupts, log: RunLog, *, simulated: bool) -> None:
         self._operator, self._interrupts, self._log = operator, interrupts, log
+        self._words = operator.words if isinstance(operator, AbsentOperator) else None
+        self._canned_counts = simulated or self._words is not None
 
     def put(self, prompt: str, *, answered: bool) -> None:
-        """Have a question answered with yes, by the procedure where that has `answered` it.
+        """Have a question answered with yes, by the procedure where that has `answered` it and its answer counts.
 
         Raises
         ------
@@ -64,9 +88,12 @@ class Questions:
             The answer is no, or nobody is there.
         """
         self._log.say(OperatorAsked(prompt=prompt))
-        if answered:
-            self._log.say(OperatorAnswered(answer="yes", by="procedure"), durable=True)
+        if answered and self._canned_counts:
+            self._log.say(OperatorAnswered(answer="yes", by="procedure", words=self._words or ""), durable=True)
             return
+        if answered and isinstance(self._operator, AbsentOperator):
+            problem = "the procedure's own answer counts on a simulated drive only"
+            raise RunAborted(f'nobody is there to answer: {prompt} ({problem}, or with --unattended "{WORDS}")')
         self._log.before_prompt()
         agreed = self._operator.confirm(prompt, self._interrupts)
         self._log.say(OperatorAnswered(answer="yes" if agreed else "no", by="operator"), durable=True)

@@ -76,8 +76,18 @@ class PowerStage:
                 f"but is {telemetry.state.value} with faults: {told}",
             )
 
+    def require_interlocks(self) -> None:
+        """Raise `DriveFault` where one of the drive's interlock inputs forbids power."""
+        if not self._capabilities.interlocks:
+            return
+        found = self.telemetry().open_interlocks
+        if found:
+            told = f"interlock open: {', '.join(found)}; close it, and resume"
+            raise DriveFault(FaultCause.EMERGENCY_STOP, told)
+
     def arm(self) -> None:
-        """Energise, unless it already is; from here on the heart beats."""
+        """Energise, unless it already is and the interlocks are closed; from here on the heart beats."""
+        self.require_interlocks()
         if self.armed:
             return
         keeper = HeartbeatKeeper(self._drive, self._capabilities.watchdog_s)

@@ -71,7 +71,8 @@ def said(message: Message) -> Said | None:
         case OperatorAsked():
             return Said("asked", message.prompt)
         case OperatorAnswered():
-            return Said("answered", f"{message.answer} (by {message.by})")
+            words = f': "{message.words}"' if message.words else ""
+            return Said("answered", f"{message.answer} (by {message.by}{words})")
         case LockChecked():
             mood = "info" if message.locked is None else "good" if message.locked else "bad"
             return Said("lock check", typographic(message.summary), mood)

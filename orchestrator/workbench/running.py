@@ -28,6 +28,7 @@ def run(
     settings: Mapping[str, Any] | None = None,
     out: str | PathLike[str] | None = None,
     operator: Operator | None = None,
+    unattended: str | None = None,
     streams: Sequence[str] = ("report",),
 ) -> Measurements:
     """Commission a motor into a new run directory.
@@ -42,7 +43,10 @@ def run(
     out : path, optional
         The run directory; by default ``runs/<name>-<time>``.
     operator : Operator, optional
-        Who answers the procedure's questions; by default nobody is there, and its own answers count.
+        Who answers the procedure's questions; by default nobody is there, and its own answers count where the drive is
+        simulated.
+    unattended : str, optional
+        With nobody there: ``"I have made the bench safe"``, by which they count on a real drive as well.
     streams : sequence of str
         Who listens: ``report`` writes report.html, ``console`` tells how it goes, ``rerun`` writes view.rrd.
 
@@ -61,7 +65,7 @@ def run(
     with ExitStack() as stack:
         on_main = threading.current_thread() is threading.main_thread()  # no other thread may handle signals
         interrupts = stack.enter_context(handling_signals()) if on_main else Interrupts()
-        crew = Crew(operator or AbsentOperator(), interrupts, {name: {} for name in streams})
+        crew = Crew(operator or AbsentOperator(unattended), interrupts, {name: {} for name in streams})
         error = start_run(procedure, path, crew).outcome.error
     if error is not None:
         error.add_note(f"the run is kept in {path}")

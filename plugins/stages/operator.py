@@ -15,7 +15,7 @@ class OperatorStage(Stage):
 
     prompt: str
     answer: Literal["yes"] | None = None
-    """The answer where nobody is there to ask. None: a person has to say it."""
+    """The answer on a simulated drive, or where whoever starts the run says that it counts. None: a person's to say."""
     brake: Literal["engage", "release"] | None = None
     """What the drive does with its brake, where it has one, once the answer is yes."""
 

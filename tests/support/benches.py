@@ -38,6 +38,7 @@ class Bench:
         return Capabilities.model_validate(
             {
                 "name": "bench drive",
+                "simulated": True,
                 "sampling_frequency_hz": self.sampling_hz,
                 "pwm_frequency_hz": self.sampling_hz,
                 "pwm_frequencies_hz": (self.sampling_hz, 2 * self.sampling_hz),

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 
 from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, start_run
+from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, RunResult, start_run
 from orchestrator.runs import RunDirectory
 from protocols import Message, Procedure
 
@@ -91,7 +91,7 @@ def tiny_procedure(folder: Path, **changes: Any) -> Procedure:
 
 def run_tiny(folder: Path, *, interrupts: Interrupts | None = None, **changes: Any) -> RunResult:
     """Run it in this process without streams; the run directory is `folder`/run."""
-    crew = Crew(AbsentOperator(), interrupts or Interrupts())
+    crew = Crew(AbsentOperator(WORDS), interrupts or Interrupts())
     return start_run(tiny_procedure(folder, **changes), folder / "run", crew)
 
 

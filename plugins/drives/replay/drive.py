@@ -98,6 +98,7 @@ class ReplayDrive(DriveShell):
             watchdog_s=self.watchdog_s,
             watchdog_covers=kinds,
             motor_name=manifest.motor.name,
+            simulated=True,
         )
 
     def energise(self, limits: Limits) -> None:

@@ -45,6 +45,8 @@ class Permission:
             watchdog_s=options.watchdog_s,
             watchdog_covers=KINDS if options.watchdog_s is not None else frozenset(),
             has_brake=options.has_brake,
+            interlocks=options.interlocks,
+            simulated=True,
             motor_name=table.motor.name if table is not None and table.motor is not None else None,
             notes=(misfit_in_words(table, plant.magnetics),) if table is not None else (),
         )

@@ -48,7 +48,7 @@ class SimulatedDrive(DriveShell):
         super().__init__(setup)
         self._options: SimulatedOptions = setup.options
         self._faults = FaultPlan(self._options.faults)
-        self._link_lost = False
+        self._link_lost = self._interlocks_open = False
         self._last_beat = 0.0
         self._made: Rig | None = None
 
@@ -94,6 +94,7 @@ class SimulatedDrive(DriveShell):
             v_dc_v=v_dc,
             temperature_c=self._plant.temperature_c,
             faults=self.faults,
+            open_interlocks=self._options.interlocks if self._interlocks_open else (),
         )
 
     def ramp(self) -> None:
@@ -182,6 +183,8 @@ class SimulatedDrive(DriveShell):
                 raise self.trip(DriveFault(FaultCause(fault.cause), "the drive tripped"))
             case "exception":
                 raise RuntimeError("the drive plugin failed")
+            case "interlock":
+                self._interlocks_open = True
             case "wrong_data":
                 return fault
         return None

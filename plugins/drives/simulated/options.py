@@ -123,7 +123,8 @@ class Plant(Strict):
 class Fault(Strict):
     """One way to fail, once: in an excitation by its number (from 1), or at a time of the drive's clock."""
 
-    kind: Literal["lost_link", "stuck", "slow", "wrong_data", "trip", "exception"]
+    kind: Literal["lost_link", "stuck", "slow", "wrong_data", "trip", "exception", "interlock"]
+    """interlock: all of the drive's inputs open, and stay so; it does not trip by itself."""
     at_excitation: Annotated[int, Field(ge=1)] | None = None
     at_s: NonNegative | None = None
     after_s: NonNegative = 0.0
@@ -176,6 +177,8 @@ class SimulatedOptions(Strict):
     """Time on the drive's clock between two excitations, at the operating point."""
     has_brake: bool = True
     """Whether the drive moves the brake; else it stays as it started."""
+    interlocks: tuple[str, ...] = ()
+    """Names of interlock inputs; closed but for a fault."""
     realtime_factor: Positive | None = None
     """Pace of simulated time against the wall clock. None: as fast as possible."""
     faults: tuple[Fault, ...] = ()

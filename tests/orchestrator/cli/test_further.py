@@ -56,7 +56,7 @@ def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(
     again = Diagnosed(round=0, report=a_diagnosis(next_experiment=None), words=WORDS)
     monkeypatch.setattr("plugins.stages.diagnose.compared", lambda *_: Compared(report=a_comparison()))
     monkeypatch.setattr("plugins.stages.diagnose.diagnosed", lambda *_: (again, None))
-    done = called("run", "--from", run / "results" / "diagnosis.json", "--unattended")
+    done = called("run", "--from", run / "results" / "diagnosis.json")
     assert done.returncode == 0, done.stderr
     messages = messages_of(run)
     assert [m.by for m in messages if isinstance(m, StagesAppended)] == [None]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from orchestrator.engine import Interrupts, PowerStage, _power, handling_signals
-from protocols import Capabilities, Capture, DriveFault, FaultCause, GatesOff, Limits
+from protocols import Capabilities, Capture, DriveFault, DriveState, FaultCause, GatesOff, Limits, Telemetry
 
 CAPABILITIES = Capabilities(
     name="silent",
@@ -105,3 +105,16 @@ def test_standing_down_twice_says_nothing_the_second_time() -> None:
     assert power.stand_down()
     assert power.stand_down() == ""
     assert drive.done.count("disarm") == 1
+
+
+def test_an_open_interlock_is_seen_before_anything_is_energised() -> None:
+    class Guarded(SilentDrive):
+        def telemetry(self) -> Telemetry:
+            reading = {"time_s": 0.0, "i_d_a": 0.0, "i_q_a": 0.0, "v_dc_v": 48.0}
+            return Telemetry(state=DriveState.DISARMED, open_interlocks=("door",), **reading)
+
+    drive: Any = Guarded(ramps=True)
+    limits, guarded = Limits(current_a=1.0, voltage_v=10.0), CAPABILITIES.model_copy(update={"interlocks": ("door",)})
+    with pytest.raises(DriveFault, match="door"):
+        PowerStage(drive, guarded, limits, Interrupts()).arm()
+    assert drive.done == []

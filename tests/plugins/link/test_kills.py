@@ -17,6 +17,7 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.engine import WORDS
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import PointDone, RunEnded
@@ -77,11 +78,11 @@ class Bench:
                 drive={"name": "serial", "port": str(self.folder / "line")},
                 stages=[stage for stage in STAGES if stage["kind"] != "estimate"],
             )
-            words: tuple[str | Path, ...] = ("run", procedure, "--out", self._run, "--quiet")
+            words: tuple[str | Path, ...] = ("run", procedure, "--out", self._run)
         else:
-            words = ("resume", self._run, "--quiet")
+            words = ("resume", self._run)
         armed = len(self.machine.events("armed"))
-        process = start_fluxbench(*words)
+        process = start_fluxbench(*words, "--quiet", "--unattended", WORDS)
         wait_until(lambda: len(self.machine.events("armed")) > armed or process.poll() is not None)
         return process
 

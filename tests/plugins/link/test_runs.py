@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from orchestrator.engine import WORDS
 from orchestrator.recording import open_recording
 from protocols import RunEnded
 from tests.support.emulator import emulator, free_port
@@ -129,7 +130,7 @@ def test_the_demo_over_a_link_gives_the_same_maps(
     # Both ends share a machine with everything else that runs: three times the patience that a bench needs.
     with emulator(tmp_path, *words, "--watchdog", "0.6", link=f"--{plugin}"):
         overrides = [word for setting in settings for word in ("--set", setting)]
-        run_demo(run, "--drive", plugin, *overrides)
+        run_demo(run, "--drive", plugin, "--unattended", WORDS, *overrides)
     ended = messages_of(run)[-1]
     assert isinstance(ended, RunEnded)
     require_same_maps(run, demo_in_process, flux, inductance)
