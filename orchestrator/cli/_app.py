@@ -315,6 +315,27 @@ def export_command(
     return export(path, formats or [], motor, out, as_json)
 
 
+@app.command("audit")
+def audit_command(
+    path: Annotated[
+        Path, typer.Argument(help="A run, a map file, a model.json, or a mapping of any table.", metavar="MAP")
+    ],
+    motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for its pole pairs.")] = None,
+    repair: Annotated[
+        Path | None, typer.Option(help="Write the nearest map that a motor can have there (.nc).", metavar="OUT")
+    ] = None,
+    picture: Annotated[Path | None, typer.Option(help="Draw map and faults (.svg, .png or .pdf).")] = None,
+    as_json: JsonOption = False,
+) -> int:
+    """A flux map judged: can a motor be like that?
+
+    Reciprocity, parity, the magnet's axis, convexity, holes, scatter, torque; and which uses each fault spoils.
+    """
+    from orchestrator.cli._audit import audit
+
+    return audit(path, motor, repair, picture, as_json)
+
+
 @app.command("import")
 def import_command(
     mapping: Annotated[Path, typer.Argument(help="YAML file that says what the columns are.")],

@@ -5,13 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
+from orchestrator.cli._audit import motor_of
 from orchestrator.cli._output import say, say_document, say_notes
-from orchestrator.config import load_motor
-from orchestrator.exporting import FORMATS, export_map, load_map
+from orchestrator.exporting import FORMATS, export_map
+from orchestrator.flux_maps import load_map
 from orchestrator.importing import import_files
 from orchestrator.presentation.quantities import percent
-from orchestrator.recording import read_model
-from orchestrator.runs import open_any
 from protocols import InputError, Motor
 
 
@@ -31,13 +30,10 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
 
 
 def _motor_of(path: Path, motor: Path | None) -> Motor:
-    if motor is not None:
-        return load_motor(motor)
-    if path.suffix == ".json":
-        return read_model(path).motor
-    if not path.is_dir():
+    found = motor_of(path, motor)
+    if found is None:
         raise InputError(str(path), "--motor", "a map file does not say its motor: name a YAML file that does")
-    return open_any(path).manifest.motor
+    return found
 
 
 def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> int:

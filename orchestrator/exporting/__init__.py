@@ -5,7 +5,6 @@ Knows flux maps and nothing of recordings, drives or estimators. scipy and xarra
 
 from orchestrator.exporting._exporting import FORMATS, ExportedFile, ExportReport, export_map
 from orchestrator.exporting._inverse import InverseMap, invert
-from orchestrator.exporting._loading import load_map
 from orchestrator.exporting._saliency import Saliency, saliency
 from orchestrator.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
 
@@ -18,7 +17,6 @@ __all__ = [
     "Trajectory",
     "export_map",
     "invert",
-    "load_map",
     "mtpa",
     "mtpv",
     "saliency",

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.exporting._filling import fill_smoothly
 from orchestrator.exporting._lookup import lookup_error
 from orchestrator.exporting._products import Products
 from orchestrator.exporting._saliency import saliency
 from orchestrator.exporting._torque import Trajectory, mtpa, mtpv
+from orchestrator.flux_maps import fill_smoothly
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
 

@@ -58,6 +58,8 @@ class ExportReport(Strict):
     """Share of the measured points whose current the inverse map gives back."""
     inverse_misfit_wb: float
     """Largest |psi(i(psi)) - psi| at the inverse map's measured nodes."""
+    non_convex_points: int
+    """Where the energy is not convex: there the inverse gives back one of several currents of the same flux."""
     notes: tuple[str, ...]
 
 
@@ -112,5 +114,6 @@ def export_map(flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str
         measured_percent=products.measured_percent,
         inverse_coverage_percent=products.inverse.coverage_percent,
         inverse_misfit_wb=products.inverse.misfit_wb,
+        non_convex_points=len(products.audit.non_convex),
         notes=products.notes,
     )

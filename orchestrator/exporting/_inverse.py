@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.exporting._filling import fill_smoothly
-from orchestrator.exporting._surface import MapSurface
+from orchestrator.flux_maps import MapSurface, fill_smoothly
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap
 

@@ -13,21 +13,8 @@ import numpy as np
 from orchestrator.estimation import save_flux_map
 from orchestrator.exporting._products import Products, Written
 from orchestrator.exporting._torque import Trajectory
+from orchestrator.flux_maps import CSV_UNITS
 from orchestrator.numerics.types import Array
-
-CSV_UNITS = {
-    "psi_d": "wb",
-    "psi_q": "wb",
-    "l_dd": "h",
-    "l_dq": "h",
-    "l_qq": "h",
-    "psi_d_std": "wb",
-    "psi_q_std": "wb",
-    "l_dd_std": "h",
-    "l_dq_std": "h",
-    "l_qq_std": "h",
-}
-"""Fields of a flux map, and the unit that ends their column's name."""
 
 
 def netcdf_file(products: Products) -> Written:
@@ -39,7 +26,7 @@ def netcdf_file(products: Products) -> Written:
         save_flux_map(plain, products.flux_map, motor=products.motor.name)
         with xr.open_dataset(plain, engine="h5netcdf") as opened:
             dataset = opened.load()
-    dataset.attrs["pole_pairs"] = products.motor.pole_pairs
+    dataset.attrs |= {"pole_pairs": products.motor.pole_pairs, "notes": "\n".join(products.notes)}
     for name, (values, unit, meaning) in _grids(products).items():
         dataset[name] = (("i_d", "i_q"), values, {"units": unit, "long_name": meaning})
     inverse = products.inverse

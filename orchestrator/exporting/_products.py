@@ -9,8 +9,8 @@ import numpy as np
 
 from orchestrator.exporting._inverse import InverseMap, invert
 from orchestrator.exporting._saliency import Saliency, saliency
-from orchestrator.exporting._surface import MapSurface
 from orchestrator.exporting._torque import Trajectory, mtpa, mtpv, torque_nm
+from orchestrator.flux_maps import MapAudit, MapSurface, audit_map
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, Motor
 
@@ -46,6 +46,10 @@ class Products:
     @cached_property
     def inverse(self) -> InverseMap:
         return invert(self.flux_map)
+
+    @cached_property
+    def audit(self) -> MapAudit:
+        return audit_map(self.flux_map, self.motor)
 
     @cached_property
     def saliency(self) -> Saliency:
@@ -85,7 +89,7 @@ class Products:
             said.append("no measured point with i_q > 0: no MTPA and no MTPV")
         elif self.mtpv is not None and not self.mtpv.interior.any():
             said.append("MTPV lies outside the measured region: its rows are the best at the edge, interior = 0")
-        return tuple(said)
+        return (*said, *self.audit.notes)
 
     @property
     def lacks_magnet(self) -> bool:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.exporting._inverse import currents_at
-from orchestrator.exporting._surface import WHERE, MapSurface
+from orchestrator.flux_maps import WHERE, MapSurface
 from orchestrator.numerics.types import Array
 from protocols import FluxMap, InputError
 

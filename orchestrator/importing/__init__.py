@@ -6,13 +6,24 @@ What looks wrong is refused or noted with its place; nothing is repaired that th
 from orchestrator.importing._findings import Finding
 from orchestrator.importing._importing import ImportReport, import_files
 from orchestrator.importing._loading import read_mapping
-from orchestrator.importing._mapping import ImportMapping, SegmentRule
+from orchestrator.importing._mapping import Column, CsvLayout, ImportMapping, NotZero, Scaling, SegmentRule
+from orchestrator.importing._tables import read_table
+from orchestrator.importing._units import FACTORS, CurrentUnit
+from orchestrator.importing._vectors import TO_PEAK
 
 __all__ = [
+    "FACTORS",
+    "TO_PEAK",
+    "Column",
+    "CsvLayout",
+    "CurrentUnit",
     "Finding",
     "ImportMapping",
     "ImportReport",
+    "NotZero",
+    "Scaling",
     "SegmentRule",
     "import_files",
     "read_mapping",
+    "read_table",
 ]

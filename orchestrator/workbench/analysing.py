@@ -143,7 +143,7 @@ def chosen_model(choice: Model | None) -> ModelChoice | None:
     path = Path(choice)
     if str(path) in ("linear", "saturated"):
         return str(path)
-    from orchestrator.exporting import load_map
+    from orchestrator.flux_maps import load_map
 
     return read_model(path) if path.suffix == ".json" else load_map(path)
 

@@ -1,6 +1,6 @@
 """Flux maps of real machines as energies: a table psi(i) becomes a spline H(psi) with grad H = i.
 
-Files are read as everywhere else (`orchestrator.exporting.load_map`); where the magnet does not lie on d, the map is
+Files are read as everywhere else (`orchestrator.flux_maps.load_map`); where the magnet does not lie on d, the map is
 turned until it does.
 The spline is fitted to the currents, so that the model is free of curl and even in psi_q whatever
 the measurement's errors; third differences are held small, which smooths noise, and continues H
@@ -71,7 +71,7 @@ def _about(name: str) -> dict[str, Any]:
 
 
 def load_table(name: str | None, file: Path | None) -> FluxTable:
-    """A shipped map by name, or the user's own: whatever `orchestrator.exporting.load_map` reads.
+    """A shipped map by name, or the user's own: whatever `orchestrator.flux_maps.load_map` reads.
 
     Raises
     ------
@@ -89,7 +89,7 @@ def load_table(name: str | None, file: Path | None) -> FluxTable:
 
 def _points(source: str, path: Path) -> FluxTable:
     """The grid points at which a map is known."""
-    from orchestrator.exporting import load_map
+    from orchestrator.flux_maps import load_map
 
     flux_map = load_map(path)
     known = np.isfinite(flux_map.psi_d) & np.isfinite(flux_map.psi_q)

@@ -181,6 +181,12 @@ def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "flux_map.csv").is_file()
     assert_one_line(called("export", flux_map, "--out", tmp_path / "out"), 2, "--motor")
+    files = ("--repair", tmp_path / "repaired.nc", "--picture", tmp_path / "map.svg")
+    audited = json.loads(called("audit", flux_map, *files, "--json").stdout)
+    assert {"faults", "reciprocity_percent", "non_convex", "repair"} <= set(audited)
+    assert "no fault found" in called("audit", tmp_path / "repaired.nc").stdout
+    assert (tmp_path / "map.svg").read_text().startswith("<?xml")
+    assert_one_line(called("audit", flux_map, "--picture", tmp_path / "map.gif"), 2, "--picture")
 
 
 def test_two_runs_into_one_directory_leave_one_of_them_whole(tmp_path: Path) -> None:

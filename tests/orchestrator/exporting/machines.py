@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.exporting import load_map
+from orchestrator.flux_maps import load_map
 from protocols import FluxMap, Motor
 
 Array = NDArray[np.float64]

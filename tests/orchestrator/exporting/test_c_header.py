@@ -9,7 +9,7 @@ import pytest
 from scipy.interpolate import RegularGridInterpolator
 
 from orchestrator.exporting import export_map, invert, mtpa
-from orchestrator.exporting._surface import MapSurface
+from orchestrator.flux_maps import MapSurface
 from protocols import FluxMap, Motor
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, Array, saturated_map
 from tests.support.close import assert_close

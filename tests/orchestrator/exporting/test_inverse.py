@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from orchestrator.exporting import invert
-from orchestrator.exporting._filling import fill_smoothly
 from orchestrator.exporting._inverse import currents_at
-from orchestrator.exporting._surface import MapSurface
+from orchestrator.flux_maps import MapSurface, fill_smoothly
 from protocols import InputError
 from tests.orchestrator.exporting.machines import (
     L_D,

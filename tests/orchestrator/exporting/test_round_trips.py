@@ -4,10 +4,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import xarray as xr
 from scipy.io import loadmat
 
 from orchestrator.estimation import load_flux_map
-from orchestrator.exporting import FORMATS, ExportReport, export_map, invert, load_map, mtpa, torque_nm
+from orchestrator.exporting import FORMATS, ExportReport, export_map, invert, mtpa, torque_nm
+from orchestrator.flux_maps import load_map
 from protocols import FluxMap, InputError, Motor, StorageError
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, linear_map, saturated_map, shipped
 from tests.support.close import assert_close
@@ -140,6 +142,17 @@ def test_a_magnet_that_a_locked_rotor_cannot_show_is_said_to_be_missing(tmp_path
     unknown = Motor(name="unknown", pole_pairs=2)
     assert any("magnet" in note for note in export_map(linear_map(psi_m=0.0), unknown, tmp_path, ["csv"]).notes)
     assert not any("magnet" in note for note in export_map(linear_map(), unknown, tmp_path, ["csv"]).notes)
+
+
+def test_a_map_that_is_not_convex_says_so_in_every_file_and_beside_the_inverses_coverage(tmp_path: Path) -> None:
+    psi_d = np.array(saturated_map(nodes=15).psi_d)
+    psi_d[6:9, 7] += [0.05, -0.05, 0.0]
+    report = export_map(saturated_map(nodes=15).model_copy(update={"psi_d": psi_d}), MOTOR, tmp_path, ["netcdf", "c"])
+    assert report.non_convex_points > 0
+    assert any("not convex" in note for note in report.notes)
+    with xr.open_dataset(tmp_path / "flux_map.nc") as held:
+        assert "not convex" in held.attrs["notes"]
+    assert "not convex" in (tmp_path / "flux_map.h").read_text()
 
 
 def test_a_map_without_motoring_half_is_exported_without_trajectories(tmp_path: Path) -> None:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from orchestrator.exporting import mtpa, mtpv, saliency, torque_nm
-from orchestrator.exporting._surface import MapSurface
+from orchestrator.flux_maps import MapSurface
 from protocols import InputError
 from tests.orchestrator.exporting.machines import (
     L_D,

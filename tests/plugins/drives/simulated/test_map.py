@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.exporting import export_map, load_map
+from orchestrator.exporting import export_map
+from orchestrator.flux_maps import load_map
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions, TrueMagnetics, map_motor, true_flux
 from plugins.drives.simulated._map import FluxTable, fit_error, load_table, map_energy, misfit_in_words
 from protocols import DriveSetup, FluxMap

@@ -1,12 +1,13 @@
-"""Flux maps from files: NetCDF, CSV, NPZ, SyR-e's .mat and models; what a file lacks is differentiated or NaN."""
+"""Flux maps from files: NetCDF, CSV, NPZ, SyR-e's .mat, models, and any table by a mapping.
+
+What a file lacks is differentiated or NaN.
+"""
 
 from __future__ import annotations
 
 import csv
-import struct
-import zipfile
-import zlib
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -14,23 +15,49 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.estimation import RECOMMENDED_MAP, load_flux_map
-from orchestrator.exporting._numeric_files import CSV_UNITS
-from orchestrator.exporting._surface import MapSurface, require_usable
+from orchestrator.flux_maps._arrays import first_line, mat_arrays, npz_arrays
+from orchestrator.flux_maps._mapped import read_mapped
+from orchestrator.flux_maps._surface import MapSurface, require_usable
 from orchestrator.numerics.types import Array
 from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
-_DAMAGE = (
-    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError, TypeError,
-    ValueError, struct.error, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
-"""What the readers of numpy and scipy raise at one wrong byte or another."""
+CSV_UNITS = {
+    "psi_d": "wb",
+    "psi_q": "wb",
+    "l_dd": "h",
+    "l_dq": "h",
+    "l_qq": "h",
+    "psi_d_std": "wb",
+    "psi_q_std": "wb",
+    "l_dd_std": "h",
+    "l_dq_std": "h",
+    "l_qq_std": "h",
+}
+"""Fields of a flux map, and the unit that ends their column's name."""
 _COMPUTED = {"l_dd", "l_dq", "l_qq"}
 _OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]
+TORQUE = "torque_nm"
+
+
+@dataclass(frozen=True)
+class MapFile:
+    """A flux map, and what its file says beside it."""
+
+    flux_map: FluxMap
+    torque_nm: Array | None = None
+    """Of the file's own, shape (d, q); NaN where it says none."""
 
 
 def load_map(path: Path) -> FluxMap:
+    """The flux map alone of `read_map`, which see."""
+    return read_map(path).flux_map
+
+
+def read_map(path: Path) -> MapFile:
     """Read a flux map: a run or recording that was estimated, a .nc, .csv, .npz or .mat file, or a `model.json`.
+
+    Any other table comes by a mapping: a .yaml file that names it, and says which column is what (docs/audit.md).
 
     CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
     motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
@@ -47,18 +74,18 @@ def load_map(path: Path) -> FluxMap:
     if path.is_dir():
         if not (path / RECOMMENDED_MAP).is_file():
             raise InputError(str(path), str(RECOMMENDED_MAP), "no such file; `fluxbench estimate` makes it")
-        return _read_netcdf(path / RECOMMENDED_MAP)
+        return MapFile(_read_netcdf(path / RECOMMENDED_MAP))
     if path.suffix == ".json":
         from orchestrator.diagnosis import flux_map_of  # not before it is needed: it compiles
 
-        return flux_map_of(read_model(path))
-    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
+        return MapFile(flux_map_of(read_model(path)))
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat, ".yaml": read_mapped, ".yml": read_mapped}
     if path.suffix not in readers and path.suffix != ".nc":
-        raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz, .mat or .json file")
+        raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file")
     if not path.is_file():
         raise InputError(str(path), "", "no such file")
     if path.suffix == ".nc":
-        return _read_netcdf(path)
+        return MapFile(_read_netcdf(path))
     try:
         method, columns = readers[path.suffix](path)
     except (OSError, UnicodeDecodeError) as error:
@@ -70,7 +97,7 @@ def _read_netcdf(path: Path) -> FluxMap:
     try:
         flux_map = load_flux_map(path)
     except RuntimeError as error:  # of the HDF5 library, on a damaged file
-        raise InputError(str(path), "", f"not a readable NetCDF file: {_first_line(error)}") from None
+        raise InputError(str(path), "", f"not a readable NetCDF file: {first_line(error)}") from None
     require_usable(flux_map, str(path))
     return flux_map
 
@@ -80,6 +107,7 @@ def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
     rows = list(csv.reader(lines))
     header = [name.strip().lower().replace("_vs", "_wb") for name in rows[0]] if rows else []
     wanted = {"i_d": "i_d_a", "i_q": "i_q_a"} | {name: f"{name}_{unit}" for name, unit in CSV_UNITS.items()}
+    wanted[TORQUE] = TORQUE
     for name in ("i_d", "i_q", "psi_d", "psi_q"):
         if wanted[name] not in header:
             raise InputError(str(path), wanted[name], f"no such column; the file has {', '.join(header) or 'none'}")
@@ -100,33 +128,20 @@ def _number(path: Path, column: str, line: int, row: list[str], at: int) -> floa
 
 
 def _read_npz(path: Path) -> tuple[str, dict[str, Array]]:
-    try:
-        # numpy leaves a file that it opened itself, and cannot read, open.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
-            content = {name: file[name] for name in file.files}
-    except _DAMAGE as error:
-        raise InputError(str(path), "", f"not an .npz file of plain arrays: {_first_line(error)}") from None
+    content = npz_arrays(path)
     for name in ("i_s_dq", "psi_s_dq"):
         if name not in content or not np.iscomplexobj(content[name]):
             raise InputError(str(path), name, f"expected a complex array; the file has {', '.join(content) or 'none'}")
     i, psi = content["i_s_dq"], content["psi_s_dq"]
     columns = {"i_d": i.real, "i_q": i.imag, "psi_d": psi.real, "psi_q": psi.imag}
     columns |= {name: content[name] for name in _OPTIONAL if name in content}
+    if "tau_M" in content:
+        columns[TORQUE] = content["tau_M"]
     return str(content.get("method", "npz")), columns
 
 
 def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
-    from scipy.io import loadmat
-    from scipy.io.matlab import MatReadError
-
-    try:
-        with path.open("rb") as opened:
-            stream: Any = opened  # the published stubs of loadmat know paths only
-            content = loadmat(stream, simplify_cells=True)
-    except NotImplementedError:
-        raise InputError(str(path), "", "a MATLAB 7.3 file; save it with -v7") from None
-    except (*_DAMAGE, MatReadError) as error:
-        raise InputError(str(path), "", f"not a MATLAB file: {_first_line(error)}") from None
+    content = mat_arrays(path)
     model = _struct(content, "motorModel")
     layout = _struct(model, "FluxMap_dq") if model else content
     for name in ("Id", "Iq", "Fd", "Fq"):
@@ -137,13 +152,11 @@ def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
     if axes == "SR":  # SyR-e's reluctance axes: the magnet lies on -q
         i_d, i_q, psi_d, psi_q = -i_q, i_d, -psi_q, psi_d
     columns = {"i_d": i_d, "i_q": i_q, "psi_d": psi_d, "psi_q": psi_q}
+    if isinstance(layout.get("T"), np.ndarray):
+        columns[TORQUE] = np.asarray(layout["T"], dtype=np.float64)
     extras = _struct(content, "fluxbench")
     columns |= {name: np.asarray(extras[name], dtype=np.float64) for name in _OPTIONAL if name in extras}
     return str(extras.get("method", "syre")), columns
-
-
-def _first_line(error: Exception) -> str:
-    return (str(error).splitlines() or [type(error).__name__])[0]
 
 
 def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:
@@ -151,7 +164,7 @@ def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _gridded(where: str, method: str, columns: dict[str, Array]) -> FluxMap:
+def _gridded(where: str, method: str, columns: dict[str, Array]) -> MapFile:
     """A flux map from points in any order."""
     flat = {name: np.asarray(values, dtype=np.float64).ravel() for name, values in columns.items()}
     sizes = {name: len(values) for name, values in flat.items()}
@@ -168,13 +181,16 @@ def _gridded(where: str, method: str, columns: dict[str, Array]) -> FluxMap:
         raise InputError(where, "i_d, i_q", f"{points} points that do not lie on a rectangular grid of currents")
     if len(np.unique(rows * len(i_q) + places)) < points:
         raise InputError(where, "i_d, i_q", "a current occurs twice")
-    tables = {name: np.full((len(i_d), len(i_q)), np.nan) for name in CSV_UNITS}
+    tables = {name: np.full((len(i_d), len(i_q)), np.nan) for name in (*CSV_UNITS, TORQUE)}
     for name, values in flat.items():
         if name in tables:
             tables[name][rows, places] = values
+    torque_nm = tables.pop(TORQUE)
     flux_map = FluxMap(method=method, i_d=i_d, i_q=i_q, **tables)
     require_usable(flux_map, where)
-    return flux_map if flat.keys() >= _COMPUTED else flux_map.model_copy(update=_derivatives(flux_map))
+    if not flat.keys() >= _COMPUTED:
+        flux_map = flux_map.model_copy(update=_derivatives(flux_map))
+    return MapFile(flux_map, torque_nm if np.isfinite(torque_nm).any() else None)
 
 
 def _nodes(values: Array) -> tuple[Array, NDArray[np.intp]]:

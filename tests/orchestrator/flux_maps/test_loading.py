@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.io import savemat
 
-from orchestrator.exporting import export_map, load_map
+from orchestrator.exporting import export_map
+from orchestrator.flux_maps import load_map
 from protocols import InputError
 from tests.orchestrator.exporting.machines import L_D, L_Q, MOTOR, linear_map, saturated_map
 from tests.support.close import assert_close
@@ -101,7 +102,7 @@ def test_a_csv_that_is_no_map_is_one_line_that_names_the_column(tmp_path: Path, 
     ("name", "message"),
     [
         ("missing.csv", "missing.csv: no such file"),
-        ("missing.xlsx", "expected a run, a recording, or a .nc, .csv, .npz, .mat or .json file"),
+        ("missing.xlsx", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file"),
         (".", "results/flux_map.nc: no such file; `fluxbench estimate` makes it"),
     ],
 )
@@ -134,7 +135,7 @@ def test_a_netcdf_file_that_the_library_gives_up_on_is_one_line(
         raise RuntimeError("Link iteration failed\nwith a second line")
 
     (tmp_path / "map.nc").write_bytes(b"")
-    monkeypatch.setattr("orchestrator.exporting._loading.load_flux_map", give_up)
+    monkeypatch.setattr("orchestrator.flux_maps._loading.load_flux_map", give_up)
     with pytest.raises(InputError, match=r"map\.nc: not a readable NetCDF file: Link iteration failed$"):
         load_map(tmp_path / "map.nc")
 

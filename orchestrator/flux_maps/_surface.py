@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator.exporting._filling import fill_smoothly
+from orchestrator.flux_maps._filling import fill_smoothly
 from orchestrator.numerics.types import Array, Mask
 from protocols import FluxMap, InputError
 

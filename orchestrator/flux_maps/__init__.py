@@ -1,0 +1,31 @@
+"""Anybody's flux maps: read from files, interpolated, judged and repaired.
+
+Knows flux maps and nothing of recordings, drives or estimators. scipy and xarray are imported where they are used.
+"""
+
+from orchestrator.flux_maps._audit import MapAudit, audit_map
+from orchestrator.flux_maps._faults import USES, AuditCriteria, Fault
+from orchestrator.flux_maps._filling import fill_smoothly
+from orchestrator.flux_maps._loading import CSV_UNITS, MapFile, load_map, read_map
+from orchestrator.flux_maps._picture import draw_audit
+from orchestrator.flux_maps._repair import Repair, RepairCriteria, repair_map
+from orchestrator.flux_maps._surface import WHERE, MapSurface
+
+__all__ = [
+    "CSV_UNITS",
+    "USES",
+    "WHERE",
+    "AuditCriteria",
+    "Fault",
+    "MapAudit",
+    "MapFile",
+    "MapSurface",
+    "Repair",
+    "RepairCriteria",
+    "audit_map",
+    "draw_audit",
+    "fill_smoothly",
+    "load_map",
+    "read_map",
+    "repair_map",
+]

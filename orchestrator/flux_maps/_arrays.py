@@ -1,0 +1,50 @@
+"""Named arrays out of .npz and .mat files; what they mean is not known here."""
+
+from __future__ import annotations
+
+import struct
+import zipfile
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from protocols import InputError
+
+_DAMAGE = (
+    ArithmeticError, AttributeError, EOFError, LookupError, MemoryError, RuntimeError, SyntaxError, TypeError,
+    ValueError, struct.error, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+"""What the readers of numpy and scipy raise at one wrong byte or another."""
+
+
+def npz_arrays(path: Path) -> dict[str, Any]:
+    """The arrays of an .npz file; nothing is unpickled. Raises `InputError`, or OSError."""
+    try:
+        # numpy leaves a file that it opened itself, and cannot read, open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            return {name: file[name] for name in file.files}
+    except _DAMAGE as error:
+        raise InputError(str(path), "", f"not an .npz file of plain arrays: {first_line(error)}") from None
+
+
+def mat_arrays(path: Path) -> dict[str, Any]:
+    """The variables of a .mat file, structs as dictionaries. Raises `InputError`, or OSError."""
+    from scipy.io import loadmat
+    from scipy.io.matlab import MatReadError
+
+    try:
+        with path.open("rb") as opened:
+            stream: Any = opened  # the published stubs of loadmat know paths only
+            content: dict[str, Any] = loadmat(stream, simplify_cells=True)
+    except NotImplementedError:
+        raise InputError(str(path), "", "a MATLAB 7.3 file; save it with -v7") from None
+    except (*_DAMAGE, MatReadError) as error:
+        raise InputError(str(path), "", f"not a MATLAB file: {first_line(error)}") from None
+    return content
+
+
+def first_line(error: Exception) -> str:
+    """What an error says, on one line."""
+    return (str(error).splitlines() or [type(error).__name__])[0]

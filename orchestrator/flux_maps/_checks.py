@@ -1,0 +1,180 @@
+"""What a flux map must obey whatever machine it is of: reciprocity, parity, convexity, smoothness. Judges nothing.
+
+Motors store energy: psi = grad W(i) with W convex, and even about the magnet's axis. Each check is a figure of its own,
+in Wb where it can be, so that a fault can be held against the flux and against the map's own error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from orchestrator.flux_maps._surface import MapSurface
+from orchestrator.numerics.types import Array, Mask
+
+_GAUSS = np.polynomial.legendre.leggauss(3)
+
+
+@dataclass(frozen=True)
+class Reciprocity:
+    """How far a map is from being a gradient."""
+
+    apart_h: float
+    """rms of the cells' mean dpsi_d/di_q - dpsi_q/di_d."""
+    apart_wb: float
+    """rms of the flux's difference from the nearest gradient, along the grid's edges."""
+
+
+@dataclass(frozen=True)
+class Symmetry:
+    """How far a map is from being even about an axis."""
+
+    axis_rad: float
+    """The axis' angle from d."""
+    rms_wb: float
+    d_wb: float
+    """Largest odd part of the flux along the axis."""
+    q_wb: float
+    """Largest even part of the flux across it."""
+
+
+def curl(surface: MapSurface) -> Array:
+    """Mean of dpsi_d/di_q - dpsi_q/di_d over each cell [H], shape (d - 1, q - 1), by the circulation of psi around it.
+
+    NaN where a corner was not measured.
+    """
+    known, along_d, along_q = surface.known, _edge_integrals(surface, 0), _edge_integrals(surface, 1)
+    whole = known[:-1, :-1] & known[1:, :-1] & known[:-1, 1:] & known[1:, 1:]
+    turn = along_d[:, 1:] + along_q[:-1, :] - along_d[:, :-1] - along_q[1:, :]
+    return np.where(whole, turn / np.outer(np.diff(surface.i_d), np.diff(surface.i_q)), np.nan)
+
+
+def reciprocity(surface: MapSurface) -> Reciprocity | None:
+    """How far psi is from a gradient; None where no cell is whole.
+
+    The nearest gradient is the potential on the nodes whose differences come nearest to the integrals of psi along
+    the edges.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.linalg import lsqr
+
+    per_cell = curl(surface)
+    if np.isnan(per_cell).all():
+        return None
+    known, (n_d, n_q) = surface.known, surface.known.shape
+    node = np.arange(known.size).reshape(known.shape)
+    starts = np.concatenate([node[:-1].ravel(), node[:, :-1].ravel()])
+    ends = np.concatenate([node[1:].ravel(), node[:, 1:].ravel()])
+    lengths = np.concatenate([np.repeat(np.diff(surface.i_d), n_q), np.tile(np.diff(surface.i_q), n_d)])
+    used = known.ravel()[starts] & known.ravel()[ends]
+    integrals = np.concatenate([_edge_integrals(surface, axis).ravel() for axis in (0, 1)])
+    means = integrals[used] / lengths[used]
+    rows = np.tile(np.arange(used.sum()), 2)
+    slopes = np.concatenate([-1.0 / lengths[used], 1.0 / lengths[used]])
+    matrix = coo_array((slopes, (rows, np.concatenate([starts[used], ends[used]]))), shape=(used.sum(), known.size))
+    solution: Any = lsqr(matrix.tocsr(), means, atol=1e-12, btol=1e-12, iter_lim=10 * known.size)
+    return Reciprocity(_rms(per_cell[np.isfinite(per_cell)]), _rms(matrix @ solution[0] - means))
+
+
+def unevenness(surface: MapSurface, axis_rad: float) -> Array:
+    """Half the flux's difference from its mirror image in an axis, along and across it [Wb].
+
+    Of each measured point, shape (k, 2); NaN where the mirror image was not measured.
+    """
+    c, s = np.cos(2.0 * axis_rad), np.sin(2.0 * axis_rad)
+    mirror = np.array([[c, s], [s, -c]])
+    images = surface.currents @ mirror
+    apart = 0.5 * (surface.psi(images) @ mirror - surface.fluxes)
+    apart[~surface.inside(images)] = np.nan
+    axes = np.array([[np.cos(axis_rad), -np.sin(axis_rad)], [np.sin(axis_rad), np.cos(axis_rad)]])
+    return np.asarray(apart @ axes, dtype=np.float64)
+
+
+def symmetry(surface: MapSurface, axis_rad: float = 0.0) -> Symmetry | None:
+    """About an axis through the origin; None where no point has its mirror image in the measured region."""
+    apart = unevenness(surface, axis_rad)
+    apart = apart[np.isfinite(apart[:, 0])]
+    if not len(apart):
+        return None
+    d, q = np.abs(apart).max(axis=0)
+    return Symmetry(axis_rad, _rms(np.linalg.norm(apart, axis=1)), float(d), float(q))
+
+
+def symmetry_axis(surface: MapSurface, near_rad: float, reach_rad: float = np.pi / 12.0) -> Symmetry | None:
+    """The axis within `reach_rad` of a first guess about which the map is most nearly even."""
+    from scipy.optimize import minimize_scalar
+
+    if symmetry(surface, near_rad) is None:
+        return None
+
+    def apart(axis_rad: float) -> float:
+        found = symmetry(surface, axis_rad)
+        return np.inf if found is None else found.rms_wb
+
+    # A coarse scan first: what lies inside the region changes with the axis, and makes steps.
+    scan = near_rad + np.linspace(-reach_rad, reach_rad, 31)
+    step = scan[1] - scan[0]
+    best = min(scan, key=apart)
+    found: Any = minimize_scalar(apart, bounds=(best - step, best + step), method="bounded", options={"xatol": 1e-6})
+    return symmetry(surface, float(found.x))
+
+
+def least_inductances(surface: MapSurface) -> Array:
+    """Smaller eigenvalue of the symmetric part of dpsi/di at each measured point [H]: negative is not convex."""
+    slopes = surface.jacobian(surface.currents)
+    mean, half = 0.5 * (slopes[:, 0, 0] + slopes[:, 1, 1]), 0.5 * (slopes[:, 0, 0] - slopes[:, 1, 1])
+    cross = 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0])
+    least: Array = mean - np.hypot(half, cross)
+    return least
+
+
+def enclosed(known: Mask) -> Mask:
+    """Points that were not measured, with measured ones all around; those at the grid's edge are just outside."""
+    from scipy.ndimage import label
+
+    labels, _ = label(~known)
+    border = np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]])
+    inner: Mask = ~known & ~np.isin(labels, border)
+    return inner
+
+
+def roughness(surface: MapSurface) -> tuple[Array, Array]:
+    """Each point against its six neighbours along d, and along q: the polynomial of fifth degree through them.
+
+    Over what independent errors of 1 Wb would make, with its sign; shapes (d, q, 2), the last for psi_d and psi_q. NaN
+    where the neighbours were not measured. An error of the point's own shows alike along both axes; a knee that the
+    grid is too coarse for does not.
+    """
+    values = np.where(surface.known[..., None], np.stack(surface.filled, axis=-1), np.nan)
+    along_d = _against_neighbours(values, surface.i_d)
+    along_q = _against_neighbours(values.swapaxes(0, 1), surface.i_q).swapaxes(0, 1)
+    return along_d, along_q
+
+
+def _against_neighbours(values: Array, nodes: Array, beside: int = 3) -> Array:
+    out = np.full(values.shape, np.nan)
+    for k in range(beside, len(nodes) - beside):
+        around = np.r_[k - beside : k, k + 1 : k + beside + 1]
+        apart = (nodes[around, None] - nodes[None, around])[~np.eye(2 * beside, dtype=bool)].reshape(2 * beside, -1)
+        toward = np.array([np.prod(np.delete(nodes[k] - nodes[around], m)) for m in range(2 * beside)])
+        weights = toward / np.prod(apart, axis=1)
+        out[k] = (values[k] - np.tensordot(weights, values[around], 1)) / np.sqrt(1.0 + weights @ weights)
+    return out
+
+
+def _edge_integrals(surface: MapSurface, axis: int) -> Array:
+    """Integral of psi along each of the grid's edges [Wb A], exact for the surface's cubics."""
+    nodes, across = (surface.i_d, surface.i_q) if axis == 0 else (surface.i_q, surface.i_d)
+    middle, half = 0.5 * (nodes[1:] + nodes[:-1]), 0.5 * np.diff(nodes)
+    at = middle[:, None] + half[:, None] * _GAUSS[0]
+    along, beside = np.broadcast_arrays(at[:, :, None], across)
+    places = np.stack((along, beside) if axis == 0 else (beside, along), axis=-1).reshape(-1, 2)
+    flux = surface.psi(places)[:, axis].reshape(along.shape)
+    integrals: Array = np.einsum("k,mkn,m->mn", _GAUSS[1], flux, half)
+    return integrals if axis == 0 else integrals.T
+
+
+def _rms(values: Any) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
