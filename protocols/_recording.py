@@ -28,6 +28,8 @@ class SegmentStage(StrEnum):
     RESISTANCE = "resistance"
     CLASSICAL = "classical"
     INJECTION = "injection"
+    STEPS = "steps"
+    """Voltage steps: +-U on one axis or both, turned round where a current limit is met; nothing rests."""
 
 
 class Capture(ArrayModel):

@@ -17,6 +17,8 @@ from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._rotor_lock import judge_lock
 from orchestrator.analysis._steady_currents import Dwell, dwell
+from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, trace_steps
+from orchestrator.analysis._steps import Beliefs, StepsFit, fit_steps
 from orchestrator.analysis._sweep import (
     FluxPath,
     Sweep,
@@ -33,6 +35,8 @@ __all__ = [
     "COPPER_PER_K",
     "KNOTS",
     "NO_LOSS",
+    "STEP_KNOTS",
+    "Beliefs",
     "Dwell",
     "EnergyFit",
     "FluxPath",
@@ -43,6 +47,8 @@ __all__ = [
     "PhaseLoss",
     "PolynomialFit",
     "Ripple",
+    "StepTrace",
+    "StepsFit",
     "Sweep",
     "SweepTrace",
     "VoltageLosses",
@@ -57,6 +63,7 @@ __all__ = [
     "find_dwells",
     "fit_energy",
     "fit_polynomial",
+    "fit_steps",
     "flux_at",
     "flux_by_rests",
     "flux_ratio",
@@ -69,5 +76,6 @@ __all__ = [
     "rated_flux_wb",
     "sweep_of",
     "temperature_rise",
+    "trace_steps",
     "trace_sweep",
 ]

@@ -69,19 +69,21 @@ class EnergyFit:
 
     def flux(self, at: Array) -> tuple[Array, Array]:
         """psi(i) - psi(0) and its standard deviation, shape (n, 2) each [Wb]."""
-        rows = _rows(self.spline, at, self.angle_rad, 1) - _rows(self.spline, np.zeros((1, 2)), self.angle_rad, 1)
+        rows = energy_rows(self.spline, at, self.angle_rad, 1) - energy_rows(
+            self.spline, np.zeros((1, 2)), self.angle_rad, 1
+        )
         return self._evaluated(rows)
 
     def inductance(self, at: Array) -> tuple[Array, Array]:
         """L_dd, L_dq, L_qq and their standard deviations, shape (n, 3) each [H]."""
-        return self._evaluated(_rows(self.spline, at, self.angle_rad, 2))
+        return self._evaluated(energy_rows(self.spline, at, self.angle_rad, 2))
 
     def _evaluated(self, rows: Array) -> tuple[Array, Array]:
         variance = np.einsum("nck,nck->nc", rows @ self.covariance, rows)
         return rows @ self.coefficients, np.sqrt(np.maximum(variance, 0.0))
 
 
-def _rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Array:
+def energy_rows(spline: EvenSpline, at: Array, angle: float, order: int) -> Array:
     """All derivatives of one order in the believed frame, those of more d first; shape (n, order + 1, size)."""
     c, s = np.cos(angle), np.sin(angle)
     at = to_dq(at, angle)
@@ -155,7 +157,7 @@ class EnergyProblem:
     def _inductance_rows(self) -> Array:
         assert self.points is not None
         at = self.points.current
-        rows = np.concatenate([_rows(self.spline, at, self.angle_rad, order) for order in (2, 3)], axis=1)
+        rows = np.concatenate([energy_rows(self.spline, at, self.angle_rad, order) for order in (2, 3)], axis=1)
         out = np.asarray(rows @ self.modes)
         out[:, :, self.free - self.wrong : self.free] = self._wrong
         return out
@@ -164,7 +166,9 @@ class EnergyProblem:
     def _path_rows(self) -> Array:
         """Waves of what each mode's flux does, along each path's direction and across, shape (p, 2, waves, modes)."""
         each = [
-            np.einsum("wm,mck,xc->xwk", waves(len(path.psi)), _rows(self.spline, path.current, self.angle_rad, 1), way)
+            np.einsum(
+                "wm,mck,xc->xwk", waves(len(path.psi)), energy_rows(self.spline, path.current, self.angle_rad, 1), way
+            )
             for path, way in zip(self.paths, directions(self.paths), strict=True)
         ]
         return np.stack(each) @ self.modes

@@ -1,0 +1,124 @@
+"""A capture of voltage steps as running integrals over short blocks, in windows that scale with the steps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
+from protocols import Capture, NotMeasuredError
+
+STEP_KNOTS: Array = np.array([0.02, 0.06, 0.15])
+"""Knots of the inverter's shape in units of the largest current: steps pass zero too fast to tell more."""
+
+
+@dataclass(frozen=True)
+class StepTrace:
+    """One capture of voltage steps, averaged over short blocks, dq frame.
+
+    Attributes
+    ----------
+    where : str
+        Name of the segment.
+    i : array, shape (n, 2)
+        Current [A].
+    impulse, charge, lag : array, shape (n, 2)
+        Integrals of the voltage [Vs] and the current [As], and the first one's change with a sample of delay [Vs].
+    losses : array, shape (n, k, 2)
+        Integrals of what one volt at each of the inverter's knots does [s].
+    time : array, shape (n,)
+        [s].
+    stretch : array of int, shape (n,)
+        Number of the stretch that each block is in.
+    swing : float
+        Blocks from one turn of the voltage to the next.
+    volts : float
+        Usual length of the voltage vector [V].
+    """
+
+    where: str
+    i: Array
+    impulse: Array
+    charge: Array
+    lag: Array
+    losses: Array
+    time: Array
+    stretch: NDArray[np.int64]
+    swing: float
+    volts: float
+
+
+def trace_steps(
+    capture: Capture,
+    angle_rad: float,
+    *,
+    delay: float,
+    knots_a: Array,
+    where: str,
+    most: int = 1500,
+    blocks_a_swing: int = 24,
+    swings_a_stretch: int = 6,
+) -> StepTrace:
+    """Average a capture down; windows scale with the time between two turns of the voltage.
+
+    Parameters
+    ----------
+    delay : float
+        v[k] acts from t_k + `delay` Ts.
+    knots_a : array, shape (k,)
+        Phase currents at which the inverter's shape is to be known [A].
+    most : int
+        Blocks that are kept, in whole stretches spread evenly.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the voltage does not turn round several times.
+    """
+    # numba stays out of an import that only wants the names
+    from orchestrator.analysis._block_means import block_means
+    from orchestrator.analysis._phase_loss_kernels import shape_integrals
+
+    step, turns = 1.0 / capture.sampling_frequency_hz, turns_of(np.asarray(capture.v_ab, dtype=np.float64))
+    if turns < 3:
+        raise NotMeasuredError(where, "v_alpha, v_beta", "the voltage does not turn round: expected steps to and fro")
+    swing = len(capture) / (turns + 1)
+    block = max(1, int(swing / blocks_a_swing))
+
+    def means(late: float) -> tuple[Array, Array, Array]:
+        return block_means(capture.i_ab, capture.v_ab, sampling_s=step, delay=late, block=block)
+
+    current, charge, impulse = means(delay)
+    lag = 2.0 * (means(delay + 0.5)[2] - impulse)
+    count = len(current)
+    losses = shape_integrals(capture.i_ab, knots_a, step, block, count)
+    stretch = (np.arange(count) / (swings_a_stretch * swing / block)).astype(np.int64)
+    kept = _spread(stretch, most)
+    v = np.asarray(capture.v_ab, dtype=np.float64)
+    return StepTrace(
+        where=where,
+        i=to_dq(current[kept], angle_rad),
+        impulse=to_dq(impulse[kept], angle_rad),
+        charge=to_dq(charge[kept], angle_rad),
+        lag=to_dq(lag[kept], angle_rad),
+        losses=to_dq(losses[kept].reshape(-1, 2), angle_rad).reshape(-1, len(knots_a), 2),
+        time=((np.arange(count, dtype=np.float64) + 0.5) * (block * step))[kept],
+        stretch=stretch[kept],
+        swing=swing / block,
+        volts=float(np.median(np.linalg.norm(v, axis=1))),
+    )
+
+
+def turns_of(v_ab: Array, share: float = 0.5) -> int:
+    """How many times the voltage jumps by more than a share of its largest jump."""
+    jumps = np.linalg.norm(np.diff(v_ab, axis=0), axis=1)
+    return int((jumps > share * jumps.max(initial=1e-300)).sum())
+
+
+def _spread(stretch: NDArray[np.int64], most: int) -> NDArray[np.bool_]:
+    count = int(stretch[-1]) + 1
+    wanted = max(1, min(count, most * count // len(stretch)))
+    return np.isin(stretch, np.linspace(0, count - 1, wanted).round())

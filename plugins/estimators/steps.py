@@ -1,0 +1,190 @@
+"""Flux map and R_s by voltage steps: +-U on one axis or both, turned round at current limits, nothing resting.
+
+One energy, R_s, the inverter and the voltage's lag are told together from loops that have to close
+(`orchestrator.analysis.fit_steps`). What is known of R_s beforehand, from holds or the nameplate, counts as far as it
+is sure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from orchestrator.analysis import (
+    STEP_KNOTS,
+    Beliefs,
+    StepsFit,
+    StepTrace,
+    check_map,
+    each_capture,
+    fit_steps,
+    rated_flux_wb,
+    trace_steps,
+)
+from orchestrator.numerics.surface import inside_hull, require_area
+from plugins.estimators._energies import gridded, pm_flux
+from plugins.estimators._maps import voltage_delay
+from plugins.estimators.resistance import ResistanceEstimator
+from protocols import (
+    Capture,
+    Estimate,
+    EstimationContext,
+    FluxMapEstimate,
+    FluxPoints,
+    NotMeasuredError,
+    RecordingReader,
+    Remark,
+    ResistanceEstimate,
+    ResistanceReading,
+    Segment,
+    SegmentStage,
+)
+
+
+class SteppedFlux(FluxMapEstimate):
+    """A map by voltage steps, with all that they told beside it, and when they began."""
+
+    fit: StepsFit
+    start_s: float
+
+
+@dataclass(frozen=True)
+class StepsEstimator:
+    """psi = integral of (v - R_s i - e), held against one energy along every loop.
+
+    Attributes
+    ----------
+    drift : float
+        Relative standard deviation that R_s has against what was measured or stated before: 2.5 K of copper.
+    passes : int
+        Over the captures, until the lag that is found is the one that was taken.
+    same_samples : float
+        Lag that needs no further pass.
+    told_samples : float
+        Lag from which on it is spoken of: iron's hysteresis opens a loop by less.
+    resistance_doubt : float
+        Of R_s, relative, that its interval has at least (simulated: 20 samples a swing, on blind plants).
+    """
+
+    drift: float = 0.01
+    passes: int = 3
+    same_samples: float = 0.05
+    told_samples: float = 0.3
+    resistance_doubt: float = 0.005
+
+    name: ClassVar[str] = "steps"
+    summary: ClassVar[str] = "flux map of one energy by voltage steps between current limits"
+    requires: ClassVar[tuple[type[Estimate], ...]] = ()
+    produces: ClassVar[type[Estimate]] = SteppedFlux
+    rank: ClassVar[int] = 25
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> SteppedFlux:
+        """Make the map; raises `NotMeasuredError` without steps that span an area of currents, or any idea of R_s."""
+        where, segments = recording.manifest.name, recording.segments(SegmentStage.STEPS)
+        if not segments:
+            raise NotMeasuredError(where, "segments", "no segment of stage steps")
+        beliefs = self._beliefs(ResistanceEstimator().estimate(recording, context))
+        traces, fit, late = self._fitted(recording, segments, beliefs)
+        current = np.concatenate([trace.i for trace in traces])
+        require_area(current, where)
+        if not inside_hull(current, np.zeros((1, 2)), where)[0]:
+            raise NotMeasuredError(where, "segments", "zero current lies outside what the steps pass")
+        flux_map = gridded("steps", recording, fit.energy, current)
+        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        thin = slice(None, None, max(1, len(current) // 4000))
+        names = [trace.where for trace in traces for _ in range(len(trace.i))]
+        points = FluxPoints(
+            i_dq=current[thin],
+            psi_dq=fit.energy.flux(current[thin])[0] + pm_flux(recording),
+            segment=tuple(names[thin]),
+        )
+        return SteppedFlux(
+            map=flux_map,
+            points=points,
+            checks=check_map(flux_map, rated, fit.misfit),
+            remarks=tuple(self._remarks(fit, late, rated, max(trace.volts for trace in traces))),
+            fit=fit,
+            start_s=segments[0].start_s,
+        )
+
+    def _beliefs(self, known: ResistanceEstimate) -> Beliefs:
+        std = float(np.hypot((known.high - known.low) / 3.92, self.drift * known.value_ohm))
+        return Beliefs(known.value_ohm, std)
+
+    def _fitted(
+        self, recording: RecordingReader, segments: Sequence[Segment], beliefs: Beliefs
+    ) -> tuple[list[StepTrace], StepsFit, float]:
+        """Traces, what they say, and by how many samples the voltage acts later than the manifest says."""
+        declared, late = voltage_delay(recording), 0.0
+        reach = each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max()))
+        knots_a = STEP_KNOTS * max(reach)
+        most = max(1, 9000 // len(segments))
+
+        def traced(segment: Segment, capture: Capture) -> StepTrace:
+            delay = declared + late
+            angle = segment.rotor_angle_rad
+            return trace_steps(capture, angle, delay=delay, knots_a=knots_a, where=segment.id, most=most)
+
+        for left in reversed(range(self.passes)):
+            traces = each_capture(recording, segments, traced)
+            fit = fit_steps(traces, beliefs)
+            if not left or abs(fit.lag_samples) < self.same_samples:
+                break
+            late = max(late + fit.lag_samples, -declared)
+        return traces, fit, late + fit.lag_samples
+
+    def _remarks(self, fit: StepsFit, late: float, rated: float | None, volts: float) -> list[Remark]:
+        remarks = []
+        spread = None if not rated else 100.0 * fit.misfit.std(axis=0).max() / rated
+        if abs(late) > self.told_samples:
+            text = (
+                "the loops open as if the voltage acted {late:+.2f} samples later than the manifest says: taken out; "
+                "is voltage_delay_samples right?"
+            )
+            remarks.append(Remark.of("steps_lag", text, late=late))
+        kept = float(fit.loss_v[-1])
+        if abs(kept) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
+            text = "each phase loses {lost_v:.2f} V, told from the loops; taken out"
+            remarks.append(Remark.of("inverter_loss", text, lost_v=kept))
+        if fit.energy.angle_rad:
+            text = (
+                "the map is symmetric about an axis {angle_deg:+.2f} degrees (electrical) from the "
+                "believed d axis: is the rotor angle right? The map stays in the believed frame"
+            )
+            remarks.append(Remark.of("axis_turned", text, angle_deg=float(np.degrees(fit.energy.angle_rad))))
+        if spread is not None and spread > 1.0:
+            text = (
+                "loops differ from one energy by {spread_percent:.1f} % of the rated flux (rms): no map explains that"
+            )
+            remarks.append(Remark.of("loops_differ", text, spread_percent=spread))
+        return remarks
+
+
+@dataclass(frozen=True)
+class LoopsEstimator:
+    """R_s by which the loops of voltage steps close best, what was known before it counted in."""
+
+    name: ClassVar[str] = "loops"
+    summary: ClassVar[str] = "R_s by which the loops of voltage steps close"
+    requires: ClassVar[tuple[type[Estimate], ...]] = (SteppedFlux,)
+    produces: ClassVar[type[Estimate]] = ResistanceEstimate
+    rank: ClassVar[int] = 0
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> ResistanceEstimate:
+        """Take it from the map's fit; raises `NotMeasuredError` where there is none."""
+        stepped = context.latest(SteppedFlux) or StepsEstimator().estimate(recording, context)
+        value = stepped.fit.resistance_ohm
+        std = float(np.hypot(stepped.fit.resistance_std_ohm, StepsEstimator.resistance_doubt * value))
+        reading = ResistanceReading(start_s=stepped.start_s, value_ohm=value, std_ohm=std)
+        return ResistanceEstimate(
+            value_ohm=value,
+            low=value - 1.96 * std,
+            high=value + 1.96 * std,
+            first_ohm=value,
+            last_ohm=value,
+            readings=(reading,),
+            remarks=(Remark.of("by_loops", "no current rests: R_s is the one by which the loops of steps close"),),
+        )
