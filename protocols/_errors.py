@@ -6,6 +6,7 @@ line and leaves with its `exit_code`; anything else that reaches the top is a de
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from typing import ClassVar
 
@@ -27,10 +28,12 @@ class InputError(FluxbenchError):
         The field, column or key in it.
     problem : str
         What was found and what was expected.
+    choices : sequence of str
+        What could be meant instead; a terminal lists them below the line.
     """
 
-    def __init__(self, where: str, field: str, problem: str) -> None:
-        self.where, self.field, self.problem = where, field, problem
+    def __init__(self, where: str, field: str, problem: str, choices: Sequence[str] = ()) -> None:
+        self.where, self.field, self.problem, self.choices = where, field, problem, tuple(choices)
         super().__init__(": ".join(part for part in (where, field, problem) if part))
 
 

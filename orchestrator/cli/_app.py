@@ -438,11 +438,11 @@ def _explain(error: Exception) -> int:
 
     if not isinstance(error, FluxbenchError):
         raise error
-    return _say(str(error), error.exit_code)
+    return _say(str(error), error.exit_code, getattr(error, "choices", ()))
 
 
-def _say(line: str, code: int) -> int:
+def _say(line: str, code: int, choices: Sequence[str] = ()) -> int:
     from orchestrator.cli._output import complain
 
-    complain(line)
+    complain(line, choices)
     return code

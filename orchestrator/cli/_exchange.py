@@ -43,5 +43,8 @@ def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> i
         say_document(report.model_dump_json(indent=2))
         return 0
     say(f"{report.recording}: {report.segments} segments, {report.samples} samples")
+    if report.dropped_rows:
+        why = ", ".join(f"{rows} ({why})" for why, rows in report.dropped_rows.items())
+        say(f"left out of {report.rows} rows: {why}")
     say_notes(report.notes)
     return 0

@@ -22,9 +22,13 @@ def say_document(text: str) -> None:
     print(visible(text))
 
 
-def complain(line: str) -> None:
-    """What is wrong, as one line on standard error."""
-    print(for_output(cut(f"fluxbench: {' '.join(line.split())}"), sys.stderr), file=sys.stderr)
+def complain(line: str, choices: Sequence[str] = (), most: int = 50) -> None:
+    """What is wrong, as one line on standard error; what could be meant instead in lines below it."""
+    below = [f"  {choice}" for choice in choices[:most]]
+    if len(choices) > most:
+        below.append(f"  ... and {len(choices) - most} more")
+    for told in (f"fluxbench: {' '.join(line.split())}", *below):
+        print(for_output(cut(told), sys.stderr), file=sys.stderr)
 
 
 def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:

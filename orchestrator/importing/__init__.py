@@ -5,8 +5,9 @@ What looks wrong is refused or noted with its place; nothing is repaired that th
 
 from orchestrator.importing._findings import Finding
 from orchestrator.importing._importing import ImportReport, import_files
-from orchestrator.importing._loading import read_mapping
-from orchestrator.importing._mapping import Column, CsvLayout, ImportMapping, NotZero, Scaling, SegmentRule
+from orchestrator.importing._loading import MappingFile, read_mapping
+from orchestrator.importing._mapping import CsvLayout, ImportMapping, SegmentRule
+from orchestrator.importing._signals import Column, NotZero, Scaling
 from orchestrator.importing._tables import read_table
 from orchestrator.importing._units import FACTORS, CurrentUnit
 from orchestrator.importing._vectors import TO_PEAK
@@ -20,6 +21,7 @@ __all__ = [
     "Finding",
     "ImportMapping",
     "ImportReport",
+    "MappingFile",
     "NotZero",
     "Scaling",
     "SegmentRule",

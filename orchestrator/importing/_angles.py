@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.importing._findings import Finding, Findings
-from orchestrator.importing._mapping import Angle, ImportMapping
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._signals import Angle
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._splitting import Piece
 from orchestrator.importing._timing import at
@@ -36,7 +37,7 @@ def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: F
     """Doubt the unit of a column of angles."""
     if angle.column is None:
         return
-    values = columns[angle.column]
+    values = (columns[angle.column] - angle.offset) * angle.factor
     worst = int(np.argmax(np.abs(values)))
     if _beyond_a_turn(angle, abs(float(values[worst]))):
         findings.doubt(
@@ -48,10 +49,10 @@ def check_angle_column(angle: Angle, piece: Piece, columns: Columns, findings: F
 
 
 def believed_angle_rad(
-    angle: Angle, stage: SegmentStage, piece: Piece, columns: Columns, findings: Findings
+    angle: Angle, stage: SegmentStage, piece: Piece, columns: Columns, pole_pairs: int, findings: Findings
 ) -> tuple[float, float | Numbers]:
     """The segment's rotor angle for the manifest (of a column, its mean on the circle), and as it was recorded."""
-    theta = angle_rad(angle, columns)
+    theta = angle_rad(angle, columns, pole_pairs)
     if isinstance(theta, float):
         return theta, theta
     turned = np.unwrap(theta)

@@ -22,6 +22,7 @@ from orchestrator.importing._source import (
     require_columns,
     unreadable,
 )
+from orchestrator.importing._stamps import dates_as_seconds
 from protocols import InputError
 
 
@@ -51,7 +52,7 @@ def _csv_blocks(path: Path, wanted: Wanted, layout: CsvLayout) -> Iterator[Block
     parse = csv.ParseOptions(delimiter=layout.delimiter)
     names = _csv_names(path, csv, read, parse)
     _require_once(path, wanted, names)
-    types = {name: pa.string() if name == wanted.label else pa.float64() for name in wanted.all}
+    types = {name: pa.string() if name in (wanted.label, wanted.dates) else pa.float64() for name in wanted.all}
     convert = csv.ConvertOptions(
         decimal_point=layout.decimal, column_types=types, include_columns=list(wanted.all), strings_can_be_null=False
     )
@@ -97,6 +98,8 @@ def _block(path: Path, wanted: Wanted, batch: Any) -> Block:
     numbers = {
         name: as_numbers(path, name, batch.column(name).to_numpy(zero_copy_only=False)) for name in wanted.numbers
     }
+    if wanted.dates is not None:
+        numbers[wanted.dates] = dates_as_seconds(path, wanted.dates, batch.column(wanted.dates))
     return Block(numbers, None if wanted.label is None else _labels(batch.column(wanted.label)))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Set
 from enum import StrEnum
 
@@ -32,6 +33,8 @@ class Findings:
         self._accepted = accepted
         self._first: dict[str, str] = {}
         self._count: dict[str, int] = {}
+        self.dropped_rows: Counter[str] = Counter()
+        """Rows of the files that went into no segment, by why."""
 
     def doubt(self, finding: Finding, where: str, field: str, text: str) -> None:
         """Refuse with an `InputError`, or note where the mapping accepts it."""

@@ -10,17 +10,19 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from orchestrator.importing._angles import check_fixed_angles
+from orchestrator.importing._beside import Beside, open_joined, paired
 from orchestrator.importing._findings import Finding, Findings
-from orchestrator.importing._loading import read_mapping
+from orchestrator.importing._loading import MappingFile, read_mapping
 from orchestrator.importing._mapping import ImportMapping
-from orchestrator.importing._opening import check_file, open_source
+from orchestrator.importing._opening import check_file
 from orchestrator.importing._placing import Placing
 from orchestrator.importing._segments import segment_of
 from orchestrator.importing._source import Source
 from orchestrator.importing._splitting import Piece, Splitter
 from orchestrator.importing._timing import Clock
 from orchestrator.importing._waveform_checks import WaveformChecks
-from orchestrator.recording import SegmentWriter, write_manifest
+from orchestrator.recording import SegmentWriter, open_recording, write_manifest
+from orchestrator.recording._recording_checks import SoundRecording
 from protocols import DriveRecord, InputError, Manifest, Motor, Segment, StorageError, Strict
 
 
@@ -33,6 +35,10 @@ class ImportReport(Strict):
     segments: int
     samples: int
     sampling_frequency_hz: float
+    rows: int
+    """That the files had."""
+    dropped_rows: dict[str, int]
+    """Of them, those that went into no segment, by why."""
     notes: tuple[str, ...]
     """What was found and is no reason to refuse, one line each."""
 
@@ -60,21 +66,27 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
     StorageError
         Where the recording cannot be written.
     """
-    wanted = read_mapping(mapping)
-    findings = Findings(wanted.accept)
-    check_fixed_angles(wanted, mapping, findings)
+    mappings = read_mapping(mapping)
+    findings = Findings(mappings.common.accept)
+    for one in (mappings.common, *(one for _, one in mappings.rules)):
+        check_fixed_angles(one, mapping, findings)
     _check_files(files)
+    mappings.check_all_used(mapping, files)
+    pairs = paired(mappings, files)
     with _appearing_whole(out) as partial:
-        importer = _Import(wanted, findings, partial)
-        for path in files:
-            importer.take(path)
+        importer = _Import(mappings, findings, partial)
+        for path, beside in pairs.items():
+            importer.take(path, beside)
         manifest = importer.finish(mapping)
+        _check_readable(mapping, partial)
     return ImportReport(
         recording=str(out),
         name=manifest.name,
         segments=len(manifest.segments),
         samples=sum(segment.samples for segment in manifest.segments),
         sampling_frequency_hz=manifest.drive.sampling_frequency_hz,
+        rows=importer.rows,
+        dropped_rows={why: rows for why, rows in findings.dropped_rows.items() if rows},
         notes=findings.notes(),
     )
 
@@ -82,21 +94,23 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
 class _Import:
     """One import under way: files come in, segments are written, and in the end the manifest."""
 
-    def __init__(self, mapping: ImportMapping, findings: Findings, directory: Path) -> None:
-        self._mapping, self._findings, self._directory = mapping, findings, directory
+    def __init__(self, mappings: MappingFile, findings: Findings, directory: Path) -> None:
+        self._mappings, self._findings, self._directory = mappings, findings, directory
+        self._mapping = mapping = mappings.common
         self._splitter = Splitter(mapping)
         self._clock = Clock(mapping, findings)
         self._checks = WaveformChecks(mapping, findings)
         self._placing = Placing(mapping, findings)
         self._segments: list[Segment] = []
 
-    def take(self, path: Path) -> None:
-        """Write the segments of one file."""
-        source = open_source(path, self._mapping)
-        self._check_units(path, source)
+    def take(self, path: Path, beside: Sequence[Beside]) -> None:
+        """Write the segments of one file, and of those that lie beside it."""
+        rule, mapping = self._mappings.of(path)
+        source = open_joined(path, rule, mapping, beside, self._findings)
+        self._check_units(path, mapping, source)
         self._placing.next_file()
         before = len(self._segments)
-        for piece in self._splitter.pieces(path, iter(source.blocks)):
+        for piece in self._splitter.pieces(path, mapping, iter(source.blocks)):
             self._take_piece(piece)
         if len(self._segments) == before:
             raise InputError(str(path), "", f"no segment in it; {self._left_over() or 'it holds no complete row'}")
@@ -107,6 +121,8 @@ class _Import:
         self._checks.conclude(str(mapping_path))
         if self._splitter.leftover.rows:
             self._findings.note("leftover", self._left_over())
+            self._findings.dropped_rows["fits no entry of segments"] = self._splitter.leftover.rows
+        earliest_s = min(0.0, *(segment.start_s for segment in self._segments)) if self._splitter.since_epoch else 0.0
         drive = self._mapping.drive
         manifest = Manifest(
             format="fluxbench-recording",
@@ -115,14 +131,19 @@ class _Import:
             created=self._mapping.created or datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
             motor=Motor.model_validate(self._mapping.motor.model_dump()),
             drive=DriveRecord(sampling_frequency_hz=self._clock.rate_hz, **drive.model_dump()),
-            segments=tuple(self._segments),
+            segments=tuple(s.model_copy(update={"start_s": s.start_s - earliest_s}) for s in self._segments),
         )
         write_manifest(self._directory, manifest)
         return manifest
 
+    @property
+    def rows(self) -> int:
+        """Of all files so far."""
+        return self._splitter.rows
+
     def _take_piece(self, piece: Piece) -> None:
         for stretch in self._clock.stretches(piece):
-            made = segment_of(self._mapping, piece, stretch, self._clock.rate_hz, self._findings)
+            made = segment_of(piece, stretch, self._clock.rate_hz, self._findings)
             self._checks.judge(made.waveforms)
             segment_id, start_s = self._placing.place(piece, stretch, len(made.capture), self._clock.rate_hz)
             with SegmentWriter(self._directory, segment_id) as writer:
@@ -141,8 +162,8 @@ class _Import:
                 )
             )
 
-    def _check_units(self, path: Path, source: Source) -> None:
-        for column, labelled in self._mapping.units().items():
+    def _check_units(self, path: Path, mapping: ImportMapping, source: Source) -> None:
+        for column, labelled in mapping.units().items():
             said = source.units.get(column) or labelled
             if said != labelled:
                 self._findings.doubt(
@@ -173,6 +194,14 @@ def _appearing_whole(out: Path) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(partial, ignore_errors=True)
         raise
+
+
+def _check_readable(mapping: Path, directory: Path) -> None:
+    """Refuse what every other command would refuse to read."""
+    try:
+        SoundRecording(open_recording(directory)).read_through()
+    except InputError as error:
+        raise InputError(str(mapping), error.field, f"no command would read the recording: {error.problem}") from None
 
 
 def _check_files(files: Sequence[Path]) -> None:

@@ -1,19 +1,54 @@
-"""From a YAML file to an `ImportMapping`, each complaint with file, line and key; no measurement is opened here."""
+"""From a YAML file to mappings, each complaint with file, line and key; no measurement is opened here."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import Any, TypeVar
 
-from pydantic import ValidationError
+from pydantic import BaseModel, ValidationError
 
 from orchestrator._document import Document, parse_document
 from orchestrator._validation import KeyPath, first_problem
-from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportMapping
 from protocols import InputError, ProcedureError
 
+_Model = TypeVar("_Model", bound=BaseModel)
 
-def read_mapping(path: Path) -> ImportMapping:
+
+@dataclass(frozen=True)
+class MappingFile:
+    """A mapping file, read: one mapping for all files, or others for some of them."""
+
+    common: ImportMapping
+    """What is said of the recording as a whole; of the columns only where `complete`."""
+    complete: InputError | None
+    """Why a file that no rule fits cannot be read, where it cannot."""
+    rules: tuple[tuple[FileRule, ImportMapping], ...]
+
+    def of(self, path: Path) -> tuple[FileRule | None, ImportMapping]:
+        """The rule that a file fits, and the mapping for it; raises `InputError` where there is none."""
+        for rule, mapping in self.rules:
+            if fnmatchcase(path.name, rule.file):
+                return rule, mapping
+        if self.complete is not None:
+            raise InputError(str(path), "", f"fits no entry of files, and without one: {self.complete}")
+        return None, self.common
+
+    def check_all_used(self, mapping: Path, files: Sequence[Path]) -> None:
+        """Raise `InputError` where a rule fits none of the files."""
+        for index, (rule, _) in enumerate(self.rules):
+            if all(self._first(path) != index for path in files):
+                raise InputError(str(mapping), f"files.{index}", f"no file fits it ({rule.file!r})")
+
+    def _first(self, path: Path) -> int | None:
+        return next((k for k, (rule, _) in enumerate(self.rules) if fnmatchcase(path.name, rule.file)), None)
+
+
+def read_mapping(path: Path) -> MappingFile:
     """Read a mapping file; ``motor`` and ``drive`` may be paths, relative to it, of YAML files with these sections.
 
     Raises
@@ -25,7 +60,31 @@ def read_mapping(path: Path) -> ImportMapping:
     for section in ("motor", "drive"):
         if isinstance(document.data.get(section), str):
             _lay_in(document, section, path.parent / document.data[section])
-    return _validated(document)
+    entries = document.data.pop("files", None)
+    if entries is None:
+        return MappingFile(_validated(document, ImportMapping, document.data), None, ())
+    if not isinstance(entries, list) or not entries:
+        raise InputError(document.place(("files",)), "files", "expected a list of entries with file")
+    rules = tuple(_rule(document, index, entry) for index, entry in enumerate(entries))
+    try:
+        return MappingFile(_validated(document, ImportMapping, document.data), None, rules)
+    except InputError as error:
+        return MappingFile(rules[0][1], error, rules)
+
+
+def _rule(document: Document, index: int, entry: Any) -> tuple[FileRule, ImportMapping]:
+    rule = _validated(document, FileRule, entry, ("files", index))
+    given = {key: value for key, value in entry.items() if key in OVERRIDING}
+    return rule, _validated(document, ImportMapping, _laid_over(document.data, given), ("files", index), given)
+
+
+def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Two sections as one: what the upper gives, key by key, but a signal's columns as a whole."""
+    merged = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, dict) and isinstance(below.get(key), dict) and key != "columns"
+        merged[key] = _laid_over(below[key], value) if both else value
+    return merged
 
 
 def _parsed(path: Path) -> Document:
@@ -49,12 +108,15 @@ def _lay_in(document: Document, section: str, path: Path) -> None:
     document.replace((section,), other.data[section], places)
 
 
-def _validated(document: Document) -> ImportMapping:
+def _validated(
+    document: Document, model: type[_Model], data: Any, under: KeyPath = (), given: Mapping[str, Any] | None = None
+) -> _Model:
+    """`data` as a model; complaints are placed below `under`, or only those about what is `given` there."""
     try:
         # JSON mode is strict about types ("5" and true are no numbers) and still takes lists for tuples.
-        return ImportMapping.model_validate_json(json.dumps(document.data), strict=True)
+        return model.model_validate_json(json.dumps(data), strict=True)
     except ValidationError as error:
-        problem = first_problem(error, ImportMapping, document.data)
+        problem = first_problem(error, model, data)
     path, text = problem.path, problem.text
     if not path:
         # A check of the whole mapping starts its message with the place that it is about.
@@ -62,4 +124,6 @@ def _validated(document: Document) -> ImportMapping:
         keys: KeyPath = tuple(int(key) if key.isdecimal() else key for key in named.split("."))
         if colon and " " not in named:
             path, text = keys, rest
+    if given is None or (path[:1] and path[0] in given):
+        path = (*under, *path)
     raise InputError(document.place(path), ".".join(map(str, path)), text)

@@ -5,121 +5,21 @@ from __future__ import annotations
 from collections.abc import Iterator
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import AfterValidator, Field, model_validator
+from pydantic import Field, model_validator
 
 from orchestrator.importing._findings import Finding
-from orchestrator.importing._units import AngleUnit, CurrentUnit, TemperatureUnit, TimeUnit, VoltageUnit
+from orchestrator.importing._signals import (
+    DUTIES,
+    Angle,
+    BusVoltage,
+    Column,
+    CurrentSignal,
+    PhaseCurrents,
+    Temperature,
+    TimeColumn,
+    VoltageSignal,
+)
 from protocols import Positive, ProcedureMotor, SegmentStage, Strict
-
-Axis = Literal["a", "b", "c", "alpha", "beta", "d", "q"]
-Frame = Literal["abc", "alpha_beta", "dq"]
-Scaling = Literal["amplitude_invariant", "power_invariant", "rms"]
-
-Column = Annotated[str, Field(pattern=r"^[^\x00-\x1f\x7f-\x9f\u2028\u2029]+$")]
-"""A column's name: anything that fits on a line."""
-_AXES: dict[Frame, tuple[Axis, ...]] = {"abc": ("a", "b", "c"), "alpha_beta": ("alpha", "beta"), "dq": ("d", "q")}
-
-
-def _not_zero(value: float) -> float:
-    if value == 0.0:
-        raise ValueError("a factor of zero leaves nothing")
-    return value
-
-
-NotZero = Annotated[float, AfterValidator(_not_zero)]
-
-
-class Angle(Strict):
-    """An electrical angle: a fixed value, or a column."""
-
-    value: float | None = None
-    column: Column | None = None
-    unit: AngleUnit
-
-    @model_validator(mode="after")
-    def _one_of_both(self) -> Self:
-        if (self.value is None) == (self.column is None):
-            raise ValueError("expected either value or column")
-        return self
-
-
-class _Signal(Strict):
-    """A current or a voltage as its two or three columns hold it."""
-
-    frame: Frame
-    columns: dict[Axis, Column]
-    """By axis: two or all of a, b, c; alpha and beta; or d and q."""
-    scaling: Scaling | None = None
-    """The transform that made alpha-beta or dq values; of phases, rms where they were divided by sqrt 2."""
-    factor: NotZero = 1.0
-    """What the columns are multiplied by to be in `unit`: a probe's ratio, -1 for a reversed one."""
-    angle: Angle | None = None
-    """Angle of the d axis in which dq values were taken. None: the segment's rotor angle."""
-
-    @model_validator(mode="after")
-    def _columns_make_a_vector(self) -> Self:
-        axes = _AXES[self.frame]
-        fewest = 2
-        if not set(self.columns) <= set(axes) or len(self.columns) < fewest:
-            what = "two or all of a, b, c" if self.frame == "abc" else " and ".join(axes)
-            raise ValueError(f"frame {self.frame} needs columns for {what}, got {', '.join(self.columns) or 'none'}")
-        if self.frame != "abc" and self.scaling is None:
-            raise ValueError(
-                f"frame {self.frame} needs scaling: amplitude_invariant (a peak stays a peak), power_invariant or rms"
-            )
-        if self.frame == "abc" and self.scaling == "power_invariant":
-            raise ValueError("phase quantities have no transform to be power_invariant; leave scaling out, or rms")
-        if self.frame != "dq" and self.angle is not None:
-            raise ValueError(f"frame {self.frame} has no angle; a rotor angle belongs to rotor_angle")
-        return self
-
-
-class CurrentSignal(_Signal):
-    """Measured currents."""
-
-    unit: CurrentUnit
-
-
-class VoltageSignal(_Signal):
-    """Commanded voltages: of phases, against any common point."""
-
-    unit: VoltageUnit
-
-
-class PhaseCurrents(Strict):
-    """All three phase currents beside a current in another frame, to hold that against."""
-
-    columns: dict[Literal["a", "b", "c"], Column]
-    unit: CurrentUnit
-    factor: NotZero = 1.0
-
-    @model_validator(mode="after")
-    def _all_three(self) -> Self:
-        if len(self.columns) != 3:
-            raise ValueError(f"expected columns for a, b and c, got {', '.join(self.columns) or 'none'}")
-        return self
-
-
-class BusVoltage(Strict):
-    """The measured DC-bus voltage."""
-
-    column: Column
-    unit: VoltageUnit
-    factor: NotZero = 1.0
-
-
-class Temperature(Strict):
-    """The winding's or the housing's temperature."""
-
-    column: Column
-    unit: TemperatureUnit
-
-
-class TimeColumn(Strict):
-    """The time stamps."""
-
-    column: Column
-    unit: TimeUnit
 
 
 class CsvLayout(Strict):
@@ -186,6 +86,52 @@ class SegmentRule(Strict):
         return self.from_s is not None or self.to_s is not None
 
 
+class FileRule(Strict):
+    """What is different in some of the files: whatever is given here goes before the mapping's own, key by key.
+
+    A file belongs to the first rule that it fits. Of a section, such as ``current``, only what differs is given.
+    """
+
+    file: Annotated[str, Field(min_length=1)]
+    """Name of the file, ``*`` and ``?`` allowed."""
+    columns: tuple[Column, ...] | dict[Column, Column] | None = None
+    """Names that the mapping uses, and what they are called in this file; with `beside`, those that it has."""
+    beside: Annotated[str, Field(min_length=1)] | None = None
+    """Name of the files whose rows this one's columns are laid beside, the first to the first and so on."""
+    align: Literal["stamps", "edges"] = "stamps"
+    """How: by the time stamps of one clock, or by where the voltage's edges bend the current."""
+    time: dict[str, Any] | None = None
+    sampling_frequency_hz: Positive | None = None
+    current: dict[str, Any] | None = None
+    voltage: dict[str, Any] | None = None
+    phase_currents: dict[str, Any] | None = None
+    bus: dict[str, Any] | None = None
+    temperature: dict[str, Any] | None = None
+    rotor_angle: dict[str, Any] | None = None
+    segment_column: Column | None = None
+    csv: dict[str, Any] | None = None
+
+    @model_validator(mode="after")
+    def _beside_has_columns(self) -> Self:
+        if self.beside is not None and not self.columns:
+            raise ValueError("beside needs columns: those that this file has")
+        if self.beside is None and isinstance(self.columns, tuple):
+            raise ValueError("columns needs the name in the file for each, such as {ia: CH1}")
+        if self.align == "edges" and self.beside is None:
+            raise ValueError("align is for files that are laid beside others")
+        return self
+
+    @property
+    def names(self) -> dict[str, str]:
+        """The names in the file, by those in the mapping."""
+        columns = self.columns or {}
+        return dict(columns) if isinstance(columns, dict) else {name: name for name in columns}
+
+
+OVERRIDING = tuple(FileRule.model_fields.keys() - {"file", "columns", "beside", "align"})
+"""What a rule for files may say anew."""
+
+
 class ImportMapping(Strict):
     """A mapping file, whole; motor and drive may be written as paths of YAML files that hold them."""
 
@@ -238,19 +184,17 @@ class ImportMapping(Strict):
     def units(self) -> dict[str, str]:
         """The unit that the mapping gives each column, where the column is in that unit as it stands."""
         found: dict[str, str] = {}
-        for signal in (self.current, self.voltage):
-            if signal.factor == 1.0:
+        for signal in (self.current, self.voltage, self.phase_currents):
+            if signal is not None and signal.as_it_stands and signal.unit not in DUTIES:
                 found |= dict.fromkeys(signal.columns.values(), signal.unit)
-        if self.phase_currents is not None and self.phase_currents.factor == 1.0:
-            found |= dict.fromkeys(self.phase_currents.columns.values(), self.phase_currents.unit)
-        if self.bus is not None and self.bus.factor == 1.0:
+        if self.bus is not None and self.bus.as_it_stands:
             found[self.bus.column] = self.bus.unit
-        if self.time is not None:
+        if self.time is not None and self.time.unit not in ("tick", "iso"):
             found[self.time.column] = self.time.unit
-        return found | {a.column: a.unit for a in self._angles() if a.column is not None}
+        return found | {a.column: a.unit for a in self._angles() if a.column is not None and a.as_it_stands}
 
     def _all_number_columns(self) -> Iterator[str]:
-        if self.time is not None:
+        if self.time is not None and self.time.unit != "iso":
             yield self.time.column
         yield from self.current.columns.values()
         yield from self.voltage.columns.values()

@@ -27,6 +27,7 @@ from orchestrator.importing._source import (
     require_columns,
     same_length,
 )
+from orchestrator.importing._stamps import dates_as_seconds
 from protocols import InputError
 
 _PART = re.compile(r"([A-Za-z]\w*)(?:\((:,)?([1-9]\d{0,8})\))?", re.ASCII)
@@ -165,7 +166,10 @@ def _check_vector(path: Path, name: str, shape: tuple[int, ...]) -> None:
 
 def _block(path: Path, wanted: Wanted, columns: dict[str, NDArray[Any]]) -> Block:
     labels = None if wanted.label is None else as_labels(_texts(columns[wanted.label]))
-    return Block({name: as_numbers(path, name, columns[name]) for name in wanted.numbers}, labels)
+    numbers = {name: as_numbers(path, name, columns[name]) for name in wanted.numbers}
+    if wanted.dates is not None:
+        numbers[wanted.dates] = dates_as_seconds(path, wanted.dates, _texts(columns[wanted.dates]).tolist())
+    return Block(numbers, labels)
 
 
 def _texts(values: NDArray[Any]) -> NDArray[Any]:

@@ -58,6 +58,8 @@ def channels_of(file: Any, path: Path, wanted: Wanted) -> Source:
         Where a channel is missing or ambiguous, holds no numbers, or has other time stamps than the rest.
     """
     names = [name for name in wanted.all if name != TIMESTAMPS]
+    if wanted.dates is not None:
+        raise InputError(str(path), wanted.dates, "dates are for texts and tables; an MDF file has timestamps in s")
     require_columns(path, names, list(file.channels_db))
     for name in names:
         if len(file.channels_db[name]) > 1:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from orchestrator.importing._columnar import open_csv, open_parquet
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._matlab import open_matlab
 from orchestrator.importing._mf4 import open_mf4
-from orchestrator.importing._source import Source, Wanted
+from orchestrator.importing._source import Block, Source, Wanted
 from protocols import InputError
 
 _CSV = (".csv", ".tsv", ".txt")
@@ -17,9 +18,50 @@ _MATLAB = (".mat",)
 _MDF = (".mf4", ".mdf")
 
 
-def open_source(path: Path, mapping: ImportMapping) -> Source:
-    """Open a measurement file for the columns of a mapping; raises `InputError`."""
-    wanted = Wanted(tuple(mapping.number_columns()), mapping.segment_column)
+def open_source(
+    path: Path,
+    mapping: ImportMapping,
+    names: Mapping[str, str] | None = None,
+    *,
+    only: Collection[str] | None = None,
+    without: Collection[str] = (),
+) -> Source:
+    """Open a measurement file for the columns of a mapping.
+
+    Parameters
+    ----------
+    names : mapping, optional
+        What columns are called in the file, by their names in the mapping.
+    only, without : collection, optional
+        The columns, beside its time stamps, that are looked for in it; those that are not.
+
+    Raises
+    ------
+    InputError
+        Where the file or a column in it cannot be read.
+    """
+    dates = mapping.time.column if mapping.time is not None and mapping.time.unit == "iso" else None
+    clock = mapping.time.column if mapping.time is not None and dates is None else None
+    numbers = [n for n in mapping.number_columns() if n not in without and (only is None or n in only or n == clock)]
+    called = {name: (names or {}).get(name, name) for name in (*numbers, mapping.segment_column, dates) if name}
+    label = mapping.segment_column if only is None else None
+    wanted = Wanted(
+        tuple(dict.fromkeys(called[name] for name in numbers)),
+        None if label is None else called[label],
+        None if dates is None else called[dates],
+    )
+    source = _opened(path, mapping, wanted)
+    if all(name == there for name, there in called.items()):
+        return source
+    units = {name: source.units[there] for name, there in called.items() if there in source.units}
+    return Source((_renamed(block, called) for block in source.blocks), units)
+
+
+def _renamed(block: Block, called: Mapping[str, str]) -> Block:
+    return Block({n: block.numbers[there] for n, there in called.items() if there in block.numbers}, block.labels)
+
+
+def _opened(path: Path, mapping: ImportMapping, wanted: Wanted) -> Source:
     ending = path.suffix.lower()
     if ending in _CSV:
         return open_csv(path, wanted, mapping.csv)

@@ -12,7 +12,7 @@ from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._splitting import Piece
 from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
-from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors
+from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors, wrong_state
 from orchestrator.importing._waveform_checks import Waveforms
 from protocols import Capture, InputError
 
@@ -28,9 +28,7 @@ class MadeSegment:
     rotor_angle_rad: float
 
 
-def segment_of(
-    mapping: ImportMapping, piece: Piece, stretch: Stretch, rate_hz: float, findings: Findings
-) -> MadeSegment:
+def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Findings) -> MadeSegment:
     """The capture of a stretch (float32), resampled where its time stamps are uneven.
 
     Raises
@@ -38,18 +36,27 @@ def segment_of(
     InputError
         Where an angle cannot be in its unit, or a value is beyond all bounds.
     """
+    mapping = piece.mapping
     columns = {name: values[stretch.rows] for name, values in piece.columns.items()}
     rule = mapping.segments[piece.rule]
-    rotor = rule.rotor_angle or mapping.rotor_angle
+    rotor, pole_pairs = rule.rotor_angle or mapping.rotor_angle, mapping.motor.pole_pairs
     for angle in (rotor, mapping.current.angle, mapping.voltage.angle):
         if angle is not None:
             check_angle_column(angle, piece, columns, findings)
-    believed_rad, theta_rad = believed_angle_rad(rotor, rule.stage, piece, columns, findings)
+    believed_rad, theta_rad = believed_angle_rad(rotor, rule.stage, piece, columns, pole_pairs, findings)
+    wrong = wrong_state(mapping.voltage, columns)
+    if wrong is not None:
+        name = mapping.voltage.columns["state"]
+        said = (
+            f"expected a switching state from 0 to 7, got {columns[name][wrong]:g} in {at(piece, stretch.rows[wrong])}"
+        )
+        raise InputError(str(piece.path), name, said)
+    dc_v = _bus(mapping, columns, stretch.rows.size)
     i_abc = _phase_currents(mapping, columns)
     signals: dict[str, Numbers | None] = {
-        "i_ab": vectors(mapping.current, columns, theta_rad),
-        "v_ab": vectors(mapping.voltage, columns, theta_rad),
-        "v_dc": _bus(mapping, columns, stretch.rows.size),
+        "i_ab": vectors(mapping.current, columns, theta_rad, pole_pairs, dc_v),
+        "v_ab": vectors(mapping.voltage, columns, theta_rad, pole_pairs, dc_v),
+        "v_dc": dc_v,
         "i_abc": i_abc,
         "temperature_c": None if mapping.temperature is None else temperature_c(mapping.temperature, columns),
     }
@@ -60,6 +67,7 @@ def segment_of(
     capture = Capture(start_s=float(piece.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **made)
     waveforms = Waveforms(
         file=str(piece.path),
+        mapping=mapping,
         rows=at(piece, stretch.rows[0]),
         stage=rule.stage,
         rate_hz=rate_hz,
@@ -68,7 +76,6 @@ def segment_of(
         v_dc=_there(signals["v_dc"]),
         i_abc=signals["i_abc"],
         raw_currents={name: columns[name] for name in mapping.current.columns.values()},
-        raw_voltages={name: columns[name] for name in mapping.voltage.columns.values()},
     )
     return MadeSegment(capture, waveforms, believed_rad)
 

@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from orchestrator._validation import suggestion
+from orchestrator._validation import nearest
+from orchestrator.presentation.sentences import one_line
 from protocols import InputError
 
 Numbers = NDArray[np.float64]
@@ -47,11 +48,13 @@ class Wanted:
 
     numbers: tuple[str, ...]
     label: str | None = None
+    dates: str | None = None
+    """A column of time stamps that are dates; it comes among the numbers, as seconds."""
 
     @property
     def all(self) -> tuple[str, ...]:
         """All of them, each once."""
-        return tuple(dict.fromkeys((*self.numbers, *(() if self.label is None else (self.label,)))))
+        return tuple(dict.fromkeys((*self.numbers, *(x for x in (self.label, self.dates) if x is not None))))
 
 
 @dataclass(frozen=True)
@@ -66,8 +69,11 @@ def require_columns(path: Path, wanted: Iterable[str], present: Collection[str])
     """Raise `InputError` where a wanted column is not there."""
     for name in wanted:
         if name not in present:
-            hint = "".join(char if char.isprintable() else "?" for char in suggestion(name, present))
-            raise InputError(str(path), name, f"no such column; {hint}"[:300])
+            near = nearest(name, present)
+            choices = [one_line(there)[:100] for there in present]
+            if near is not None:
+                raise InputError(str(path), name, f"no such column; did you mean {one_line(near)[:100]!r}?")
+            raise InputError(str(path), name, f"no such column; the file has {len(choices)}", choices)
 
 
 def as_numbers(path: Path, name: str, values: NDArray[Any]) -> Numbers:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from orchestrator.importing._mapping import ImportMapping, SegmentRule
 from orchestrator.importing._source import Block, Labels, Numbers
-from orchestrator.importing._units import FACTORS
+from orchestrator.importing._stamps import Stamps
 from protocols import InputError
 
 _NO_RULE = -1
@@ -25,6 +25,8 @@ class Piece:
     """Consecutive rows of one file that make a segment."""
 
     path: Path
+    mapping: ImportMapping
+    """What is said of its file."""
     rule: int
     """Index among the mapping's segments."""
     first_row: int
@@ -52,10 +54,10 @@ class _Open:
     columns: list[Mapping[str, Numbers]] = field(default_factory=list)
     times: list[Numbers] = field(default_factory=list)
 
-    def close(self, path: Path) -> Piece:
+    def close(self, path: Path, mapping: ImportMapping) -> Piece:
         names = self.columns[0].keys()
         columns = {name: np.concatenate([part[name] for part in self.columns]) for name in names}
-        return Piece(path, self.key[0], self.first_row, columns, np.concatenate(self.times))
+        return Piece(path, mapping, self.key[0], self.first_row, columns, np.concatenate(self.times))
 
 
 class Splitter:
@@ -65,26 +67,31 @@ class Splitter:
     ----------
     leftover : Leftover
         What fitted no rule so far.
+    rows : int
+        Of all blocks so far.
     """
 
     def __init__(self, mapping: ImportMapping) -> None:
         self._mapping = mapping
         self._used: set[int] = set()
+        self._stamps = Stamps()
         self.leftover = Leftover()
+        self.rows = 0
 
-    def pieces(self, path: Path, blocks: Iterator[Block]) -> Iterator[Piece]:
-        """The pieces of one file."""
+    def pieces(self, path: Path, mapping: ImportMapping, blocks: Iterator[Block]) -> Iterator[Piece]:
+        """The pieces of one file, as its mapping describes it."""
         rules = self._rules_for(path)
+        self._stamps.next_file()
         opened: _Open | None = None
         row = 0
         for block in blocks:
-            time_s = self._times(block, row)
+            time_s = self._stamps.seconds(mapping, block, row)
             labels = block.labels or Labels(np.zeros(len(block), dtype=np.intp), ("",))
             which = _fitting(rules, labels, time_s)
             for start, end in _runs(which, labels.codes):
                 key = (int(which[start]), labels.names[labels.codes[start]])
                 if opened is not None and opened.key != key:
-                    yield opened.close(path)
+                    yield opened.close(path, mapping)
                     opened = None
                 if key[0] == _NO_RULE:
                     self._leave_out(path, row + start, end - start, key[1])
@@ -94,8 +101,14 @@ class Splitter:
                 opened.columns.append({name: values[start:end] for name, values in block.numbers.items()})
                 opened.times.append(time_s[start:end])
             row += len(block)
+            self.rows += len(block)
         if opened is not None:
-            yield opened.close(path)
+            yield opened.close(path, mapping)
+
+    @property
+    def since_epoch(self) -> bool:
+        """Whether the time stamps are dates."""
+        return self._stamps.since_epoch
 
     def check_all_used(self, where: str) -> None:
         """Raise `InputError` where a rule fitted no row of any file."""
@@ -108,15 +121,6 @@ class Splitter:
     def _rules_for(self, path: Path) -> Sequence[tuple[int, SegmentRule]]:
         rules = enumerate(self._mapping.segments)
         return [(index, rule) for index, rule in rules if rule.file is None or fnmatchcase(path.name, rule.file)]
-
-    def _times(self, block: Block, row: int) -> Numbers:
-        column = self._mapping.time
-        if column is not None:
-            return block.numbers[column.column] * FACTORS[column.unit]
-        rate = self._mapping.sampling_frequency_hz
-        assert rate is not None  # the mapping has either
-        times: Numbers = np.arange(row, row + len(block)) / rate
-        return times
 
     def _leave_out(self, path: Path, row: int, rows: int, label: str) -> None:
         self.leftover.rows += rows

@@ -41,7 +41,7 @@ class Clock:
     """Finds the sampling frequency with the first piece and holds every later one against it."""
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
-        self._mapping, self._findings = mapping, findings
+        self._findings = findings
         self._rate_hz = mapping.sampling_frequency_hz
 
     @property
@@ -53,6 +53,7 @@ class Clock:
     def stretches(self, piece: Piece) -> Iterator[Stretch]:
         """The piece's uninterrupted stretches; raises `InputError` where they cannot be had."""
         complete = self._complete_rows(piece)
+        self._findings.dropped_rows["a value is missing"] += piece.time_s.size - complete.size
         if complete.size < FEWEST_SAMPLES:
             self._too_short(piece, complete.size)
             return
@@ -69,7 +70,7 @@ class Clock:
         finite = np.isfinite(piece.time_s)
         for name, values in piece.columns.items():
             here = np.isfinite(values)
-            if not here.all() and not self._mapping.split_at_gaps:
+            if not here.all() and not piece.mapping.split_at_gaps:
                 row = int(np.argmin(here))
                 missing = int(here.size - np.count_nonzero(here))
                 raise InputError(
@@ -88,12 +89,12 @@ class Clock:
             worst = int(back[0])
             raise InputError(
                 str(piece.path),
-                self._time_column,
+                _time_column(piece),
                 f"time does not increase: {at(piece, rows[worst + 1])} is {-steps[worst]:.3g} s before the row above",
             )
 
     def _learn_rate(self, piece: Piece, time_s: Numbers) -> None:
-        column = self._mapping.time
+        column = piece.mapping.time
         if column is None:
             return
         period_s = float(np.median(np.diff(time_s)))
@@ -112,24 +113,22 @@ class Clock:
             return
         fits = unit_that_fits(unit, period_s, *plausible)
         hint = "" if fits is None else f"; {fits} would give {1 / (period_s * FACTORS[fits] / FACTORS[unit]):.6g} Hz"
-        asked = (
-            "" if self._mapping.sampling_frequency_hz is None else f", not {self._mapping.sampling_frequency_hz:g} Hz"
-        )
+        asked = "" if self._rate_hz is None else f", not {self._rate_hz:g} Hz"
         self._findings.doubt(
             Finding.TIME_UNIT,
             str(piece.path),
-            self._time_column,
+            _time_column(piece),
             f"read in {unit}, the time stamps make {1 / period_s:.6g} Hz{asked}{hint}",
         )
 
     def _between_gaps(self, piece: Piece, rows: NDArray[np.intp], time_s: Numbers) -> Sequence[tuple[int, int]]:
         steps = np.diff(time_s) * self.rate_hz
         gaps = np.flatnonzero(steps > _GAP)
-        if gaps.size and not self._mapping.split_at_gaps:
+        if gaps.size and not piece.mapping.split_at_gaps:
             first = int(gaps[0])
             raise InputError(
                 str(piece.path),
-                self._time_column,
+                _time_column(piece),
                 f"{steps[first] / self.rate_hz:.3g} s without a sample before {at(piece, rows[first + 1])}, "
                 f"{gaps.size} such in the segment; split_at_gaps: true ends a segment there and begins another",
             )
@@ -146,8 +145,8 @@ class Clock:
         largest = abs(float(deviation[worst]))
         drift = abs(own_rate / self.rate_hz - 1.0)
         # Crystals differ by less than a ten-thousandth.
-        jitters = largest > self._mapping.jitter_tolerance_samples
-        drifts = drift > max(1e-4, self._mapping.jitter_tolerance_samples / intervals)
+        jitters = largest > piece.mapping.jitter_tolerance_samples
+        drifts = drift > max(1e-4, piece.mapping.jitter_tolerance_samples / intervals)
         if not (jitters or drifts):
             return False
         what = (
@@ -156,10 +155,10 @@ class Clock:
             if jitters
             else f"sampled at {own_rate:.7g} Hz from {at(piece, rows[0])} on, the recording is at {self.rate_hz:.7g} Hz"
         )
-        if not self._mapping.resample:
+        if not piece.mapping.resample:
             raise InputError(
                 str(piece.path),
-                self._time_column,
+                _time_column(piece),
                 f"{what}; resample: true interpolates, or sampling_frequency_hz without time where only the stamps "
                 "are coarse",
             )
@@ -167,13 +166,14 @@ class Clock:
         return True
 
     def _too_short(self, piece: Piece, samples: int) -> None:
+        self._findings.dropped_rows[f"fewer than {FEWEST_SAMPLES} in a row"] += samples
         self._findings.note(
             "short", f"{piece.path}: {samples} samples after {at(piece, 0)} are too few for a segment, left out"
         )
 
-    @property
-    def _time_column(self) -> str:
-        return "time" if self._mapping.time is None else self._mapping.time.column
+
+def _time_column(piece: Piece) -> str:
+    return "time" if piece.mapping.time is None else piece.mapping.time.column
 
 
 def at(piece: Piece, row: int | np.integer[Any]) -> str:
@@ -194,10 +194,16 @@ def resampled(time_s: Numbers, values: Numbers, rate_hz: float) -> Numbers:
 def resampled_held(time_s: Numbers, values: Numbers, rate_hz: float) -> Numbers:
     """Values of shape (n, k) that are held until the next time stamp, as means over the steps of an even spacing."""
     grid = _grid(time_s, rate_hz)
-    edges = np.append(grid, grid[-1] + 1.0 / rate_hz)
-    stamps = np.append(time_s, edges[-1] + 1.0 / rate_hz)
+    return held_means(time_s, values, np.append(grid, grid[-1] + 1.0 / rate_hz))
+
+
+def held_means(time_s: Numbers, values: Numbers, edges_s: Numbers) -> Numbers:
+    """Means of values (n, k), each held until the next time stamp, between neighbours of the m edges: (m - 1, k)."""
+    stamps = np.append(time_s, max(edges_s[-1], time_s[-1]) + 1.0)
     integral = np.vstack([np.zeros(values.shape[1]), np.cumsum(values * np.diff(stamps)[:, None], axis=0)])
-    return np.column_stack([np.diff(np.interp(edges, stamps, column)) for column in integral.T]) * rate_hz
+    reached = np.column_stack([np.interp(edges_s, stamps, column) for column in integral.T])
+    means: Numbers = np.diff(reached, axis=0) / np.diff(edges_s)[:, None]
+    return means
 
 
 def _grid(time_s: Numbers, rate_hz: float) -> Numbers:

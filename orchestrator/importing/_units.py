@@ -8,25 +8,25 @@ from types import MappingProxyType
 from typing import Literal
 
 CurrentUnit = Literal["A", "mA", "uA", "kA"]
-VoltageUnit = Literal["V", "mV", "uV", "kV"]
-TimeUnit = Literal["s", "ms", "us", "ns", "min"]
+VoltageUnit = Literal["V", "mV", "uV", "kV", "duty", "duty_percent"]
+TimeUnit = Literal["s", "ms", "us", "ns", "min", "day", "tick", "iso"]
 AngleUnit = Literal["rad", "deg", "turn"]
 TemperatureUnit = Literal["degC", "K"]
 
 FACTORS: Mapping[str, float] = MappingProxyType(
     {
         **{"A": 1.0, "mA": 1e-3, "uA": 1e-6, "kA": 1e3},
-        **{"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3},
-        **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0},
+        **{"V": 1.0, "mV": 1e-3, "uV": 1e-6, "kV": 1e3, "duty": 1.0, "duty_percent": 1e-2},
+        **{"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "min": 60.0, "day": 86400.0, "iso": 1.0},
         **{"rad": 1.0, "deg": math.pi / 180.0, "turn": 2.0 * math.pi},
         **{"degC": 1.0, "K": 1.0},
     }
 )
-"""SI units in one of each."""
+"""SI units in one of each; of shares of the bus voltage, bus voltages."""
 
 ZERO_CELSIUS_K = 273.15
 
-_FAMILIES = (("A", "mA", "uA", "kA"), ("V", "mV", "uV", "kV"), ("s", "ms", "us", "ns", "min"))
+_FAMILIES = (("A", "mA", "uA", "kA"), ("V", "mV", "uV", "kV"), ("duty", "duty_percent"), ("s", "ms", "us", "ns", "min"))
 
 
 def unit_that_fits(labelled: str, value: float, low: float, high: float) -> str | None:
@@ -34,7 +34,7 @@ def unit_that_fits(labelled: str, value: float, low: float, high: float) -> str 
 
     Of several, the one that takes it nearest the middle of the range, on a logarithmic scale.
     """
-    family = next(units for units in _FAMILIES if labelled in units)
+    family = next((units for units in _FAMILIES if labelled in units), ())
     read_as = {unit: value * FACTORS[unit] / FACTORS[labelled] for unit in family if unit != labelled}
     fitting = [unit for unit, reading in read_as.items() if low <= reading <= high]
     middle = math.sqrt(low * high)

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.importing._findings import Finding, Findings
-from orchestrator.importing._mapping import ImportMapping, Scaling
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._signals import Scaling
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK
@@ -28,6 +29,8 @@ class Waveforms:
     """A segment as it will be written, and as much of the file as the checks need."""
 
     file: str
+    mapping: ImportMapping
+    """What is said of the file."""
     rows: str
     """Its first row, in words."""
     stage: SegmentStage
@@ -38,7 +41,6 @@ class Waveforms:
     i_abc: Numbers | None
     """Where all three phases were measured."""
     raw_currents: Mapping[str, Numbers]
-    raw_voltages: Mapping[str, Numbers]
 
 
 class WaveformChecks:
@@ -46,14 +48,16 @@ class WaveformChecks:
 
     def __init__(self, mapping: ImportMapping, findings: Findings) -> None:
         self._mapping, self._findings = mapping, findings
-        self._current_names = ", ".join(mapping.current.columns.values())
-        self._voltage_names = ", ".join(mapping.voltage.columns.values())
+        self._current_names = self._voltage_names = ""
         self._largest_current_a = self._largest_rms_a = self._largest_modulation = 0.0
         self._power_w = self._square_a2 = 0.0
         self._lags: list[float] = []
 
     def judge(self, w: Waveforms) -> None:
         """Look at one segment; raises `InputError` for what the mapping does not accept."""
+        self._mapping = w.mapping
+        self._current_names = ", ".join(w.mapping.current.columns.values())
+        self._voltage_names = ", ".join(w.mapping.voltage.columns.values())
         self._bus(w)
         self._current_size(w)
         self._voltage_size(w)
@@ -137,7 +141,8 @@ class WaveformChecks:
                 self._findings.doubt(Finding.CONSTANT_CURRENT, w.file, ", ".join(still), said)
             else:
                 self._findings.note("constant", f"{w.file}: {', '.join(still)}: {said}; is it connected?")
-        if not any(values.any() for values in w.raw_voltages.values()):
+        # Duties of a half are no volts, but for their rounding.
+        if float(np.max(np.abs(w.v_ab))) < 1e-9 * self._mapping.drive.dc_bus_voltage_v:
             self._findings.doubt(
                 Finding.CONSTANT_VOLTAGE, w.file, self._voltage_names, f"zero from {w.rows} to the segment's end"
             )

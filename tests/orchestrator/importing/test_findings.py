@@ -367,7 +367,7 @@ def test_a_lag_that_the_mapping_knows_of_is_not_said(bench: Bench, late: float) 
 
 
 def spoil_unit(bench: Bench) -> None:
-    bench.mapping["current"]["unit"] = "kA"
+    bench.mapping["current"]["factor"] = 30.0
     bench.mapping["motor"]["stator_resistance_ohm"] = None
 
 
@@ -384,13 +384,20 @@ def spoil_polarity(bench: Bench) -> None:
 
 @pytest.mark.parametrize(
     ("name", "spoil"),
-    [("current_unit", spoil_unit), ("zero_sequence", spoil_zero_sequence), ("polarity", spoil_polarity)],
+    [("current_unit", spoil_unit), ("zero_sequence", spoil_zero_sequence)],
 )
 def test_what_is_accepted_becomes_a_note(bench: Bench, name: str, spoil: Callable[[Bench], None]) -> None:
     spoil(bench)
     assert f"accept: [{name}]" in complaint(bench)
     bench.mapping["accept"] = [name]
     assert any(note.endswith("(accepted)") for note in bench.run().notes)
+
+
+def test_what_no_command_would_read_is_refused_even_where_it_is_accepted(bench: Bench) -> None:
+    spoil_polarity(bench)
+    bench.mapping["accept"] = ["polarity"]
+    assert "no command would read the recording: voltage and current are 180 degrees apart" in complaint(bench)
+    assert not (bench.folder / "recording").exists()
 
 
 def test_the_same_note_is_said_once_and_counted(bench: Bench) -> None:

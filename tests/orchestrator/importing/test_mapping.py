@@ -11,7 +11,7 @@ import yaml
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from orchestrator.importing import ImportMapping, read_mapping
+from orchestrator.importing import MappingFile, read_mapping
 from protocols import InputError
 from tests.orchestrator.importing.benches import Bench, held_current, phase_log
 
@@ -100,7 +100,7 @@ def spoilt(text: str) -> st.SearchStrategy[bytes]:
     return places.map(lambda place: raw[: place[0]] + place[2] + raw[place[0] + place[1] :])
 
 
-def outcome_of(path: Path) -> ImportMapping | str:
+def outcome_of(path: Path) -> MappingFile | str:
     try:
         return read_mapping(path)
     except InputError as error:
@@ -114,4 +114,4 @@ def test_any_bytes_are_a_mapping_or_the_project_s_error(content: bytes) -> None:
         path = Path(folder) / "mapping.yaml"
         path.write_bytes(content)
         outcome = outcome_of(path)
-    assert isinstance(outcome, ImportMapping) or len(outcome.splitlines()) == 1
+    assert isinstance(outcome, MappingFile) or len(outcome.splitlines()) == 1

@@ -1,0 +1,236 @@
+"""Two loggers' clocks fitted together by what a winding does: the current's slope bends where the voltage has an edge.
+
+    i[k+2] - 2 i[k+1] + i[k] = g (v[k+1] - v[k])
+
+First one window of the current is found again in the whole of the voltage; others then tell how far the clocks drift
+apart; and the winding's own equation (`voltage_lag`) tells fractions of a sample. Whatever delay the drive has is taken
+for the clocks' difference: it cannot be told from it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._signals import CurrentSignal, VoltageSignal
+from orchestrator.importing._source import Numbers
+from orchestrator.importing._timing import held_means, resampled
+from orchestrator.importing._vectors import vectors
+from orchestrator.importing._waveform_checks import voltage_lag
+from protocols import InputError
+
+Complex = NDArray[np.complex128]
+Track = tuple[Numbers, Numbers]
+"""Stamps [s] of shape (n,), and vectors of shape (n, 2)."""
+
+_SHORTEST_STEP_S = 5e-5
+"""Finer steps only make noise of the current's bends; edges are further apart on any bench."""
+_WINDOWS = 12
+_SAMPLES = 8192
+"""Of a window: long enough to hold what does not repeat."""
+_SURE = 20.0
+"""Logarithm of how much likelier the offset has to be than any other: by far more than noise makes it."""
+_EXPLAINED = 0.3
+"""Share of the current's bends that the edges have to explain; where there are hardly any edges it is noise."""
+_CRYSTALS = 3e-4
+"""How far two clocks may run apart: thrice what bad crystals do."""
+
+
+@dataclass(frozen=True)
+class _Clock:
+    """Where the voltage's stamps t are on the current's clock: t + offset_s + drift (t - start_s)."""
+
+    offset_s: float
+    drift: float
+    start_s: float
+
+    def of(self, voltage_s: Numbers) -> Numbers:
+        return voltage_s + self.offset_s + self.drift * (voltage_s - self.start_s)
+
+    def later(self, late_s: float, slope: float, at_s: float) -> _Clock:
+        """Moved by late_s + slope (t - at_s), t on the current's clock."""
+        moved_s = late_s + slope * (self.start_s + self.offset_s - at_s)
+        return _Clock(self.offset_s + moved_s, (1.0 + self.drift) * (1.0 + slope) - 1.0, self.start_s)
+
+    def back(self, current_s: Numbers) -> Numbers:
+        return self.start_s + (current_s - self.offset_s - self.start_s) / (1.0 + self.drift)
+
+
+def fitted_clock(
+    path: Path,
+    other: Path,
+    mapping: ImportMapping,
+    columns: tuple[Mapping[str, Numbers], Mapping[str, Numbers]],
+    stamps: tuple[Numbers, Numbers],
+) -> tuple[Numbers, str]:
+    """The stamps of the file `other` on the clock of `path`, and what was found, in words.
+
+    Parameters
+    ----------
+    columns, stamps : pairs
+        Of `path` and of `other`. One of both holds all columns of the current, the other all of the voltage.
+
+    Raises
+    ------
+    InputError
+        Where the files are divided otherwise, or the edges tell no offset, or more than one.
+    """
+    current_is_there = set(mapping.current.columns.values()) <= columns[1].keys()
+    which = (1, 0) if current_is_there else (0, 1)
+    i_s, v_s = (stamps[k] for k in which)
+    i = _vectors(other, mapping.current, mapping, columns[which[0]])
+    v = _vectors(other, mapping.voltage, mapping, columns[which[1]])
+    known = np.isfinite(i_s)
+    i_s, i = i_s[known], i[known]
+    step_s = max(_step(i_s), _step(v_s), _SHORTEST_STEP_S)
+    clock, begins_s = _to_a_sample(other, (i_s, i), (v_s, v), step_s)
+    for _ in range(2):
+        clock = clock.later(*_late((i_s, i), (clock.of(v_s), v), begins_s, step_s))
+    said = (
+        f"{other}: laid beside {path.name} by its edges, {clock.offset_s:.6g} s between the clocks, "
+        f"{1e6 * clock.drift:.1f} ppm drift; a delay of the drive would be in it"
+    )
+    return (clock.back(stamps[1]) if current_is_there else clock.of(stamps[1])), said
+
+
+def _vectors(
+    other: Path, signal: CurrentSignal | VoltageSignal, mapping: ImportMapping, columns: Mapping[str, Numbers]
+) -> Numbers:
+    if not set(signal.columns.values()) <= columns.keys() or (signal.angle is not None and signal.angle.column):
+        raise InputError(
+            str(other), "align", "edges need all columns of the current in one file, all of the voltage in the other"
+        )
+    rows = columns[next(iter(signal.columns.values()))].size
+    dc_v = np.full(rows, mapping.drive.dc_bus_voltage_v)
+    return np.nan_to_num(vectors(signal, columns, 0.0, mapping.motor.pole_pairs, dc_v))
+
+
+def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> tuple[_Clock, Numbers]:
+    """From all windows together, then each for itself near where they say; and where they begin [s]."""
+    (i_s, i), (v_s, v) = current, voltage
+    bends = np.diff(_complex(resampled(i_s, i, 1.0 / step_s)), 2)
+    grid = v_s[0] + step_s * np.arange(int((v_s[-1] - v_s[0]) / step_s) + 1)
+    edges = np.diff(_complex(held_means(v_s, v, grid)))
+    samples = min(_SAMPLES, bends.size)
+    starts = _liveliest(bends, samples)
+    found = [_left(edges, bends[start : start + samples]) for start in starts]
+    reaches = [1 + int(_CRYSTALS * abs(start - np.median(starts))) for start in starts]
+    lag, sureness = _likeliest(found, starts, reaches, samples, edges.size, bends.size)
+    if sureness < _SURE:
+        raise InputError(str(other), "align", "the voltage's edges fit the current at more than one offset, or at none")
+    places, lags, explained = [], [], []
+    for start, left, reach in zip(starts, found, reaches, strict=True):
+        there = start + lag + samples - 1
+        low = max(there - reach - 2, 1)
+        near = left[low : there + reach + 3]
+        if near.size:
+            place = low + int(np.argmin(near))
+            places.append(float(start))
+            lags.append(_sharp(left, place) - (samples - 1) - start)
+            explained.append(1.0 - float(left[place]))
+    used = np.array(explained) > 0.5 * max(explained)
+    slope, at_zero = _line(np.array(places)[used], np.array(lags)[used], within=1.0)
+    offset_s = i_s[0] - v_s[0] - (1.0 - slope) * at_zero * step_s
+    return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * starts[used]
+
+
+def _line(x: Numbers, y: Numbers, within: float) -> tuple[float, float]:
+    """Slope and y(0) of the line through most of the points, those further off it left out; level through few."""
+    slope, at_zero = 0.0, float(np.median(y))
+    for _ in range(3):
+        used = np.abs(y - at_zero - slope * x) < within
+        if np.count_nonzero(used) < 3:
+            break
+        slope, at_zero = (float(number) for number in np.polyfit(x[used], y[used], 1))
+    return slope, at_zero
+
+
+def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> tuple[float, float, float]:
+    """How much later than its stamps the voltage acts [s], how that grows, and from when on: windows that tell."""
+    (i_s, i), (v_s, v) = current, voltage
+    told = []
+    for begin in begins_s:
+        grid = np.arange(begin, min(begin + _SAMPLES * step_s, i_s[-1]), step_s)
+        there = np.column_stack([np.interp(grid[:-1], i_s, x) for x in i.T])
+        late = voltage_lag(there, held_means(v_s, v, grid)) if grid.size > 1 else None
+        told += [] if late is None else [(0.5 * (grid[0] + grid[-1]), late * step_s)]
+    if not told:
+        return 0.0, 0.0, 0.0
+    times, late_s = np.array(told).T
+    middle = float(np.mean(times))
+    slope, at_middle = _line(times - middle, late_s, within=0.3 * step_s)
+    return at_middle, slope, middle
+
+
+def _liveliest(bends: Complex, samples: int) -> NDArray[np.intp]:
+    """Where the windows begin that hold the most of the current's bends, in order of time."""
+    starts = np.unique(np.append(np.arange(0, bends.size - samples, samples // 2), bends.size - samples))
+    power = np.concatenate([[0.0], np.cumsum(np.abs(bends) ** 2)])
+    best = np.argsort(power[starts] - power[starts + samples])[:_WINDOWS]
+    return np.sort(starts[best])
+
+
+def _left(edges: Complex, window: Complex) -> Numbers:
+    """The share of a window's bends that edges leave unexplained at each place, of what lies beneath edges at all."""
+    from scipy.signal import correlate
+
+    product = np.maximum(correlate(edges, window, method="fft").real, 0.0)
+    ends = np.arange(1, edges.size + window.size)
+    under = _within(edges, ends - window.size, ends)
+    covered = _within(window, window.size - ends, edges.size + window.size - ends)
+    enough = 1e-6 * float(np.vdot(window, window).real) * max(float(np.max(under)), 1e-300)
+    left = 1.0 - product**2 / np.maximum(under * covered, enough)
+    return np.maximum(left, 1e-9)
+
+
+def _within(x: Complex, begins: NDArray[np.intp], ends: NDArray[np.intp]) -> Numbers:
+    """Energy of x between two places each, as far as they are on it."""
+    energy = np.concatenate([[0.0], np.cumsum(np.abs(x) ** 2)])
+    return np.asarray(energy[np.clip(ends, 0, x.size)] - energy[np.clip(begins, 0, x.size)])
+
+
+def _likeliest(
+    found: Sequence[Numbers], starts: NDArray[np.intp], reaches: Sequence[int], samples: int, edges: int, bends: int
+) -> tuple[int, float]:
+    """The lag that all windows together find likeliest, and the logarithm of by how much.
+
+    Held against each other sample by sample: where a log was begun and ended says nothing.
+    """
+    from scipy.ndimage import minimum_filter1d
+
+    said, overlap = np.zeros((2, edges + bends + 2 * samples))
+    ends = np.arange(1, edges + samples)
+    covered = np.minimum(ends, edges) - np.maximum(ends - samples, 0)
+    for left, start, reach in zip(found, starts, reaches, strict=True):
+        here = slice(bends - start, bends - start + left.size)
+        # What the clocks run apart until this window is allowed it.
+        said[here] += 0.5 * covered * np.log(minimum_filter1d(left, 2 * reach + 1, mode="nearest"))
+        overlap[here] += covered
+    mean = np.where(overlap > 0.5 * overlap.max(), said / np.maximum(overlap, 1.0), 0.0)
+    place, apart = int(np.argmin(mean)), 3 + max(reaches)
+    rest = np.concatenate([mean[: max(place - apart, 0)], mean[place + apart + 1 :]])
+    explained = max(1.0 - float(np.min(left)) for left in found)
+    sureness = float(np.min(rest) - mean[place]) * overlap[place] if explained > _EXPLAINED else 0.0
+    return place - bends - (samples - 1), sureness
+
+
+def _sharp(left: Numbers, place: int) -> float:
+    """The foot of the parabola through a lowest place and its neighbours."""
+    if not 0 < place < left.size - 1:
+        return float(place)
+    before, at, after = left[place - 1 : place + 2]
+    bend = before - 2.0 * at + after
+    return place + float(np.clip(0.5 * (before - after) / bend, -0.5, 0.5)) if bend > 0.0 else float(place)
+
+
+def _step(time_s: Numbers) -> float:
+    return float(np.median(np.diff(time_s)))
+
+
+def _complex(x: Numbers) -> Complex:
+    return np.asarray(x[:, 0] + 1j * x[:, 1])

@@ -1,0 +1,151 @@
+"""Files whose columns are laid beside another's rows: a scope's channels, or a second logger with a clock of its own.
+
+What is held between samples (voltages) is laid there by its volt-seconds, everything else is interpolated linearly;
+where both files have the same time stamps nothing is computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.importing._aligning import fitted_clock
+from orchestrator.importing._findings import Findings
+from orchestrator.importing._loading import MappingFile
+from orchestrator.importing._mapping import FileRule, ImportMapping
+from orchestrator.importing._opening import open_source
+from orchestrator.importing._source import Block, Labels, Numbers, Source
+from orchestrator.importing._stamps import Stamps
+from orchestrator.importing._timing import held_means
+from protocols import InputError
+
+
+@dataclass(frozen=True)
+class Beside:
+    """A file that lies beside another one."""
+
+    path: Path
+    rule: FileRule
+    mapping: ImportMapping
+
+
+def paired(mappings: MappingFile, files: Sequence[Path]) -> dict[Path, list[Beside]]:
+    """The files that have rows of their own, each with those beside it; raises `InputError` where they do not pair."""
+    aside = [path for path in files if _beside_rule(mappings, path) is not None]
+    pairs: dict[Path, list[Beside]] = {path: [] for path in files if path not in aside}
+    for rule, mapping in mappings.rules:
+        if rule.beside is None:
+            continue
+        these = [path for path in aside if mappings.of(path)[0] is rule]
+        those = [path for path in pairs if fnmatchcase(path.name, rule.beside)]
+        if len(these) != len(those):
+            named = str(these[0]) if these else rule.file
+            raise InputError(
+                named,
+                "beside",
+                f"{len(these)} files fit {rule.file!r}, {len(those)} fit {rule.beside!r}: one each is needed",
+            )
+        for path, main in zip(these, those, strict=True):
+            pairs[main].append(Beside(path, rule, mapping))
+    return pairs
+
+
+def _beside_rule(mappings: MappingFile, path: Path) -> FileRule | None:
+    rule = next((rule for rule, _ in mappings.rules if fnmatchcase(path.name, rule.file)), None)
+    return rule if rule is not None and rule.beside is not None else None
+
+
+def open_joined(
+    path: Path, rule: FileRule | None, mapping: ImportMapping, others: Sequence[Beside], findings: Findings
+) -> Source:
+    """A file with the columns of those beside it; with any, it is in memory as a whole.
+
+    Raises
+    ------
+    InputError
+        Where a file cannot be read, has no rows in common, or edges do not tell how the clocks go together.
+    """
+    elsewhere = {name for other in others for name in other.rule.names}
+    main = open_source(path, mapping, {} if rule is None else rule.names, without=elsewhere)
+    if not others:
+        return main
+    stamps, rows = Stamps(), _whole(path, main)
+    time_s = stamps.seconds(mapping, rows, 0)
+    numbers, units = dict(rows.numbers), dict(main.units)
+    for other in others:
+        _lay_beside(path, other, mapping, (time_s, stamps), numbers, units, findings)
+    there = np.all([np.isfinite(numbers[name]) for name in elsewhere], axis=0)
+    if not there.any():
+        raise InputError(str(others[0].path), "", f"has no row at the time of one in {path.name}")
+    first, end = int(np.argmax(there)), there.size - int(np.argmax(there[::-1]))
+    if end - first < there.size:
+        findings.dropped_rows["nothing beside"] += there.size - (end - first)
+    labels = None if rows.labels is None else Labels(rows.labels.codes[first:end], rows.labels.names)
+    return Source([Block({name: values[first:end] for name, values in numbers.items()}, labels)], units)
+
+
+def _lay_beside(
+    path: Path,
+    other: Beside,
+    mapping: ImportMapping,
+    clock: tuple[Numbers, Stamps],
+    numbers: dict[str, Numbers],
+    units: dict[str, str],
+    findings: Findings,
+) -> None:
+    time_s, stamps = clock
+    source = open_source(other.path, other.mapping, other.rule.names, only=set(other.rule.names))
+    units |= source.units
+    rows = _whole(other.path, source)
+    stamps.next_file()
+    other_s = stamps.seconds(other.mapping, rows, 0)
+    known = np.isfinite(other_s)
+    other_s, columns = other_s[known], {name: rows.numbers[name][known] for name in other.rule.names}
+    if other_s.size < 2 or np.any(np.diff(other_s) <= 0):
+        raise InputError(str(other.path), "time", "does not increase")
+    if other.rule.align == "edges":
+        other_s, said = fitted_clock(path, other.path, mapping, (numbers, columns), (time_s, other_s))
+        findings.note("aligned", said)
+    held = set(mapping.voltage.columns.values())
+    for name, values in columns.items():
+        numbers[name] = _laid(time_s, other_s, values, name in held)
+
+
+def _laid(time_s: Numbers, other_s: Numbers, values: Numbers, held: bool) -> Numbers:
+    """Values at the stamps `other_s` as they are at `time_s`; NaN where there are none near."""
+    step_s = float(np.median(np.diff(other_s)))
+    if time_s.size == other_s.size and np.max(np.abs(time_s - other_s), initial=0.0) < 0.01 * step_s:
+        return values
+    if held:
+        after = np.append(time_s[1:], 2.0 * time_s[-1] - time_s[-2])
+        # A missing stamp or value is found later, with its row.
+        edges = np.maximum.accumulate(np.nan_to_num(np.append(time_s, after[-1]), nan=-np.inf))
+        out = held_means(other_s, values[:, None], edges)[:, 0]
+        inside = (time_s >= other_s[0]) & (after <= other_s[-1] + 1.01 * step_s)
+    else:
+        out = np.interp(time_s, other_s, values)
+        inside = (time_s >= other_s[0]) & (time_s <= other_s[-1])
+    at = np.clip(np.searchsorted(other_s, time_s, side="right"), 1, other_s.size - 1)
+    inside &= (other_s[at] - other_s[at - 1] < 1.5 * step_s) | (np.abs(other_s[at] - time_s) < 0.01 * step_s)
+    return np.where(inside, out, np.nan)
+
+
+def _whole(path: Path, source: Source) -> Block:
+    blocks = list(source.blocks)
+    if not blocks:
+        raise InputError(str(path), "", "holds no row")
+    names: Mapping[str, Numbers] = blocks[0].numbers
+    numbers = {name: np.concatenate([block.numbers[name] for block in blocks]) for name in names}
+    if blocks[0].labels is None:
+        return Block(numbers)
+    known: dict[str, int] = {}
+    codes = [
+        np.array([known.setdefault(name, len(known)) for name in block.labels.names], dtype=np.intp)[block.labels.codes]
+        for block in blocks
+        if block.labels is not None
+    ]
+    return Block(numbers, Labels(np.concatenate(codes), tuple(known)))

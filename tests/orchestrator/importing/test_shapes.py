@@ -1,0 +1,301 @@
+"""Logs in the shapes that strangers bring, each with a mapping of a few lines, are the measurement that they were."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.numerics.frames import to_dq
+from protocols import InputError
+from tests.orchestrator.importing.strangers import Desk, log_of
+
+LOG = log_of()
+STAGES = """segment_column: what
+split_at_gaps: true
+segments: [{label: resistance, stage: resistance}, {label: classical, stage: classical},
+  {label: injection, stage: injection}]
+"""
+CURRENT = "current: {frame: abc, columns: {a: ia, b: ib, c: ic}, unit: A}\n"
+VOLTAGE = "voltage: {frame: abc, columns: {a: va, b: vb, c: vc}, unit: V}\n"
+TIME = "time: {column: t, unit: s}\n"
+
+
+@pytest.fixture
+def desk(tmp_path: Path) -> Desk:
+    return Desk(tmp_path)
+
+
+def duties(desk: Desk) -> None:
+    common = 0.1 * np.sin(40.0 * LOG.t) + 0.5
+    legs = {f"d{x[1]}": 100.0 * (common + volts / LOG.dc) for x, volts in LOG.volts.items()}
+    desk.write("log.csv", {"t": LOG.t, **LOG.phases, **legs, "udc": LOG.dc, "what": LOG.stage})
+    desk.mapping = TIME + CURRENT + "bus: {column: udc, unit: V}\n" + STAGES
+    desk.mapping += "voltage: {frame: abc, columns: {a: da, b: db, c: dc}, unit: duty_percent}\n"
+
+
+def line_to_line(desk: Desk) -> None:
+    va, vb, vc = LOG.volts.values()
+    desk.write("log.csv", {"t": LOG.t, **LOG.phases, "uab": va - vb, "ubc": vb - vc, "what": LOG.stage})
+    desk.mapping = TIME + CURRENT + STAGES
+    desk.mapping += "voltage: {frame: line_to_line, columns: {ab: uab, bc: ubc}, unit: V}\n"
+
+
+def counts(desk: Desk) -> None:
+    # A converter of 16 bits for +-20 A, whose middles differ.
+    raw = {
+        x: np.rint(amps / 20.0 * 32768 + middle)
+        for (x, amps), middle in zip(LOG.phases.items(), (7, -12, 3), strict=True)
+    }
+    desk.write("log.csv", {"t": LOG.t, **raw, **LOG.volts, "what": LOG.stage})
+    desk.mapping = TIME + VOLTAGE + STAGES
+    desk.mapping += (
+        "current: {frame: abc, columns: {a: ia, b: ib, c: ic}, unit: mA, factor: 0.6103515625,\n"
+        "  offset: {a: 7, b: -12, c: 3}}\n"
+    )
+
+
+def ticks(desk: Desk) -> None:
+    # A counter of 24 bits that wraps within a segment; what passed between two is not in it.
+    first = np.rint(np.arange(LOG.t.size) * 100.0)
+    desk.write("log.csv", {"n": (first + 16_700_000) % 2**24, **LOG.phases, **LOG.volts, "what": LOG.stage})
+    desk.mapping = CURRENT + VOLTAGE + STAGES
+    desk.mapping += "time: {column: n, unit: tick, tick_hz: 1000000, wraps_at: 16777216}\n"
+
+
+def epoch(desk: Desk) -> None:
+    stamps = np.rint((1_700_000_000.25 + LOG.t) * 1e6).astype(np.int64)
+    desk.write("log.csv", {"stamp": stamps, **LOG.phases, **LOG.volts, "what": LOG.stage})
+    desk.mapping = "time: {column: stamp, unit: us}\n" + CURRENT + VOLTAGE + STAGES
+
+
+def dates(desk: Desk) -> None:
+    begin = datetime(2026, 11, 23, 6, 45, tzinfo=UTC)
+    stamps = [(begin + timedelta(microseconds=round(1e6 * t))).isoformat(timespec="microseconds") for t in LOG.t]
+    desk.write("log.csv", {"stamp": stamps, **LOG.phases, **LOG.volts, "what": LOG.stage})
+    desk.mapping = "time: {column: stamp, unit: iso}\n" + CURRENT + VOLTAGE + STAGES
+
+
+def shaft(desk: Desk) -> None:
+    # The rotor stands at 0 electrical; the encoder reads 77.5 degrees there, and counts the other way round.
+    encoder = 77.5 + 0.0 * LOG.t
+    theta = -2.0 * np.deg2rad(encoder - 77.5)
+    i, v = to_dq(LOG.i, theta), to_dq(LOG.v, theta)
+    columns = {"t": LOG.t, "id": i[:, 0], "iq": i[:, 1], "ud": v[:, 0], "uq": v[:, 1], "enc": encoder}
+    desk.write("log.csv", {**columns, "what": LOG.stage})
+    desk.mapping = TIME + STAGES
+    desk.mapping += "current: {frame: dq, columns: {d: id, q: iq}, unit: A, scaling: amplitude_invariant}\n"
+    desk.mapping += "voltage: {frame: dq, columns: {d: ud, q: uq}, unit: V, scaling: amplitude_invariant}\n"
+    desk.mapping += "rotor_angle: {column: enc, unit: deg, offset: 77.5, factor: -1, mechanical: true}\n"
+
+
+def a_file_a_segment(desk: Desk) -> None:
+    # Each of another logger: other names, other units, another layout.
+    stages = np.array(LOG.stage)
+    for name, stage, current in (("rest", "resistance", "ia"), ("ramp", "classical", "I_a"), ("hf", "injection", "ia")):
+        log = LOG.rows(slice(int(np.argmax(stages == stage)), LOG.t.size - int(np.argmax(stages[::-1] == stage))))
+        size = 1e3 if name == "hf" else 1.0
+        phases = {x.replace("ia", current): size * amps for x, amps in log.phases.items()}
+        desk.write(f"{name}_1.csv", {"t": log.t, **phases, **log.volts})
+    desk.mapping = TIME + CURRENT + VOLTAGE + "split_at_gaps: true\n"
+    desk.mapping += "files: [{file: ramp*, columns: {ia: I_a}}, {file: hf*, current: {unit: mA}}]\n"
+    desk.mapping += (
+        "segments: [{file: rest*, stage: resistance}, {file: ramp*, stage: classical}, {file: hf*, stage: injection}]\n"
+    )
+
+
+def scope_channels(desk: Desk) -> None:
+    # A file a channel, all with the same names in it, as some scopes write them.
+    for number, values in enumerate([*LOG.phases.values(), *LOG.volts.values()], start=1):
+        desk.write(f"C{number}--00000.csv", {"Time": LOG.t, "Ampl": values, "what": LOG.stage})
+    named = zip(("ib", "ic", "va", "vb", "vc"), range(2, 7), strict=True)
+    beside = [f"{{file: C{k}*, beside: C1*, columns: {{{name}: Ampl}}}}" for name, k in named]
+    desk.mapping = "time: {column: Time, unit: s}\n" + CURRENT + VOLTAGE + STAGES
+    desk.mapping += f"files: [{{file: C1*, columns: {{ia: Ampl}}}},\n  {', '.join(beside)}]\n"
+
+
+SHAPES: list[Callable[[Desk], None]] = [
+    duties, line_to_line, counts, ticks, epoch, dates, shaft, a_file_a_segment, scope_channels,
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_shape_is_imported_with_at_most_ten_lines(desk: Desk, shape: Callable[[Desk], None]) -> None:
+    shape(desk)
+    assert len(desk.mapping.splitlines()) <= 10
+    report = desk.run()
+    found = desk.segments()
+    stage_of = [segment.stage.value for segment, _ in found for _ in range(segment.samples)]
+    assert (report.samples, stage_of) == (LOG.t.size, LOG.stage)
+    assert found[0][0].start_s < 110.0
+    i, v = (np.concatenate([getattr(c, x) for _, c in found]) for x in ("i_ab", "v_ab"))
+    np.testing.assert_allclose(i, LOG.i, rtol=0, atol=0.0005 if shape is counts else 1e-6)
+    np.testing.assert_allclose(v, LOG.v, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("numbering", ["sectors", "bits_abc", "bits_cba"])
+def test_switching_states_are_the_legs_times_the_bus(desk: Desk, numbering: str) -> None:
+    legs = np.random.default_rng(1).integers(0, 2, (400, 3))
+    number = {
+        "sectors": [[0, 5, 3, 4], [1, 6, 2, 7]],
+        "bits_abc": [[0, 1, 2, 3], [4, 5, 6, 7]],
+        "bits_cba": [[0, 4, 2, 6], [1, 5, 3, 7]],
+    }[numbering]
+    states = np.array(number)[legs[:, 0], 2 * legs[:, 1] + legs[:, 2]]
+    volts = 300.0 * (legs - legs.mean(axis=1, keepdims=True))
+    i = np.zeros((400, 3))
+    for k in range(399):
+        i[k + 1] = i[k] + 1e-4 / 0.05 * (volts[k] - 40.0 * i[k])
+    columns = dict(zip(("ia", "ib", "ic"), i.T, strict=True))
+    desk.write("log.csv", {"t": np.arange(400) / 1e4, **columns, "sv": states, "bus": np.full(400, 300.0)})
+    desk.mapping = TIME + CURRENT + "bus: {column: bus, unit: V}\nsegments: [{stage: classical}]\n"
+    desk.mapping += f"voltage: {{frame: switching, columns: {{state: sv}}, numbering: {numbering}, unit: duty}}\n"
+    desk.run()
+    ((_, capture),) = desk.segments()
+    a = capture.v_ab[:, 0]
+    b = -0.5 * a + np.sqrt(0.75) * capture.v_ab[:, 1]
+    np.testing.assert_allclose(np.column_stack([a, b]), volts[:, :2], atol=1e-3)
+
+
+def test_one_axis_alone_is_said_to_be_so(desk: Desk) -> None:
+    part = LOG.rows(slice(3000, 23000))
+    desk.write("log.csv", {"t": part.t, "u": part.v[:, 0], "i": part.i[:, 0]})
+    only = "{frame: dq, columns: {d: %s}, other_axis: zero, unit: %s, scaling: amplitude_invariant}\n"
+    desk.mapping = TIME + f"current: {only % ('i', 'A')}voltage: {only % ('u', 'V')}segments: [{{stage: classical}}]\n"
+    desk.run()
+    ((_, capture),) = desk.segments()
+    np.testing.assert_allclose(capture.i_ab, np.column_stack([part.i[:, 0], 0 * part.t]), atol=1e-6)
+
+
+def test_what_was_dropped_is_counted_in_rows(desk: Desk) -> None:
+    part = LOG.rows(slice(0, 3000))
+    ia = part.phases["ia"].copy()
+    ia[[5, 700]] = np.nan
+    labels = ["warm-up"] * 100 + ["resistance"] * 2900
+    desk.write("log.csv", {"t": part.t, **part.phases, "ia": ia, **part.volts, "what": labels})
+    desk.mapping = TIME + CURRENT + VOLTAGE + "split_at_gaps: true\nsegment_column: what\n"
+    desk.mapping += "segments: [{label: resistance, stage: resistance}]\n"
+    report = desk.run()
+    assert report.rows == 3000
+    assert report.dropped_rows == {"a value is missing": 1, "fits no entry of segments": 100}
+    assert report.samples + sum(report.dropped_rows.values()) == report.rows
+
+
+def test_an_epoch_in_any_order_begins_at_zero(desk: Desk) -> None:
+    for name, part in (("second", slice(1500, 3000)), ("first", slice(0, 1500))):
+        log = LOG.rows(part)
+        desk.write(f"{name}.csv", {"t": log.t + 1.7e9, **log.phases, **log.volts})
+    desk.mapping = TIME + CURRENT + VOLTAGE + "segments: [{stage: resistance}]\n"
+    desk.run()
+    starts = [segment.start_s for segment, _ in desk.segments()]
+    assert starts == pytest.approx([0.0, LOG.t[1500] - LOG.t[0]], abs=1e-5)
+
+
+def two_loggers(desk: Desk, offset_s: float, ppm: float, rate: float = 12_500.0) -> None:
+    """Currents by one logger; voltages by another, of another rate, with a clock of its own."""
+    log = log_of(("injection-012", "injection-013"))
+    desk.write("amps.csv", {"t": log.t, **log.phases})
+    fine = np.arange(log.t[0], log.t[-1], 1.0 / rate)
+    row = np.clip(np.searchsorted(log.t, fine + 1e-9, side="right") - 1, 0, None)
+    quiet = fine - log.t[row] > 1.5e-4
+    volts = {x: np.where(quiet, 0.0, u[row]) for x, u in log.volts.items()}
+    desk.write("volts.csv", {"time_ms": 1e3 * (fine * (1.0 + 1e-6 * ppm) + offset_s), **volts})
+    desk.mapping = TIME + CURRENT + VOLTAGE + "split_at_gaps: true\nsegments: [{stage: injection}]\n"
+    desk.mapping += "files: [{file: volts*, beside: amps*, columns: [va, vb, vc], align: edges, "
+    desk.mapping += "time: {column: time_ms, unit: ms}}]\n"
+
+
+@pytest.mark.parametrize(("offset_s", "ppm"), [(0.0, 0.0), (-37.25, 40.0), (1234.5, -80.0)])
+def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm: float) -> None:
+    two_loggers(desk, offset_s, ppm, 1e5)
+    report = desk.run()
+    assert any("by its edges" in note for note in report.notes)
+    log = log_of(("injection-012", "injection-013"))
+    found = desk.segments()
+    v = np.concatenate([c.v_ab for _, c in found])
+    at = np.searchsorted(log.t, np.concatenate([s.start_s + np.arange(s.samples) / 1e4 for s, _ in found]) - 1e-6)
+    off = v - log.v[at]
+    assert np.sqrt(np.mean(off**2)) < 0.1 * np.sqrt(np.mean(log.v**2))  # a sixth of a sample, with square waves
+
+
+def test_edges_that_repeat_leave_the_offset_open(desk: Desk) -> None:
+    t = np.arange(20_000) / 1e4
+    v = 20.0 * np.sign(np.sin(2 * np.pi * 500.0 * t + 1e-6))
+    i = 2.0 + np.concatenate([[0.0], np.cumsum(v)[:-1]]) * 1e-4 / 0.05
+    desk.write("amps.csv", {"t": t, "i": i})
+    desk.write("volts.csv", {"t": t, "u": v + 4.25 * 2.0})
+    only = "{frame: dq, columns: {d: %s}, other_axis: zero, unit: %s, scaling: amplitude_invariant}\n"
+    desk.mapping = TIME + f"current: {only % ('i', 'A')}voltage: {only % ('u', 'V')}segments: [{{stage: injection}}]\n"
+    desk.mapping += "files: [{file: volts*, beside: amps*, columns: [u], align: edges}]\n"
+    with pytest.raises(
+        InputError, match=r"volts.csv: align: the voltage's edges fit the current at more than one offset"
+    ):
+        desk.run()
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("columns: [va, vb, vc], ", ""), "files.0: beside needs columns: those that this file has"),
+        (("beside: amps*, ", ""), "files.0: columns needs the name in the file for each, such as {ia: CH1}"),
+        (("beside: amps*", "beside: A*"), "volts.csv: beside: 1 files fit 'volts*', 0 fit 'A*': one each is needed"),
+        (("file: volts*", "file: scope*"), "files.0: no file fits it ('scope*')"),
+        (("unit: ms", "unit: msec"), "files.0.time.unit: expected 's', 'ms'"),
+        (("align: edges", "align: edge"), "files.0.align: expected 'stamps' or 'edges', got 'edge'"),
+        (("{file: volts*, ", "{"), "files.0.file: missing"),
+        (("[va, vb, vc]", "[va, vb]"), "amps.csv: vc: no such column"),
+    ],
+)
+def test_what_is_wrong_with_two_loggers_is_one_line(desk: Desk, change: tuple[str, str], said: str) -> None:
+    two_loggers(desk, 0.0, 0.0)
+    before = desk.mapping
+    desk.mapping = before.replace(*change)
+    assert desk.mapping != before
+    with pytest.raises(InputError) as raised:
+        desk.run()
+    assert said in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    ("section", "said"),
+    [
+        ("time: {column: t, unit: tick}", "time: unit tick and tick_hz (ticks a second) go together"),
+        ("time: {column: t, unit: iso, wraps_at: 9}", "time: dates do not wrap"),
+        ("voltage: {frame: abc, columns: {a: va, b: vb}, unit: duty}", "voltage: of two duties the third is not known"),
+        ("voltage: {frame: switching, columns: {state: s}, unit: duty}", "voltage: frame switching and numbering"),
+        (
+            "voltage: {frame: switching, columns: {state: s}, unit: V, numbering: sectors}",
+            "voltage: frame switching has unit: duty",
+        ),
+        ("current: {frame: dq, columns: {d: i}, unit: A, scaling: rms}", "current: frame dq needs columns for d and q"),
+        ("current: {frame: abc, columns: {a: i}, unit: A, other_axis: zero}", "current: other_axis: zero is for one"),
+        (
+            "current: {frame: abc, columns: {a: i, b: j}, unit: A, offset: {a: 1}}",
+            "current: offset needs one number, or one for each of a, b",
+        ),
+        ("current: {frame: line_to_line, columns: {ab: i, bc: j}, unit: A}", "current.frame: expected 'abc', 'alpha_b"),
+    ],
+)
+def test_a_word_that_is_wrong_is_said(desk: Desk, section: str, said: str) -> None:
+    desk.write("log.csv", {"t": LOG.t, **LOG.phases, **LOG.volts})
+    key = section.partition(":")[0]
+    parts = {"time": TIME, "current": CURRENT, "voltage": VOLTAGE} | {key: section + "\n"}
+    desk.mapping = "".join(parts.values()) + "segments: [{stage: classical}]\n"
+    with pytest.raises(InputError) as raised:
+        desk.run()
+    assert said in str(raised.value)
+
+
+def test_dates_that_are_none_and_states_that_are_none_are_said(desk: Desk) -> None:
+    part = LOG.rows(slice(0, 100))
+    desk.write("log.csv", {"t": ["yesterday"] * 100, **part.phases, **part.volts, "sv": [*[1] * 99, 9]})
+    desk.mapping = "time: {column: t, unit: iso}\n" + CURRENT + VOLTAGE + "segments: [{stage: resistance}]\n"
+    with pytest.raises(InputError, match=r"log.csv: t: expected dates as 2026-11-23T06:45:35.123"):
+        desk.run()
+    desk.mapping = "sampling_frequency_hz: 10000\n" + CURRENT + "segments: [{stage: resistance}]\n"
+    desk.mapping += "voltage: {frame: switching, columns: {state: sv}, unit: duty, numbering: bits_abc}\n"
+    with pytest.raises(InputError, match="sv: expected a switching state from 0 to 7, got 9 in row 100"):
+        desk.run()
