@@ -70,10 +70,13 @@ def require_columns(path: Path, wanted: Iterable[str], present: Collection[str])
     for name in wanted:
         if name not in present:
             near = nearest(name, present)
-            choices = [one_line(there)[:100] for there in present]
+            choices = sorted(one_line(there)[:100] for there in present)
             if near is not None:
                 raise InputError(str(path), name, f"no such column; did you mean {one_line(near)[:100]!r}?")
-            raise InputError(str(path), name, f"no such column; the file has {len(choices)}", choices)
+            inline = ", ".join(choices)
+            if len(inline) <= 100:
+                raise InputError(str(path), name, f"no such column; valid: {inline}")
+            raise InputError(str(path), name, f"no such column; the file has {len(choices)}:", choices)
 
 
 def as_numbers(path: Path, name: str, values: NDArray[Any]) -> Numbers:
