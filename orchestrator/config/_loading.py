@@ -8,16 +8,18 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
+from typing import Any
 
 from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
-from orchestrator._validation import first_problem, suggestion
+from orchestrator._validation import KeyPath, first_problem, suggestion
 from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
 from orchestrator.stages import parse_stages
 from protocols import (
     InputError,
+    Limits,
     Motor,
     Procedure,
     ProcedureError,
@@ -71,8 +73,8 @@ def read_procedure(
     drive : str, optional
         A drive plugin's name instead of the procedure's; the options of another drive are dropped.
     motor : Path, optional
-        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` go whole instead
-        of the procedure's.
+        YAML file whose sections ``motor`` and, where given, ``limits`` and ``drive`` go whole instead of the
+        procedure's; limits that need not be given (energy, duration) stay where the file has none.
 
     Raises
     ------
@@ -153,7 +155,20 @@ def _lay_over(document: Document, overlay: Document) -> None:
             problem = f"unknown section of a motor file; {suggestion(key, _OVERLAY_SECTIONS)}"
             raise ProcedureError(overlay.place((key,)), key, problem)
         places = {path: place for path, place in overlay.places.items() if path[0] == key}
+        if key == "limits":
+            section, places = _with_kept_limits(document, section, places)
         document.replace((key,), section, places)
+
+
+def _with_kept_limits(document: Document, section: Any, places: dict[KeyPath, str]) -> tuple[Any, dict[KeyPath, str]]:
+    """A motor file's limits, and those of the procedure that may be left out: nobody has taken them back."""
+    before = document.data.get("limits")
+    if not isinstance(section, dict) or not isinstance(before, dict):
+        return section, places
+    optional = {name for name, field in Limits.model_fields.items() if not field.is_required()}
+    kept = [name for name in before if name in optional and name not in section]
+    section = section | {name: before[name] for name in kept}
+    return section, places | {("limits", name): document.place(("limits", name)) for name in kept}
 
 
 def _choose_drive(document: Document, name: str) -> None:

@@ -2,8 +2,9 @@
 
 With I the rated current (peak), L and R the nameplate's, f_s the drive's sampling frequency:
 amplitudes are 1.25 I within 0.8 of the limit; injection is at f_s/20 with the voltage that
-swings the flux by 0.2 I L_d; settling takes five time constants of the current control and of
-L/R, and as long again, since the second half of it is averaged.
+swings the flux by 0.2 I L_d, I no more here than 1/1.25 of those amplitudes; settling takes five
+time constants of the current control and of L/R, and as long again, since the second half of it
+is averaged.
 """
 
 from __future__ import annotations
@@ -82,6 +83,15 @@ class Scaling:
         """Longest current vector of what is swept, ripple included [A]."""
         return self._rules.headroom * self._limits.current_a
 
+    def beside_ripple_a(self, setting: str, ripple_a: float) -> float:
+        """Longest current that leaves room for an injection's ripple [A]; raises where there is none."""
+        room = self.reach_a - ripple_a
+        if room <= 0:
+            limit, needed = self._limits.current_a, ripple_a / self._rules.headroom
+            told = f"the injection's ripple of {ripple_a:.3g} A leaves no room below limits.current_a of {limit:g} A"
+            raise self.error(setting, f"{told}: weaken the injection, or allow well above {needed:.3g} A")
+        return room
+
     def injection_hz(self, given: float | None) -> float:
         """Frequency of an injection."""
         return given if given is not None else self._context.sampling_frequency_hz / self._rules.samples_per_period
@@ -89,16 +99,21 @@ class Scaling:
     def injection_v(self, setting: str, frequency_hz: float, waveform: Literal["square", "sine"] = "square") -> float:
         """Amplitude of an injection [V], within the room that R_s i leaves below limits.voltage_v."""
         inductance = self._needed("d_inductance_h", self._motor.d_inductance_h, setting)
-        wanted = injection_voltage_v(self.rated_current_a(setting), inductance, frequency_hz, waveform)
-        room = self._limits.voltage_v - (self._motor.stator_resistance_ohm or 0.0) * self._limits.current_a
-        if room <= 0:
+        # Where the limit is what keeps sweeps short, the ripple is as small against them as it is elsewhere.
+        swept = min(
+            self.rated_current_a(setting), self._rules.of_limit / self._rules.over_rated * self._limits.current_a
+        )
+        wanted = injection_voltage_v(swept, inductance, frequency_hz, waveform)
+        resistance, limits = self._motor.stator_resistance_ohm or 0.0, self._limits
+        drop = resistance * limits.current_a
+        if drop >= limits.voltage_v:
+            ohmic = f"{resistance:g} ohm x limits.current_a of {limits.current_a:g} A = {drop:.4g} V"
+            enough = f"raise it to {float(f'{drop + wanted / self._rules.of_limit:.3g}'):g} V"
+            lower = f"lower limits.current_a below {limits.voltage_v / resistance:.3g} A"
+            problem = f"{limits.voltage_v:g} V leave no room for an injection beside {ohmic}: {enough}, or {lower}"
             place = f"stages.{self._context.index}.{setting}"
-            raise ProcedureError(
-                self._context.procedure.name,
-                "limits.voltage_v",
-                f"leaves no room for injection beside R_s i at limits.current_a ({place})",
-            )
-        return tidy(min(wanted, self._rules.of_limit * room))
+            raise ProcedureError(self._context.procedure.name, "limits.voltage_v", f"{problem} ({place})")
+        return tidy(min(wanted, self._rules.of_limit * (limits.voltage_v - drop)))
 
     def ripple_a(self, amplitude_v: float, frequency_hz: float, waveform: Literal["square", "sine"]) -> float:
         """Peak of an injection's current ripple [A]; 0 where no inductance is known."""

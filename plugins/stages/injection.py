@@ -126,10 +126,7 @@ class InjectionStage(EnergisedStage):
         return self._clipped(scaling, points, ripple_a)
 
     def _clipped(self, scaling: Scaling, points: Sequence[Point], ripple_a: float) -> tuple[Point, ...]:
-        inside = within(points, scaling.reach_a - ripple_a)
-        if not inside:
-            problem = f"the injection's ripple of {ripple_a:.3g} A leaves no room below limits.current_a"
-            raise scaling.error("amplitudes_v", problem)
+        inside = within(points, scaling.beside_ripple_a("amplitudes_v", ripple_a))
         if len(inside) < len(points):
             left_out = len(points) - len(inside)
             scaling.note(f"({self.name}): {left_out} of {len(points)} points left out, beyond limits.current_a")

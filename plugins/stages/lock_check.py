@@ -35,7 +35,7 @@ class LockCheckStage(EnergisedStage):
     """Below it a lock that nothing speaks against is not known."""
 
     torque_current_a: Positive | None = None
-    """Current on the believed q axis. None: the largest that the later stages use."""
+    """Current on the believed q axis. None: the largest of the later stages that leaves room for the ripple."""
     amplitude_v: Positive | None = None
     frequency_hz: Positive | None = None
     rotation_hz: Positive | None = None
@@ -54,7 +54,9 @@ class LockCheckStage(EnergisedStage):
         torque = self.torque_current_a
         if torque is None:
             others = [stage for stage in context.later if not isinstance(stage, LockCheckStage)]
-            torque = largest_q_a(others) or scaling.amplitude_a("torque_current_a")
+            wanted = largest_q_a(others) or scaling.amplitude_a("torque_current_a")
+            ripple = scaling.ripple_a(amplitude, frequency, "square")
+            torque = min(wanted, float(f"{scaling.beside_ripple_a('amplitude_v', ripple):.3g}"))
         update = {
             "torque_current_a": torque,
             "amplitude_v": amplitude,

@@ -307,11 +307,10 @@ def expect_named(error: ProcedureError, name: str) -> None:
 SERVO = "motor:\n  name: servo\n  pole_pairs: 4\nlimits:\n  current_a: 20.0\n  voltage_v: 24.0\n"
 
 
-def test_a_motor_file_goes_over_the_nameplate_and_the_limits_whole(write: Write) -> None:
+def test_a_motor_file_goes_over_the_nameplate_and_the_limits(write: Write) -> None:
     procedure = load_procedure("demo", motor=write(SERVO), overrides=["motor.pole_pairs=5"])
     assert (procedure.motor.name, procedure.motor.pole_pairs) == ("servo", 5)
     assert procedure.motor.rated_current_rms_a is None
-    assert procedure.limits.energy_j is None
     assert procedure.drive.options == load_procedure("demo").drive.options
 
 
@@ -321,6 +320,13 @@ def test_a_motor_is_read_from_whatever_names_its_file(write: Write) -> None:
     assert load_motor(str(file)).name == "servo"
     with pytest.raises(ProcedureError, match="motor: missing"):
         load_motor(write("limits: {}\n"))
+
+
+def test_a_motor_file_s_limits_leave_those_that_it_does_not_give(write: Write) -> None:
+    kept, limits = load_procedure("demo").limits, load_procedure("demo", motor=write(SERVO)).limits
+    assert (limits.current_a, limits.voltage_v) == (20.0, 24.0)
+    assert (limits.energy_j, limits.duration_s) == (kept.energy_j, kept.duration_s)
+    assert kept.energy_j is not None
 
 
 def test_a_motor_file_without_limits_keeps_the_procedures(write: Write) -> None:
@@ -421,9 +427,9 @@ def test_an_effect_that_is_taken_out_has_to_be_there() -> None:
 
 def test_an_error_found_while_planning_is_told_with_file_and_line(tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
-    file.write_text(shipped_procedure("demo").replace("current_a: 5.0", "current_a: 0.4"))
+    file.write_text(shipped_procedure("demo").replace("pattern: grid", "amplitudes_v: [4000.0]"))
     loaded = read_procedure(str(file))
-    line = next(k for k, text in enumerate(file.read_text().splitlines(), 1) if "kind: injection" in text)
+    line = next(k for k, text in enumerate(file.read_text().splitlines(), 1) if "amplitudes_v" in text)
     with (
         pytest.raises(ProcedureError, match=rf"mine\.yaml:{line}: stages\.8\.amplitudes_v"),
         loaded.naming_its_places(),

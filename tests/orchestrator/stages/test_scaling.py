@@ -56,6 +56,25 @@ def test_shipped_procedures_serve_other_motors_by_nameplate_and_limits_alone(nam
     check_plan(make_plan(procedure, bench.capabilities()), bench.capabilities())
 
 
+@pytest.mark.parametrize("name", ["demo", "full"])
+@pytest.mark.parametrize("of_rated", [0.2, 0.7, 0.72, 1.1])
+def test_defaults_never_break_their_own_limits(name: str, of_rated: float) -> None:
+    other = TRACTION.procedure({"kind": "gates_off"})
+    current = of_rated * math.sqrt(2) * TRACTION.motor["rated_current_rms_a"]
+    limits = other.limits.model_copy(update={"current_a": current})
+    procedure = load_procedure(name).model_copy(update={"motor": other.motor, "limits": limits})
+    check_plan(make_plan(procedure, TRACTION.capabilities()), TRACTION.capabilities())
+
+
+def test_a_voltage_limit_that_the_resistance_takes_up_says_what_would_do(pm400: Bench) -> None:
+    procedure = pm400.procedure({"kind": "injection"}, limits={"current_a": 5.0, "voltage_v": 20.0})
+    with pytest.raises(ProcedureError) as caught:
+        make_plan(procedure, None)
+    assert "4.25 ohm x limits.current_a of 5 A = 21.25 V: raise it to 72 V" in str(caught.value)
+    assert "or lower limits.current_a below 4.71 A" in str(caught.value)
+    assert make_plan(pm400.procedure({"kind": "injection"}, limits={"current_a": 5.0, "voltage_v": 72.0}), None)
+
+
 def test_the_400_w_machine_gets_about_the_papers_settings(pm400: Bench, every_stage: Stages) -> None:
     plan = make_plan(pm400.procedure(*every_stage()), pm400.capabilities())
     point = injections(plan)[0]
