@@ -76,14 +76,14 @@ def trace_steps(
     Raises
     ------
     NotMeasuredError
-        Where the voltage does not turn round several times.
+        Where the voltage does not turn round twice: a loop to both limits and back.
     """
     # numba stays out of an import that only wants the names
     from orchestrator.analysis._block_means import block_means
     from orchestrator.analysis._phase_loss_kernels import shape_integrals
 
     step, turns = 1.0 / capture.sampling_frequency_hz, turns_of(np.asarray(capture.v_ab, dtype=np.float64))
-    if turns < 3:
+    if turns < 2:
         raise NotMeasuredError(where, "v_alpha, v_beta", "the voltage does not turn round: expected steps to and fro")
     swing = len(capture) / (turns + 1)
     block = max(1, int(swing / blocks_a_swing))
