@@ -24,6 +24,7 @@ class Finding(StrEnum):
     CONSTANT_CURRENT = "constant_current"
     CONSTANT_VOLTAGE = "constant_voltage"
     MOVING_ROTOR = "moving_rotor"
+    TURNING_ROTOR = "turning_rotor"
 
 
 class Findings:

@@ -14,7 +14,7 @@ from orchestrator.importing._splitting import Piece
 from orchestrator.importing._timing import Stretch, at, resampled, resampled_held
 from orchestrator.importing._vectors import Columns, bus_v, phases, temperature_c, vectors, wrong_state
 from orchestrator.importing._waveform_checks import Waveforms
-from protocols import Capture, InputError
+from protocols import Capture, InputError, SegmentStage
 
 _LARGEST = float(np.finfo(np.float32).max)
 
@@ -74,6 +74,7 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
         i_ab=_there(signals["i_ab"]),
         v_ab=_there(signals["v_ab"]),
         v_dc=_there(signals["v_dc"]),
+        injected_hz=rule.settings.get("frequency_hz") if rule.stage is SegmentStage.INJECTION else None,
         i_abc=signals["i_abc"],
         raw_currents={name: columns[name] for name in mapping.current.columns.values()},
     )

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._rotation import beyond_resistance_v, turning
 from orchestrator.importing._signals import Scaling
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
@@ -22,6 +23,9 @@ from orchestrator.importing._vectors import TO_PEAK
 from orchestrator.numerics.frames import from_phases
 from orchestrator.plausibility import DOUBTED, HEXAGON, apart_rad, is_reversed, rms, slow_part, within
 from protocols import SegmentStage
+
+_LOCKED = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
+"""Stages whose currents do not turn by themselves; steps on both axes may go round a square."""
 
 
 @dataclass(frozen=True)
@@ -38,6 +42,8 @@ class Waveforms:
     i_ab: Numbers
     v_ab: Numbers
     v_dc: Numbers
+    injected_hz: float | None
+    """What the mapping says of an injection's frequency: its ripple may turn."""
     i_abc: Numbers | None
     """Where all three phases were measured."""
     raw_currents: Mapping[str, Numbers]
@@ -64,6 +70,8 @@ class WaveformChecks:
         if w.stage is SegmentStage.GATES_OFF:
             return
         self._constants(w)
+        if w.stage in _LOCKED:
+            self._turning(w)
         if w.i_abc is not None:
             self._zero_sequence(w, w.i_abc)
             if self._mapping.phase_currents is not None:
@@ -146,6 +154,22 @@ class WaveformChecks:
             self._findings.doubt(
                 Finding.CONSTANT_VOLTAGE, w.file, self._voltage_names, f"zero from {w.rows} to the segment's end"
             )
+
+    def _turning(self, w: Waveforms) -> None:
+        where = f"{w.stage.value} is for a locked one; a rotor that turns is not locked, and needs its angle"
+        if self._is_significant(rms(w.i_ab)) and w.injected_hz is None:
+            found = turning(w.i_ab, w.rate_hz)
+            if found is not None:
+                said = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz from {w.rows} on: {where}"
+                self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._current_names, said)
+        ohm, bus = self._mapping.motor.stator_resistance_ohm, self._mapping.drive.dc_bus_voltage_v
+        if self._mapping.voltage.frame != "dq" or ohm is None:
+            return
+        left = beyond_resistance_v(w.i_ab, w.v_ab, ohm)
+        # Dead time and drops are far below a twentieth of the bus.
+        if left is not None and left > 0.05 * bus:
+            said = f"{left:.3g} V (mean from {w.rows} on) are not the {ohm:g} ohm of the nameplate: back-EMF? {where}"
+            self._findings.doubt(Finding.TURNING_ROTOR, w.file, self._voltage_names, said)
 
     def _zero_sequence(self, w: Waveforms, i_abc: Numbers) -> None:
         total = i_abc.sum(axis=1)
