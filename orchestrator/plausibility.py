@@ -40,6 +40,8 @@ DRIVE_RANGES: Mapping[str, Range] = {
     "pwm_frequency_hz": (100.0, 1e6),
 }
 """What means the same in every drive that has it; a board that is asked for each reading samples from 1 Hz on."""
+TWO_TURNS_RAD = 4.0 * math.pi
+"""Angles as they are written are less; degrees are mostly more."""
 HEXAGON = 2.0 / 3.0
 """Longest voltage vector of a bridge, in bus voltages: the hexagon's corner."""
 
@@ -111,6 +113,9 @@ def implausible(
         yield ("drive", name), problem
     for index, stage in enumerate(stages):
         for name, value in stage:
+            if name.endswith("_rad") and isinstance(value, float) and abs(value) > TWO_TURNS_RAD:
+                degrees = f"is it in degrees ({math.radians(value):.4g} rad)?"
+                yield ("stages", index, name), f"{value:g} rad is more than two turns: {degrees}"
             if name.endswith("_s") and isinstance(value, float) and value > longest_s:
                 yield ("stages", index, name), f"{value:g} s is more than a day"
 

@@ -302,9 +302,10 @@ class MapCriteria(Lenient):
     """Injection's flux is so much larger or smaller than integration's, as a ratio less 1, where that is worth one."""
     flux_ratio_stds: float = 2.0
     """And by so many standard deviations of the ratio."""
+    nameplate_apart: float = 0.2
+    """Of R_s and the inductances at the least current, relative to the nameplate: more is worth a remark."""
     nameplate_factor: float = 1.5
-    """Ratio to the nameplate, of R_s and the inductances at the least current, that is worth a remark; all of them off
-    the same way are a scale of the readings."""
+    """Ratio of theirs that no tolerance makes; all of them off the same way are a scale of the readings."""
 
 
 class EstimatorsReport(Lenient):

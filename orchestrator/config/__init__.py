@@ -3,6 +3,7 @@
 from orchestrator.config._checking import PlanSummary, StageRow, check_plan
 from orchestrator.config._loading import LoadedProcedure, load_motor, load_procedure, read_procedure
 from orchestrator.config._loads import nominal_ripple_a
+from orchestrator.config._nameplate import nameplate_doubts
 from orchestrator.config._planning import Plan, PlannedPoint, make_plan
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "load_motor",
     "load_procedure",
     "make_plan",
+    "nameplate_doubts",
     "nominal_ripple_a",
     "read_procedure",
 ]

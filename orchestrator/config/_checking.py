@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from orchestrator.config._loads import Load, load_of
+from orchestrator.config._nameplate import nameplate_doubts
 from orchestrator.config._planning import Plan
 from orchestrator.config._requirements import Requirements
 from protocols import Capabilities, CapabilityError, Point, Strict
@@ -103,7 +104,12 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
         energy_j=_total([row.energy_j for row in rows]),
         rms_current_a=rms,
         stages=tuple(rows),
-        notes=(*plan.notes, *_heat_notes(plan, rms), *(capabilities.notes if capabilities else ())),
+        notes=(
+            *nameplate_doubts(plan.procedure.motor),
+            *plan.notes,
+            *_heat_notes(plan, rms),
+            *(capabilities.notes if capabilities else ()),
+        ),
     )
 
 

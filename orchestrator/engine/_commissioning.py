@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Literal
 
-from orchestrator.config import Plan, PlannedPoint
+from orchestrator.config import Plan, PlannedPoint, nameplate_doubts
 from orchestrator.engine._agenda import Agenda
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
@@ -151,6 +151,8 @@ class Commissioning:
                 seconds=self._agenda.seconds_left,
             )
         )
+        for doubt in nameplate_doubts(procedure.motor):
+            self._log.say(Note(level="warning", text=doubt))
         self._machine.fire(Trigger.CONNECT)
         self._power.verify_at_rest()
         last = max(self._agenda.done.values(), key=lambda segment: segment.start_s, default=None)

@@ -1,4 +1,4 @@
-"""Estimates beside the nameplate: a factor that no tolerance makes is said, and one on all of them is an objection."""
+"""Estimates beside the nameplate: what is far from it is said, and a factor on all of them is an objection."""
 
 from __future__ import annotations
 
@@ -15,15 +15,25 @@ def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMapEstimat
 
     Where R_s and the inductances are all off the same way, a scale of the readings is: the map is not usable then.
     """
-    limit = report.criteria.nameplate_factor
-    ratios = {name: found / stated for name, found, stated in _pairs(report, maps, motor) if stated and found > 0.0}
-    far = [name for name, ratio in ratios.items() if abs(math.log(ratio)) > math.log(limit)]
-    text = "{name} is {ratio:.3g} times the nameplate's: is the nameplate right, and are the units?"
-    remarks = [Remark.of("far_from_nameplate", text, name=name, ratio=ratios[name]) for name in far]
+    criteria = report.criteria
+    pairs = {name: (found, stated) for name, found, stated in _pairs(report, maps, motor) if stated and found > 0.0}
+    ratios = {name: found / stated for name, (found, stated) in pairs.items()}
+    told = [name for name, ratio in ratios.items() if abs(ratio - 1.0) > criteria.nameplate_apart]
+    far = [name for name in told if abs(math.log(ratios[name])) > math.log(criteria.nameplate_factor)]
+    remarks = [_remark(name, *pairs[name], questioned=name in far) for name in told]
     signs = {ratios[name] > 1.0 for name in far}
     if len(far) == len(ratios) >= 2 and "R_s" in far and len(signs) == 1:
         return report.objected(remarks)
     return report.model_copy(update={"remarks": (*report.remarks, *remarks)})
+
+
+def _remark(name: str, found: float, stated: float, *, questioned: bool) -> Remark:
+    text = "{name} is {measured:.4g} {unit}, {ratio:.3g} times the nameplate's {nameplate:.4g} {unit}"
+    if questioned:
+        text += ": is the nameplate right, and are the units?"
+    unit = "ohm" if name == "R_s" else "H"
+    ratio = found / stated
+    return Remark.of("far_from_nameplate", text, name=name, measured=found, nameplate=stated, ratio=ratio, unit=unit)
 
 
 def _pairs(
