@@ -208,6 +208,8 @@ class Capabilities(Strict):
     """The drive goes to its safe state when no heartbeat came for this long; None: it has no dead man."""
     watchdog_covers: frozenset[ExcitationKind] = frozenset()
     """The excitations during which the watchdog is at work."""
+    clock_is_simulated: bool = False
+    """True where its time is its own, as a simulation's: then nobody holds it against the host's clock."""
     has_brake: bool = False
     """Whether `Drive.set_brake` moves a real brake."""
     motor_name: str | None = None
@@ -238,6 +240,8 @@ class Telemetry(Strict):
     i_q_a: float
     v_dc_v: float
     temperature_c: float | None = None
+    pwm_frequency_hz: Positive | None = None
+    """The one at work, by the drive's own word; None: it does not tell."""
     faults: tuple[str, ...] = ()
     open_interlocks: tuple[str, ...] = ()
     """Those of `Capabilities.interlocks` that forbid power now."""

@@ -7,6 +7,7 @@ from contextlib import closing
 import numpy as np
 
 from orchestrator.config import PlannedPoint
+from orchestrator.engine._alignment import AlignmentCheck
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._power import PowerStage
@@ -41,8 +42,9 @@ class MeanCurrent:
 class Measurement:
     """Takes points from the drive to the disk.
 
-    Every block is checked as it comes, against the time base, the row count and the current
-    limit: a drive that sends wrong data is a fault, and its segment never appears in the recording.
+    Every block is checked as it comes, against the time base, the row count, the current limit and
+    the winding's own equation: a drive that sends wrong data is a fault, and its segment never
+    appears in the recording.
     """
 
     def __init__(
@@ -56,6 +58,7 @@ class Measurement:
     ) -> None:
         self._run, self._power, self._log = run, power, log
         self._interrupts, self._capabilities, self._limits = interrupts, capabilities, limits
+        self._alignment = AlignmentCheck(capabilities)
         SegmentWriter.warm_up()
 
     def measure(self, point: PlannedPoint) -> tuple[Segment, tuple[float, float]]:
@@ -89,6 +92,7 @@ class Measurement:
         angle = point.excitation.rotor_angle_rad
         mean = MeanCurrent(angle)
         blocks = self._power.execute(point.excitation, quiet_s=point.seconds)
+        self._alignment.begin()
         with SegmentWriter(self._run.path, point.id) as writer, closing(blocks):
             for capture in blocks:
                 self._interrupts.check()
@@ -97,10 +101,12 @@ class Measurement:
                 writer.append(capture)
                 self._check_current(capture, point.id)
                 mean.add(capture)
+                self._alignment.hear(point.excitation, capture)
                 self._log.say(SamplesCaptured(segment=point.id, rotor_angle_rad=angle, capture=capture))
             self._interrupts.check()
             self._check_length(point, mean.samples)
             self._power.require_interlocks()
+            self._alignment.conclude(point.id)
             written = writer.finish()
         segment = Segment(
             id=point.id,

@@ -3,8 +3,8 @@
     i[k+2] - 2 i[k+1] + i[k] = g (v[k+1] - v[k])
 
 First one window of the current is found again in the whole of the voltage; others then tell how far the clocks drift
-apart; and the winding's own equation (`voltage_lag`) tells fractions of a sample. Whatever delay the drive has is taken
-for the clocks' difference: it cannot be told from it.
+apart; and the winding's own equation (`alignment_of`) tells fractions of a sample. Whatever delay the drive has is
+taken for the clocks' difference: it cannot be told from it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from orchestrator.importing._signals import CurrentSignal, VoltageSignal
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._timing import held_means, resampled
 from orchestrator.importing._vectors import vectors
-from orchestrator.importing._waveform_checks import voltage_lag
+from orchestrator.numerics.alignment import alignment_of
 from protocols import InputError
 
 Complex = NDArray[np.complex128]
@@ -157,8 +157,8 @@ def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> t
     for begin in begins_s:
         grid = np.arange(begin, min(begin + _SAMPLES * step_s, i_s[-1]), step_s)
         there = np.column_stack([np.interp(grid[:-1], i_s, x) for x in i.T])
-        late = voltage_lag(there, held_means(v_s, v, grid)) if grid.size > 1 else None
-        told += [] if late is None else [(0.5 * (grid[0] + grid[-1]), late * step_s)]
+        found = alignment_of(there, held_means(v_s, v, grid)) if grid.size > 1 else None
+        told += [] if found is None else [(0.5 * (grid[0] + grid[-1]), found.lag_rows * step_s)]
     if not told:
         return 0.0, 0.0, 0.0
     times, late_s = np.array(told).T

@@ -11,7 +11,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.importing._findings import Finding, Findings
 from orchestrator.importing._mapping import ImportMapping
@@ -20,6 +19,7 @@ from orchestrator.importing._signals import Scaling
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK
+from orchestrator.numerics.alignment import alignment_of
 from orchestrator.numerics.frames import from_phases
 from orchestrator.plausibility import DOUBTED, HEXAGON, apart_rad, is_reversed, rms, slow_part, within
 from protocols import SegmentStage
@@ -78,8 +78,8 @@ class WaveformChecks:
                 self._scaling(w, from_phases(w.i_abc))
         self._polarity(w)
         if w.stage is SegmentStage.INJECTION:
-            lag = voltage_lag(w.i_ab, w.v_ab)
-            self._lags += [] if lag is None else [lag]
+            found = alignment_of(w.i_ab, w.v_ab)
+            self._lags += [] if found is None else [found.lag_rows]
 
     def conclude(self, file: str) -> None:
         """Look at all that was seen; `file` is named where the recording as a whole looks wrong."""
@@ -301,52 +301,3 @@ def _scaling_hint(labelled: Scaling | None, gain: float) -> str:
         if scaling != labelled and abs(gain * TO_PEAK[labelled] / to_peak - 1.0) < 0.02:
             return f"; labelled {labelled}, {scaling} would fit"
     return ""
-
-
-def voltage_lag(
-    i_ab: Numbers,
-    v_ab: Numbers,
-    *,
-    earliest: int = -3,
-    latest: int = 6,
-    most_samples: int = 8_000,
-    explained: float = 0.5,
-) -> float | None:
-    """The n of "v[k] acts from t_k + n Ts" that explains the current best; None where nothing can be told.
-
-    Of a winding of any inductance and resistance, ``i[k+1] - i[k] = g ((1-f) v[k-m] + f v[k-m-1]) - r i[k]``, with
-    n = m + f. For each m, g, f and r follow by least squares; the m counts that leaves least and has f in [0, 1].
-
-    Parameters
-    ----------
-    i_ab, v_ab : array, shape (n, 2)
-        Currents and voltages of a segment with injection.
-    earliest, latest : int
-        The m that are tried.
-    most_samples : int
-        That are looked at: some hundred periods of an injection.
-    explained : float
-        Share of the current's steps that has to be explained.
-    """
-    i, v = (_centred(x[:most_samples]) for x in (i_ab, v_ab))
-    inner = slice(latest + 1, i.size + earliest - 1)
-    if inner.stop - inner.start < 100:
-        return None
-    places = np.arange(inner.start, inner.stop)
-    steps = i[places + 1] - i[places]
-    power = float(np.vdot(steps, steps).real)
-    best, least = None, (1.0 - explained) * power
-    for late in range(earliest, latest + 1):
-        parts = np.stack([v[places - late], v[places - late - 1], i[places]])
-        gram, along = (parts @ parts.conj().T).real, (parts @ steps.conj()).real
-        gains = np.linalg.lstsq(gram, along, rcond=1e-12)[0]
-        left = power - float(gains @ along)
-        if left < least and gains[0] > 0.0 and gains[1] > -0.05 * gains[0]:
-            best, least = late + max(float(gains[1]), 0.0) / (float(gains[0]) + max(float(gains[1]), 0.0)), left
-    return best
-
-
-def _centred(x: Numbers) -> NDArray[np.complex128]:
-    vectors: NDArray[np.complex128] = x[:, 0] + 1j * x[:, 1]
-    vectors -= vectors.mean()
-    return vectors

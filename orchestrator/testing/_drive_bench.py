@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
@@ -41,6 +43,7 @@ class Sizes:
     """Excitations that are safe for this motor on this drive, yet large enough to measure."""
 
     limits: Limits
+    rated_a: float
     current_a: float
     settle_s: float
     duration_s: float
@@ -54,7 +57,8 @@ class Sizes:
     def of(cls, motor: Motor, capabilities: Capabilities) -> Sizes:
         """Two fifths of the rated current; an injection as strong as a procedure's."""
         rated = min(motor.rated_current_a or 0.5 * capabilities.max_current_a, capabilities.max_current_a)
-        longest = capabilities.longest_capture_s or 1.2
+        longest = capabilities.longest_capture_s or math.inf
+        row_s = 1.0 / capabilities.sampling_frequency_hz
         frequency = capabilities.sampling_frequency_hz / SAMPLES_PER_PERIOD
         amplitude = 0.1 * capabilities.max_voltage_v
         if motor.d_inductance_h is not None:
@@ -65,10 +69,11 @@ class Sizes:
         injection_s = periods / frequency
         return cls(
             limits=Limits(current_a=min(capabilities.max_current_a, 1.5 * rated), voltage_v=capabilities.max_voltage_v),
+            rated_a=rated,
             current_a=0.4 * rated,
-            settle_s=0.4,
-            duration_s=min(1.2, longest),
-            period_s=min(1.0, longest / 2.0),
+            settle_s=0.3,
+            duration_s=min(max(0.5, 4.0 * row_s), longest),
+            period_s=min(0.6, longest / 2.0),
             injection_s=injection_s,
             amplitude_v=min(amplitude, 0.4 * capabilities.max_voltage_v),
             frequency_hz=frequency,
@@ -91,14 +96,14 @@ class Sizes:
         return GatesOff(duration_s=self.duration_s)
 
     def trapezoid(self, **changed: Any) -> Trapezoid:
-        """Two periods on the q axis at half the kit's current held on d."""
+        """A period on the q axis at half the kit's current held on d."""
         return Trapezoid(
             **{
                 "swept_axis": "q",
                 "held_a": 0.5 * self.current_a,
                 "amplitude_a": self.current_a,
                 "period_s": self.period_s,
-                "periods": 2,
+                "periods": 1,
                 "settle_s": self.settle_s,
                 **changed,
             }
@@ -148,15 +153,32 @@ class Measured:
         return last.start_s + len(last) / last.sampling_frequency_hz
 
 
-def measure(drive: Drive, excitation: Excitation) -> Measured:
-    """Run one excitation to its end; blocks without rows are signs of life, and passed over."""
+def measure(drive: Drive, excitation: Excitation, sampling_frequency_hz: float | None = None) -> Measured:
+    """Run one excitation to its end and judge its rows; blocks without any are signs of life, and passed over."""
     blocks = []
     for block in drive.execute(excitation):
         assert isinstance(block, Capture), f"execute must yield Capture objects, got {type(block).__name__}"
         if len(block):
             blocks.append(block)
     assert blocks, f"{excitation.kind} captured nothing"
+    _require_sound(blocks, excitation, sampling_frequency_hz or blocks[0].sampling_frequency_hz)
     return Measured(blocks, np.concatenate([b.i_ab for b in blocks]), np.concatenate([b.v_ab for b in blocks]))
+
+
+def _require_sound(blocks: list[Capture], excitation: Excitation, fs: float) -> None:
+    """Finite, uniform, without a gap, and as many rows as were asked for."""
+    rows = sum(len(block) for block in blocks)
+    asked = f"{excitation.kind} of {excitation.captured_s} s at {fs} Hz"
+    assert rows == excitation.rows(fs), f"{asked} gave {rows} rows"
+    for block in blocks:
+        assert block.sampling_frequency_hz == fs, "a block's sampling frequency is not the one claimed"
+        assert len(block) <= 0.5 * fs + 1, f"a block of {len(block) / fs:.2f} s; half a second at most"
+        arrays = (block.i_ab, block.v_ab, block.v_dc)
+        assert all(np.isfinite(array).all() for array in arrays), "a sample is not finite"
+        assert block.v_dc.min() > 0.0, "v_dc is not positive"
+    for before, after in itertools.pairwise(blocks):
+        gap = (after.start_s - before.start_s) * fs - len(before)
+        assert abs(gap) < 0.01, f"{gap:+.3f} rows between a block and the next"
 
 
 class Heart:
@@ -198,6 +220,13 @@ class Session:
         """Skip the check where the drive does not claim this excitation."""
         if kind not in self.capabilities.excitations:
             pytest.skip(f"this drive claims no {kind}")
+
+    def measure(self, excitation: Excitation) -> Measured:
+        """What this excitation captures, within the voltage limit and at the sampling frequency that was claimed."""
+        measured = measure(self.drive, excitation, self.capabilities.sampling_frequency_hz)
+        longest = float(np.hypot(*measured.v_ab.T).max())
+        assert longest <= self.sizes.limits.voltage_v * 1.001, f"commanded {longest:.1f} V, above the limit"
+        return measured
 
     def current_now(self) -> complex:
         """Current vector d + jq by telemetry [A]."""
@@ -262,6 +291,13 @@ class DriveBench(Kit, ABC):
         with self.connected(private_directory) as session, self.beating(session) as beating:
             yield beating
             session.drive.ramp_down()
+
+    def bridge_is_on(self, drive: Drive) -> bool | None:
+        """What an instrument beside the drive says of its power stage: a scope, a lamp, an emulator's log.
+
+        None, the default: there is none, and the kit has to believe the drive.
+        """
+        return None
 
     def near(self, session: Session) -> float:
         """How far a controlled current may be from where it should be [A]."""

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from orchestrator.testing._drive_bench import DriveBench, measure
+from orchestrator.testing._drive_bench import DriveBench
 from protocols import Drive, DriveRefused, DriveState, Limits
 
 ENERGISED = ("hold", "trapezoid", "injection")
@@ -54,7 +54,7 @@ class DriveContractChecks(DriveBench):
         with self.connected(tmp_path) as session:
             session.requires(kind)
             with pytest.raises(DriveRefused):
-                measure(session.drive, session.sizes.one_of(kind))
+                session.measure(session.sizes.one_of(kind))
             assert abs(session.current_now()) <= self.near(session), "refused, but a current flows"
 
     @pytest.mark.parametrize("quantity", ["current_a", "voltage_v"])
@@ -76,14 +76,14 @@ class DriveContractChecks(DriveBench):
         with self.armed(tmp_path) as session:
             for kind in sorted({"gates_off", *ENERGISED} - session.capabilities.excitations):
                 with pytest.raises(DriveRefused):
-                    measure(session.drive, session.sizes.one_of(kind))
+                    session.measure(session.sizes.one_of(kind))
 
     def test_unclaimed_pwm_frequency_is_refused(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
             session.requires("hold")
             unknown = 1.37 * max(session.capabilities.pwm_frequencies_hz)
             with pytest.raises(DriveRefused):
-                measure(session.drive, session.sizes.hold(pwm_frequency_hz=unknown))
+                session.measure(session.sizes.hold(pwm_frequency_hz=unknown))
 
     def test_brake_is_moved_or_refused(self, tmp_path: Path) -> None:
         with self.connected(tmp_path) as session:

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.testing._drive_bench import DriveBench, Measured, Session, measure
+from orchestrator.testing._drive_bench import DriveBench, Measured, Session
 from protocols import (
     DriveError,
     DriveFault,
@@ -32,7 +32,7 @@ class DriveSafetyChecks(DriveBench):
         with self.armed(tmp_path) as session:
             for what, excitation in _past_the_limits(session):
                 try:
-                    measure(session.drive, excitation)
+                    session.measure(excitation)
                 except DriveRefused:
                     pass
                 else:
@@ -44,12 +44,15 @@ class DriveSafetyChecks(DriveBench):
             session.requires("hold")
             unchecked = session.sizes.hold().model_copy(update={"current_d_a": math.nan})
             with pytest.raises(DriveRefused):
-                measure(session.drive, unchecked)
+                session.measure(unchecked)
 
-    def test_ramp_down_brings_the_current_to_zero(self, tmp_path: Path) -> None:
+    def test_drive_goes_on_holding_until_it_is_ramped_down(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
             session.requires("hold")
-            measure(session.drive, session.sizes.hold())
+            session.measure(session.sizes.hold(1.0, 0.0))
+            assert session.drive.telemetry().state is DriveState.ARMED
+            off = abs(session.current_now() - session.sizes.current_a)
+            assert off <= 2.0 * self.near(session), "the operating point is not held after the excitation"
             session.drive.ramp_down()
             assert abs(session.current_now()) <= self.near(session), "a current flows after ramp_down"
             assert session.drive.telemetry().state is DriveState.ARMED, "ramp_down is not meant to disarm"
@@ -67,12 +70,12 @@ class DriveSafetyChecks(DriveBench):
     def test_disarming_under_current_leaves_none(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
             session.requires("hold")
-            measure(session.drive, session.sizes.hold())
+            session.measure(session.sizes.hold())
             session.drive.disarm()
             assert session.drive.telemetry().state is DriveState.DISARMED
             assert abs(session.current_now()) <= self.near(session), "a current flows after disarm"
             with pytest.raises(DriveRefused):
-                measure(session.drive, session.sizes.hold())
+                session.measure(session.sizes.hold())
 
     def test_an_excitation_can_be_left_early(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
@@ -84,15 +87,15 @@ class DriveSafetyChecks(DriveBench):
                 under_way.close()
             session.drive.ramp_down()
             assert abs(session.current_now()) <= self.near(session), "left early, and ramp_down did not help"
-            measured = measure(session.drive, session.sizes.hold())
+            measured = session.measure(session.sizes.hold())
             off = abs(complex(*measured.i_ab.mean(axis=0)) - complex(1.0, 0.5) * session.sizes.current_a)
             assert off <= self.near(session), "the excitation after one that was left early misses its target"
 
     def test_a_beating_heart_keeps_the_drive_armed(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
-            time.sleep(3.0 * _watchdog_s(session))
+            time.sleep(2.0 * _watchdog_s(session))
             if "hold" in session.capabilities.excitations:
-                measure(session.drive, session.sizes.hold())
+                session.measure(session.sizes.hold())
             assert session.drive.telemetry().state is DriveState.ARMED, "tripped although the heart was beating"
 
     @pytest.mark.parametrize("kind", KINDS)
@@ -120,7 +123,7 @@ class DriveSafetyChecks(DriveBench):
         with pytest.raises(DriveRefused):
             session.drive.arm(session.sizes.limits)
         with pytest.raises(DriveError):
-            measure(session.drive, session.sizes.one_of(max(session.capabilities.excitations)))
+            session.measure(session.sizes.one_of(max(session.capabilities.excitations)))
         session.drive.ramp_down()
         session.drive.disarm()
         assert session.drive.telemetry().state is DriveState.FAULTED, "the fault is not latched"
@@ -131,17 +134,17 @@ class DriveSafetyChecks(DriveBench):
             session.requires("hold")
             if not isinstance(session.drive, ResumableDrive):
                 pytest.skip("this drive claims no checkpoint")
-            end_s = measure(session.drive, session.sizes.hold()).end_s
+            end_s = session.measure(session.sizes.hold()).end_s
             session.drive.checkpoint(warm_up)
             session.drive.ramp_down()
             session.drive.disarm()
             session.drive.arm(session.sizes.limits)
-            after["once"] = measure(session.drive, session.sizes.hold())
+            after["once"] = session.measure(session.sizes.hold())
         with self.connected(tmp_path) as session:
             assert isinstance(session.drive, ResumableDrive)
             session.drive.restore(warm_up, end_s)
             with self.beating(session):
-                after["again"] = measure(session.drive, session.sizes.hold())
+                after["again"] = session.measure(session.sizes.hold())
                 session.drive.ramp_down()
         assert after["again"].start_s >= end_s, "the clock was set back"
         assert after["again"].start_s <= after["once"].start_s + 2.0 * session.sizes.settle_s + 1.0, "the clock jumped"
@@ -199,7 +202,7 @@ def _go_silent_during(session: Session, excitation: Excitation, watchdog_s: floa
     while len(next(under_way)) == 0:
         pass
     session.heart.stop()
-    time.sleep(2.5 * watchdog_s)
+    time.sleep(1.5 * watchdog_s + 0.05)
     for _ in under_way:
         pass
-    measure(session.drive, excitation)
+    session.measure(excitation)

@@ -10,19 +10,23 @@ import threading
 import time
 import tracemalloc
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar, TypeVar, cast
 
 import pytest
 from pydantic import BaseModel
 
 from orchestrator.testing._kit import Kit, bounded
 from orchestrator.testing._messages import a_manifest, a_run, one_of_each, points_done, samples
+from orchestrator.testing._stream_bench import OPENED_FILES, Worker, digest, left_elsewhere
 from protocols import Message, NoOptions, Stream, StreamSetup
 
+T = TypeVar("T")
+
 HANGS_S = 20.0
+THREADS_END_S = 5.0
 
 
 class StreamConformance(Kit, ABC):
@@ -45,33 +49,57 @@ class StreamConformance(Kit, ABC):
         """The stream's own options."""
         return NoOptions()
 
+    _hung: ClassVar[str] = ""
+    """Where it has hung before: nobody waits for the same thing in every check."""
+
     @contextmanager
-    def _listening(self, tmp_path: Path) -> Iterator[tuple[Stream, Path]]:
-        """A stream on a run directory with a manifest and a journal; closed at the end."""
+    def _listening(self, tmp_path: Path) -> Iterator[tuple[_Timed, Path]]:
+        """A stream on a run directory with a manifest and a journal; closed at the end, with no thread left of it."""
+        if type(self)._hung:
+            pytest.fail(f"{type(self)._hung}, in another check")
         run = tmp_path / "run"
         run.mkdir()
         (run / "recording.json").write_text(a_manifest().model_dump_json(), encoding="utf-8")
         (run / "journal.jsonl").write_text("", encoding="utf-8")
-        stream = self.make_stream(StreamSetup(run=run, options=self.options()))
+        before = set(threading.enumerate())
+        worker = Worker()
+        setup = StreamSetup(run=run, options=self.options())
+        stream = self._in_time(worker, "making it", lambda: self.make_stream(setup))
         try:
-            yield stream, run
+            yield _Timed(stream, lambda what, call: self._in_time(worker, what, call)), run
         finally:
-            stream.close()
+            if not type(self)._hung:
+                self._in_time(worker, "close", stream.close)
+            worker.end()
+        left = _threads_left(before | {worker.thread})
+        assert not left, f"a thread is still at work after close: {', '.join(left)}"
+
+    def _in_time(self, worker: Worker, what: str, call: Callable[[], T]) -> T:
+        try:
+            return cast("T", worker.call(call, HANGS_S))
+        except TimeoutError:
+            type(self)._hung = f"it hangs: {what} has not returned after {HANGS_S:g} s"
+            pytest.fail(type(self)._hung)
 
     def test_entry_point_leads_to_the_stream(self, tmp_path: Path) -> None:
         with self._listening(tmp_path) as (stream, _):
-            self.require_entry_point("fluxbench.streams", type(stream))
+            self.require_entry_point("fluxbench.streams", type(stream.stream))
 
     def test_class_keeps_the_contract(self, tmp_path: Path) -> None:
         with self._listening(tmp_path) as (stream, _):
-            assert isinstance(stream, Stream), "methods or attributes of protocols.Stream are missing"
+            assert isinstance(stream.stream, Stream), "methods or attributes of protocols.Stream are missing"
             assert isinstance(stream.wants_samples, bool), "wants_samples must be True or False"
             assert issubclass(stream.Options, BaseModel), "Options must be a pydantic model"
 
     def test_takes_a_whole_run(self, tmp_path: Path) -> None:
         with self._listening(tmp_path) as (stream, run):
-            for message in _wanted(stream, a_run(run)):
+            messages = _wanted(stream, a_run(run))
+            before = digest(messages)
+            for message in messages:
                 stream.receive(message)
+        assert digest(messages) == before, (
+            "it changed what it was shown: arrays belong to the run, and to other streams"
+        )
 
     def test_takes_every_kind_of_message_in_any_order(self, tmp_path: Path) -> None:
         for order in range(5):
@@ -93,30 +121,30 @@ class StreamConformance(Kit, ABC):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(sys, "stdout", output)
             patch.setenv("TERM", "xterm")
-            listener = threading.Thread(target=self._listen_regardless, args=(tmp_path, output), daemon=True)
-            listener.start()
-            listener.join(HANGS_S)
-        assert not listener.is_alive(), f"still busy {HANGS_S} s after standard output went away"
-        assert output.reached_the_end, "something that is no Exception was raised (SystemExit?), and ends the thread"
+            self._listen_regardless(tmp_path, output)
 
     def _listen_regardless(self, tmp_path: Path, output: _Vanishing) -> None:
         """What a dispatcher does: it takes note of what a stream raises, and goes on."""
-        with suppress(Exception), self._listening(tmp_path) as (stream, run):
-            for number, message in enumerate(_wanted(stream, a_run(run))):
-                output.is_gone = number >= 8
-                with suppress(Exception):
-                    stream.receive(message)
-        output.reached_the_end = True
+        try:
+            with suppress(Exception), self._listening(tmp_path) as (stream, run):
+                for number, message in enumerate(_wanted(stream, a_run(run))):
+                    output.is_gone = number >= 8
+                    with suppress(Exception):
+                        stream.receive(message)
+        except (SystemExit, KeyboardInterrupt) as error:
+            pytest.fail(f"raised {type(error).__name__}, which is no Exception, and ends the stream's thread")
 
     def test_writes_nowhere_but_in_the_run_directory(self, tmp_path: Path) -> None:
         elsewhere = tmp_path / "elsewhere"
         elsewhere.mkdir()
-        with pytest.MonkeyPatch.context() as patch:
+        with pytest.MonkeyPatch.context() as patch, OPENED_FILES.watched() as opened:
             patch.chdir(elsewhere)
             with self._listening(tmp_path) as (stream, run):
                 kept = {name: (run / name).read_bytes() for name in ("recording.json", "journal.jsonl")}
                 for message in _wanted(stream, a_run(run)):
                     stream.receive(message)
+        left = left_elsewhere(opened, run)
+        assert not left, f"wrote beside the run directory: {', '.join(left)}"
         assert sorted(p.name for p in tmp_path.iterdir()) == ["elsewhere", "run"], "wrote beside the run directory"
         assert not list(elsewhere.iterdir()), (
             f"wrote into the working directory: {sorted(p.name for p in elsewhere.iterdir())}"
@@ -159,9 +187,32 @@ class StreamConformance(Kit, ABC):
         assert median <= allowed, f"{median * 1e3:.0f} ms for a message ({allowed * 1e3:.0f} ms allowed)"
 
 
-def _wanted(stream: Stream, messages: list[Message]) -> list[Message]:
+def _wanted(stream: _Timed, messages: list[Message]) -> list[Message]:
     """The messages that a dispatcher delivers to this stream."""
     return [m for m in messages if stream.wants_samples or m.kind != "samples_captured"]
+
+
+def _threads_left(known: set[threading.Thread]) -> list[str]:
+    """Names of threads that are still alive some seconds later."""
+    deadline = time.monotonic() + THREADS_END_S
+    while left := [thread for thread in threading.enumerate() if thread not in known]:
+        if time.monotonic() > deadline:
+            return [thread.name for thread in left]
+        time.sleep(0.02)
+    return []
+
+
+class _Timed:
+    """A stream whose messages are delivered by one thread, and given up where it does not come back."""
+
+    def __init__(self, stream: Stream, in_time: Callable[[str, Callable[[], None]], None]) -> None:
+        self.stream, self._in_time = stream, in_time
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self.stream, name)
+
+    def receive(self, message: Message) -> None:
+        self._in_time(f"receiving {message.kind!r}", lambda: self.stream.receive(message))
 
 
 class _Vanishing(io.StringIO):
@@ -170,7 +221,7 @@ class _Vanishing(io.StringIO):
     def __init__(self, terminal: bool) -> None:
         super().__init__()
         self._terminal = terminal
-        self.is_gone = self.reached_the_end = False
+        self.is_gone = False
 
     def isatty(self) -> bool:
         return self._terminal

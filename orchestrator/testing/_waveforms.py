@@ -99,6 +99,33 @@ def ripple_follows_flux(v_ab: Floats, i_ab: Floats, samples_per_period: int) -> 
     return float(np.sum(ripple * flux.conj()).real / scale) if scale > 0 else 0.0
 
 
+def folded(x_ab: Floats, turns_per_row: float, samples_per_period: int, copies: int = 10) -> Floats:
+    """One period of an injection's ripple, as it looks from its rotating direction: the mean over all, some times over.
+
+    A whole turn averages out what an anisotropic winding adds in the opposite direction, and the noise.
+    """
+    periods = len(x_ab) // samples_per_period
+    n = np.arange(periods * samples_per_period)
+    x = (x_ab[n, 0] + 1j * x_ab[n, 1] - np.mean(x_ab[n, 0] + 1j * x_ab[n, 1])) * np.exp(-2j * np.pi * turns_per_row * n)
+    period = np.tile(x.reshape(periods, samples_per_period).mean(axis=0), copies)
+    return np.stack([period.real, period.imag], axis=1)
+
+
+def share_at_the_end_of_the_scale(i_ab: Floats, close: float = 0.002) -> tuple[float, str]:
+    """The largest share of rows within `close` of the range from an end of it, and of which quantity.
+
+    A ripple that rotates stands still nowhere; readings that stop at an end do.
+    """
+    a, b = i_ab.T
+    phases = {"phase a": a, "phase b": -0.5 * a + np.sqrt(0.75) * b, "phase c": -0.5 * a - np.sqrt(0.75) * b}
+    found = []
+    for name, x in {**phases, "beta": b, "the vector": np.hypot(a, b)}.items():
+        near = close * np.ptp(x)
+        ends = (x >= x.max() - near, x <= x.min() + near)
+        found.append((max(float(np.mean(end)) for end in ends[: 1 if name == "the vector" else 2]), name))
+    return max(found)
+
+
 def angle_between(a_rad: float, b_rad: float) -> float:
     """Size of the smallest turn from one angle to the other [rad]."""
     return float(abs(np.angle(np.exp(1j * (a_rad - b_rad)))))

@@ -109,9 +109,11 @@ class LinkDrive(DriveShell):
         machine = Machine(capabilities_of(own, description, None), facts, layout, demodulated)
         require_memory(facts, layout, row_format(machine).row_bytes)
         fs = machine.capabilities.sampling_frequency_hz
-        self._timeline = Timeline(host, fs, description.get(CLOCK) == SIMULATED)
+        is_simulated = description.get(CLOCK) == SIMULATED
+        self._timeline = Timeline(host, fs, is_simulated)
         longest_s = longest_capture(machine, host.link.port.bulk_rate(layout))
-        capabilities = machine.capabilities.model_copy(update={"longest_capture_s": longest_s})
+        learned = {"longest_capture_s": longest_s, "clock_is_simulated": is_simulated}
+        capabilities = machine.capabilities.model_copy(update=learned)
         return replace(machine, capabilities=capabilities)
 
     def _clear_what_is_over(self, host: Host) -> None:
@@ -191,8 +193,16 @@ class LinkDrive(DriveShell):
             i_q_a=scale * measurement.i_q,
             v_dc_v=measurement.v_dc,
             temperature_c=None if status.temperature == NO_TEMPERATURE_C else float(status.temperature),
+            pwm_frequency_hz=self._pwm_frequency_hz(host, machine.capabilities),
             faults=fault_names(status),
         )
+
+    @staticmethod
+    def _pwm_frequency_hz(host: Host, own: Capabilities) -> float:
+        """Of the last program, as the drive holds it; asked for where it has a choice."""
+        if len(own.pwm_frequencies_hz) == 1:
+            return own.pwm_frequency_hz
+        return host.read("pwm_frequency_asked_hz") or own.pwm_frequency_hz
 
     def ramp(self) -> None:
         """Stop what runs, and wait until the current is zero."""

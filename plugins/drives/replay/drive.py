@@ -97,6 +97,7 @@ class ReplayDrive(DriveShell):
             excitations=kinds,
             watchdog_s=self.watchdog_s,
             watchdog_covers=kinds,
+            clock_is_simulated=True,
             motor_name=manifest.motor.name,
             simulated=True,
         )

@@ -44,6 +44,7 @@ class Permission:
             excitations=KINDS,
             watchdog_s=options.watchdog_s,
             watchdog_covers=KINDS if options.watchdog_s is not None else frozenset(),
+            clock_is_simulated=True,
             has_brake=options.has_brake,
             interlocks=options.interlocks,
             simulated=True,

@@ -93,6 +93,7 @@ class SimulatedDrive(DriveShell):
             i_q_a=i_q,
             v_dc_v=v_dc,
             temperature_c=self._plant.temperature_c,
+            pwm_frequency_hz=self._rig.pwm_ratio * self._rig.capabilities.pwm_frequency_hz,
             faults=self.faults,
             open_interlocks=self._options.interlocks if self._interlocks_open else (),
         )

@@ -35,7 +35,7 @@ from protocols import (
 
 FS = 10000.0
 INDUCTANCE_H = 0.05
-RISE_PER_JOULE = 1e-3
+RISE_PER_JOULE = 3e-3
 """Much too large for a real motor: one excitation shows in the next one's voltage."""
 
 Complex = NDArray[np.complexfloating[Any, Any]]
@@ -59,6 +59,7 @@ class ExampleDrive:
         excitations=frozenset({"gates_off", "hold", "trapezoid", "injection"}),
         watchdog_s=0.05,
         watchdog_covers=frozenset({"gates_off", "hold", "trapezoid", "injection"}),
+        clock_is_simulated=True,
     )
 
     def __init__(self, setup: DriveSetup) -> None:
@@ -68,6 +69,8 @@ class ExampleDrive:
         self.faults: tuple[str, ...] = ()
         self.current = 0j
         self.clock_s = 0.0
+        self.pwm_frequency_hz: float | None = None
+        self.bridge_on = False
         self.heat_j = 0.0
         self.beaten = time.monotonic()
 
@@ -79,7 +82,7 @@ class ExampleDrive:
             raise DriveRefused("a fault is latched")
         if limits.current_a > self.capabilities.max_current_a or limits.voltage_v > self.capabilities.max_voltage_v:
             raise DriveRefused("limits above the drive's own")
-        self.limits, self.state = limits, DriveState.ARMED
+        self.limits, self.state, self.bridge_on = limits, DriveState.ARMED, True
         self.heartbeat()
 
     def heartbeat(self) -> None:
@@ -92,11 +95,14 @@ class ExampleDrive:
         if excitation.pwm_frequency_hz not in (None, *self.capabilities.pwm_frequencies_hz):
             raise DriveRefused("no such PWM frequency")
         self.check(excitation)
+        self.pwm_frequency_hz = excitation.pwm_frequency_hz or self.capabilities.pwm_frequency_hz
         self.clock_s += excitation.settling_s
         if not isinstance(excitation, Trapezoid):
             yield self.block(excitation, np.zeros(0, dtype=complex), np.zeros(0, dtype=complex))
         i, v = self.waveforms(excitation)
-        for part_i, part_v in zip(*(np.array_split(x, -(-len(i) // 5000)) for x in (i, v)), strict=True):
+        for part_i, part_v in zip(
+            *(np.array_split(x, -(-len(i) // max(1, int(self.fs / 2)))) for x in (i, v)), strict=True
+        ):
             self.watch()
             self.current = complex(part_i[-1])
             yield self.block(excitation, part_i, part_v)
@@ -185,6 +191,7 @@ class ExampleDrive:
             i_d_a=self.current.real,
             i_q_a=self.current.imag,
             v_dc_v=540.0,
+            pwm_frequency_hz=self.pwm_frequency_hz,
             faults=self.faults,
         )
 
@@ -192,7 +199,7 @@ class ExampleDrive:
         self.current = 0j
 
     def disarm(self) -> None:
-        self.current = 0j
+        self.current, self.bridge_on = 0j, False
         if self.state is DriveState.ARMED:
             self.state = DriveState.DISARMED
 

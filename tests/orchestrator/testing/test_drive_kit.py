@@ -398,7 +398,7 @@ class SetsItsClockBack(ExampleDrive):
 
 
 MUTATIONS: list[tuple[type[ExampleDrive], str]] = [
-    (WrongPolarity, "voltage_drives_the_current"),
+    (WrongPolarity, "voltage_that_points_there"),
     (ConjugatedFrame, "hold_reaches_its_target"),
     (IgnoresRotorAngle, "turn_with_the_rotor_angle"),
     (TurnsTheWrongWay, "turn_with_the_rotor_angle"),
@@ -407,12 +407,12 @@ MUTATIONS: list[tuple[type[ExampleDrive], str]] = [
     (LetsNanThrough, "is_no_number"),
     (MovesBeforeRefusing, "past_the_limits"),
     (AcceptsAnyLimits, "limits_above"),
-    (GapInTheTimeBase, "without_gap"),
+    (GapInTheTimeBase, "trapezoid_follows"),
     (ClockStartsAnew, "clock_only_goes_forward"),
-    (WrongRowCount, "rows_are_finite"),
-    (BlocksTooLong, "rows_are_finite"),
-    (WrongSamplingFrequency, "rows_are_finite"),
-    (NotFinite, "rows_are_finite"),
+    (WrongRowCount, "hold_reaches_its_target"),
+    (BlocksTooLong, "trapezoid_follows"),
+    (WrongSamplingFrequency, "hold_reaches_its_target"),
+    (NotFinite, "hold_reaches_its_target"),
     (WrongInjectedFrequency, "injection_is_found"),
     (RotatesBackwards, "injection_is_found"),
     (HalfTheAmplitude, "injection_is_found"),
@@ -425,7 +425,7 @@ MUTATIONS: list[tuple[type[ExampleDrive], str]] = [
     (VoltageWithGatesOff, "gates_off_shows"),
     (EnergisedOnConnecting, "connecting_energises_nothing"),
     (ExecutesWithoutArming, "before_arming_is_refused"),
-    (NoRampDown, "ramp_down_brings"),
+    (NoRampDown, "until_it_is_ramped_down"),
     (NoRampDown, "left_early"),
     (DisarmsOnlyOnce, "may_be_repeated"),
     (StaysArmed, "show_in_the_state"),
@@ -460,7 +460,7 @@ def test_fails_a_drive_that_breaks_the_contract(tmp_path: Path, drive: type[Exam
 def test_a_tolerance_cannot_be_widened_until_nothing_is_checked(tmp_path: Path) -> None:
     kit = kit_for(ExampleDrive)
     type(kit).current_tolerance = 5.0
-    assert "widened" in failures(kit, tmp_path, only="ramp_down_brings").popitem()[1]
+    assert "widened" in failures(kit, tmp_path, only="until_it_is_ramped_down").popitem()[1]
 
 
 def test_wants_an_entry_point_under_the_drive_s_own_name(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -59,6 +60,8 @@ def test_passes_an_effect_that_keeps_the_contract(tmp_path: Path) -> None:
 
 class SeenThroughAResistor(ExampleEffect):
     """Absent at an infinite resistance, for which the bound stands."""
+
+    layer = EffectLayer.IRON
 
     class Parameters(EffectParameters):
         core_loss_ohm: float = amplitude(
@@ -162,7 +165,95 @@ class NeedsByName(ExampleEffect):
     needs = ("a reading with the gates off",)  # type: ignore[assignment]
 
 
+class Staircase(ExampleEffect):
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return self.less(signals, 0.05 * round(p.bias_a_v / 0.05))
+
+
+class ZeroSlope(ExampleEffect):
+    """Goes with the square: nothing begins at zero."""
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return self.less(signals, p.bias_a_v * abs(p.bias_a_v) / 0.15)
+
+
+class WrongUnit(ExampleEffect):
+    """A voltage that is declared in amperes."""
+
+    class Parameters(EffectParameters):
+        bias_a_v: float = amplitude("A", typical=0.15, prior_width=0.3, low=-2.0, high=2.0)
+
+
+class HiddenSize(ExampleEffect):
+    """Bends at half an ampere, whatever the machine."""
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return Correction(v_ab=signals.v_ab - p.bias_a_v * np.tanh(signals.i_ab / 0.5))
+
+
+class Millivolts(ExampleEffect):
+    class Parameters(EffectParameters):
+        bias_a_v: float = amplitude("V", typical=150.0, prior_width=300.0, low=-2000.0, high=2000.0)
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return self.less(signals, 1e-3 * p.bias_a_v)
+
+
+class WrongLayer(ExampleEffect):
+    layer = EffectLayer.CURRENT_SENSORS
+
+
+class SensorThatCommands(ExampleEffect):
+    """Reads another current, and with it another voltage, also where there is none."""
+
+    layer = EffectLayer.CURRENT_SENSORS
+
+    class Parameters(EffectParameters):
+        offset_a: float = amplitude("A", typical=0.01, prior_width=0.01, low=-1.0, high=1.0)
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        i_ab = signals.i_ab - [p.offset_a, 0.0]
+        return Correction(i_ab=i_ab) if signals.bridge_on else Correction(i_ab=i_ab, v_ab=4.0 * i_ab)
+
+
+class GoesWithTheTimeOfDay(ExampleEffect):
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return self.less(signals, p.bias_a_v * (1.0 + 0.1 * np.sin(signals.start_s)))
+
+
+class CarriesOn(ExampleEffect):
+    """Goes on from where the segment before has ended."""
+
+    end_s = last_a = 0.0
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        before = self.last_a if signals.start_s > self.end_s > 0.0 else 0.0
+        self.end_s, self.last_a = signals.start_s + 0.1, float(signals.i_ab[-1, 0])
+        return self.less(signals, p.bias_a_v * (1.0 + 0.1 * np.sign(before)))
+
+
+class TakesSeconds(ExampleEffect):
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        time.sleep(0.3)
+        return super().correct(signals, p)
+
+
+class ATwinThatNobodyKnows(ExampleEffect):
+    needs = ("dead_tim",)  # type: ignore[assignment]
+
+
 MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
+    (Staircase, "has_a_slope"),
+    (ZeroSlope, "has_a_slope"),
+    (WrongUnit, "machine_of_another_size"),
+    (HiddenSize, "machine_of_another_size"),
+    (Millivolts, "a_volt_is_a_volt"),
+    (WrongLayer, "its_layer_is_about"),
+    (SensorThatCommands, "bridge_is_off"),
+    (GoesWithTheTimeOfDay, "time_shows_only"),
+    (CarriesOn, "no_earlier_segment"),
+    (TakesSeconds, "answers_quickly"),
+    (ATwinThatNobodyKnows, "class_keeps_the_contract"),
     (NotNeutralAtNeutral, "neutral_values"),
     (DoesNothing, "typical_values_show"),
     (WorksInPlace, "input_is_not_modified"),

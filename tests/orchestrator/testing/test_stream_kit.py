@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import tempfile
+import threading
 import time
 from pathlib import Path
 from typing import ClassVar
@@ -132,7 +134,34 @@ class WantsSamplesPerhaps(ExampleStream):
     wants_samples = None  # type: ignore[assignment]
 
 
+class ScalesWhatItIsShown(ExampleScope):
+    def receive(self, message: Message) -> None:
+        if isinstance(message, SamplesCaptured):
+            message.capture.i_ab[:] *= 1e3  # to milliamperes, for the axis
+
+
+class LeavesAThread(ExampleStream):
+    def __init__(self, setup: StreamSetup) -> None:
+        super().__init__(setup)
+        threading.Thread(target=time.sleep, args=(4.0,), name="refresher", daemon=True).start()
+
+
+class WritesToTheTemporaryFolder(ExampleStream):
+    def close(self) -> None:
+        with tempfile.NamedTemporaryFile("w", delete=False, dir=self.run.parents[1]) as file:
+            file.write("x")
+
+
+class HangsAtTheEnd(ExampleStream):
+    def close(self) -> None:
+        time.sleep(4.0)
+
+
 MUTATIONS: list[tuple[type[ExampleStream], str]] = [
+    (ScalesWhatItIsShown, "whole_run"),
+    (LeavesAThread, "closed_without_a_message"),
+    (WritesToTheTemporaryFolder, "nowhere_but"),
+    (HangsAtTheEnd, "closed_without_a_message"),
     (WantsRunStartedFirst, "any_order"),
     (ChokesOnMaps, "any_order"),
     (ChokesOnMaps, "whole_run"),
@@ -153,5 +182,14 @@ MUTATIONS: list[tuple[type[ExampleStream], str]] = [
 def test_fails_a_stream_that_breaks_the_contract(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stream: type[ExampleStream], check: str
 ) -> None:
-    monkeypatch.setattr("orchestrator.testing._stream.HANGS_S", 1.0)
+    for patience in ("HANGS_S", "THREADS_END_S"):
+        monkeypatch.setattr(f"orchestrator.testing._stream.{patience}", 1.0)
     assert failures(kit_for(stream), tmp_path, only=check), f"{stream.__name__} passes {check}"
+
+
+def test_a_stream_that_hangs_is_waited_for_once(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("orchestrator.testing._stream.HANGS_S", 0.5)
+    begun = time.monotonic()
+    found = failures(kit_for(HangsAtTheEnd), tmp_path)
+    assert time.monotonic() - begun < 3.0
+    assert sum("it hangs: close has not returned" in text for text in found.values()) >= 8

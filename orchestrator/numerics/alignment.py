@@ -1,0 +1,77 @@
+"""Do the rows of voltage and current belong together? A winding's own equation says by how many rows they do not.
+
+No value of the motor is needed: of a winding of any inductance and resistance the current's step from one row to the
+next is what the voltage of one row, or of two, has made of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+Numbers = NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How the voltage stands against the current that it makes."""
+
+    lag_rows: float
+    """The n of "v[k] acts from t_k + n Ts"."""
+    explained: float
+    """Share of the current's steps that the voltage at this place explains; the rest is noise, or not of its row."""
+
+
+def alignment_of(
+    i_ab: Numbers,
+    v_ab: Numbers,
+    *,
+    earliest: int = -3,
+    latest: int = 6,
+    most_samples: int = 8_000,
+    explained: float = 0.5,
+) -> Alignment | None:
+    """Where the voltage explains the current best; None where nothing can be told.
+
+    The voltage has to have edges, as a square wave has: what a sine is late by, a resistance explains as well.
+
+    ``i[k+1] - i[k] = g ((1-f) v[k-m] + f v[k-m-1]) - r i[k]``, with n = m + f. For each m, g, f and r follow by least
+    squares; the m counts that leaves least and has f in [0, 1].
+
+    Parameters
+    ----------
+    i_ab, v_ab : array, shape (n, 2)
+        Currents and voltages of a segment with injection.
+    earliest, latest : int
+        The m that are tried.
+    most_samples : int
+        That are looked at: some hundred periods of an injection.
+    explained : float
+        Share of the current's steps that has to be explained.
+    """
+    i, v = (_centred(x[:most_samples]) for x in (i_ab, v_ab))
+    inner = slice(latest + 1, i.size + earliest - 1)
+    if inner.stop - inner.start < 100:
+        return None
+    places = np.arange(inner.start, inner.stop)
+    steps = i[places + 1] - i[places]
+    power = float(np.vdot(steps, steps).real)
+    best = None
+    for late in range(earliest, latest + 1):
+        parts = np.stack([v[places - late], v[places - late - 1], i[places]])
+        gram, along = (parts @ parts.conj().T).real, (parts @ steps.conj()).real
+        gains = np.linalg.lstsq(gram, along, rcond=1e-12)[0]
+        share = float(gains @ along) / power if power > 0.0 else 0.0
+        if share > explained and gains[0] > 0.0 and gains[1] > -0.05 * gains[0]:
+            second, explained = max(float(gains[1]), 0.0), share
+            best = Alignment(late + second / (float(gains[0]) + second), share)
+    return best
+
+
+def _centred(x: Numbers) -> NDArray[np.complex128]:
+    vectors: NDArray[np.complex128] = x[:, 0] + 1j * x[:, 1]
+    vectors -= vectors.mean()
+    return vectors

@@ -1,0 +1,210 @@
+"""Drive checks: its clock, its sensors and its power stage, held against what does not depend on its word.
+
+That is the host's clock, the equation of a winding whatever its numbers, and what one reading says of another.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.numerics.alignment import alignment_of
+from orchestrator.testing._drive_bench import SAMPLES_PER_PERIOD, DriveBench, Session
+from orchestrator.testing._waveforms import complex_dq, folded, share_at_the_end_of_the_scale
+from protocols import Drive
+
+CLOCK_PART = 0.005
+"""A quartz is off by a ten thousandth, and by a hundred times that its map is still within half a per cent."""
+ROWS_APART = 0.25
+"""What the ripple's own shape may look like."""
+EXPLAINED = 0.93
+"""Of the steps of the ripple; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
+BUS = (0.6, 1.6)
+"""The bus as measured against the nominal one: rectified mains and batteries move by a third."""
+CLIPPED = 0.03
+"""Rows that may stand at the largest reading; simulated: 0.003 of a rotating ripple."""
+HELD_OF_RATED, OF_RATED = 0.55, 0.9
+"""Where a ripple is held, and how far it reaches, to see the readings up to there."""
+MOST_TIMES = 5.0
+"""The kit's injection, at most, however small its ripple is."""
+
+
+@dataclass(frozen=True)
+class ClockReading:
+    """The drive's clock between two looks at the host's [s]."""
+
+    asked_s: float
+    told_s: float
+    answered_s: float
+
+    @classmethod
+    def of(cls, drive: Drive) -> ClockReading:
+        asked_s = time.monotonic()
+        told_s = drive.telemetry().time_s
+        return cls(asked_s, told_s, time.monotonic())
+
+
+class DriveInstrumentChecks(DriveBench):
+    """What a drive cannot know to be wrong by itself."""
+
+    def test_clock_keeps_the_host_s_time(self, tmp_path: Path) -> None:
+        with self.armed(tmp_path) as session:
+            if session.capabilities.clock_is_simulated:
+                pytest.skip("the drive says that its time is its own (clock_is_simulated)")
+            before = [ClockReading.of(session.drive) for _ in range(4)]
+            self._require_no_haste(session)
+            time.sleep(max(0.0, before[0].asked_s + 2.0 - time.monotonic()))
+            after = [ClockReading.of(session.drive) for _ in range(4)]
+        off = clock_off(before, after)
+        assert abs(off) <= CLOCK_PART, (
+            f"the drive's clock runs {100 * off:+.2f} % against the host's: a wrong sampling frequency, or a time that "
+            "is its own (then say clock_is_simulated)"
+        )
+
+    def _require_no_haste(self, session: Session) -> None:
+        """Rows cannot be there before they are taken; on a clock of the host's own this shows what the other hides."""
+        if "hold" not in session.capabilities.excitations:
+            return
+        hold = session.sizes.hold()
+        begun = time.monotonic()
+        session.measure(hold)
+        took, least = time.monotonic() - begun, hold.settling_s + hold.captured_s
+        assert took >= (1.0 - CLOCK_PART) * least - 2e-3, (
+            f"a hold of {least:.3f} s was over after {took:.3f} s: rows come faster than the sampling frequency says"
+        )
+
+    def test_voltage_and_current_are_of_the_same_row(self, tmp_path: Path) -> None:
+        with self.armed(tmp_path) as session:
+            session.requires("injection")
+            excitation = session.sizes.injection(discard_s=10.0 / session.sizes.frequency_hz)
+            measured = session.measure(excitation)
+            turn = excitation.rotation_hz / session.capabilities.sampling_frequency_hz
+            i_ab, v_ab = (folded(x, turn, SAMPLES_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
+            found = alignment_of(i_ab, v_ab)
+            assert found is not None, "the steps of the current are explained by the voltage of no row near to them"
+            assert found.explained >= EXPLAINED, (
+                f"after an edge of the voltage the current's slope takes several rows to change ({found.explained:.0%} "
+                "of its steps are the voltage's): the readings are smoothed"
+            )
+            said = session.capabilities.voltage_delay_samples
+            assert abs(found.lag_rows - said) <= ROWS_APART, (
+                f"v = R i + L di/dt holds with v[k] acting from t_k + {found.lag_rows:.2f} Ts, the drive says "
+                f"{said:g} (voltage_delay_samples): its voltage stands in the wrong row, or its delay is not said"
+            )
+
+    def test_bus_voltage_is_the_same_wherever_it_is_read(self, tmp_path: Path) -> None:
+        with self.armed(tmp_path) as session:
+            kinds = session.capabilities.excitations
+            short = session.sizes.hold(duration_s=0.2 * session.sizes.duration_s)
+            blocks = session.measure(short if "hold" in kinds else session.sizes.one_of(max(kinds))).blocks
+            bus_v = float(np.median(np.concatenate([block.v_dc for block in blocks])))
+            shown_v, nominal_v = session.drive.telemetry().v_dc_v, session.capabilities.dc_bus_voltage_v
+            assert abs(bus_v - shown_v) <= 0.1 * shown_v, (
+                f"captures have a bus of {bus_v:.1f} V, telemetry {shown_v:.1f} V"
+            )
+            assert BUS[0] * nominal_v <= bus_v <= BUS[1] * nominal_v, (
+                f"captures have a bus of {bus_v:.1f} V, the drive says {nominal_v:.1f} V of itself: a scale is wrong"
+            )
+
+    def test_every_claimed_pwm_frequency_is_at_work(self, tmp_path: Path) -> None:
+        with self.armed(tmp_path) as session:
+            session.requires("hold")
+            choices = sorted(session.capabilities.pwm_frequencies_hz)
+            held = [self._voltage_at(session, frequency) for frequency in choices]
+            if len(choices) > 1 and session.drive.telemetry().pwm_frequency_hz is None:
+                (low, noise), (high, _), (again, _) = held[0], held[-1], self._voltage_at(session, choices[0])
+                # Twice at the lowest one: what the winding's warming changes is between the two.
+                apart, drift = abs(high - 0.5 * (low + again)), abs(again - low)
+                assert apart > drift + 6.0 * noise, (
+                    f"nothing shows that the PWM frequency was changed: at {choices[0]:g} and {choices[-1]:g} Hz a "
+                    "current takes the same voltage, as if there were no dead time, and telemetry has no "
+                    "pwm_frequency_hz"
+                )
+
+    def _voltage_at(self, session: Session, frequency_hz: float) -> tuple[complex, float]:
+        """Mean voltage of a hold at a PWM frequency, and its standard error."""
+        measured = session.measure(session.sizes.hold(pwm_frequency_hz=frequency_hz))
+        off = abs(complex_dq(measured.i_ab, 0.0).mean() - complex(1.0, 0.5) * session.sizes.current_a)
+        assert off <= self.near(session), f"misses its target by {off:.3f} A at {frequency_hz} Hz"
+        told_hz = session.drive.telemetry().pwm_frequency_hz
+        assert told_hz is None or math.isclose(told_hz, frequency_hz, rel_tol=1e-4), (
+            f"a PWM frequency of {frequency_hz:g} Hz was asked for, {told_hz:g} Hz is at work"
+        )
+        v = complex_dq(measured.v_ab, 0.0)
+        parts = np.array([part.mean() for part in np.array_split(v, min(10, len(v)))])
+        return complex(v.mean()), float(np.abs(parts - v.mean()).std()) / math.sqrt(len(parts))
+
+    def test_no_current_flows_unseen_while_disarmed(self, tmp_path: Path) -> None:
+        """What flows while telemetry says that nothing does is still there in the first rows after arming."""
+        with self.connected(tmp_path) as session:
+            session.requires("hold")
+            with self.beating(session):
+                self._require_nothing_flows(session, "connecting")
+                session.measure(session.sizes.hold())
+                session.drive.disarm()
+            time.sleep(0.3)
+            with self.beating(session):
+                self._require_nothing_flows(session, "disarming under current")
+                session.drive.ramp_down()
+
+    def _require_nothing_flows(self, session: Session, after: str) -> None:
+        at_zero = session.sizes.hold(0.0, 0.0, settle_s=0.0)
+        first = complex_dq(session.measure(at_zero).i_ab, 0.0)[:3].mean()
+        assert abs(first) <= 2.0 * self.near(session), (
+            f"{abs(first):.3f} A flow in the first rows after {after} and arming: the power stage was on, whatever "
+            "telemetry said"
+        )
+
+    def test_bridge_is_on_only_while_armed(self, tmp_path: Path) -> None:
+        with self.connected(tmp_path) as session:
+            after_connecting = self.bridge_is_on(session.drive)
+            if after_connecting is None:
+                pytest.skip("no instrument beside the drive says whether its bridge is on (override bridge_is_on)")
+            assert after_connecting is False, "connecting switches the power stage on, whatever telemetry says"
+            with self.beating(session):
+                assert self.bridge_is_on(session.drive) is True, "armed, but the power stage is off"
+                session.drive.disarm()
+                assert self.bridge_is_on(session.drive) is False, "disarmed, but the power stage is on"
+
+    def test_currents_up_to_the_rated_one_are_read_whole(self, tmp_path: Path) -> None:
+        """By the ripple of an open-loop voltage: a clipped reading would lead current control astray."""
+        with self.armed(tmp_path) as session:
+            session.requires("injection")
+            sizes = session.sizes
+            target_a = HELD_OF_RATED * sizes.rated_a
+            discard_s = 10.0 / sizes.frequency_hz
+            excitation = sizes.injection(target_d_a=target_a, target_q_a=0.0, discard_s=discard_s)
+            ripple = complex_dq(session.measure(excitation).i_ab, 0.0)
+            reach_a = float(np.abs(ripple - ripple.mean()).max())
+            times = min((OF_RATED * sizes.rated_a - target_a) / reach_a, MOST_TIMES)
+            times = min(times, 0.4 * session.capabilities.max_voltage_v / excitation.amplitude_v)
+            if times > 1.0:
+                excitation = excitation.model_copy(update={"amplitude_v": times * excitation.amplitude_v})
+            measured = session.measure(excitation)
+            if any(block.clipped_rows for block in measured.blocks):
+                return  # it says so
+            share, name = share_at_the_end_of_the_scale(measured.i_ab)
+            peak_a = float(np.hypot(*measured.i_ab.T).max())
+            assert share <= CLIPPED, (
+                f"{share:.0%} of the rows stand at the largest reading of {name}, in a ripple up to {peak_a:.3g} A: "
+                f"clipped below the rated {session.sizes.rated_a:.3g} A, and clipped_rows does not say so"
+            )
+
+
+def clock_off(before: list[ClockReading], after: list[ClockReading]) -> float:
+    """By which part the drive's clock is off, at least; 0 where late answers could be the reason.
+
+    A reading was taken between question and answer. What is the same by the earliest questions and by the latest
+    answers is not the host's business.
+    """
+    told = after[0].asked_s - before[0].asked_s
+    by_questions = min(r.told_s - r.asked_s for r in after) - min(r.told_s - r.asked_s for r in before)
+    by_answers = max(r.told_s - r.answered_s for r in after) - max(r.told_s - r.answered_s for r in before)
+    if by_questions * by_answers <= 0.0:
+        return 0.0
+    return min(by_questions, by_answers, key=abs) / told

@@ -1,0 +1,209 @@
+"""Effect checks: what holds of any effect: it scales with the machine, answers to its size, and remembers nothing."""
+
+from __future__ import annotations
+
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+
+import numpy as np
+
+from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
+from protocols import Correction, Effect, EffectLayer, EffectParameter, ParameterRole, Signals, unit_powers
+
+CHANGES: Mapping[EffectLayer, frozenset[str]] = {
+    EffectLayer.CURRENT_SENSORS: frozenset({"i_ab"}),
+    EffectLayer.DELAY: frozenset({"v_ab"}),
+    EffectLayer.BUS: frozenset({"v_dc", "v_ab"}),
+    EffectLayer.INVERTER: frozenset({"v_ab"}),
+    EffectLayer.RESISTANCE: frozenset({"resistance_ohm", "v_ab"}),
+    EffectLayer.FRAME: frozenset({"theta_rad"}),
+    EffectLayer.IRON: frozenset({"i_m_ab", "v_ab"}),
+}
+"""What an effect of a layer can be about; the layers beyond it see what it has changed."""
+QUICK_S = 0.25
+"""For a second of samples: a diagnosis asks some thousand times."""
+LARGER_A, LARGER_V = 4.0, 0.5
+"""Another machine: currents and voltages so many times as large, time as it is."""
+HONEST = (0.01, 100.0)
+"""What a voltage of 1 V or a current of 1 A changes of the voltage or the current, in its own unit."""
+SHARE = 0.01
+"""Least part of the mean slope that a slope may be."""
+SIZES = (0.0, 0.13, 0.37, 0.61, 0.89)
+STEP = 2e-3
+
+
+class EffectPhysicsChecks(ABC):
+    """Units, layer, slope, speed, memory."""
+
+    @abstractmethod
+    def make_effect(self) -> Effect: ...
+
+    @abstractmethod
+    def signals(self) -> Signals: ...
+
+    def _typical(self) -> dict[str, float]:
+        return {p.name: p.typical for p in self.make_effect().Parameters.declared()}
+
+    def _amplitudes(self) -> list[EffectParameter]:
+        return [p for p in self.make_effect().Parameters.declared() if p.role is ParameterRole.AMPLITUDE]
+
+    def _asked(self, signals: Signals, values: Mapping[str, float]) -> Correction:
+        effect = self.make_effect()
+        return effect.correct(signals, effect.Parameters(**values))
+
+    def test_changes_only_what_its_layer_is_about(self) -> None:
+        layer = self.make_effect().layer
+        others = sorted(set(self._asked(self.signals(), self._typical()).arrays) - CHANGES[layer])
+        assert not others, f"an effect of the layer {layer.name} changes {', '.join(others)}: the layer is wrong"
+
+    def test_no_voltage_appears_while_the_bridge_is_off(self) -> None:
+        effect = self.make_effect()
+        if effect.layer is not EffectLayer.CURRENT_SENSORS:
+            return  # not asked then
+        off = self.signals().model_copy(update={"v_ab": np.zeros_like(self.signals().v_ab), "bridge_on": False})
+        changed = sorted(set(self._asked(off, self._typical()).arrays) - {"i_ab"})
+        assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
+
+    def test_a_machine_of_another_size_behaves_alike(self) -> None:
+        """What is declared in A, V, ohm and so on has to scale like that: else a unit is wrong, or a size hidden."""
+        effect, signals = self.make_effect(), self.signals()
+        declared = effect.Parameters.declared()
+        larger = {p.name: p.typical * _factor(p.unit) for p in declared}
+        here = signals.corrected(self._asked(signals, self._typical()))
+        there = _scaled(signals)
+        apart = largest_change(_scaled(here), there.corrected(self._asked(there, larger)))
+        effect_size = largest_change(signals, here)
+        assert apart <= 1e-6 * max(effect_size, 1e-3), (
+            f"on a machine of {LARGER_A:g} times the current and {LARGER_V:g} times the voltage it changes a signal by "
+            f"{apart:.2g} of its size otherwise ({effect_size:.2g} is the effect): a parameter's unit is not "
+            f"what it is used as ({', '.join(f'{p.name} in {p.unit}' for p in declared)})"
+        )
+
+    def test_a_volt_is_a_volt(self) -> None:
+        """A parameter in V that changes a voltage, or in A a current, does so by about its own size."""
+        signals = self.signals()
+        for p in self._amplitudes():
+            array = {"V": "v_ab", "A": "i_ab"}.get(p.unit)
+            changed = self._asked(signals, self._neutral() | self._shapes() | {p.name: p.typical}).arrays
+            if array is None or array not in changed:
+                continue
+            by = float(np.abs(changed[array] - getattr(signals, array)).max()) / abs(p.typical)
+            assert HONEST[0] <= by <= HONEST[1], (
+                f"{p.name}: 1 {p.unit} changes {array} by {by:.2g} {p.unit}; is it meant in m{p.unit}? "
+                "Values are in SI, without prefixes"
+            )
+
+    def test_every_size_of_an_amplitude_has_a_slope(self) -> None:
+        """A fit goes along slopes: where there is none it stays, and a staircase is flat but for its steps."""
+        for p in self._amplitudes():
+            whole = self._moved(p, 0.0, 1.0)
+            assert whole > 0.0, f"{p.name} changes nothing between its neutral and its typical value"
+            for size in SIZES:
+                slope = self._moved(p, size, size + STEP) / STEP
+                assert slope >= SHARE * whole, (
+                    f"{p.name}: at {size:g} of its typical size the signals do not change with it (slope "
+                    f"{slope / whole:.2g} of the mean one): a fit would stay there"
+                )
+
+    def _moved(self, p: EffectParameter, one: float, other: float) -> float:
+        """Length of the way between what two sizes of an amplitude make of the signals, the others typical."""
+        signals = self.signals()
+        a, b = (signals.corrected(self._asked(signals, self._typical() | {p.name: _at(p, x)})) for x in (one, other))
+        ways = [np.linalg.norm(getattr(b, n) - getattr(a, n)) / _size(getattr(signals, n)) for n in SIGNAL_ARRAYS]
+        return float(np.linalg.norm(ways))
+
+    def test_time_shows_only_where_a_parameter_has_to_do_with_it(self) -> None:
+        if any("s" in unit_powers(p.unit) for p in self.make_effect().Parameters.declared()):
+            return
+        signals = self.signals()
+        now, then = (s.corrected(self._asked(s, self._typical())) for s in (signals, _later(signals)))
+        change = largest_change(now, then)
+        assert change <= 1e-9, (
+            f"1000 s later it changes a signal by {change:.2g} otherwise, but none of its parameters is per second: "
+            "start_s is no part of it"
+        )
+
+    def test_no_earlier_segment_is_remembered(self) -> None:
+        """Segments come in any order, and from several threads."""
+        signals, used = _later(self.signals(), 1.0), self.make_effect()
+        parameters = used.Parameters(**self._typical())
+        for earlier in (self.signals(), exciting_signals(seed=7)):
+            used.correct(earlier, parameters)
+        fresh = signals.corrected(self._asked(signals, self._typical()))
+        assert largest_change(fresh, signals.corrected(used.correct(signals, parameters))) == 0.0, (
+            "what came before a segment changes it: effects are pure functions"
+        )
+
+    def test_answers_quickly(self) -> None:
+        signals = self.signals()
+        took: list[float] = []
+        while not took or (len(took) < 4 and min(took) > QUICK_S and sum(took) < 8.0):  # the first one may compile
+            begun = time.perf_counter()
+            self._asked(signals, self._typical())
+            took.append(time.perf_counter() - begun)
+        assert min(took) <= QUICK_S, f"{min(took):.2f} s for a second of samples ({QUICK_S} s allowed)"
+
+    def _neutral(self) -> dict[str, float]:
+        return {p.name: p.neutral for p in self.make_effect().Parameters.declared()}
+
+    def _shapes(self) -> dict[str, float]:
+        declared = self.make_effect().Parameters.declared()
+        return {p.name: p.typical for p in declared if p.role is not ParameterRole.AMPLITUDE}
+
+
+def _factor(unit: str) -> float:
+    """By how much a quantity of this unit is larger on the other machine."""
+    volts, amperes = LARGER_V, LARGER_A
+    sizes = {"A": amperes, "V": volts, "ohm": volts / amperes, "Wb": volts, "H": volts / amperes}
+    sizes |= {"W": volts * amperes, "Nm": volts * amperes}
+    return float(np.prod([sizes.get(symbol, 1.0) ** power for symbol, power in unit_powers(unit).items()]))
+
+
+def _scaled(signals: Signals) -> Signals:
+    """The same on the other machine."""
+    units = {
+        **dict.fromkeys(("i_ab", "i_m_ab", "i_abc", "i_smooth_ab", "i_quiet_ab"), "A"),
+        **dict.fromkeys(("v_ab", "v_dc"), "V"),
+        **dict.fromkeys(("psi_ab", "psi_smooth_ab"), "Wb"),
+        "resistance_ohm": "ohm",
+        "heat_j": "W",
+    }
+    found = {name: getattr(signals, name) for name in units}
+    update = {name: x * _factor(units[name]) for name, x in found.items() if x is not None}
+    if signals.losses is not None:
+        update["losses"] = signals.losses.model_copy(update={"power_w": signals.losses.power_w * _factor("W")})
+    if signals.motor is not None:
+        update["motor"] = signals.motor.model_copy(update=_nameplate(signals.motor.model_dump()))
+    if signals.drive is not None:
+        bus_v = signals.drive.dc_bus_voltage_v * _factor("V")
+        update["drive"] = signals.drive.model_copy(update={"dc_bus_voltage_v": bus_v})
+    return signals.model_copy(update=update)
+
+
+def _nameplate(values: Mapping[str, float | str | None]) -> dict[str, float]:
+    suffixes = {"_a": "A", "_v": "V", "_w": "W", "_ohm": "ohm", "_h": "H", "_wb": "Wb", "_nm": "Nm"}
+    return {
+        name: value * _factor(unit)
+        for name, value in values.items()
+        for suffix, unit in suffixes.items()
+        if isinstance(value, float) and name.endswith(suffix)
+    }
+
+
+def _later(signals: Signals, by_s: float = 1000.0) -> Signals:
+    update: dict[str, object] = {"start_s": signals.start_s + by_s}
+    if signals.losses is not None:
+        update["losses"] = signals.losses.model_copy(update={"time_s": signals.losses.time_s + by_s})
+    return signals.model_copy(update=update)
+
+
+def _at(p: EffectParameter, size: float) -> float:
+    """The value of an amplitude at a part of its typical size."""
+    if p.strong_when_small:
+        return p.neutral if size == 0.0 else p.typical / size
+    return p.neutral + size * (p.typical - p.neutral)
+
+
+def _size(x: np.ndarray) -> float:
+    return max(float(np.linalg.norm(x)), 1e-12)
