@@ -339,7 +339,7 @@ def audit_command(
 @app.command("import")
 def import_command(
     mapping: Annotated[Path, typer.Argument(help="YAML file that says what the columns are.")],
-    files: Annotated[list[Path], typer.Argument(help="CSV, Parquet, MATLAB or MF4 files.", metavar="FILE...")],
+    files: Annotated[list[Path], typer.Argument(help="CSV, Parquet, MATLAB, HDF5, MF4, TDMS or COMTRADE files.", metavar="FILE...")],
     out: Annotated[Path, typer.Option(help="Recording to make.")],
     as_json: JsonOption = False,
 ) -> int:

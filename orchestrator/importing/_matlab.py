@@ -1,14 +1,13 @@
 """MATLAB's .mat files as blocks of columns: version 5 by scipy, version 7.3 by h5py.
 
 A column is named as in MATLAB: ``ia``, ``log.ia`` (a struct's field), ``scope.signals(2).values`` (an element of a
-struct array), ``data(:,3)`` (a matrix's column). Tables, timeseries and other objects are not read: they are kept in a
-form that MathWorks does not document.
+struct array), ``data(:,3)`` (a matrix's column), ``ia.Data`` (of a timeseries), ``T.ia`` (of a table).
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.importing._matlab_objects import holds_objects, load_with_objects, member
 from orchestrator.importing._source import (
     BLOCK_ROWS,
     Block,
@@ -46,7 +46,10 @@ def open_matlab(path: Path, wanted: Wanted) -> Source:
     """A .mat file of version 5 or 7.3."""
     import h5py
 
-    blocks = _hdf5_blocks if h5py.is_hdf5(path) else _version_5_blocks
+    is_hdf5 = h5py.is_hdf5(path)
+    blocks = _hdf5_blocks if is_hdf5 else _version_5_blocks
+    if holds_objects(path, is_hdf5):
+        blocks = _object_blocks
     return Source(guarded(path, "MATLAB", lambda: blocks(path, wanted)))
 
 
@@ -66,23 +69,33 @@ def _version_5_blocks(path: Path, wanted: Wanted) -> Iterator[Block]:
 
     steps = {name: _steps(path, name) for name in wanted.all}
     require_columns(path, [s[0].name for s in steps.values()], [entry[0] for entry in whosmat(path)])
-    variables = loadmat(path, variable_names=sorted({s[0].name for s in steps.values()}))
+    yield _arrays_block(path, wanted, loadmat(path, variable_names=_variables(steps)), steps)
+
+
+def _object_blocks(path: Path, wanted: Wanted) -> Iterator[Block]:
+    steps = {name: _steps(path, name) for name in wanted.all}
+    yield _arrays_block(path, wanted, load_with_objects(path, _variables(steps)), steps)
+
+
+def _variables(steps: Mapping[str, list[_Step]]) -> list[str]:
+    return sorted({s[0].name for s in steps.values()})
+
+
+def _arrays_block(path: Path, wanted: Wanted, variables: Any, steps: Mapping[str, list[_Step]]) -> Block:
     columns = {name: _in_arrays(path, name, variables, steps[name]) for name in wanted.all}
     same_length(path, {name: column.size for name, column in columns.items()})
-    yield _block(path, wanted, columns)
+    return _block(path, wanted, columns)
 
 
 def _in_arrays(path: Path, name: str, variables: Any, steps: list[_Step]) -> NDArray[Any]:
     here: Any = variables
     for depth, step in enumerate(steps):
-        if depth:
-            require_columns(path, [step.name], here.dtype.names or ())
-        here = here[step.name]
-        if not isinstance(here, np.ndarray):
-            raise InputError(str(path), name, f"expected numbers or a struct, got {type(here).__name__}")
-        if depth < len(steps) - 1:
+        here = member(path, here, step.name)
+        if depth < len(steps) - 1 and isinstance(here, np.ndarray):
             _require_struct(path, name, step, here.dtype.names is not None)
             here = _element(path, name, here.reshape(-1, order="F"), step)
+    if not isinstance(here, np.ndarray):
+        raise InputError(str(path), name, f"is an object; name what is in it, such as {name}.Data")
     return _vector(path, name, np.asarray(here), steps[-1])
 
 

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from orchestrator.importing._source import (
+    TIMESTAMPS,
     Block,
     Numbers,
     Source,
@@ -24,8 +25,6 @@ from orchestrator.importing._source import (
     unreadable,
 )
 from protocols import InputError
-
-TIMESTAMPS = "timestamps"
 
 
 def open_mf4(path: Path, wanted: Wanted) -> Source:

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 from orchestrator.importing._columnar import open_csv, open_parquet
+from orchestrator.importing._hdf5 import open_hdf5
 from orchestrator.importing._mapping import ImportMapping
 from orchestrator.importing._matlab import open_matlab
 from orchestrator.importing._mf4 import open_mf4
+from orchestrator.importing._recorders import open_comtrade, open_tdms
 from orchestrator.importing._source import Block, Source, Wanted
 from protocols import InputError
 
-_CSV = (".csv", ".tsv", ".txt")
-_PARQUET = (".parquet", ".pq")
-_MATLAB = (".mat",)
-_MDF = (".mf4", ".mdf")
+Reader = Callable[[Path, Wanted], Source]
+
+_TEXT = (".csv", ".tsv", ".txt")
+_READERS: dict[str, Reader] = {
+    **dict.fromkeys((".parquet", ".pq"), open_parquet),
+    **dict.fromkeys((".mat",), open_matlab),
+    **dict.fromkeys((".h5", ".hdf5", ".hdf"), open_hdf5),
+    **dict.fromkeys((".mf4", ".mdf"), open_mf4),
+    **dict.fromkeys((".tdms",), open_tdms),
+    **dict.fromkeys((".cfg", ".cff"), open_comtrade),
+}
 
 
 def open_source(
@@ -63,16 +72,11 @@ def _renamed(block: Block, called: Mapping[str, str]) -> Block:
 
 def _opened(path: Path, mapping: ImportMapping, wanted: Wanted) -> Source:
     ending = path.suffix.lower()
-    if ending in _CSV:
+    if ending in _TEXT:
         return open_csv(path, wanted, mapping.csv)
-    if ending in _PARQUET:
-        return open_parquet(path, wanted)
-    if ending in _MATLAB:
-        return open_matlab(path, wanted)
-    if ending in _MDF:
-        return open_mf4(path, wanted)
-    known = ", ".join((*_CSV, *_PARQUET, *_MATLAB, *_MDF))
-    raise InputError(str(path), "", f"unknown kind of file; known: {known}")
+    if ending in _READERS:
+        return _READERS[ending](path, wanted)
+    raise InputError(str(path), "", f"unknown kind of file; known: {', '.join((*_TEXT, *_READERS))}")
 
 
 def check_file(path: Path) -> None:

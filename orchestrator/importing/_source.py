@@ -21,6 +21,8 @@ from protocols import InputError
 Numbers = NDArray[np.float64]
 
 BLOCK_ROWS = 1 << 16
+TIMESTAMPS = "timestamps"
+"""The column of a file's own raster [s], where its channels bring one."""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,96 @@
+"""Files of recorders that bring their own raster: LabVIEW's TDMS by npTDMS, COMTRADE by comtrade, where installed.
+
+The raster is the column `timestamps`, in seconds; TDMS channels are named ``Group/Channel``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestrator.importing._source import (
+    TIMESTAMPS,
+    Block,
+    Numbers,
+    Source,
+    Wanted,
+    as_labels,
+    as_numbers,
+    require_columns,
+    same_length,
+    unreadable,
+)
+from protocols import InputError
+
+
+def open_tdms(path: Path, wanted: Wanted) -> Source:
+    """A TDMS file; raises `InputError` where npTDMS is not installed."""
+    try:
+        from nptdms import TdmsFile
+    except ImportError as error:
+        raise _missing(path, "TDMS", "npTDMS", "tdms", error) from None
+    try:
+        with TdmsFile.open(path) as file:
+            channels = {f"{group.name}/{one.name}": one for group in file.groups() for one in group.channels()}
+            require_columns(path, [name for name in wanted.all if name != TIMESTAMPS], [*channels, TIMESTAMPS])
+            columns = {name: np.asarray(channels[name][:]) for name in wanted.all if name != TIMESTAMPS}
+            if TIMESTAMPS in wanted.all:
+                columns[TIMESTAMPS] = _track(path, {name: channels[name] for name in columns})
+            units = {n: str(channels[n].properties.get("unit_string", "")) for n in columns if n in channels}
+    except InputError:
+        raise
+    except Exception as error:  # npTDMS has no common base for what a damaged file runs into
+        raise unreadable(path, "TDMS", error) from None
+    return _source(path, wanted, columns, units)
+
+
+def _track(path: Path, channels: Mapping[str, Any]) -> Numbers:
+    """The common raster of channels, from the start and the increment that they say themselves."""
+    rasters: dict[tuple[float, float], str] = {}
+    for name, channel in channels.items():
+        properties = channel.properties
+        if "wf_increment" not in properties:
+            raise InputError(str(path), name, "does not say its sampling: name a time channel or the frequency")
+        step, start = float(properties["wf_increment"]), float(properties.get("wf_start_offset", 0.0))
+        rasters[step, start] = name
+    if len(rasters) > 1:
+        raise InputError(str(path), next(reversed(rasters.values())), "is on another raster than the other channels")
+    (step, start) = next(iter(rasters))
+    length = max(len(channel) for channel in channels.values())
+    return np.asarray(start + step * np.arange(length), dtype=np.float64)
+
+
+def open_comtrade(path: Path, wanted: Wanted) -> Source:
+    """A COMTRADE recording by its .cfg (the .dat beside it) or .cff; raises `InputError` where comtrade is missing."""
+    try:
+        from comtrade import Comtrade
+    except ImportError as error:
+        raise _missing(path, "COMTRADE", "comtrade", "comtrade", error) from None
+    record = Comtrade(ignore_warnings=True)
+    try:
+        record.load(str(path))
+        names = [str(name).strip() for name in record.analog_channel_ids]
+        units = {n: str(c.uu).strip() for n, c in zip(names, record.cfg.analog_channels, strict=True)}
+        every = {n: np.asarray(x, dtype=np.float64) for n, x in zip(names, record.analog, strict=True)}
+        every[TIMESTAMPS] = np.asarray(record.time, dtype=np.float64)
+    except Exception as error:  # neither has comtrade
+        raise unreadable(path, "COMTRADE", error) from None
+    require_columns(path, wanted.all, list(every))
+    return _source(path, wanted, {name: every[name] for name in wanted.all}, units)
+
+
+def _source(path: Path, wanted: Wanted, columns: Mapping[str, Any], units: Mapping[str, str]) -> Source:
+    if wanted.dates is not None:
+        raise InputError(str(path), wanted.dates, f"dates are for texts and tables; use {TIMESTAMPS}, in s")
+    rows = same_length(path, {name: len(column) for name, column in columns.items()})
+    numbers = {name: as_numbers(path, name, columns[name]) for name in wanted.numbers}
+    labels = None if wanted.label is None else as_labels(columns[wanted.label])
+    return Source([Block(numbers, labels)] if rows else [], {name: unit for name, unit in units.items() if unit})
+
+
+def _missing(path: Path, kind: str, library: str, extra: str, error: ImportError) -> InputError:
+    said = f"{kind} files are read by {library}: pip install 'fluxbench[{extra}]' ({error})"
+    return InputError(str(path), "", said)
