@@ -263,6 +263,9 @@ def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities,
         raise DriveRefused(f"nothing to capture: {captured_s:g} s is less than a sample")
     if own.longest_capture_s is not None and captured_s > own.longest_capture_s * SINGLE:
         raise DriveRefused(f"capture of {captured_s:g} s is longer than the drive's {own.longest_capture_s:g} s")
+    whole_s = excitation.settling_s + captured_s
+    if own.longest_excitation_s is not None and whole_s > own.longest_excitation_s * SINGLE:
+        raise DriveRefused(f"{whole_s:g} s with settling are longer than the drive's {own.longest_excitation_s:g} s")
     current_a = excitation.longest_current_a
     if current_a > limits.current_a * SINGLE:
         raise DriveRefused(f"current {current_a:.4g} A is above the limit of {limits.current_a:g} A")

@@ -203,6 +203,14 @@ class Capabilities(Strict):
     max_voltage_v: Positive
     longest_capture_s: Positive | None = None
     """None: only the host's disk limits it."""
+    longest_excitation_s: Positive | None = None
+    """Settling and capture together, where a table is played; None: the drive makes it up as it goes."""
+    frequency_step_hz: Positive | None = None
+    """Injections are at whole multiples of it; None: at any frequency that fits the rows."""
+    rotation_step_hz: Positive | None = None
+    """Their direction rotates at whole multiples of it; None: at any frequency."""
+    heeds_bandwidth: bool = True
+    """Whether current control is tuned to the `CurrentControl` that is asked for; else it is the drive's own."""
     excitations: frozenset[ExcitationKind]
     watchdog_s: Positive | None
     """The drive goes to its safe state when no heartbeat came for this long; None: it has no dead man."""

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+from orchestrator.config._fitting import Fitting
 from orchestrator.stages import NOMINAL_SAMPLING_HZ, parse_stages
 from protocols import (
     Capabilities,
@@ -79,7 +80,7 @@ class Plan:
 
 
 def make_plan(procedure: Procedure, capabilities: Capabilities | None, appended: Sequence[StageEntry] = ()) -> Plan:
-    """Fill in what the procedure leaves out and lay out its points.
+    """Fill in what the procedure leaves out, lay out its points, and fit them to the drive.
 
     The same procedure and capabilities give the same plan, so that a resumed run finds its points; stages appended
     to it change nothing of what is before them.
@@ -106,9 +107,10 @@ def make_plan(procedure: Procedure, capabilities: Capabilities | None, appended:
         *_filled(procedure, written[:own], 0, sampling_hz, notes),
         *_filled(procedure, written[own:], own, sampling_hz, notes),
     ]
-    points = _points(procedure.name, stages, capabilities.pwm_frequency_hz if capabilities else None)
+    fitting = Fitting(capabilities)
+    points = _points(procedure.name, stages, capabilities.pwm_frequency_hz if capabilities else None, fitting)
     whole = procedure.model_copy(update={"stages": (*procedure.stages, *appended)})
-    return Plan(whole, tuple(stages), tuple(points), tuple(notes))
+    return Plan(whole, tuple(stages), tuple(points), (*notes, *fitting.notes))
 
 
 def _filled(
@@ -124,7 +126,7 @@ def _filled(
     return stages
 
 
-def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None) -> list[PlannedPoint]:
+def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None, fitting: Fitting) -> list[PlannedPoint]:
     counter: Counter[str] = Counter()
     points: list[PlannedPoint] = []
     angle = 0.0
@@ -134,11 +136,12 @@ def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None) -
         before = len(points)
         for point in stage.points():
             assert stage.records_as is not None
-            excitation = point.excitation.model_copy(update={"rotor_angle_rad": angle})
-            settings = {**_asked_for(excitation, own_pwm_hz), **point.settings}
-            identifier = f"{stage.name}-{counter[stage.name]:03d}"
-            counter[stage.name] += 1
-            points.append(PlannedPoint(identifier, index, stage.records_as, excitation, settings))
+            asked = point.excitation.model_copy(update={"rotor_angle_rad": angle})
+            for excitation in fitting.of(asked, stage, index):
+                settings = {**_asked_for(excitation, own_pwm_hz), **point.settings}
+                identifier = f"{stage.name}-{counter[stage.name]:03d}"
+                counter[stage.name] += 1
+                points.append(PlannedPoint(identifier, index, stage.records_as, excitation, settings))
         if stage.measuring is not None and len(points) == before:
             raise ProcedureError(procedure, f"stages.{index}", f"{stage.name} without a point to measure")
     return points

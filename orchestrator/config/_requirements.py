@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from orchestrator.config._fitting import longest_capture_s, on_grid
 from orchestrator.config._loads import Load
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.stages import parse_stages
@@ -126,10 +127,19 @@ class Requirements:
             offered = ", ".join(f"{f:g}" for f in drive.pwm_frequencies_hz)
             problem = f"{e.pwm_frequency_hz:g} Hz is not offered by the drive ({offered} Hz)"
             raise self._at(point, "pwm_frequencies_hz", problem)
-        if drive.longest_capture_s is not None and point.captured_s > drive.longest_capture_s:
+        longest_s = longest_capture_s(e, drive)
+        if longest_s is not None and point.captured_s > longest_s * (1 + 1e-9):
             field = "periods" if isinstance(e, Trapezoid) else "duration_s"
-            longest = f"the drive's longest capture is {drive.longest_capture_s:g} s"
+            settles = f" after {e.settling_s:g} s of settling" if drive.longest_excitation_s is not None else ""
+            longest = f"the drive's longest capture{settles} is {max(longest_s, 0.0):g} s"
             raise self._at(point, field, f"captures {point.captured_s:g} s; {longest}")
+        if isinstance(e, Injection):
+            for name, step in (("frequency_hz", drive.frequency_step_hz), ("rotation_hz", drive.rotation_step_hz)):
+                if not on_grid(getattr(e, name), step):
+                    problem = (
+                        f"{getattr(e, name):g} Hz: no multiple of the drive's {step:g} Hz is near that fits its rows"
+                    )
+                    raise self._at(point, name, problem)
 
     def _check_sampling(self, point: PlannedPoint, sampling_hz: float) -> None:
         e = point.excitation
@@ -141,7 +151,8 @@ class Requirements:
             raise self._at(point, field, problem)
         if isinstance(e, GatesOff):
             return
-        self._check_control(point, e.control, sampling_hz)
+        if self._drive is None or self._drive.heeds_bandwidth:
+            self._check_control(point, e.control, sampling_hz)
         if isinstance(e, Injection):
             self._check_injection(point, e, sampling_hz)
         if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _LEAST_PER_TRAPEZOID:

@@ -72,6 +72,16 @@ class Agenda:
             return True
         return not stage.journalled and not any(type(later) is type(stage) for later in self.stages[index + 1 :])
 
+    def end_of_appended(self, index: int) -> int | None:
+        """The stage after those that were appended together with this one; None where the procedure has it."""
+        end = len(self.stages)
+        for message in reversed(self._appended):
+            first = end - len(message.stages)
+            if first <= index < end:
+                return end
+            end = first
+        return None
+
     def longer(self, more: Sequence[StageEntry]) -> Plan:
         """The plan with these stages at its end; raises `InputError` where limits or drive do not allow them."""
         before = [stage for message in self._appended for stage in message.stages]

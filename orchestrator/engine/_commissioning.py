@@ -26,6 +26,7 @@ from orchestrator.runs import RunDirectory
 from protocols import (
     Capabilities,
     Drive,
+    DriveRefused,
     EstimationReport,
     FluxbenchError,
     Note,
@@ -38,6 +39,7 @@ from protocols import (
     RunInterrupted,
     RunStarted,
     Segment,
+    Stage,
     StageStarted,
     StageState,
     StateChanged,
@@ -122,8 +124,7 @@ class Commissioning:
             self._begin()
             index = 0
             while index < len(self._agenda.stages):  # one at work may append to them
-                self._enter(index)
-                index += 1
+                index = self._enter(index)
             outcome = Outcome("finished", "every stage is done", None)
         except (RunInterrupted, RunAborted) as error:
             outcome = Outcome("aborted", str(error), error)
@@ -160,8 +161,8 @@ class Commissioning:
             with as_drive_errors(self._capabilities.name):
                 self._drive.restore(last.id, self._run.end_s())
 
-    def _enter(self, index: int) -> None:
-        """Measure what is left of a stage, and let it work on that."""
+    def _enter(self, index: int) -> int:
+        """Measure what is left of a stage, and let it work on that; returns the stage that is next."""
         self._interrupts.check()
         stage = self._agenda.stages[index]
         at_work = StageAtWork(index, self._engine, self._conclude)
@@ -170,13 +171,34 @@ class Commissioning:
             self._log.say(StageStarted(index=index, stage=stage.name, title=stage.title, points=len(left)))
             self._machine.fire(stage.measuring.trigger)
             self._power.arm()
-            for point in self._within_limits(index, left):
-                if self._interrupts.pause_wanted:
-                    self._pause(stage.measuring)
-                excitation = stage.before_point(at_work, point.excitation)
-                self._measure_point(point.run_as(excitation), partial(stage.after_point, at_work))
+            try:
+                self._measure_points(stage, stage.measuring, at_work, self._within_limits(index, left))
+            except DriveRefused as refusal:
+                return self._skipped(index, refusal)
         if self._agenda.has_work(index):
             stage.work(at_work)
+        return index + 1
+
+    def _measure_points(
+        self, stage: Stage, measuring: StageState, at_work: StageAtWork, points: list[PlannedPoint]
+    ) -> None:
+        for point in points:
+            if self._interrupts.pause_wanted:
+                self._pause(measuring)
+            excitation = stage.before_point(at_work, point.excitation)
+            self._measure_point(point.run_as(excitation), partial(stage.after_point, at_work))
+
+    def _skipped(self, index: int, refusal: DriveRefused) -> int:
+        """Nobody has written an experiment that this program proposed: where the drive refuses it, the run is complete.
+
+        What was appended with it, to work on what it would have measured, is passed over too.
+        """
+        end = self._agenda.end_of_appended(index)
+        if end is None:
+            raise refusal
+        told = f"stages.{index} was proposed, and the drive refuses it: {refusal}; passed over"
+        self._log.say(Note(level="warning", text=told))
+        return end
 
     def _within_limits(self, index: int, left: list[PlannedPoint]) -> list[PlannedPoint]:
         """The points with their injection as weak as the ripple at the rim makes necessary."""

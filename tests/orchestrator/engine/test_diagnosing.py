@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,19 @@ import pytest
 from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, extend_run, resume_run
 from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
+from plugins.drives.simulated import SimulatedDrive
 from plugins.stages.diagnose import DiagnoseStage
 from plugins.stages.resistance import ResistanceStage
 from protocols import (
     CapabilityError,
+    Capture,
     Compared,
     Diagnosed,
+    DriveRefused,
+    Excitation,
     ExperimentProposed,
     Message,
+    Note,
     OperatorAnswered,
     PointDone,
     RecordingError,
@@ -220,3 +225,23 @@ def test_a_recording_with_too_little_in_it_gets_no_diagnosis_and_the_run_goes_on
     assert result.outcome.ending == "finished"
     assert not told(result.path, Diagnosed)
     assert any("no diagnosis" in str(message) for message in messages_of(result.path))
+
+
+def test_a_proposed_experiment_that_the_drive_refuses_is_passed_over(
+    tmp_path: Path, propose: Propose, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    propose(EXPERIMENT)
+    start = SimulatedDrive.start
+
+    def picky(self: SimulatedDrive, excitation: Excitation) -> Iterator[Capture]:
+        if excitation.start_dq_a == (0.5, 0.0):
+            raise DriveRefused("not at half an ampere")
+        return start(self, excitation)
+
+    monkeypatch.setattr(SimulatedDrive, "start", picky)
+    result = run_tiny(tmp_path, drive={"plant": PLANT}, stages=[*OPENING, {"kind": "estimate"}, diagnose(1)])
+    assert result.outcome.ending == "finished", result.outcome
+    (note,) = [m.text for m in told(result.path, Note) if "was proposed" in m.text]
+    assert note.endswith("the drive refuses it: not at half an ampere; passed over")
+    assert len(told(result.path, Diagnosed)) == 1
+    assert go_on(result.path).outcome.ending == "finished"
