@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -10,6 +11,10 @@ from typing import Annotated, Any
 
 import typer
 import typer.core
+
+COMPLETING = "_FLUXBENCH_COMPLETE"
+"""Set by the shell that asks for what might come next."""
+COMPLETION_OPTIONS = ("--install-completion", "--show-completion")
 
 
 class _Commands(typer.core.TyperGroup):
@@ -35,11 +40,41 @@ app = typer.Typer(
     cls=_Commands,
     name="fluxbench",
     help="Commission a permanent-magnet synchronous motor: saturated current-flux relations, measured and checked.",
-    no_args_is_help=True,
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+
+START = """fluxbench commissions a permanent-magnet synchronous motor. To begin with:
+
+  fluxbench procedures            what there is to run
+  fluxbench check demo            what it would do; nothing is energised
+  fluxbench run demo              do it, on a simulated drive
+  fluxbench diagnose runs/NAME    which effect the model lacks
+  fluxbench probe                 drives on this machine's serial ports and CAN buses
+
+fluxbench --help lists all commands, fluxbench COMMAND --help the options of one."""
+
+
+def _say_version(wanted: bool) -> None:
+    if wanted:
+        from importlib.metadata import version
+
+        typer.echo(f"fluxbench {version('fluxbench')}")
+        raise typer.Exit
+
+
+VersionOption = Annotated[
+    bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the version, and leave.")
+]
+
+
+@app.callback(invoke_without_command=True)
+def start(context: typer.Context, _version: VersionOption = False) -> None:
+    """Commission a permanent-magnet synchronous motor: saturated current-flux relations, measured and checked."""
+    if context.invoked_subcommand is None:
+        typer.echo(START)
+
 
 ProcedureArgument = Annotated[str, typer.Argument(help="Name of a shipped procedure, or a YAML file.")]
 RecordingArgument = Annotated[Path, typer.Argument(help="A recording or run directory.", metavar="RECORDING")]
@@ -378,21 +413,34 @@ def plugins_command(as_json: JsonOption = False) -> int:
 @app.command("procedures")
 def procedures_command(
     name: Annotated[str | None, typer.Argument(help="Print this one, as a start for your own.")] = None,
+    as_json: JsonOption = False,
 ) -> int:
     """The procedures that come with it."""
     from orchestrator.cli._inspect import procedures
 
-    return procedures(name)
+    return procedures(name, as_json)
+
+
+@app.command("effects")
+def effects_command(as_json: JsonOption = False) -> int:
+    """The physical effects that a diagnosis knows."""
+    from orchestrator.cli._inspect import effects
+
+    return effects(as_json)
 
 
 @app.command("schema")
 def schema_command(
-    name: Annotated[str, typer.Argument(help="procedure, recording, run or estimates.")],
+    name: Annotated[
+        str, typer.Argument(help="procedure, motor, recording, mapping, run, estimates; or drive, and its NAME.")
+    ],
+    plugin: Annotated[str | None, typer.Argument(help="Of the drive.", metavar="[NAME]")] = None,
+    as_table: Annotated[bool, typer.Option("--table", help="A table in Markdown instead.")] = False,
 ) -> int:
-    """JSON Schema of a file format, for editors."""
+    """JSON Schema of a file format or of a drive's options, for editors."""
     from orchestrator.cli._inspect import schema
 
-    return schema(name)
+    return schema(name, plugin, as_table)
 
 
 def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | None = None) -> int:
@@ -404,7 +452,9 @@ def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | Non
     from orchestrator.cli._output import give_up_broken_output
 
     try:
-        code = int(with_plugin_commands(app)(list(arguments), standalone_mode=False, obj=settle) or 0)
+        code = int(
+            with_plugin_commands(app)(list(arguments), standalone_mode=False, obj=settle, prog_name="fluxbench") or 0
+        )
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt):
         return _say("interrupted", 130)
@@ -412,6 +462,8 @@ def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | Non
         if isinstance(error.__context__, BrokenPipeError):
             give_up_broken_output()
             return 0
+        if COMPLETING in os.environ or any(word in COMPLETION_OPTIONS for word in arguments):
+            return int(error.code or 0)
         return _say(f"a plugin called exit({error.code}) in the middle of the command", 3)
     except BrokenPipeError:  # whoever read the output has had enough
         give_up_broken_output()

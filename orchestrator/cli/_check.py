@@ -33,6 +33,8 @@ def check(
     """
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     procedure = loaded.procedure
+    if not as_json:
+        say_notes(loaded.readings)
     UsedPlugins(parse_stages(procedure))
     with loaded.naming_its_places(), connected_drive(procedure, private=None) as (_, capabilities):
         plan = make_plan(procedure, capabilities)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from orchestrator.cli._output import complain, give_up_broken_output, say_document
+from orchestrator.cli._output import complain, give_up_broken_output, say_document, say_notes
 from orchestrator.config import read_procedure
 from orchestrator.engine import (
     NOTHING_LEFT,
@@ -72,6 +72,8 @@ def run(
     """Commission into a new directory; returns the exit code."""
     loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
     path = run_directory(loaded.procedure.name, out)
+    if audience.console_mode == "auto":
+        say_notes(loaded.readings)
     with loaded.naming_its_places():
         return _with_crew(lambda crew: start_run(loaded.procedure, path, crew), audience)
 

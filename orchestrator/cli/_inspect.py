@@ -1,8 +1,9 @@
-"""`fluxbench plugins`, `procedures` and `schema`: what there is."""
+"""`fluxbench plugins`, `procedures`, `effects` and `schema`: what there is."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from typing import Any
 
 from pydantic import BaseModel
@@ -40,34 +41,71 @@ def _row(kind: PluginKind, name: str) -> dict[str, Any]:
     return {"kind": kind.value, "loads": True, "problem": None, "summary": getattr(plugin, "summary", None)}
 
 
-def procedures(name: str | None) -> int:
+def procedures(name: str | None, as_json: bool) -> int:
     """List the shipped procedures, or print one."""
     if name is None:
         from orchestrator.config import load_procedure
 
-        for known in shipped_procedures():
-            say(f"{known:<8} {load_procedure(known).summary}")
+        _list({known: load_procedure(known).summary for known in shipped_procedures()}, as_json)
         return 0
     try:
-        say_document(shipped_procedure(name).removesuffix("\n"))
+        text = shipped_procedure(name).removesuffix("\n")
     except KeyError:
         raise ProcedureError(name, "", f"no such procedure; there are {', '.join(shipped_procedures())}") from None
+    if as_json:
+        from orchestrator.config import load_procedure
+
+        text = load_procedure(name).model_dump_json(indent=2)
+    say_document(text)
     return 0
 
 
-def schema(name: str) -> int:
-    """Print the JSON Schema of a file format."""
-    from orchestrator.runs import RunRecord
+def effects(as_json: bool) -> int:
+    """List the physical effects that a diagnosis knows."""
+    plugins = {info.name: load_plugin(PluginKind.EFFECTS, info.name) for info in installed(PluginKind.EFFECTS)}
+    _list({name: str(getattr(plugin, "summary", "")) for name, plugin in plugins.items()}, as_json)
+    return 0
+
+
+def _list(summaries: Mapping[str, str], as_json: bool) -> None:
+    if as_json:
+        say_document(json.dumps([{"name": name, "summary": told} for name, told in summaries.items()], indent=2))
+        return
+    widest = max(map(len, summaries), default=0)
+    for name, told in summaries.items():
+        say(f"{name:<{widest}}  {told}")
+
+
+def schema(name: str, plugin: str | None, as_table: bool) -> int:
+    """Print the JSON Schema of a file format or of a drive's options; of those, a table in Markdown as well."""
     from orchestrator.stages import with_stages
+
+    if (name == "drive") != (plugin is not None):
+        raise InputError("schema", name, "expected a drive's name after `drive`, and nothing after the others")
+    model = _model(name) if plugin is None else load_plugin(PluginKind.DRIVES, plugin).Options
+    if as_table:
+        from orchestrator.presentation.options import options_table
+
+        say_document(options_table(model))
+    else:
+        say_document(json.dumps(with_stages(model.model_json_schema()), indent=2))
+    return 0
+
+
+def _model(name: str) -> type[BaseModel]:
+    from orchestrator.config import MotorFile
+    from orchestrator.importing import ImportMapping
+    from orchestrator.runs import RunRecord
     from protocols import EstimationReport
 
     models: dict[str, type[BaseModel]] = {
         "procedure": Procedure,
+        "motor": MotorFile,
         "recording": Manifest,
+        "mapping": ImportMapping,
         "run": RunRecord,
         "estimates": EstimationReport,
     }
     if name not in models:
-        raise InputError("schema", name, f"expected one of {', '.join(models)}")
-    say_document(json.dumps(with_stages(models[name].model_json_schema()), indent=2))
-    return 0
+        raise InputError("schema", name, f"expected one of {', '.join(models)}, or `drive NAME`")
+    return models[name]

@@ -1,13 +1,14 @@
 """Procedures from words to a checked plan: read, scaled to the motor, laid out in points, held against limits."""
 
 from orchestrator.config._checking import PlanSummary, StageRow, check_plan
-from orchestrator.config._loading import LoadedProcedure, load_motor, load_procedure, read_procedure
+from orchestrator.config._loading import LoadedProcedure, MotorFile, load_motor, load_procedure, read_procedure
 from orchestrator.config._loads import nominal_ripple_a
 from orchestrator.config._nameplate import nameplate_doubts
 from orchestrator.config._planning import Plan, PlannedPoint, make_plan
 
 __all__ = [
     "LoadedProcedure",
+    "MotorFile",
     "Plan",
     "PlanSummary",
     "PlannedPoint",

@@ -14,10 +14,12 @@ from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
 from orchestrator._validation import KeyPath, first_problem, suggestion
+from orchestrator.config._units import read_quantities
 from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
 from orchestrator.stages import parse_stages
 from protocols import (
+    DriveChoice,
     InputError,
     Limits,
     Motor,
@@ -25,11 +27,18 @@ from protocols import (
     ProcedureError,
     ProcedureMotor,
     Stage,
+    Strict,
     shipped_procedure,
     shipped_procedures,
 )
 
-_OVERLAY_SECTIONS = ("motor", "limits", "drive")
+
+class MotorFile(Strict):
+    """A file for `--motor`: what goes in the place of a procedure's own sections."""
+
+    motor: ProcedureMotor
+    limits: Limits | None = None
+    drive: DriveChoice | None = None
 
 
 @dataclass(frozen=True)
@@ -38,6 +47,8 @@ class LoadedProcedure:
 
     procedure: Procedure
     document: Document
+    readings: tuple[str, ...] = ()
+    """How quantities with a unit were read, a sentence each."""
 
     @contextmanager
     def naming_its_places(self) -> Iterator[None]:
@@ -88,6 +99,7 @@ def read_procedure(
         _choose_drive(document, drive)
     for override in overrides:
         apply_override(document, override)
+    readings = read_quantities(document)
     procedure = _validated(document)
     try:
         stages = parse_stages(procedure)
@@ -96,7 +108,7 @@ def read_procedure(
     _check_plugins(document, procedure.drive.name, stages)
     for path, problem in implausible(procedure, stages):
         raise ProcedureError(document.place(path), ".".join(map(str, path)), problem)
-    return LoadedProcedure(procedure, document)
+    return LoadedProcedure(procedure, document, tuple(readings))
 
 
 def load_motor(path: str | PathLike[str]) -> Motor:
@@ -108,6 +120,7 @@ def load_motor(path: str | PathLike[str]) -> Motor:
         Where there is none, or it is wrong; in one line.
     """
     document = parse_document(_text_of(Path(path)), str(path))
+    read_quantities(document)
     raw = document.data.get("motor")
     if raw is None:
         raise ProcedureError(str(path), "motor", "missing")
@@ -151,8 +164,8 @@ def _lay_over(document: Document, overlay: Document) -> None:
     if "motor" not in overlay.data:
         raise ProcedureError(overlay.name, "motor", "missing")
     for key, section in overlay.data.items():
-        if key not in _OVERLAY_SECTIONS:
-            problem = f"unknown section of a motor file; {suggestion(key, _OVERLAY_SECTIONS)}"
+        if key not in MotorFile.model_fields:
+            problem = f"unknown section of a motor file; {suggestion(key, MotorFile.model_fields)}"
             raise ProcedureError(overlay.place((key,)), key, problem)
         places = {path: place for path, place in overlay.places.items() if path[0] == key}
         if key == "limits":

@@ -63,7 +63,7 @@ def test_a_procedure_can_be_printed_changed_and_used(tmp_path: Path) -> None:
     ("words", "told"),
     [
         (["run", "dmo"], ["dmo", "demo"]),
-        (["run", "demo", "--set", "limits.current_a=4 A"], ["limits.current_a"]),
+        (["run", "demo", "--set", "limits.current_a=4 V"], ["limits.current_a"]),
         (["run", "demo", "--set", "limits.currant_a=4"], ["currant_a", "current_a"]),
         (["run", "demo", "--set", "limits.current_a=.nan"], ["limits.current_a"]),
         (["run", "demo", "--set", "limits.current_a=400"], ["current"]),
@@ -134,9 +134,9 @@ def test_plugins_are_listed_with_where_they_are_from() -> None:
     assert {"simulated", "injection", "classical", "resistance", "console", "report"} <= {row["name"] for row in rows}
 
 
-@pytest.mark.parametrize("name", ["procedure", "recording", "run", "estimates"])
+@pytest.mark.parametrize("name", ["procedure", "motor", "recording", "mapping", "run", "estimates", "drive simulated"])
 def test_schemas_are_json_schemas(name: str) -> None:
-    schema = json.loads(called("schema", name).stdout)
+    schema = json.loads(called("schema", *name.split()).stdout)
     assert schema["type"] == "object"
     assert schema["properties"]
 

@@ -137,7 +137,12 @@ def replaced(old: str, new: str) -> str:
         (replaced("kind: gates_off", "duration_s: 1"), 14, "stages.0.kind", "missing"),
         (replaced("name: simulated", "name: simulatd"), 9, "drive.name", "did you mean 'simulated'?"),
         (replaced("[classical]", "[classic]"), 18, "stages.2.estimators.0", "did you mean 'classical'?"),
-        (replaced("voltage_v: 150.0", "voltage_v: 40 V"), 12, "limits.voltage_v", "expected a number in V, got '40 V'"),
+        (
+            replaced("voltage_v: 150.0", "voltage_v: 40 A"),
+            12,
+            "limits.voltage_v",
+            "expected a number in V, or a quantity",
+        ),
         (replaced("pole_pairs: 2", "pole_pairs: 2.5"), 6, "motor.pole_pairs", "whole number"),
         (replaced("pole_pairs: 2", "pole_pairs: true"), 6, "motor.pole_pairs", "got True"),
         (replaced("current_a: 5.0", "current_a: true"), 11, "limits.current_a", "expected a number in A, got True"),

@@ -1,0 +1,44 @@
+"""Quantities with units in what people write: numbers in the field's own unit, and said."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from orchestrator.config import load_motor, read_procedure
+from protocols import ProcedureError
+from tests.support.processes import called
+
+
+def test_quantities_become_numbers_in_the_field_s_unit_and_are_said() -> None:
+    written = ["motor.d_inductance_h=43.25 mH", "motor.pm_flux_wb=300mWb", "stages.6.settle_s=500 ms"]
+    loaded = read_procedure("quick", overrides=[*written, "stages.4.tolerance_rad=1 deg", "limits.current_a=4500 mA"])
+    motor, stages = loaded.procedure.motor, loaded.procedure.stages
+    assert (motor.d_inductance_h, motor.pm_flux_wb, loaded.procedure.limits.current_a) == (0.04325, 0.3, 4.5)
+    assert (stages[6].settings["settle_s"], stages[4].settings["tolerance_rad"]) == (0.5, pytest.approx(math.pi / 180))
+    assert "motor.d_inductance_h: 43.25 mH is read as 0.04325 H" in loaded.readings
+    assert len(loaded.readings) == 5
+
+
+def test_lists_and_motor_files_take_them_too(tmp_path: Path) -> None:
+    loaded = read_procedure("quick", overrides=["stages.6.points_a=[[500 mA, 0.0], [2 A, 0]]"])
+    assert loaded.procedure.stages[6].settings["points_a"] == [[0.5, 0.0], [2.0, 0]]
+    file = tmp_path / "motor.yaml"
+    file.write_text("motor: {name: 60 uH motor, pole_pairs: 2, d_inductance_h: 60 uH, rated_speed_rpm: 100 rad/s}")
+    motor = load_motor(file)
+    assert (motor.name, motor.d_inductance_h) == ("60 uH motor", 60e-6)
+    assert motor.rated_speed_rpm == pytest.approx(954.93, rel=1e-5)
+
+
+def test_a_unit_of_something_else_is_refused_with_its_place() -> None:
+    with pytest.raises(ProcedureError, match=r"motor.d_inductance_h: expected a number in H, .* got '60 uF'"):
+        read_procedure("quick", overrides=["motor.d_inductance_h=60 uF"])
+
+
+def test_check_says_what_it_read() -> None:
+    assert (
+        "limits.current_a: 4500 mA is read as 4.5 A"
+        in called("check", "quick", "--set", "limits.current_a=4500 mA").stdout
+    )
