@@ -17,7 +17,7 @@ from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._rotor_lock import judge_lock
 from orchestrator.analysis._steady_currents import Dwell, dwell
-from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, trace_steps
+from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, trace_steps, turns_of
 from orchestrator.analysis._steps import Beliefs, StepsFit, fit_steps
 from orchestrator.analysis._sweep import (
     FluxPath,
@@ -78,4 +78,5 @@ __all__ = [
     "temperature_rise",
     "trace_steps",
     "trace_sweep",
+    "turns_of",
 ]

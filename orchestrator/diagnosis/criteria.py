@@ -26,6 +26,12 @@ class WeakFormCriteria(Strict):
 
     hat_s: float = _is(0.010, "s", "simulated")
     """Distance of the hats in trapezoids; a hat is twice as long. Short beside a trapezoid, long beside a sample."""
+    least_hats: int = _is(8, "1", "practice")
+    """Hats in a trapezoid: in one of ten milliseconds they are shorter."""
+    hats_per_swing: float = _is(4.0, "1", "practice")
+    """Hats from one turn of a voltage step to the next: a lag shows in the first, R_s in the others."""
+    least_samples_per_step: float = _is(2.0, "1", "theory")
+    """Samples between two hats of steps: fewer, and neighbours share what they say."""
     hats_per_turn: int = _is(8, "1", "theory")
     """Hats in one turn of an injected direction: the flux along it turns twice, and each half turn needs two."""
     least_periods_per_hat: int = _is(4, "1", "theory")

@@ -105,7 +105,7 @@ class StepsEstimator:
             map=flux_map,
             points=points,
             checks=check_map(flux_map, rated, fit.misfit),
-            remarks=tuple(self._remarks(fit, late, rated, max(trace.volts for trace in traces))),
+            remarks=(*_off_the_known(fit, beliefs), *self._remarks(fit, late, rated, max(t.volts for t in traces))),
             fit=fit,
             start_s=segments[0].start_s,
         )
@@ -161,6 +161,22 @@ class StepsEstimator:
             )
             remarks.append(Remark.of("loops_differ", text, spread_percent=spread))
         return remarks
+
+
+def _off_the_known(fit: StepsFit, beliefs: Beliefs, doubtful: float = 3.0) -> list[Remark]:
+    """By how much the loops alone are off what was believed: they and it make the estimate together."""
+    alone = fit.resistance_std_ohm**-2 - beliefs.resistance_std_ohm**-2
+    moved = fit.resistance_ohm - beliefs.resistance_ohm
+    if alone <= 0.0:
+        return []
+    apart = abs(moved) / (beliefs.resistance_std_ohm**2 - fit.resistance_std_ohm**2) ** 0.5
+    if apart < doubtful:
+        return []
+    text = (
+        "R_s by the loops is {apart:.0f} standard deviations off the {known_ohm:.4g} ohm that were known: a sensor's "
+        "or the voltage's gain, or a warm winding?"
+    )
+    return [Remark.of("off_the_known", text, apart=apart, known_ohm=beliefs.resistance_ohm)]
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@ Under injection, with u the ripple of the voltage and n the declared delay,
     i_k+1 - i_k = sum_j h_j u_k-n-j - r i_k
 
 is fitted to all segments at once, h real and over lags before and after the declared delay: L is Ts / sum h along the
-mean axis, and the first h that is not nil says when the voltage truly acts.
+mean axis, and the first h that is not nil says when the voltage acts. Of voltage steps the differences are fitted.
 """
 
 from __future__ import annotations
@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors, parts
 from orchestrator.diagnosis.conventions.vector_maps import AXES, SAME, VectorMap
 from orchestrator.numerics.types import Array
+from protocols import SegmentStage
 
 
 @dataclass(frozen=True)
@@ -127,11 +128,15 @@ def _answer(survey: Survey, injections: Sequence[Sighting], lags: NDArray[np.int
     inverse = np.linalg.inv(alike) / np.outer(size, size)
     found = inverse @ right
     left = max(power - float(found @ right), 0.0) / count
-    total = float(found[:-1].sum())
+    weights = found[: len(lags)]
+    if injections[0].segment.stage is SegmentStage.STEPS:
+        # Iron that saturates bends the current all the way to an edge, alike at all lags.
+        weights = weights - np.median(weights)
+    total = float(weights.sum())
     if total == 0.0:
         return None
     deviations = np.sqrt(np.maximum(np.diag(inverse) * left, 0.0))[:-1]
-    return Answer(lags.astype(np.float64), found[:-1], deviations, 1.0 / (survey.sampling_frequency_hz * total))
+    return Answer(lags.astype(np.float64), weights, deviations, 1.0 / (survey.sampling_frequency_hz * total))
 
 
 def _columns(seen: Sighting, declared: int, lags: NDArray[np.int64]) -> tuple[Array, Array | None]:
@@ -142,7 +147,11 @@ def _columns(seen: Sighting, declared: int, lags: NDArray[np.int64]) -> tuple[Ar
         return np.empty((len(lags) + 1, 0)), None
     rows = slice(first, last)
     late = [u[first - declared - int(lag) : last - declared - int(lag)] for lag in lags]
-    return np.stack([parts(c).ravel() for c in (*late, i[rows])]), parts(np.diff(i)[rows]).ravel()
+    columns, steps = [*late, i[rows]], np.diff(i)[rows]
+    if seen.segment.stage is SegmentStage.STEPS:
+        # Between its edges a step's voltage is the same at all lags: they are all that tells.
+        columns, steps = [np.diff(c) for c in columns], np.diff(steps)
+    return np.stack([parts(c).ravel() for c in columns]), parts(steps).ravel()
 
 
 class Responses:
@@ -157,7 +166,7 @@ class Responses:
 
     @cached_property
     def answer(self) -> Answer | None:
-        return answer(self.survey, self.survey.injections)
+        return answer(self.survey, self.survey.injections or self.survey.of(SegmentStage.STEPS))
 
     @cached_property
     def resistance_ohm(self) -> float | None:

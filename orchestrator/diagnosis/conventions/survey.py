@@ -111,7 +111,7 @@ class Survey:
 
 
 def survey(recording: RecordingReader, criteria: ConventionCriteria, poll: Callable[[], None] = lambda: None) -> Survey:
-    """Read holds, sweeps and injections, evenly spread and of so many samples in all.
+    """Read holds, sweeps, injections and steps, evenly spread and of so many samples in all.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def survey(recording: RecordingReader, criteria: ConventionCriteria, poll: Calla
         Where a capture is not what the manifest says.
     """
     chosen: list[Segment] = []
-    for stage in (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION):
+    for stage in (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS):
         segments = [s for s in recording.segments(stage) if s.samples >= criteria.least_looked_at]
         most = criteria.looked_at_samples / (np.mean([s.samples for s in segments]) if segments else 1.0)
         few = max(min(len(segments), round(most)), min(len(segments), criteria.looked_at_segments))

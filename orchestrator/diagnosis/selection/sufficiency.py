@@ -20,6 +20,10 @@ _More = ParamSpec("_More")
 _Result = TypeVar("_Result")
 
 
+_SWEEPS = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
+"""Stages that pass many currents."""
+
+
 def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     """Refuse what has fewer equations, or fewer currents, than any model has unknowns.
 
@@ -79,7 +83,7 @@ def _views(prepared: PreparedRecording) -> int:
     limits = prepared.criteria.selection
     apart = limits.same_current * max(-low, high, q)
     telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart, limits)]
-    sweeps = [p.stage is SegmentStage.CLASSICAL for p in _different(telling, apart)]
+    sweeps = [p.stage in _SWEEPS for p in _different(telling, apart)]
     return len(sweeps) + (limits.views_of_a_sweep - 1) * sum(sweeps)
 
 
@@ -124,9 +128,9 @@ def what_is_missing(prepared: PreparedRecording) -> list[Remark]:
             "{places} places of the current plane only: what no effect explains may pass for several that do",
             places=views,
         )
-    if not stages & {SegmentStage.CLASSICAL, SegmentStage.INJECTION}:
+    if not stages & {*_SWEEPS, SegmentStage.INJECTION}:
         say("nothing_moves", "no sweep and no injection: flux and inductance cannot be seen, only the resistance")
-    elif SegmentStage.CLASSICAL not in stages:
+    elif not stages & {*_SWEEPS}:
         say("no_sweep", "no sweep: hysteresis is hard to tell from eddy currents, and a yielding brake from a lag")
     if SegmentStage.RESISTANCE not in stages:
         say(
@@ -138,7 +142,9 @@ def what_is_missing(prepared: PreparedRecording) -> list[Remark]:
     if len({p.signals.pwm_frequency_hz for p in prepared.pieces if p.stage is SegmentStage.RESISTANCE}) < 2:
         say("one_pwm_frequency", "one PWM frequency only: dead time and device drop cannot be told apart")
     amplitudes = {round(_swing(p), 1) for p in prepared.pieces if p.stage is SegmentStage.INJECTION}
-    if not amplitudes:
+    if not amplitudes and SegmentStage.STEPS in stages:
+        pass  # the edges of steps show what a ripple would
+    elif not amplitudes:
         say("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
     elif max(amplitudes) < prepared.criteria.selection.amplitudes_apart * min(amplitudes):
         say("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")

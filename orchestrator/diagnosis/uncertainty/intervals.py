@@ -75,7 +75,7 @@ def ripple_share(rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:
     for piece, columns in rows:
         known = np.sum(columns.reshape(-1, len(piece.windows.carriers), 2, columns.shape[1]) ** 2, axis=(0, 2))
         ripple += known[1:].sum(axis=0)
-        if piece.stage is not SegmentStage.CLASSICAL:
+        if piece.stage not in (SegmentStage.CLASSICAL, SegmentStage.STEPS):
             rest += known[0]
     return np.asarray(ripple / np.maximum(ripple + rest, np.finfo(np.float64).tiny))
 

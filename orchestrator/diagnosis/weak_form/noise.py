@@ -109,10 +109,11 @@ def kind_of(piece: SegmentSignals) -> str:
 def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -> SensorNoise:
     """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
 
-    From holds and gates-off readings; where there are none, from trapezoids, then from the injection itself.
+    From holds and gates-off readings; where there are none, from trapezoids, then from steps or the injection itself.
     """
     of = {stage: [p.scatter for p in pieces if p.stage is stage] for stage in SegmentStage}
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
+    steady = steady or _quietest([s for s in of[SegmentStage.STEPS] if np.isfinite(s.covariance).all()])
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
     lags = [s.lag for s in steady if math.isfinite(s.lag)]
     rho = _correlation(float(np.median(lags)), criteria.least_correlation) if lags else 0.0
@@ -124,6 +125,11 @@ def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -
     off = [x.spectrum for x in of[SegmentStage.GATES_OFF]]
     lines = find_lines([p.scatter.spectrum for p in holds], off, rate, criteria)
     return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho, lines)
+
+
+def _quietest(scatters: Sequence[Scatter]) -> list[Scatter]:
+    """The one that scatters least: how the iron bends a fast current adds to it, and nothing takes away from it."""
+    return sorted(scatters, key=lambda s: float(np.trace(s.covariance)))[:1]
 
 
 def _typical(scatters: Sequence[Scatter]) -> Array:

@@ -9,6 +9,7 @@ from typing import Literal
 
 import numpy as np
 
+from orchestrator.analysis import turns_of
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
 from orchestrator.diagnosis.weak_form.logged import since_the_start, what_is_logged
 from orchestrator.diagnosis.weak_form.loss_history import (
@@ -18,7 +19,7 @@ from orchestrator.diagnosis.weak_form.loss_history import (
     segment_heat,
     step_of,
 )
-from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_of
+from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_between, scatter_of
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
@@ -36,7 +37,13 @@ from protocols import (
 
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
-USABLE = (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
+USABLE = (
+    SegmentStage.GATES_OFF,
+    SegmentStage.RESISTANCE,
+    SegmentStage.CLASSICAL,
+    SegmentStage.INJECTION,
+    SegmentStage.STEPS,
+)
 _SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j", "i_quiet_ab", "i_abc", "temperature_c")
 
 
@@ -187,7 +194,10 @@ def _piece(
     if len(i_ab) < criteria.least_samples:
         return None
     ripple = segment.stage is SegmentStage.INJECTION
-    scatter = scatter_of(i_ab, injection_period(segment, fs, v_ab, criteria) if ripple else None)
+    if segment.stage is SegmentStage.STEPS:
+        scatter = scatter_between(i_ab, v_ab)
+    else:
+        scatter = scatter_of(i_ab, injection_period(segment, fs, v_ab, criteria) if ripple else None)
     # An injected ripple moves the current at once; its mean is what the drive had settled to.
     before, start = (i_ab if ripple else i_ab[: criteria.first_readings]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
@@ -224,7 +234,7 @@ def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormC
     slow = stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE)
     most = criteria.most_averaged_at_rest if slow else criteria.most_averaged_in_sweeps
     most = min(most, len(i_ab) // criteria.least_averaged_samples)
-    if most < 2 or stage is SegmentStage.INJECTION:
+    if most < 2 or stage in (SegmentStage.INJECTION, SegmentStage.STEPS):
         return 1
     # Means of 32 readings, so that noise is not taken for movement; a jump at the start of a capture is let pass.
     length = len(i_ab) // 32 * 32
@@ -269,14 +279,18 @@ def windows_of(
 ) -> Windows | None:
     """The windows that suit a segment's stage; None where it is too short for one.
 
-    One hat of a dwell, overlapping ones of a sweep, and of an injection hats times the period's Fourier modes.
+    One hat of a dwell, overlapping ones of a sweep and within each swing of steps, and of an injection hats times the
+    period's Fourier modes.
     """
     intervals = len(i_ab) - 1
     if segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE):
         return plain_windows(intervals, intervals / 2)
+    if segment.stage is SegmentStage.STEPS:
+        swing = intervals / (turns_of(np.asarray(v_ab, dtype=np.float64)) + 1)
+        return plain_windows(intervals, max(swing / criteria.hats_per_swing, criteria.least_samples_per_step))
     period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
     if period is None:
-        return plain_windows(intervals, criteria.hat_s * fs)
+        return plain_windows(intervals, min(criteria.hat_s * fs, intervals / criteria.least_hats))
     turn_s = 1.0 / float(segment.settings.get("rotation_hz") or 1.0)
     step = min(turn_s / criteria.hats_per_turn * fs, intervals / 4)
     return periodic_windows(intervals, max(step, criteria.least_periods_per_hat * period), period, criteria.most_bins)

@@ -52,3 +52,24 @@ def scatter_of(i_ab: Array, period: float | None) -> Scatter:
     # (1, -3, 3, -1) over periods: the ripple's slow turning cancels too.
     d = settled[3 * p :] - 3.0 * settled[2 * p : -p] + 3.0 * settled[p : -2 * p] - settled[: -3 * p]
     return Scatter(d.T @ d / (20.0 * len(d)), float("nan"), np.zeros(0))
+
+
+def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
+    """Scatter of readings under voltage steps, by fourth differences where nothing has turned for some samples.
+
+    Parameters
+    ----------
+    i_ab, v_ab : array, shape (n, 2)
+    answered : int
+        Samples within which a turn has acted, whatever the delay.
+    """
+    jumps = np.linalg.norm(np.diff(v_ab, axis=0), axis=1)
+    turned = np.flatnonzero(jumps > 0.1 * jumps.max(initial=1e-300))
+    quiet = np.ones(len(i_ab) - 4, dtype=np.bool_)
+    for k in range(-3, answered + 1):
+        near = turned + k
+        quiet[near[(near >= 0) & (near < len(quiet))]] = False
+    d = np.diff(i_ab, n=4, axis=0)[quiet]
+    if len(d) < 8:
+        return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
+    return Scatter(d.T @ d / (70.0 * len(d)), float("nan"), np.zeros(0))

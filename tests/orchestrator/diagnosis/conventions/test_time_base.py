@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 
 from orchestrator.diagnosis.conventions import CorrectedRecording, find_convention
+from orchestrator.recording import open_recording
+from tests.blind.hidden import draw_case
+from tests.blind.stepping import record_steps, usual
 from tests.support.rewriting import Rewritten
+
+
+@pytest.fixture(scope="module")
+def stepped(tmp_path_factory: pytest.TempPathFactory) -> Rewritten:
+    """Voltage steps alone, 20 samples from one turn to the next."""
+    bench = dataclasses.replace(draw_case("clean", 1, 7).bench, drive_delay_samples=0.0)
+    folder = tmp_path_factory.mktemp("stepped") / "steps"
+    return Rewritten.of(open_recording(record_steps(bench, usual(bench, 130.0, 0.03), folder)))
 
 
 @pytest.mark.parametrize("factor", [2.0, 10.0, 0.5, 0.1])
@@ -31,3 +44,16 @@ def test_a_declared_delay_that_is_not_there_is_named(right: Rewritten) -> None:
     found = find_convention(right.driven(voltage_delay_samples=1.0))
     assert found is not None
     assert found.correction.text == "set drive.voltage_delay_samples to 0"
+
+
+@pytest.mark.parametrize("rows", [-3, -2, 1])
+def test_the_edges_of_voltage_steps_tell_their_lag(stepped: Rewritten, rows: int) -> None:
+    wrong = stepped.late(rows)
+    found = find_convention(wrong)
+    assert found is not None
+    assert (found.kind, found.correction.add) == ("delay", -rows)
+    assert find_convention(CorrectedRecording(wrong, found.correction)) is None
+
+
+def test_voltage_steps_that_are_right_break_no_convention(stepped: Rewritten) -> None:
+    assert find_convention(stepped) is None

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
+from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_between, scatter_of
 
 COVARIANCE = 1e-5 * np.array([[1.0, -0.3], [-0.3, 0.5]])
 
@@ -42,3 +42,11 @@ def test_periods_that_do_not_repeat_whole_or_often_enough_say_nothing(n: int, pe
     assert np.isnan(scatter.covariance).all()
     assert math.isnan(scatter.lag)
     assert scatter.spectrum.size == 0
+
+
+def test_between_the_edges_of_voltage_steps_the_noise_is_told_apart_from_the_current() -> None:
+    n, swing = 20_000, 40
+    sign = np.where(np.arange(n) // swing % 2 == 0, 1.0, -1.0)
+    current = np.column_stack([np.cumsum(sign) / swing, np.zeros(n)])
+    v_ab = np.column_stack([100.0 * sign, np.zeros(n)])
+    np.testing.assert_allclose(scatter_between(_noise(n) + current, v_ab).covariance, COVARIANCE, rtol=0.1)
