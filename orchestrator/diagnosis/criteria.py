@@ -28,6 +28,8 @@ class WeakFormCriteria(Strict):
     """Distance of the hats in trapezoids; a hat is twice as long. Short beside a trapezoid, long beside a sample."""
     least_hats: int = _is(8, "1", "practice")
     """Hats in a trapezoid: in one of ten milliseconds they are shorter."""
+    least_samples_per_hat: int = _is(8, "1", "theory")
+    """Samples between two hats of a trapezoid."""
     hats_per_swing: float = _is(4.0, "1", "practice")
     """Hats from one turn of a voltage step to the next: a lag shows in the first, R_s in the others."""
     least_samples_per_step: float = _is(2.0, "1", "theory")
@@ -257,8 +259,6 @@ class SelectionCriteria(Strict):
     """Part of the rated current that has to have flowed, ..."""
     least_current_to_noise: float = _is(5.0, "1", "theory")
     """... and how many standard deviations of a reading."""
-    least_samples_per_hat: int = _is(8, "1", "theory")
-    """Samples between two hats of a trapezoid."""
     least_hold_s: float = _is(0.01, "s", "practice")
     """Length of a hold that tells something."""
     least_rows: int = _is(10, "1", "practice")

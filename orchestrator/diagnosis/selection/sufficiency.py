@@ -32,8 +32,9 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     NotMeasuredError
         In one line that says what there is and what there would have to be.
     """
-    limits, fs = prepared.criteria.selection, prepared.manifest.drive.sampling_frequency_hz
-    least_hz = limits.least_samples_per_hat / prepared.criteria.weak_form.hat_s
+    limits, cutting = prepared.criteria.selection, prepared.criteria.weak_form
+    fs = prepared.manifest.drive.sampling_frequency_hz
+    least_hz = cutting.least_samples_per_hat / cutting.hat_s
     if fs < least_hz:
         problem = f"{fs:g} Hz is too slow for a diagnosis; expected {least_hz:g} Hz at least"
         raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)

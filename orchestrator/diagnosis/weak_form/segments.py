@@ -290,7 +290,8 @@ def windows_of(
         return plain_windows(intervals, max(swing / criteria.hats_per_swing, criteria.least_samples_per_step))
     period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
     if period is None:
-        return plain_windows(intervals, min(criteria.hat_s * fs, intervals / criteria.least_hats))
+        shorter = max(intervals / criteria.least_hats, criteria.least_samples_per_hat)
+        return plain_windows(intervals, min(criteria.hat_s * fs, shorter))
     turn_s = 1.0 / float(segment.settings.get("rotation_hz") or 1.0)
     step = min(turn_s / criteria.hats_per_turn * fs, intervals / 4)
     return periodic_windows(intervals, max(step, criteria.least_periods_per_hat * period), period, criteria.most_bins)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,7 @@ from tests.blind.stepping import record_steps, usual
 LIBRARY: list[Effect] = [DeviceDrop(), EddyCurrents(), CurrentGainMismatch(), VoltageDelay()]
 
 
-def diagnosed(folder: Path, **wrong: float) -> Diagnosis:
+def diagnosed(folder: Path, **wrong: Any) -> Diagnosis:
     bench = draw_case("clean", 1, 7).bench
     plan = usual(bench, 60.0, 0.06)
     path = record_steps(replace(bench, plant=bench.plant._replace(**wrong)), plan, folder / "steps")
