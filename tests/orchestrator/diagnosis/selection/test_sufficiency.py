@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
+from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria, WeakFormCriteria
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -41,7 +41,7 @@ def test_the_same_place_again_is_no_other() -> None:
 def test_a_sweep_is_worth_what_the_criteria_say() -> None:
     sweeps = _only(SegmentStage.CLASSICAL)
     require_enough(sweeps, NOISE)
-    strict = Criteria(selection=WeakFormCriteria(views_of_a_sweep=1))
+    strict = Criteria(selection=SelectionCriteria(views_of_a_sweep=1))
     with pytest.raises(NotMeasuredError, match="show 3 places"):
         require_enough(replace(sweeps, criteria=strict), NOISE)
 
