@@ -131,6 +131,7 @@ from protocols._motor import (
     ProcedureMotor,
 )
 from protocols._procedure import (
+    About,
     DriveChoice,
     Point,
     Procedure,
@@ -200,6 +201,7 @@ from protocols._streams import (
 __all__ = [
     "PLAIN_UNITS",
     "SCALED_UNITS",
+    "About",
     "AddReport",
     "ArrayModel",
     "AxisD",

@@ -11,7 +11,7 @@ from protocols._diagnosis import Compared, Diagnosed, DiagnosisStep, ExperimentP
 from protocols._drive import Limits
 from protocols._estimates import FluxMapEstimate, ResistanceEstimate
 from protocols._motor import Motor
-from protocols._procedure import StageEntry
+from protocols._procedure import About, StageEntry
 from protocols._recording import Capture, Segment
 from protocols._reports import EstimationReport
 
@@ -24,6 +24,8 @@ class RunStarted(Strict):
     """The run directory."""
     name: str
     motor: Motor
+    about: About = About()
+    """What the run is of; older journals do not say."""
     limits: Limits
     drive: str
     stages: int

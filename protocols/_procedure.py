@@ -44,6 +44,27 @@ class DriveChoice(Strict):
         return dict(self.model_extra or {})
 
 
+class About(Strict):
+    """What a run is of, for whoever looks for it later; nothing is computed from it."""
+
+    serial: str = ""
+    """Of the motor."""
+    operator: str = ""
+    ambient_c: Annotated[float, Field(ge=-80.0, le=200.0)] | None = None
+    """Of the room, as it was read when the run began."""
+    instruments: tuple[str, ...] = ()
+    """What measured beside the drive, with serial number and calibration."""
+    tags: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Label and text of all that is given."""
+        ambient = "" if self.ambient_c is None else f"{self.ambient_c:g} °C"
+        told = [("serial", self.serial), ("operator", self.operator), ("ambient", ambient)]
+        told += [("instruments", "; ".join(self.instruments)), ("tags", ", ".join(self.tags))]
+        return [(label, text) for label, text in (*told, ("notes", "; ".join(self.notes))) if text]
+
+
 class Procedure(Strict):
     """A commissioning run, whole."""
 
@@ -52,6 +73,7 @@ class Procedure(Strict):
     name: Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_.-]*$")]
     summary: str = ""
     motor: ProcedureMotor
+    about: About = About()
     drive: DriveChoice
     limits: Limits
     seed: int = 1

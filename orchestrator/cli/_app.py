@@ -125,6 +125,13 @@ def run_command(
     motor: MotorOption = None,
     settings: SetOption = None,
     out: Annotated[Path | None, typer.Option(help="Run directory to make; by default runs/<name>-<time>.")] = None,
+    serial: Annotated[str | None, typer.Option(help="The motor's serial number; kept with the run.")] = None,
+    operator: Annotated[str | None, typer.Option(help="Who runs it; kept with the run.")] = None,
+    ambient: Annotated[float | None, typer.Option(help="Temperature of the room [C]; kept with the run.")] = None,
+    tags: Annotated[
+        list[str] | None, typer.Option("--tag", help="A word to find the run by (may be repeated).")
+    ] = None,
+    notes: Annotated[list[str] | None, typer.Option("--note", help="Kept with the run (may be repeated).")] = None,
     source: Annotated[
         Path | None, typer.Option("--from", help="Go on with this run: measure what its diagnosis proposes.")
     ] = None,
@@ -150,8 +157,10 @@ def run_command(
     if source is None:
         if rounds is not None:
             raise typer.BadParameter("goes with --from only", param_hint="--rounds")
-        return run(procedure or "demo", drive, motor, settings or [], out, audience)
-    if any(given is not None for given in (procedure, drive, motor, settings or None, out)):
+        about = {"serial": serial, "operator": operator, "ambient_c": ambient, "tags": tags, "notes": notes}
+        return run(procedure or "demo", drive, motor, settings or [], out, audience, about)
+    own = (procedure, drive, motor, settings or None, out, serial, operator, ambient, tags or None, notes or None)
+    if any(given is not None for given in own):
         raise typer.BadParameter("goes on with the run's own procedure, drive and directory", param_hint="--from")
     return run_further(source, rounds or 1, audience)
 
@@ -374,7 +383,9 @@ def audit_command(
 @app.command("import")
 def import_command(
     mapping: Annotated[Path, typer.Argument(help="YAML file that says what the columns are.")],
-    files: Annotated[list[Path], typer.Argument(help="CSV, Parquet, MATLAB, HDF5, MF4, TDMS or COMTRADE files.", metavar="FILE...")],
+    files: Annotated[
+        list[Path], typer.Argument(help="CSV, Parquet, MATLAB, HDF5, MF4, TDMS or COMTRADE files.", metavar="FILE...")
+    ],
     out: Annotated[Path, typer.Option(help="Recording to make.")],
     as_json: JsonOption = False,
 ) -> int:
@@ -382,6 +393,23 @@ def import_command(
     from orchestrator.cli._exchange import import_
 
     return import_(mapping, files, out, as_json)
+
+
+@app.command("runs")
+def runs_command(
+    words: Annotated[
+        list[str] | None, typer.Argument(help="Only runs with all of these words.", metavar="WORD")
+    ] = None,
+    folder: Annotated[Path, typer.Option(help="Where to look.")] = Path("runs"),
+    as_json: JsonOption = False,
+) -> int:
+    """The runs below a folder, searched by words.
+
+    What they are of (motor, serial number, operator, tags, notes), when they were made, and how they ended.
+    """
+    from orchestrator.cli._runs import runs
+
+    return runs(folder, words or [], as_json)
 
 
 @app.command("new")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,7 +24,7 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
-from orchestrator.workbench import run_directory
+from orchestrator.workbench import as_overrides, run_directory
 from protocols import FluxbenchError
 
 
@@ -68,9 +68,14 @@ def run(
     overrides: Sequence[str],
     out: Path | None,
     audience: Audience,
+    about: Mapping[str, Any] | None = None,
 ) -> int:
-    """Commission into a new directory; returns the exit code."""
-    loaded = read_procedure(source, overrides=overrides, drive=drive, motor=motor)
+    """Commission into a new directory; returns the exit code.
+
+    What `about` has goes over the procedure's own section of that name.
+    """
+    said = as_overrides({f"about.{name}": value for name, value in (about or {}).items() if value not in (None, [])})
+    loaded = read_procedure(source, overrides=[*overrides, *said], drive=drive, motor=motor)
     path = run_directory(loaded.procedure.name, out)
     if audience.console_mode == "auto":
         say_notes(loaded.readings)

@@ -144,6 +144,7 @@ class Commissioning:
                 run=str(self._run.path),
                 name=procedure.name,
                 motor=procedure.motor,
+                about=procedure.about,
                 limits=procedure.limits,
                 drive=self._capabilities.name,
                 stages=len(procedure.stages),

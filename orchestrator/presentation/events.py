@@ -58,7 +58,8 @@ def said(message: Message) -> Said | None:
         case RunStarted():
             done = f", {message.points_done} of them done before" if message.points_done else ""
             time = f", {duration(message.seconds)} on the drive's clock" if message.seconds else ""
-            where = f"{message.motor.name} on the drive {message.drive}"
+            about = "".join(f", {label} {text}" for label, text in message.about.lines())
+            where = f"{message.motor.name} on the drive {message.drive}{about}"
             return Said(message.name, f"{where}, {plural(message.points, 'point')}{done}{time}")
         case StageStarted():
             return Said(

@@ -77,6 +77,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         nameplate=content.nameplate(motor) if motor is not None else "",
         name=material.directory.resolve().name,
         created=content.date(created or (material.record.created if material.record is not None else "")),
+        about=material.record.procedure.about.lines() if material.record is not None else [],
         summary=list(content.summary(material)),
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),

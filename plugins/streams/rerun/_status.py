@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from orchestrator.presentation.names import plain
 from orchestrator.presentation.quantities import duration
 from orchestrator.presentation.results import resistance
-from orchestrator.presentation.sentences import markdown_table
+from orchestrator.presentation.sentences import markdown_table, one_line
 from protocols import (
     LockChecked,
     PointDone,
@@ -40,6 +40,8 @@ class Status:
 
     def _rows(self) -> list[tuple[str, str]]:
         rows = [("state", plain(self.state))]
+        if self.started is not None:
+            rows += [(label, one_line(text)) for label, text in self.started.about.lines()]
         if self.stage is not None:
             rows.append(("stage", f"{self.stage.index + 1}, {self.stage.title or plain(self.stage.stage)}"))
         if self.done is not None:

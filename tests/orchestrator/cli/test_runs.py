@@ -1,0 +1,65 @@
+"""A run knows what it is of, and is found by it."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from plugins.streams.report import write_report
+from protocols import RunStarted
+from tests.support.processes import called
+from tests.support.tiny import messages_of, tiny_file
+
+SAID = (
+    "--serial",
+    "PM-0042",
+    "--operator",
+    "M. Faraday",
+    "--ambient",
+    "0",
+    "--tag",
+    "cold",
+    "--note",
+    "before rewinding",
+)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two runs, one of which says what it is of."""
+    path = tmp_path_factory.mktemp("runs")
+    procedure = tiny_file(path, stages=[{"kind": "gates_off", "duration_s": 0.02}])
+    assert called("run", procedure, "--out", path / "runs" / "one", "--quiet", *SAID).returncode == 0
+    assert called("run", procedure, "--out", path / "runs" / "two", "--quiet").returncode == 0
+    return path
+
+
+def test_what_a_run_is_of_stands_in_its_journal_and_on_its_report(folder: Path) -> None:
+    (started,) = [m for m in messages_of(folder / "runs" / "one") if isinstance(m, RunStarted)]
+    assert (started.about.serial, started.about.ambient_c, started.about.notes) == (
+        "PM-0042",
+        0.0,
+        ("before rewinding",),
+    )
+    page = write_report(folder / "runs" / "one").read_text()
+    assert "serial PM-0042; operator M. Faraday; ambient 0 °C; tags cold; notes before rewinding" in page
+
+
+def test_runs_are_listed_and_searched_by_words(folder: Path) -> None:
+    whole = called("runs", cwd=folder)
+    assert whole.returncode == 0
+    assert all(word in whole.stdout for word in ("PM-0042", "runs/two", "finished", "400 W test PMSM"))
+    found = json.loads(called("runs", "pm-0042", "COLD", "--json", cwd=folder).stdout)
+    assert [row["run"] for row in found] == ["runs/one"]
+    assert "no run below runs has the words warm" in called("runs", "warm", cwd=folder).stdout
+
+
+def test_a_folder_that_is_not_there_and_a_damaged_run_are_said(folder: Path, tmp_path: Path) -> None:
+    assert called("runs", "--folder", tmp_path / "none").returncode == 2
+    damaged = tmp_path / "damaged"
+    damaged.mkdir()
+    (damaged / "run.json").write_text("{")
+    done = called("runs", "--folder", tmp_path)
+    assert (done.returncode, "broken JSON" in done.stderr) == (0, True)
