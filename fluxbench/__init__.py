@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from orchestrator.workbench import Measurements as Measurements
     from orchestrator.workbench import add as add
     from orchestrator.workbench import compare as compare
+    from orchestrator.workbench import compare_runs as compare_runs
     from orchestrator.workbench import diagnose as diagnose
     from orchestrator.workbench import estimate as estimate
     from orchestrator.workbench import map_of as map_of
@@ -44,6 +45,7 @@ _HOMES = {
     "TerminalOperator": "orchestrator.engine",
     "add": "orchestrator.workbench",
     "compare": "orchestrator.workbench",
+    "compare_runs": "orchestrator.workbench",
     "diagnose": "orchestrator.workbench",
     "estimate": "orchestrator.workbench",
     "load_motor": "orchestrator.config",

@@ -274,19 +274,27 @@ OutOption = Annotated[Path | None, typer.Option(help="Keep model.json there inst
 
 @app.command("compare")
 def compare_command(
-    recording: RecordingArgument,
+    recordings: Annotated[list[Path], typer.Argument(help="One recording or run, or several.", metavar="RECORDING...")],
     model: ModelOption = None,
     effects: EffectsOption = None,
     out: Annotated[Path | None, typer.Option(help="Take model.json from there instead of from the recording.")] = None,
     as_json: JsonOption = False,
 ) -> int:
-    """Where the model fails.
+    """Where the model fails; or several runs side by side.
 
-    The model is that of model.json as it stands, where there is one, else the saturated map alone.
+    Of one recording: its measurements against the model of model.json as it stands, where there is one, else against
+    the saturated map alone. Of several: R_s, inductances, flux, effects and verdicts of each, and what changed beyond
+    noise from the first to the others; `report` and `view` take the same runs.
     """
+    if len(recordings) > 1:
+        if any(given is not None for given in (model, effects, out)):
+            raise typer.BadParameter("go with one recording only", param_hint="--model, --effects and --out")
+        from orchestrator.cli._side_by_side import compare_runs
+
+        return compare_runs(recordings, as_json)
     from orchestrator.cli._diagnosis import compare
 
-    return compare(recording, model, effects, out, as_json)
+    return compare(recordings[0], model, effects, out, as_json)
 
 
 @app.command("diagnose")

@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from orchestrator.diagnosis import ModelChoice, SavedDiagnosis
+    from orchestrator.side_by_side import SideBySide
 
 Place = str | PathLike[str]
 """A run or recording: its directory, or `Measurements`."""
@@ -61,6 +62,14 @@ def compare(
     return compare_recording(
         open_any(Path(place)), chosen_effects(effects), model=chosen_model(model), out=_directory(out)
     )
+
+
+@one_thread()
+def compare_runs(*places: Place) -> SideBySide:
+    """Runs side by side, and what changed beyond noise; see `orchestrator.side_by_side.compare_runs`."""
+    from orchestrator.side_by_side import compare_runs as of_paths
+
+    return of_paths([Path(place) for place in places])
 
 
 @one_thread()

@@ -1,4 +1,4 @@
-"""`fluxbench report`: the page of a run, made again, or of any recording."""
+"""`fluxbench report`: the page of a run, made again, or of any recording; or of several side by side."""
 
 from __future__ import annotations
 
@@ -16,11 +16,20 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 @app.command()
 def report(
-    directory: Annotated[Path, typer.Argument(help="A run, or a recording that was estimated.", metavar="RUN")],
-    out: Annotated[Path | None, typer.Option(help="The file to write; by default report.html in RUN.")] = None,
+    directories: Annotated[
+        list[Path], typer.Argument(help="A run, or a recording that was estimated; or several.", metavar="RUN...")
+    ],
+    out: Annotated[
+        Path | None, typer.Option(help="The file to write; by default report.html in RUN, comparison.html of several.")
+    ] = None,
 ) -> int:
-    """Write the report of a run or recording: one self-contained page."""
-    print(shown(str(write_report(directory, out))))
+    """Write the report of a run or recording, or of several side by side: one self-contained page."""
+    if len(directories) > 1:
+        from plugins.streams.report._comparison_page import write_comparison
+
+        print(shown(str(write_comparison(directories, out))))
+        return 0
+    print(shown(str(write_report(directories[0], out))))
     return 0
 
 

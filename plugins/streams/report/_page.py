@@ -62,17 +62,12 @@ def write_report(directory: Path, out: Path | None = None, *, draws: bool = True
 
 def render(material: Material, *, draws: bool = True, most_events: int = 200) -> str:
     """The page as text, with so many rows of the journal."""
-    from jinja2 import Environment, StrictUndefined
-
-    environment = Environment(
-        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_shown
-    )
-    template = environment.from_string((files(__package__) / "template.html").read_text(encoding="utf-8"))
     motor = content.motor_of(material)
     main = next(iter(material.maps.values()), None)
     told = content.events(material)
     created = material.manifest.created if material.manifest is not None else ""
-    return template.render(
+    return filled(
+        "template.html",
         title=motor.name if motor is not None else material.directory.name,
         nameplate=content.nameplate(motor) if motor is not None else "",
         name=material.directory.resolve().name,
@@ -94,6 +89,18 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         problems=material.problems,
         files=_files(material),
     )
+
+
+def filled(template: str, **values: Any) -> str:
+    """A page of this folder with its values in it, in the style of all."""
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    environment = Environment(
+        autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_shown
+    )
+    text, style = ((files(__package__) / name).read_text(encoding="utf-8") for name in (template, "style.css"))
+    return environment.from_string(text).render(style=Markup(style), **values)
 
 
 def _shown(value: object) -> object:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import rerun as rr
 import rerun.blueprint as rrb
 
@@ -13,6 +15,7 @@ from plugins.streams.rerun._maps import INDUCTANCES
 from plugins.streams.rerun._tape import EFFECT_ADDED, EXPERIMENT
 
 COMMISSIONING, DIAGNOSIS = "commissioning", "diagnosis"
+CHANGES = "What changed?"
 
 
 def commissioning(end_s: float | None = None) -> rrb.Blueprint:
@@ -104,6 +107,15 @@ def diagnosis(contents: Contents) -> rrb.Blueprint:
     if loops or heat:
         tabs.append(rrb.Grid(*loops, *heat, grid_columns=2, name="Do the flux loops close?"))
     return _layout(EFFECT_ADDED, *tabs)
+
+
+def side_by_side(planes: Sequence[tuple[str, str]]) -> rrb.Blueprint:
+    """For several runs: the tables, and beside them a plane for each difference, by title and path."""
+    views = [_plane(title, path, bar=True) for title, path in planes]
+    page = _text("Runs side by side", "/comparison/changes")
+    tab = rrb.Horizontal(page, rrb.Vertical(*views), column_shares=[3, 2]) if views else rrb.Vertical(page)
+    tab.name = CHANGES
+    return _layout(EXPERIMENT, tab, rrb.Vertical(_text("The runs", "/comparison/runs"), name="Which runs are these?"))
 
 
 def _layout(timeline: str, *tabs: rrb.Container) -> rrb.Blueprint:

@@ -7,12 +7,15 @@ import sys
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from orchestrator.presentation.sentences import shown, visible
 from protocols import RecordingError
+
+if TYPE_CHECKING:
+    from plugins.streams.rerun._making import Found
 
 app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -22,16 +25,25 @@ SUFFIX = ".rrd"
 
 @app.command()
 def view(
-    path: Annotated[Path, typer.Argument(help="A run, a recording, a .rrd file, or a folder of runs.", metavar="RUN")],
+    paths: Annotated[
+        list[Path],
+        typer.Argument(help="A run, a recording, a .rrd file, a folder of runs; or several runs.", metavar="RUN..."),
+    ],
     web: Annotated[bool, typer.Option("--web", help="In the browser; so anyway where there is no display.")] = False,
     port: Annotated[int | None, typer.Option(min=1, max=65535, help="Of the viewer, or of its page.")] = None,
     screenshot: Annotated[Path | None, typer.Option(help="Write a picture there instead of opening anything.")] = None,
     tab: Annotated[str | None, typer.Option(help="Of the picture: the tab with this name.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="A folder's table as JSON, and nothing else.")] = False,
 ) -> int:
-    """See a run: while it happens, or afterwards."""
-    if not path.exists():
-        raise RecordingError(str(path), "", "no such file or directory")
+    """See a run: while it happens, or afterwards; or several side by side."""
+    for path in paths:
+        if not path.exists():
+            raise RecordingError(str(path), "", "no such file or directory")
+    if len(paths) > 1:
+        from plugins.streams.rerun._making import comparison_view
+
+        return _see_made(comparison_view(paths), web, port, screenshot, tab)
+    (path,) = paths
     from plugins.streams.rerun._catalogue import as_text, row, runs_in
     from plugins.streams.rerun._making import is_viewable, refuse_unreadable
 
@@ -57,12 +69,16 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _see_run(path: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
-    """A run or recording; what had to be made elsewhere goes when it was seen, but stays where a window shows it."""
     from plugins.streams.rerun._making import whole_view
+
+    return _see_made(whole_view(path, _tell), web, port, screenshot, tab)
+
+
+def _see_made(found: Found, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
+    """A view; what had to be made elsewhere goes when it was seen, but stays where a window shows it."""
     from plugins.streams.rerun._viewer import has_display
 
     stays = screenshot is None and not web and has_display()
-    found = whole_view(path, _tell)
     if found.remark and (stays or found.folder is None):
         _tell(found.remark)
     try:

@@ -6,7 +6,7 @@ import fcntl
 import os
 import shutil
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -69,6 +69,21 @@ def make_view(directory: Path) -> Found:
         return _made_elsewhere(directory)
     except OSError as error:
         raise StorageError(f"{directory / FILE_NAME}: cannot be written: {error.strerror or error}") from error
+
+
+def comparison_view(directories: Sequence[Path]) -> Found:
+    """Several runs side by side, in a folder of its own; raises as `make_view`."""
+    # A run that is measured needs nothing of what compares runs.
+    from plugins.streams.rerun._comparison import write_comparison
+
+    folder = Path(tempfile.mkdtemp(prefix="comparison-"))
+    file = folder / "comparison.rrd"
+    try:
+        write_comparison(directories, file)
+    except BaseException:
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    return Found(file, f"kept in {folder}", folder)
 
 
 def _made_elsewhere(directory: Path) -> Found:

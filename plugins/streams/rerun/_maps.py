@@ -132,29 +132,43 @@ def flux_height(found: FluxMap) -> float:
 
 def inductance_entries(when: When, found: FluxMap) -> list[Entry]:
     """L_dd, L_dq and L_qq over the current plane, each with its colour bar; L_dq about zero."""
-    out: list[Entry] = []
-    ramp = np.linspace(0.0, 1.0, 64)
-    reach_a = 1.05 * reach_of(found)
-    for name in INDUCTANCES:
-        values = 1e3 * np.asarray(getattr(found, name))
-        known = values[np.isfinite(values)]
-        if not known.size:
-            continue
-        low, high = (float(v) for v in np.quantile(known, (0.005, 0.995)))
-        paint = sequential
-        if name == "l_dq":
-            high = max(abs(low), abs(high), 1e-9)
-            low, paint = -high, diverging
-        high = max(high, low + 1e-9)
-        i_d, i_q = (np.linspace(axis[0], axis[-1], DETAIL.map_pixels) for axis in (found.i_d, found.i_q))
-        near = np.ix_(_nearest(found.i_d, i_d), _nearest(found.i_q, i_q))
-        image = opaque(paint((values[near].T - low) / (high - low)), SCREEN)
-        corner, size = (float(i_d[0]), float(i_q[0])), (float(np.ptp(i_d)), float(np.ptp(i_q)))
-        path = f"maps/{name}/amperes"
-        out += plane(path, reach_a, when=when)
-        out.append(picture(f"{path}/values", when, image, corner, size))
-        out += colour_bar(path, when, reach_a, paint(ramp), (low, high), INDUCTANCES[name])
-    return out
+    return [
+        item
+        for name, unit in INDUCTANCES.items()
+        for item in over_plane(
+            f"maps/{name}/amperes",
+            when,
+            (found.i_d, found.i_q),
+            1e3 * np.asarray(getattr(found, name)),
+            unit,
+            about_zero=name == "l_dq",
+        )
+    ]
+
+
+def over_plane(
+    path: str, when: When, axes: tuple[RealArray, RealArray], values: RealArray, unit: str, *, about_zero: bool = False
+) -> list[Entry]:
+    """Values on a grid of currents, shape (d, q), as colours over the current plane; nothing where none is known."""
+    known = values[np.isfinite(values)]
+    if not known.size:
+        return []
+    low, high = (float(v) for v in np.quantile(known, (0.005, 0.995)))
+    paint = sequential
+    if about_zero:
+        high = max(abs(low), abs(high), 1e-9)
+        low, paint = -high, diverging
+    high = max(high, low + 1e-9)
+    i_d, i_q = (np.linspace(axis[0], axis[-1], DETAIL.map_pixels) for axis in axes)
+    near = np.ix_(_nearest(axes[0], i_d), _nearest(axes[1], i_q))
+    image = opaque(paint((values[near].T - low) / (high - low)), SCREEN)
+    corner, size = (float(i_d[0]), float(i_q[0])), (float(np.ptp(i_d)), float(np.ptp(i_q)))
+    reach_a = 1.05 * float(max(np.abs(axis).max() for axis in axes))
+    return [
+        *plane(path, reach_a, when=when),
+        picture(f"{path}/values", when, image, corner, size),
+        *colour_bar(path, when, reach_a, paint(np.linspace(0.0, 1.0, 64)), (low, high), unit),
+    ]
 
 
 def _nearest(axis: RealArray, wanted: RealArray) -> NDArray[np.intp]:

@@ -18,7 +18,7 @@ import pytest
 from plugins.streams.rerun._catalogue import row, served
 from plugins.streams.rerun._command import command
 from plugins.streams.rerun._live import HOST, free_port, wait_for_viewer
-from plugins.streams.rerun._making import whole_view
+from plugins.streams.rerun._making import comparison_view, whole_view
 from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._tape import is_whole
 from protocols import PointDone, RecordingError, RunStarted, SamplesCaptured, StorageError
@@ -238,3 +238,13 @@ def test_the_table_has_the_verdict_of_a_later_diagnosis(tmp_path: Path, example:
     (run / "results").mkdir(exist_ok=True)
     (run / "results" / "diagnosis.json").write_text('{"verdict": "within_noise"}', encoding="utf-8")
     assert row(run)["verdict"] == "within_noise"
+
+
+def test_several_runs_are_one_view_with_what_changed_in_it(example: Path, tmp_path: Path) -> None:
+    found = comparison_view([example, copied(example, tmp_path / "again")])
+    try:
+        assert is_whole(found.file)
+        assert {"/comparison/changes", "/comparison/runs"} <= set(entities(found.file))
+    finally:
+        found.remove()
+    assert not found.file.exists()

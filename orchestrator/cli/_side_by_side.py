@@ -1,0 +1,23 @@
+"""`fluxbench compare RUN RUN...`: runs side by side, and what changed beyond noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from orchestrator import workbench
+from orchestrator.cli._output import say, say_document, say_notes
+from orchestrator.presentation.sentences import text_table
+from orchestrator.side_by_side import change_rows, run_rows
+
+
+def compare_runs(paths: Sequence[Path], as_json: bool) -> int:
+    """Print what the runs said, and what changed."""
+    found = workbench.compare_runs(*paths).comparison
+    if as_json:
+        say_document(found.model_dump_json(indent=2))
+        return 0
+    for rows in (run_rows(found), change_rows(found)):
+        say(text_table(rows[0], rows[1:], numbers=False), "")
+    say_notes(remark.text for remark in found.remarks)
+    return 0

@@ -1,0 +1,119 @@
+"""What one run said of its motor: R_s, map and effects with their 95 % intervals. Compares nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from orchestrator.diagnosis import SavedDiagnosis, load_diagnosis
+from orchestrator.estimation import RECOMMENDED_MAP, load_estimates, load_flux_map
+from orchestrator.flux_maps import MapSurface
+from orchestrator.numerics.types import Array
+from orchestrator.runs import open_any
+from protocols import EstimationReport, FluxMap, FoundEffect, Interval, Manifest
+
+_SIGMAS = 1.96
+"""Standard deviations in half of a 95 % interval."""
+
+
+@dataclass(frozen=True)
+class RunSaid:
+    """A run or recording that was estimated, and perhaps diagnosed."""
+
+    path: Path
+    manifest: Manifest
+    estimates: EstimationReport
+    flux_map: FluxMap | None
+    diagnosis: SavedDiagnosis | None
+
+    @classmethod
+    def of(cls, path: Path) -> RunSaid:
+        """Read it; raises `RecordingError` where it was not estimated, or a file is damaged."""
+        manifest, estimates = open_any(path).manifest, load_estimates(path)
+        found = load_flux_map(path / RECOMMENDED_MAP) if estimates.method is not None else None
+        return cls(path, manifest, estimates, found, load_diagnosis(path))
+
+    @cached_property
+    def surface(self) -> MapSurface | None:
+        return None if self.flux_map is None else MapSurface(self.flux_map)
+
+    def resistance(self) -> Interval | None:
+        """R_s."""
+        found = self.estimates.resistance
+        return None if found is None else Interval(value=found.value_ohm, low=found.low, high=found.high, unit="ohm")
+
+    @property
+    def found(self) -> tuple[FoundEffect, ...]:
+        """The effects of its diagnosis."""
+        return () if self.diagnosis is None else (*self.diagnosis.report.effects, *self.diagnosis.report.minor)
+
+    def effects(self, named: Mapping[str, str]) -> dict[tuple[str, str], Interval | None]:
+        """Size of each effect, by its name (or the one in `named`) and parameter; None without an interval.
+
+        Its first parameter, and those in the same unit: what results are compared by.
+        """
+        out: dict[tuple[str, str], Interval | None] = {}
+        for effect in self.found:
+            unit = next((p.unit for p in effect.parameters.values()), "")
+            for name, p in effect.parameters.items():
+                if p.unit == unit:
+                    known = p.value is not None and p.low is not None and p.high is not None
+                    interval = Interval.model_validate(p.model_dump()) if known else None
+                    out[named.get(effect.name, effect.name), name] = interval
+        return out
+
+    def twins_of(self, first: RunSaid) -> dict[str, str]:
+        """Effects found here that the first run has under a name that one of both cannot tell from theirs."""
+        there = {effect.name: effect for effect in first.found}
+        here = {effect.name for effect in self.found}
+        return {
+            effect.name: name
+            for effect in self.found
+            for name, other in there.items()
+            if effect.name not in there and name not in here and (name in effect.twins or effect.name in other.twins)
+        }
+
+    def of_the_map(self, at: Array) -> Iterator[tuple[str, Interval | None]]:
+        """Inductances, and the flux less that at zero current, at (i_d, i_q); None where they were not measured."""
+        surface, found = self.surface, self.flux_map
+        known = surface is not None and found is not None and bool(surface.inside(at[None])[0])
+        for name, unit in (("l_dd", "H"), ("l_dq", "H"), ("l_qq", "H"), ("psi_d", "Wb"), ("psi_q", "Wb")):
+            if not known or surface is None or found is None:
+                yield name, None
+                continue
+            if unit == "Wb":
+                value = float((surface.psi(at[None]) - surface.psi(np.zeros((1, 2))))[0, int(name == "psi_q")])
+            else:
+                value = _at(found, name, at)
+            yield name, _interval(value, _at(found, f"{name}_std", at), unit)
+
+
+def spread_of(found: FluxMap, at: Array) -> Array:
+    """Standard deviation of the map's flux at places (n, 2), root of both axes' squares; NaN where not known."""
+    return np.hypot(*(_over(found, name, at) for name in ("psi_d_std", "psi_q_std")))
+
+
+def _interval(value: float, std: float, unit: str) -> Interval | None:
+    if not np.isfinite(value):
+        return None
+    half = _SIGMAS * std if np.isfinite(std) else 0.0
+    return Interval(value=value, low=value - half, high=value + half, unit=unit)
+
+
+def _at(found: FluxMap, name: str, at: Array) -> float:
+    return float(_over(found, name, at[None])[0])
+
+
+def _over(found: FluxMap, name: str, at: Array) -> Array:
+    from scipy.interpolate import RegularGridInterpolator
+
+    axes = (np.asarray(found.i_d, dtype=np.float64), np.asarray(found.i_q, dtype=np.float64))
+    table = np.asarray(getattr(found, name), dtype=np.float64)
+    values = RegularGridInterpolator(axes, table, bounds_error=False)(at)
+    # A place on a measured node beside one that was not has that node's value.
+    nearest = RegularGridInterpolator(axes, table, method="nearest", bounds_error=False)(at)
+    return np.asarray(np.where(np.isfinite(values), values, nearest), dtype=np.float64)
