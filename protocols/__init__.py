@@ -136,6 +136,7 @@ from protocols._procedure import (
     Point,
     Procedure,
     StageEntry,
+    ThermometerChoice,
 )
 from protocols._recording import (
     Capture,
@@ -348,6 +349,7 @@ __all__ = [
     "StreamSetup",
     "Strict",
     "Telemetry",
+    "ThermometerChoice",
     "Trapezoid",
     "Unexplained",
     "Vectors",

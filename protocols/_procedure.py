@@ -6,9 +6,10 @@ the nameplate and the limits when the plan is made, so that one procedure serves
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import ConfigDict, Field, model_validator
 
 from protocols._base import Strict
 from protocols._drive import CurrentControl, Limits
@@ -65,6 +66,26 @@ class About(Strict):
         return [(label, text) for label, text in (*told, ("notes", "; ".join(self.notes))) if text]
 
 
+class ThermometerChoice(Strict):
+    """A thermometer beside the drive, whose readings are recorded with the currents instead of the drive's own."""
+
+    file: Path | None = None
+    """A logger's text file, which grows by a line for each reading."""
+    port: str | None = None
+    """Or a serial port that sends lines."""
+    baud_rate: Annotated[int, Field(ge=50)] = 9600
+    column: int = -1
+    """Which of a line's numbers it is, from 0; -1 is the last. Dates and times of day are no numbers."""
+    stale_s: Annotated[float, Field(gt=0)] = 60.0
+    """A reading that is older counts as none."""
+
+    @model_validator(mode="after")
+    def _one_source(self) -> ThermometerChoice:
+        if (self.file is None) == (self.port is None):
+            raise ValueError("give either file or port")
+        return self
+
+
 class Procedure(Strict):
     """A commissioning run, whole."""
 
@@ -79,6 +100,7 @@ class Procedure(Strict):
     seed: int = 1
     """Seeds everything random in the run (a simulated drive's noise)."""
     control: CurrentControl = CurrentControl()
+    thermometer: ThermometerChoice | None = None
     interlocks: tuple[str, ...] = ()
     """Interlock inputs that the drive has to have; all that it has are asked before arming and between points."""
     accept_no_watchdog: Literal["I stand beside the drive and can cut its power"] | None = None

@@ -22,6 +22,7 @@ from orchestrator.engine._power import SAFE, PowerStage, as_drive_errors
 from orchestrator.engine._probing import RippleProbe, weakened
 from orchestrator.engine._stage_run import Engine, StageAtWork
 from orchestrator.engine._states import StateMachine, Trigger, table_of
+from orchestrator.engine._thermometer import Thermometer
 from orchestrator.runs import RunDirectory
 from protocols import (
     Capabilities,
@@ -79,6 +80,8 @@ class Commissioning:
     operator : Operator
     interrupts : Interrupts
     log : RunLog
+    thermometer : Thermometer, optional
+        Beside the drive.
     """
 
     def __init__(
@@ -91,12 +94,13 @@ class Commissioning:
         operator: Operator,
         interrupts: Interrupts,
         log: RunLog,
+        thermometer: Thermometer | None = None,
     ) -> None:
         self._run, self._drive, self._capabilities = run, drive, capabilities
         self._interrupts, self._log = interrupts, log
         limits = plan.procedure.limits
         self._power = PowerStage(drive, capabilities, limits, interrupts)
-        self._measurement = Measurement(run, self._power, log, interrupts, capabilities, limits)
+        self._measurement = Measurement(run, self._power, log, interrupts, capabilities, limits, thermometer)
         self._probe = RippleProbe(self._power, limits, plan.procedure.motor, interrupts)
         self._machine = StateMachine(table_of(plan.stages), self._on_change)
         self._agenda = Agenda(run, plan, capabilities)

@@ -11,6 +11,7 @@ from orchestrator.engine._alignment import AlignmentCheck
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._power import PowerStage
+from orchestrator.engine._thermometer import LoggedTemperature, Thermometer
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
@@ -55,7 +56,9 @@ class Measurement:
         interrupts: Interrupts,
         capabilities: Capabilities,
         limits: Limits,
+        thermometer: Thermometer | None = None,
     ) -> None:
+        self._thermometer, self._missed = thermometer, False
         self._run, self._power, self._log = run, power, log
         self._interrupts, self._capabilities, self._limits = interrupts, capabilities, limits
         self._alignment = AlignmentCheck(capabilities)
@@ -91,6 +94,7 @@ class Measurement:
     def _measured(self, point: PlannedPoint) -> tuple[Segment, tuple[float, float]]:
         angle = point.excitation.rotor_angle_rad
         mean = MeanCurrent(angle)
+        temperature = self._temperature(point.id)
         blocks = self._power.execute(point.excitation, quiet_s=point.seconds)
         self._alignment.begin()
         with SegmentWriter(self._run.path, point.id) as writer, closing(blocks):
@@ -98,6 +102,7 @@ class Measurement:
                 self._interrupts.check()
                 if len(capture) == 0:  # a sign of life while the drive settles
                     continue
+                capture = temperature.put_into(capture)
                 writer.append(capture)
                 self._check_current(capture, point.id)
                 mean.add(capture)
@@ -123,6 +128,14 @@ class Measurement:
             told = f"{point.id}: {rows} stand at the end of the drive's scale: clipped"
             self._log.say(Note(level="warning", text=told))
         return segment, mean.dq()
+
+    def _temperature(self, segment: str) -> LoggedTemperature:
+        found = LoggedTemperature(self._thermometer)
+        if found.missing and not self._missed:
+            told = "the thermometer says nothing, or nothing new: without it until it does"
+            self._log.say(Note(level="warning", text=f"{segment}: {told}"))
+        self._missed = found.missing
+        return found
 
     def _check_current(self, capture: Capture, segment: str) -> None:
         peak = float(np.sqrt(np.max(np.einsum("na,na->n", capture.i_ab, capture.i_ab))))

@@ -19,6 +19,7 @@ from orchestrator.engine._log import RunLog
 from orchestrator.engine._operator import Operator
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import as_drive_errors
+from orchestrator.engine._thermometer import Thermometer, open_thermometer
 from orchestrator.registry import PluginKind, load_plugin, make_options
 from orchestrator.runs import RunDirectory, private_directory
 from orchestrator.stages import parse_stages, spelled_out
@@ -94,9 +95,10 @@ def start_run(procedure: Procedure, path: Path, crew: Crew) -> RunResult:
             with connected_drive(procedure, private_directory(path)) as (drive, capabilities):
                 plan = make_plan(procedure, capabilities)
                 check_plan(plan, capabilities)
-                run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
-                with run.at_work():
-                    return _commission(run, plan, drive, capabilities, plugins, streams, crew)
+                with open_thermometer(procedure.thermometer) as thermometer:
+                    run = RunDirectory.create(path, procedure, capabilities, sealed=sealed)
+                    with run.at_work():
+                        return _commission(run, plan, drive, capabilities, plugins, streams, crew, thermometer)
         except BaseException:
             # A run that is under way ends in an outcome. Where something was measured all the same, it stays.
             if RunDirectory.has_captures(path):
@@ -151,7 +153,8 @@ def _go_on(run: RunDirectory, crew: Crew, more: tuple[StageEntry, ...] = ()) -> 
         check_plan(plan, capabilities)
         if more:
             run.journal.append(StagesAppended(by=None, stages=more), durable=True)
-        return _commission(run, plan, drive, capabilities, plugins, streams, crew)
+        with open_thermometer(procedure.thermometer) as thermometer:
+            return _commission(run, plan, drive, capabilities, plugins, streams, crew, thermometer)
 
 
 def _stream_makers(wanted: Mapping[str, Mapping[str, Any]], path: Path) -> dict[str, Callable[[], Stream]]:
@@ -206,13 +209,14 @@ def _commission(
     plugins: UsedPlugins,
     streams: Mapping[str, Callable[[], Stream]],
     crew: Crew,
+    thermometer: Thermometer | None,
 ) -> RunResult:
     dispatcher = Dispatcher(streams)
     # While streams load what they draw with, a heartbeat comes late: not with the drive energised.
     dispatcher.drain(STREAMS_READY_S)
     log = RunLog(run.journal, dispatcher)
-    commissioning = Commissioning(run, plan, drive, capabilities, plugins, crew.operator, crew.interrupts, log)
-    outcome = commissioning.execute()
+    who = crew.operator, crew.interrupts
+    outcome = Commissioning(run, plan, drive, capabilities, plugins, *who, log, thermometer).execute()
     tallies = dispatcher.close()
     for tally in tallies:
         if tally.has_failed:
