@@ -390,17 +390,26 @@ def audit_command(
 
 @app.command("import")
 def import_command(
-    mapping: Annotated[Path, typer.Argument(help="YAML file that says what the columns are.")],
     files: Annotated[
-        list[Path], typer.Argument(help="CSV, Parquet, MATLAB, HDF5, MF4, TDMS or COMTRADE files.", metavar="FILE...")
+        list[Path],
+        typer.Argument(
+            help="YAML file that says what the columns are; CSV, Parquet, MATLAB, HDF5, MF4, TDMS or COMTRADE files.",
+            metavar="MAPPING FILE...",
+        ),
     ],
-    out: Annotated[Path, typer.Option(help="Recording to make.")],
+    out: Annotated[Path | None, typer.Option(help="Recording to make; with --guess, the mapping to write.")] = None,
+    guess: Annotated[bool, typer.Option("--guess", help="Write a mapping for FILE, each line with a reason.")] = False,
+    motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor.")] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Somebody else's measurements into a recording."""
-    from orchestrator.cli._exchange import import_
+    from orchestrator.cli._exchange import guess_import, import_
 
-    return import_(mapping, files, out, as_json)
+    if guess:
+        return guess_import(files, out, motor, as_json)
+    if out is None or len(files) < 2:
+        raise typer.BadParameter("expected MAPPING FILE... --out DIR, or --guess FILE")
+    return import_(files[0], files[1:], out, as_json)
 
 
 @app.command("runs")

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.cli._audit import motor_of
 from orchestrator.cli._output import say, say_document, say_notes
+from orchestrator.config import load_motor
 from orchestrator.exporting import FORMATS, export_map
 from orchestrator.flux_maps import load_map
 from orchestrator.importing import import_files
+from orchestrator.importing.guessing import guess_mapping
 from orchestrator.presentation.quantities import percent
 from protocols import InputError, Motor
 
@@ -47,4 +50,25 @@ def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> i
         why = ", ".join(f"{rows} ({why})" for why, rows in report.dropped_rows.items())
         say(f"left out of {report.rows} rows: {why}")
     say_notes(report.notes)
+    return 0
+
+
+def guess_import(files: Sequence[Path], out: Path | None, motor: Path | None, as_json: bool) -> int:
+    """Write the mapping for a measurement file, and say what to look at in it."""
+    if len(files) != 1:
+        raise InputError("", "--guess", f"expected one measurement file, got {len(files)}")
+    target = out if out is not None else Path(files[0].with_suffix(".yaml").name)
+    if target.exists():
+        raise InputError(str(target), "", "exists already, and nothing is overwritten: name another with --out")
+    plate = None if motor is None else load_motor(motor).model_dump(exclude_none=True)
+    guessed = guess_mapping(files[0], plate)
+    try:
+        target.write_text(guessed.text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(str(target), "", f"cannot be written: {error.strerror or error}") from None
+    if as_json:
+        say_document(json.dumps({"mapping": str(target), "doubts": guessed.doubts}, indent=2))
+        return 0
+    say(f"{target}: read it, then: fluxbench import {target} {files[0]} --out DIR")
+    say_notes(guessed.doubts)
     return 0

@@ -6,7 +6,7 @@ where both files have the same time stamps nothing is computed.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
 from pathlib import Path
@@ -18,7 +18,7 @@ from orchestrator.importing._findings import Findings
 from orchestrator.importing._loading import MappingFile
 from orchestrator.importing._mapping import FileRule, ImportMapping
 from orchestrator.importing._opening import open_source
-from orchestrator.importing._source import Block, Labels, Numbers, Source
+from orchestrator.importing._source import Block, Labels, Numbers, Source, whole
 from orchestrator.importing._stamps import Stamps
 from orchestrator.importing._timing import held_means
 from protocols import InputError
@@ -73,7 +73,7 @@ def open_joined(
     main = open_source(path, mapping, {} if rule is None else rule.names, without=elsewhere)
     if not others:
         return main
-    stamps, rows = Stamps(), _whole(path, main)
+    stamps, rows = Stamps(), whole(path, main)
     time_s = stamps.seconds(mapping, rows, 0)
     numbers, units = dict(rows.numbers), dict(main.units)
     for other in others:
@@ -100,7 +100,7 @@ def _lay_beside(
     time_s, stamps = clock
     source = open_source(other.path, other.mapping, other.rule.names, only=set(other.rule.names))
     units |= source.units
-    rows = _whole(other.path, source)
+    rows = whole(other.path, source)
     stamps.next_file()
     other_s = stamps.seconds(other.mapping, rows, 0)
     known = np.isfinite(other_s)
@@ -132,20 +132,3 @@ def _laid(time_s: Numbers, other_s: Numbers, values: Numbers, held: bool) -> Num
     at = np.clip(np.searchsorted(other_s, time_s, side="right"), 1, other_s.size - 1)
     inside &= (other_s[at] - other_s[at - 1] < 1.5 * step_s) | (np.abs(other_s[at] - time_s) < 0.01 * step_s)
     return np.where(inside, out, np.nan)
-
-
-def _whole(path: Path, source: Source) -> Block:
-    blocks = list(source.blocks)
-    if not blocks:
-        raise InputError(str(path), "", "holds no row")
-    names: Mapping[str, Numbers] = blocks[0].numbers
-    numbers = {name: np.concatenate([block.numbers[name] for block in blocks]) for name in names}
-    if blocks[0].labels is None:
-        return Block(numbers)
-    known: dict[str, int] = {}
-    codes = [
-        np.array([known.setdefault(name, len(known)) for name in block.labels.names], dtype=np.intp)[block.labels.codes]
-        for block in blocks
-        if block.labels is not None
-    ]
-    return Block(numbers, Labels(np.concatenate(codes), tuple(known)))

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator.importing._columnar import open_csv, open_parquet
 from orchestrator.importing._hdf5 import open_hdf5
-from orchestrator.importing._mapping import ImportMapping
+from orchestrator.importing._mapping import CsvLayout, ImportMapping
 from orchestrator.importing._matlab import open_matlab
 from orchestrator.importing._mf4 import open_mf4
 from orchestrator.importing._recorders import open_comtrade, open_tdms
@@ -59,7 +59,7 @@ def open_source(
         None if label is None else called[label],
         None if dates is None else called[dates],
     )
-    source = _opened(path, mapping, wanted)
+    source = open_columns(path, wanted, mapping.csv)
     if all(name == there for name, there in called.items()):
         return source
     units = {name: source.units[there] for name, there in called.items() if there in source.units}
@@ -70,10 +70,11 @@ def _renamed(block: Block, called: Mapping[str, str]) -> Block:
     return Block({n: block.numbers[there] for n, there in called.items() if there in block.numbers}, block.labels)
 
 
-def _opened(path: Path, mapping: ImportMapping, wanted: Wanted) -> Source:
+def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
+    """Open a measurement file for columns of its own; raises `InputError`."""
     ending = path.suffix.lower()
     if ending in _TEXT:
-        return open_csv(path, wanted, mapping.csv)
+        return open_csv(path, wanted, layout)
     if ending in _READERS:
         return _READERS[ending](path, wanted)
     raise InputError(str(path), "", f"unknown kind of file; known: {', '.join((*_TEXT, *_READERS))}")

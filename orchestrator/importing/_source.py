@@ -124,6 +124,24 @@ def unreadable(path: Path, kind: str, error: Exception) -> InputError:
     return InputError(str(path), "", f"not a readable {kind} file: {reason}")
 
 
+def whole(path: Path, source: Source) -> Block:
+    """All rows of a source in one block; raises `InputError` where it has none."""
+    blocks = list(source.blocks)
+    if not blocks:
+        raise InputError(str(path), "", "holds no row")
+    names: Mapping[str, Numbers] = blocks[0].numbers
+    numbers = {name: np.concatenate([block.numbers[name] for block in blocks]) for name in names}
+    if blocks[0].labels is None:
+        return Block(numbers)
+    known: dict[str, int] = {}
+    codes = [
+        np.array([known.setdefault(name, len(known)) for name in block.labels.names], dtype=np.intp)[block.labels.codes]
+        for block in blocks
+        if block.labels is not None
+    ]
+    return Block(numbers, Labels(np.concatenate(codes), tuple(known)))
+
+
 def _label(value: object) -> str:
     if isinstance(value, bytes):
         return value.decode("utf-8", errors="replace").strip("\0 ")

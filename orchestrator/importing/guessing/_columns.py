@@ -1,0 +1,89 @@
+"""The columns that a measurement file has, whatever its kind, and what it says itself of their units."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestrator.importing._hdf5 import list_datasets
+from orchestrator.importing._source import TIMESTAMPS
+from orchestrator.importing.guessing._layout import TextLayout, text_layout
+from orchestrator.importing.guessing._units import name_and_unit, unit_of
+from protocols import InputError
+
+
+@dataclass(frozen=True)
+class Columns:
+    """Names, units by name where the file tells them, and the layout of a text file."""
+
+    names: list[str]
+    units: dict[str, str] = field(default_factory=dict)
+    layout: TextLayout | None = None
+
+
+def columns_of(path: Path) -> Columns:
+    """List a file's columns; raises `InputError` for a kind that is not listed here, and for one that is damaged."""
+    ending = path.suffix.lower()
+    try:
+        if ending in (".csv", ".tsv", ".txt"):
+            layout = text_layout(path)
+            return _with_units(list(layout.names), layout.units, layout)
+        if ending in (".parquet", ".pq"):
+            import pyarrow.parquet as pq
+
+            return _with_units(list(pq.read_schema(path).names), {})
+        if ending in (".h5", ".hdf5", ".hdf", ".mat"):
+            return _with_units(_of_hdf5_or_mat(path), {})
+        if ending == ".tdms":
+            return _of_tdms(path)
+    except InputError:
+        raise
+    except Exception as error:  # the libraries have no common base for what a damaged file makes them raise
+        said = " ".join(str(error).split())[:200]
+        raise InputError(str(path), "", f"cannot be read: {said or type(error).__name__}") from None
+    raise InputError(str(path), "", "--guess knows text, Parquet, MATLAB, HDF5 and TDMS files only")
+
+
+def _with_units(names: list[str], units: dict[str, str], layout: TextLayout | None = None) -> Columns:
+    in_names = {name: unit for name in names if (unit := name_and_unit(name)[1]) is not None}
+    return Columns(names, in_names | {name: unit for name, unit in units.items() if unit}, layout)
+
+
+def _of_hdf5_or_mat(path: Path) -> list[str]:
+    import h5py
+
+    if h5py.is_hdf5(path):
+        with h5py.File(path, "r") as file:
+            names = [name for name in list_datasets(file) if not name.startswith("#")]
+        return names if path.suffix.lower() != ".mat" else [name.replace("/", ".") for name in names]
+    from scipy.io import loadmat
+
+    variables = loadmat(path)
+    return [name for key, value in variables.items() if not key.startswith("__") for name in _in_matlab(key, value)]
+
+
+def _in_matlab(name: str, value: Any) -> Iterator[str]:
+    if not isinstance(value, np.ndarray):
+        return
+    if value.dtype.names and value.size == 1:
+        for part in value.dtype.names:
+            yield from _in_matlab(f"{name}.{part}", value[part].item())
+    elif value.dtype.kind in "fiu" and value.size > 1:
+        if max(value.shape) == value.size:
+            yield name
+        elif value.ndim == 2:
+            yield from (f"{name}(:,{k + 1})" for k in range(value.shape[1]))
+
+
+def _of_tdms(path: Path) -> Columns:
+    from nptdms import TdmsFile
+
+    with TdmsFile.read_metadata(path) as file:
+        channels = {f"{group.name}/{one.name}": one for group in file.groups() for one in group.channels()}
+        units = {n: unit_of(str(c.properties.get("unit_string", ""))) or "" for n, c in channels.items()}
+        tracked = any("wf_increment" in c.properties for c in channels.values())
+    return _with_units([*channels, *([TIMESTAMPS] if tracked else [])], units)

@@ -1,0 +1,296 @@
+"""From a measurement file to a mapping with a reason on each line; it is tried before it is handed out."""
+
+from __future__ import annotations
+
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from orchestrator.importing._importing import import_files
+from orchestrator.importing._mapping import CsvLayout, ImportMapping
+from orchestrator.importing._opening import check_file, open_columns, open_source
+from orchestrator.importing._rotation import turning
+from orchestrator.importing._source import Numbers, Wanted, whole
+from orchestrator.importing._stamps import Stamps
+from orchestrator.importing._units import FACTORS
+from orchestrator.importing._vectors import vectors
+from orchestrator.importing.guessing._columns import Columns, columns_of
+from orchestrator.importing.guessing._roles import Roles, Signal, roles_of
+from orchestrator.importing.guessing._stages import Stretch, stretches_of
+from protocols import InputError, SegmentStage
+
+_MOST_RULES = 40
+_RATES_HZ = (500.0, 2e6)
+"""What a measurement of a drive is sampled with."""
+_STAGES = {stage.value for stage in SegmentStage}
+_TIME_UNITS = ("s", "ms", "us", "ns")
+
+
+@dataclass(frozen=True)
+class Guess:
+    """A mapping as text, and what its reader has to look at before it is believed."""
+
+    text: str
+    doubts: tuple[str, ...]
+
+
+class _Lines:
+    """The mapping while it is written: keys and values, and a reason for each."""
+
+    def __init__(self) -> None:
+        self.data: dict[str, Any] = {}
+        self._lines: list[str] = []
+        self.doubts: list[str] = []
+
+    def say(self, key: str, value: Any, why: str, doubt: bool = False) -> None:
+        self.data[key] = value
+        self._lines.append(f"{key}: {_yaml(value)}  # {why}")
+        if doubt:
+            self.doubts.append(f"{key}: {why}")
+
+    def say_rules(self, rules: list[tuple[dict[str, Any], str]]) -> None:
+        self.data["segments"] = [rule for rule, _ in rules]
+        self._lines.append("segments:")
+        self._lines += [f"  - {_yaml(rule)}  # {why}" for rule, why in rules]
+
+    @property
+    def text(self) -> str:
+        return "\n".join(self._lines) + "\n"
+
+
+def _yaml(value: object) -> str:
+    """A value on one line."""
+    import yaml
+
+    text = yaml.safe_dump(value, default_flow_style=True, width=10_000, allow_unicode=True, sort_keys=False)
+    return str(text).strip().removesuffix("...").strip()
+
+
+def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
+    """Write the mapping for one measurement file.
+
+    Parameters
+    ----------
+    motor : dict, optional
+        The section `motor` of the mapping, where the nameplate is known.
+
+    Raises
+    ------
+    InputError
+        One line: what cannot be told, or why what was guessed cannot be imported.
+    """
+    check_file(path)
+    columns = columns_of(path)
+    roles = roles_of(columns.names)
+    current, voltage = _both(path, columns, roles)
+    lines = _Lines()
+    lines.say("format", "fluxbench-import", f"guessed from {path.name}")
+    lines.say("version", 1, "of the format")
+    lines.say("name", path.stem, "the file's")
+    unknown = {"name": "unknown", "pole_pairs": 1}
+    why = "not in the file: pole pairs only scale torque and speed, a nameplate makes every check sharper"
+    lines.say("motor", motor or unknown, "as given" if motor else why, doubt=motor is None)
+    if columns.layout is not None:
+        layout = columns.layout.csv.model_dump(exclude_defaults=True, mode="json")
+        if layout:
+            lines.say("csv", layout, columns.layout.why)
+    raw = _read(path, columns, roles, current, voltage)
+    _say_time(path, lines, columns, roles, raw)
+    _say_bus(path, lines, columns, roles, raw, voltage)
+    _say_signals(path, lines, columns, raw, current, voltage)
+    _say_angle(path, lines, columns, roles, raw, current, voltage)
+    _say_segments(path, lines, roles)
+    _try(path, lines)
+    return Guess(lines.text, tuple(lines.doubts))
+
+
+def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
+    for what, found in (("currents", roles.current), ("voltages", roles.voltage)):
+        if found is None:
+            said = f"cannot tell which columns are the {what} by their names; the file has {len(columns.names)}:"
+            raise InputError(str(path), "", said, columns.names)
+    assert roles.current is not None
+    assert roles.voltage is not None
+    return roles.current, roles.voltage
+
+
+def _read(path: Path, columns: Columns, roles: Roles, *signals: Signal) -> dict[str, Numbers]:
+    """The columns of numbers that have a role, as they are in the file."""
+    names = [name for signal in signals for name in signal.columns.values()]
+    names += [roles.one[role] for role in ("bus", "angle") if role in roles.one]
+    layout = CsvLayout() if columns.layout is None else columns.layout.csv
+    time = roles.one.get("time")
+    if time is not None:
+        try:
+            return dict(whole(path, open_columns(path, Wanted((*dict.fromkeys(names), time)), layout)).numbers)
+        except InputError as error:
+            if error.field != time:
+                raise
+    # Without a time, or with one of texts.
+    return dict(whole(path, open_columns(path, Wanted(tuple(dict.fromkeys(names))), layout)).numbers)
+
+
+def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers]) -> None:
+    name = roles.one.get("time")
+    increment = columns.layout.increment_s if columns.layout is not None else None
+    if name is None or increment:
+        if not increment:
+            raise InputError(str(path), "", "no column of time, and nothing that says the sampling frequency")
+        lines.say("sampling_frequency_hz", round(1.0 / increment, 9), "the increment in the preamble")
+        return
+    if name not in raw:
+        lines.say("time", {"column": name, "unit": "iso"}, "texts that are dates")
+        return
+    step = float(np.median(np.diff(raw[name][np.isfinite(raw[name])])))
+    fitting = [u for u in _TIME_UNITS if step > 0 and _RATES_HZ[0] <= 1.0 / (step * FACTORS[u]) <= _RATES_HZ[1]]
+    given = columns.units.get(name)
+    if given in _TIME_UNITS or given == "min":
+        why = f"the file gives the unit; {1.0 / (step * FACTORS[given]):.6g} Hz"
+        lines.say("time", {"column": name, "unit": given}, why)
+        return
+    if step == 1.0 or len(fitting) != 1:
+        said = f"steps of {step:g} may be {' or '.join(fitting)}" if fitting else f"steps of {step:g} are no time"
+        raise InputError(str(path), name, f"{said}; the unit of time cannot be told")
+    why = f"steps of {step:.6g}: only in {fitting[0]} a usual rate, {1.0 / (step * FACTORS[fitting[0]]):.6g} Hz"
+    lines.say("time", {"column": name, "unit": fitting[0]}, why)
+
+
+def _say_bus(
+    path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers], voltage: Signal
+) -> None:
+    name = roles.one.get("bus")
+    if name is not None:
+        unit = columns.units.get(name, "V")
+        unit = unit if unit in ("V", "mV", "uV", "kV") else "V"
+        nominal = float(f"{float(np.nanmedian(raw[name])) * FACTORS[unit]:.3g}")
+        lines.say("drive", {"name": "unknown", "dc_bus_voltage_v": nominal}, f"the median of {name}")
+        lines.say("bus", {"column": name, "unit": unit}, f"the name{' and unit' if name in columns.units else ''}")
+        return
+    if voltage.is_duty:
+        raise InputError(str(path), "", "duties without a column of the bus voltage: their volts cannot be told")
+    unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
+    largest = max(float(np.nanmax(np.abs(raw[x]))) for x in voltage.columns.values()) * unit_v
+    why = "not in the file: twice the largest voltage stands here; give the true one"
+    lines.say("drive", {"name": "unknown", "dc_bus_voltage_v": float(f"{2.0 * largest:.2g}") or 1.0}, why, doubt=True)
+
+
+def _say_signals(
+    path: Path, lines: _Lines, columns: Columns, raw: dict[str, Numbers], current: Signal, voltage: Signal
+) -> None:
+    for key, signal, plain, largest in (("current", current, "A", 2000.0), ("voltage", voltage, "V", 5000.0)):
+        names = list(signal.columns.values())
+        values = np.stack([raw[name] for name in names])
+        size = float(np.nanmax(np.abs(values)))
+        whole_numbers = bool(np.all(values == np.rint(values))) and size > 100.0
+        given = {columns.units[name] for name in names if name in columns.units}
+        if len(given) > 1:
+            raise InputError(str(path), ", ".join(names), f"have different units: {', '.join(sorted(given))}")
+        unit, why = plain, f"up to {size:.3g}, as {plain}"
+        if signal.is_duty:
+            unit, why = "duty" if size <= 1.5 else "duty_percent", f"shares of the bus: up to {size:.3g}"
+        elif given:
+            unit, why = next(iter(given)), "the file gives the unit"
+        elif whole_numbers:
+            problem = f"whole numbers up to {size:g}: a converter's counts? what one of them is cannot be told"
+            raise InputError(str(path), ", ".join(names), problem)
+        elif size > largest:
+            unit, why = f"m{plain}", f"up to {size:.3g}: too much for {plain}"
+        section: dict[str, Any] = {"frame": signal.frame, "columns": dict(signal.columns), "unit": unit}
+        if signal.frame in ("alpha_beta", "dq"):
+            section["scaling"] = "amplitude_invariant"
+            why += "; the transform is not in the file"
+            lines.doubts.append(f"{key}: scaling: amplitude_invariant is the usual one, and not in the file")
+        lines.say(key, section, f"by the names; {why}")
+
+
+def _say_angle(
+    path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: dict[str, Numbers], *signals: Signal
+) -> None:
+    name = roles.one.get("angle")
+    if name is None:
+        if any(signal.frame == "dq" for signal in signals):
+            lines.doubts.append("rotor_angle: no column of an angle; a locked rotor is taken for it")
+        return
+    largest = float(np.nanmax(np.abs(raw[name])))
+    unit = columns.units.get(name, "rad" if largest <= 2.0 * np.pi + 1e-3 else "deg" if largest <= 360.0 else "")
+    if unit not in ("rad", "deg", "turn"):
+        raise InputError(str(path), name, f"an angle up to {largest:g}: its unit cannot be told")
+    why = "the name; that it is electrical is not in the file"
+    lines.say("rotor_angle", {"column": name, "unit": unit}, why, doubt=True)
+
+
+def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
+    label = roles.one.get("label")
+    if label is not None:
+        lines.say("segment_column", label, "the name: labels say where segments begin")
+    lines.say("split_at_gaps", True, "where samples are missing a segment ends")
+    mapping = ImportMapping.model_validate({**lines.data, "segments": [{"stage": "classical"}]})
+    block = whole(path, open_source(path, mapping))
+    time_s = Stamps().seconds(mapping, block, 0)
+    good = np.all([np.isfinite(x) for x in (time_s, *block.numbers.values())], axis=0)
+    if np.count_nonzero(good) < 100:
+        raise InputError(str(path), "", "fewer than a hundred complete rows")
+    columns = {name: values[good] for name, values in block.numbers.items()}
+    time_s = time_s[good]
+    bus, pairs = mapping.bus, mapping.motor.pole_pairs
+    dc_v = np.full(time_s.size, mapping.drive.dc_bus_voltage_v) if bus is None else columns[bus.column]
+    i, v = (vectors(signal, columns, 0.0, pairs, dc_v) for signal in (mapping.current, mapping.voltage))
+    if mapping.rotor_angle.column is None and (found := turning(i, 1.0 / float(np.median(np.diff(time_s))))):
+        said = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz, and no column is the rotor's angle"
+        raise InputError(str(path), "", said)
+    largest = float(np.max(np.hypot(*i.T))), float(np.max(np.hypot(*v.T)))
+    if label is None or block.labels is None:
+        lines.say_rules(_by_time(path, stretches_of(time_s, i, v, largest)))
+        return
+    labels = np.array(block.labels.names, dtype=object)[block.labels.codes][good]
+    rules: list[tuple[dict[str, Any], str]] = []
+    for one in dict.fromkeys(labels.tolist()):
+        rows = labels == one
+        if one in _STAGES:
+            rules.append(({"label": one, "stage": one}, "the label says so"))
+            continue
+        found_here = stretches_of(time_s[rows], i[rows], v[rows], largest) if np.count_nonzero(rows) > 20 else []
+        longest = max(found_here, key=lambda s: s.end_s - s.start_s, default=None)
+        if longest is not None:
+            rules.append(({"label": one, "stage": longest.stage.value}, _why(longest)))
+    if len(rules) > _MOST_RULES:
+        raise InputError(str(path), label, f"has {len(rules)} different labels: which belong together cannot be told")
+    lines.say_rules(rules)
+
+
+def _by_time(path: Path, found: list[Stretch]) -> list[tuple[dict[str, Any], str]]:
+    if len(found) > _MOST_RULES:
+        said = f"what is done changes {len(found) - 1} times; a column of labels would tell segments apart"
+        raise InputError(str(path), "", said)
+    rules = []
+    for k, one in enumerate(found):
+        span = {} if k == 0 else {"from_s": round(one.start_s, 6)}
+        span |= {} if k == len(found) - 1 else {"to_s": round(found[k + 1].start_s, 6)}
+        rules.append(({"stage": one.stage.value, **span}, _why(one)))
+    return rules
+
+
+def _why(one: Stretch) -> str:
+    return {
+        SegmentStage.GATES_OFF: "no voltage at all",
+        SegmentStage.RESISTANCE: "currents that stand still",
+        SegmentStage.CLASSICAL: "currents that move slowly",
+        SegmentStage.INJECTION: f"the voltage has a line near {one.injected_hz or 0.0:.0f} Hz",
+        SegmentStage.STEPS: "the voltage goes between plus and minus of one size",
+    }[one.stage]
+
+
+def _try(path: Path, lines: _Lines) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        trial = Path(folder) / "mapping.yaml"
+        trial.write_text(lines.text, encoding="utf-8")
+        try:
+            report = import_files(trial, [path], Path(folder) / "recording")
+        except InputError as error:
+            where = "" if error.where.startswith(str(trial)) else error.where
+            said = f"what was guessed cannot be imported: {error.problem}"
+            raise InputError(where or str(path), error.field, said, error.choices) from None
+    lines.doubts.extend(report.notes)

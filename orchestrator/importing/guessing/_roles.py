@@ -1,0 +1,102 @@
+"""Which column is what: by its name, and where that leaves it open not at all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from orchestrator.importing._signals import Axis, Frame
+from orchestrator.importing.guessing._units import name_and_unit
+
+_AXES: tuple[tuple[Frame, tuple[dict[Axis, str], ...]], ...] = (
+    ("abc", ({"a": "a", "b": "b", "c": "c"}, {"a": "u", "b": "v", "c": "w"}, {"a": "1", "b": "2", "c": "3"})),
+    ("abc", ({"a": "l1", "b": "l2", "c": "l3"}, {"a": "r", "b": "s", "c": "t"}, {"a": "r", "b": "y", "c": "b"})),
+    (
+        "alpha_beta",
+        ({"alpha": "alpha", "beta": "beta"}, {"alpha": "al", "beta": "be"}, {"alpha": "α", "beta": "β"}),
+    ),
+    ("dq", ({"d": "d", "q": "q"},)),
+)
+_LINES: tuple[dict[Axis, str], ...] = ({"ab": "ab", "bc": "bc", "ca": "ca"}, {"ab": "uv", "bc": "vw", "ca": "wu"})
+_CURRENT = r"(?:i|cur|curr|current|strom|iphase|phasecurrent|is|im|imot|ichannel)"
+_VOLTAGE = r"(?:v|u|volt|voltage|spannung|vs|us|vphase|uphase|phasevoltage|vm|um)"
+_DUTY = r"(?:d|duty|dutycycle|pwm|dc)"
+_ASKED = r"(?:ref|cmd|com|set|star|sp|soll|demand|target|command)?"
+_SEEN = r"(?:meas|act|fb|ist|mess|measured|actual)?"
+_ONE: Mapping[str, str] = {
+    "time": r"(?:t|time|zeit|timestamp|timestamps|timesec|seconds|xaxis|datetime|date|clock|epoch|tick|ticks)\d*",
+    "bus": r"(?:v|u|volt)?(?:dc|bus|dclink|dcbus|zk)(?:v|u|voltage|link|bus|volt|meas|filt)?|(?:v|u)zk",
+    "angle": r"(?:theta|angle|rotorangle|epsilon|phi|pos|position|rho|winkel)(?:e|el|elec|electrical|r)?",
+    "temperature": r"(?:temp|temperature|tempwinding|tmotor|tmot|windingtemp)(?:c|degc)?",
+    "label": r"(?:point|segment|label|what|stage|step|teststep|operatingpoint|test|state|mode|run)(?:id|no|nr)?",
+}
+
+
+@dataclass(frozen=True)
+class Signal:
+    """Columns that make a vector."""
+
+    frame: Frame
+    columns: dict[Axis, str]
+    is_duty: bool = False
+
+
+@dataclass(frozen=True)
+class Roles:
+    """What the columns are, as far as their names tell."""
+
+    current: Signal | None
+    voltage: Signal | None
+    one: dict[str, str]
+    """time, bus, angle, temperature and label."""
+
+
+def roles_of(names: Sequence[str]) -> Roles:
+    """The roles of columns by their names."""
+    plain = {name: _plain(name) for name in names}
+    one: dict[str, str] = {}
+    for role, pattern in _ONE.items():
+        found = next((name for name in names if re.fullmatch(pattern, plain[name]) and name not in one.values()), None)
+        if found is not None:
+            one[role] = found
+    rest = {name: text for name, text in plain.items() if name not in one.values()}
+    current = _signal(rest, _CURRENT, _SEEN)
+    voltage = _signal(rest, _VOLTAGE, _ASKED) or _lines(rest) or _signal(rest, _VOLTAGE, _SEEN)
+    if voltage is None:
+        duty = _signal(plain, _DUTY, _ASKED)
+        if duty is not None and (duty.frame != "abc" or len(duty.columns) == 3):
+            voltage = Signal(duty.frame, duty.columns, is_duty=True)
+            one = {role: name for role, name in one.items() if name not in duty.columns.values()}
+    return Roles(current, voltage, one)
+
+
+def _plain(name: str) -> str:
+    return re.sub(r"[^a-z0-9αβ]", "", name_and_unit(name)[0].rpartition("/")[2].rpartition(".")[2].lower())
+
+
+def _signal(plain: Mapping[str, str], quantity: str, suffix: str) -> Signal | None:
+    for frame, namings in _AXES:
+        for naming in namings:
+            found = {axis: _named(plain, quantity, text, suffix) for axis, text in naming.items()}
+            known = {axis: name for axis, name in found.items() if name is not None}
+            if len(known) >= 2:
+                return Signal(frame, known)
+    return None
+
+
+def _lines(plain: Mapping[str, str]) -> Signal | None:
+    for naming in _LINES:
+        found = {axis: _named(plain, _VOLTAGE, text, _ASKED) for axis, text in naming.items()}
+        known = {axis: name for axis, name in found.items() if name is not None}
+        if len(known) >= 2:
+            return Signal("line_to_line", known)
+    return None
+
+
+def _named(plain: Mapping[str, str], quantity: str, axis: str, suffix: str) -> str | None:
+    """The column of an axis: ``ia``, ``current_phase_a``, ``a_current``; what was asked for before what was seen."""
+    middle = r"(?:phase|ph|s|l)?"
+    pattern = rf"{quantity}{middle}{axis}{suffix}|{quantity}{suffix}{axis}|(?:phase|ph)?{axis}{quantity}"
+    found = [name for name, text in plain.items() if re.fullmatch(pattern, text)]
+    return max(found, key=lambda name: len(plain[name]) * ("ref" in suffix), default=None)

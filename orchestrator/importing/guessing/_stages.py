@@ -1,0 +1,108 @@
+"""What was done when: holds, sweeps, injections and steps told from the waveforms, window by window."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.importing._source import Numbers
+from protocols import SegmentStage
+
+Complex = NDArray[np.complex128]
+
+_WINDOW_S = 0.02
+"""A window: some periods of an injection, a small part of a sweep or a hold."""
+_SHORTEST_S = 0.1
+"""What lasts less is taken for the way from one stage to the next, and goes with what is before it."""
+_LONGEST_REST_S = 1.0
+"""A sweep rests no longer than this where it turns round."""
+
+
+@dataclass(frozen=True)
+class Stretch:
+    """Time in which one thing was done."""
+
+    stage: SegmentStage
+    start_s: float
+    end_s: float
+    injected_hz: float | None = None
+
+
+def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[float, float]) -> list[Stretch]:
+    """The stretches of a log, in order of time; `largest` are current [A] and voltage [V] of the whole measurement."""
+    i, v = (np.asarray(x[:, 0] + 1j * x[:, 1]) for x in (i_ab, v_ab))
+    period_s = float(np.median(np.diff(time_s)))
+    samples = max(20, int(_WINDOW_S / period_s))
+    gaps = np.flatnonzero(np.diff(time_s) > 1.5 * period_s) + 1
+    found: list[Stretch] = []
+    for begin, end in zip([0, *gaps.tolist()], [*gaps.tolist(), time_s.size], strict=True):
+        windows = []
+        for start in range(begin, max(end - samples, begin) + 1, samples):
+            stop = end if start + 2 * samples > end else start + samples
+            stage, hz = _stage(i[start:stop], v[start:stop], period_s, *largest)
+            windows.append(Stretch(stage, float(time_s[start]), float(time_s[stop - 1]) + period_s, hz))
+        found += _without_rests(_merged(windows))
+    return _joined(found)
+
+
+def _without_rests(runs: list[Stretch]) -> list[Stretch]:
+    """Short rests beside a sweep belong to it: it turns round there."""
+    kinds = [run.stage for run in runs]
+    for k, run in enumerate(runs):
+        beside = kinds[max(k - 1, 0) : k + 2]
+        rests = run.stage is SegmentStage.RESISTANCE and run.end_s - run.start_s < _LONGEST_REST_S
+        if rests and SegmentStage.CLASSICAL in beside:
+            runs[k] = Stretch(SegmentStage.CLASSICAL, run.start_s, run.end_s)
+    return _joined(runs)
+
+
+def _stage(
+    i: Complex, v: Complex, period_s: float, largest_a: float, largest_v: float
+) -> tuple[SegmentStage, float | None]:
+    if np.max(np.abs(v)) <= 1e-4 * largest_v:
+        return SegmentStage.GATES_OFF, None
+    ripple = v - v.mean()
+    if np.sqrt(np.mean(np.abs(ripple) ** 2)) > 0.03 * largest_v:
+        power = np.abs(np.fft.fft(ripple)) ** 2
+        power = power + np.roll(power[::-1], 1)  # both ways round
+        half = power[: v.size // 2 + 1]
+        line = int(np.argmax(half))
+        if line >= 4 and half[max(line - 1, 0) : line + 2].sum() > 0.3 * half.sum():
+            return SegmentStage.INJECTION, line / (v.size * period_s)
+        if _two_levels(v) and np.ptp(np.abs(i - i.mean())) > 0.1 * largest_a:
+            return SegmentStage.STEPS, None
+    quarter = max(1, i.size // 4)
+    moved = abs(i[-quarter:].mean() - i[:quarter].mean())
+    return (SegmentStage.RESISTANCE if moved < 0.01 * largest_a else SegmentStage.CLASSICAL), None
+
+
+def _two_levels(v: Complex) -> bool:
+    """Whether nearly all voltages are of one length: plus, minus, on one axis or both."""
+    length = np.abs(v)
+    return bool(np.mean(np.abs(length - np.median(length)) < 0.05 * np.median(length)) > 0.8)
+
+
+def _merged(found: list[Stretch]) -> list[Stretch]:
+    """Neighbours of one stage as one; what is too short joins what is before it, or after it at the start."""
+    runs = _joined(found)
+    while len(runs) > 1:
+        shortest = min(range(len(runs)), key=lambda k: runs[k].end_s - runs[k].start_s)
+        run = runs[shortest]
+        if run.end_s - run.start_s >= _SHORTEST_S:
+            break
+        other = runs[shortest - 1] if shortest else runs[1]
+        runs[shortest] = Stretch(other.stage, run.start_s, run.end_s, other.injected_hz)
+        runs = _joined(runs)
+    return runs
+
+
+def _joined(found: list[Stretch]) -> list[Stretch]:
+    runs: list[Stretch] = []
+    for one in found:
+        if runs and runs[-1].stage is one.stage:
+            runs[-1] = Stretch(one.stage, runs[-1].start_s, one.end_s, runs[-1].injected_hz or one.injected_hz)
+        else:
+            runs.append(one)
+    return runs

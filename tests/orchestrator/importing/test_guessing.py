@@ -1,0 +1,180 @@
+"""A mapping guessed from a file says why, imports, and gives the measurement; what cannot be told is refused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+import scipy.io
+
+from orchestrator.cli._app import run_app
+from orchestrator.importing import import_files
+from orchestrator.importing.guessing import guess_mapping
+from orchestrator.recording import open_recording
+from protocols import InputError
+from tests.orchestrator.importing.benches import Numbers
+from tests.orchestrator.importing.strangers import PLATE, Log, log_of
+
+LOG = log_of(("gates_off-000", "resistance-000", "resistance-014", "classical-005", "injection-012"))
+SOME = LOG.rows(slice(5000, 15000))
+
+
+def columns(log: Log, amps: float = 1.0) -> list[Numbers]:
+    return [*(amps * x for x in log.phases.values()), *log.volts.values()]
+
+
+def text(path: Path, head: str, rows: Sequence[Numbers], delimiter: str = ",", decimal: str = ".") -> Path:
+    lines = (delimiter.join(f"{x:.9g}".replace(".", decimal) for x in row) for row in zip(*rows, strict=True))
+    path.write_text(head + "\n".join(lines) + "\n", encoding="utf-8")
+    return path
+
+
+def german(path: Path) -> Path:
+    names = "Zeit;i_u;i_v;i_w;u_u;u_v;u_w;u_dc\nms;mA;mA;mA;V;V;V;V\n"
+    return text(
+        path, f"Messung 7;;;\nDatum;23.11.2026\n\n{names}", [1e3 * SOME.t, *columns(SOME, 1e3), SOME.dc], ";", ","
+    )
+
+
+def plecs(path: Path) -> Path:
+    head = '"Time / s","Ia / A","Ib / A","Ic / A","Va / V","Vb / V","Vc / V"\n'
+    return text(path, head, [SOME.t, *columns(SOME)])
+
+
+def data_inspector(path: Path) -> Path:
+    units = ",".join(["Unit: s", *3 * ["Unit: A"], *3 * ["Unit: V"]])
+    names = "time,ia,ib,ic,va_ref,vb_ref,vc_ref"
+    return text(path, f"{names}\n{units}\nInterp: zoh,,,,,,\n", [SOME.t, *columns(SOME)])
+
+
+def rigol(path: Path) -> Path:
+    head = "X,ia,ib,ic,va,vb,vc,Start,Increment,\nSequence,A,A,A,V,V,V,0,1.000000e-04,\n"
+    return text(path, head, [np.arange(SOME.t.size, dtype=float), *columns(SOME)])
+
+
+def keysight(path: Path) -> Path:
+    head = "x-axis,Ia,Ib,Ic,Va,Vb,Vc\nsecond,Ampere,Ampere,Ampere,Volt,Volt,Volt\n"
+    return text(path, head, [SOME.t, *columns(SOME)])
+
+
+def tektronix(path: Path) -> Path:
+    head = (
+        "Model,MSO54\nFirmware Version,1.28\nSample Interval,1E-4\n\nLabels,ia,ib,ic,va,vb,vc\nTIME,ia,ib,ic,va,vb,vc\n"
+    )
+    return text(path, head, [SOME.t, *columns(SOME)])
+
+
+@pytest.mark.parametrize("write", [german, plecs, data_inspector, rigol, keysight, tektronix])
+def test_texts_of_common_loggers_are_guessed(tmp_path: Path, write: Any) -> None:
+    path = write(tmp_path / "log.csv")
+    guessed = guess_mapping(path)
+    (tmp_path / "m.yaml").write_text(guessed.text)
+    report = import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
+    assert (report.samples, report.sampling_frequency_hz) == (SOME.t.size, 1e4)
+    recording = open_recording(tmp_path / "out")
+    (segment,) = recording.segments()
+    assert segment.stage == "classical"
+    capture = recording.load(segment)
+    np.testing.assert_allclose(capture.i_ab, SOME.i, atol=1e-5)
+    np.testing.assert_allclose(capture.v_ab, SOME.v, atol=1e-4)
+
+
+def hdf5(path: Path) -> None:
+    with h5py.File(path, "w") as file:
+        for name, x in {"t": LOG.t, **LOG.phases, **LOG.volts}.items():
+            file[f"bench/{name}"] = x
+
+
+def matlab(path: Path) -> None:
+    amps = {"i_alpha": LOG.i[:, 0], "i_beta": LOG.i[:, 1]}
+    scipy.io.savemat(path, {"log": {"t": LOG.t, **amps, "u_alpha": LOG.v[:, 0], "u_beta": LOG.v[:, 1]}})
+
+
+def parquet(path: Path) -> None:
+    points = [{"gates_off": "A", "resistance": "B", "classical": "C", "injection": "D"}[stage] for stage in LOG.stage]
+    pq.write_table(pa.table({"t": LOG.t, **LOG.phases, **LOG.volts, "point": points}), path)
+
+
+@pytest.mark.parametrize(("name", "write"), [("log.h5", hdf5), ("log.mat", matlab), ("log.parquet", parquet)])
+def test_stages_are_told_from_the_waveforms(tmp_path: Path, name: str, write: Any) -> None:
+    write(tmp_path / name)
+    guessed = guess_mapping(tmp_path / name)
+    (tmp_path / "m.yaml").write_text(guessed.text)
+    import_files(tmp_path / "m.yaml", [tmp_path / name], tmp_path / "out")
+    recording = open_recording(tmp_path / "out")
+    stages = [segment.stage.value for segment in recording.segments() for _ in range(segment.samples)]
+    assert stages == LOG.stage
+
+
+def test_each_line_says_why_and_what_to_look_at(tmp_path: Path) -> None:
+    guessed = guess_mapping(german(tmp_path / "log.csv"))
+    assert all("#" in line or line == "segments:" for line in guessed.text.splitlines())
+    assert any(doubt.startswith("motor: not in the file") for doubt in guessed.doubts)
+
+
+def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
+    return text(tmp_path / "log.csv", names + "\n", rows)
+
+
+@pytest.mark.parametrize(
+    ("names", "rows", "said"),
+    [
+        ("TIME,CH1,CH2,CH3", [SOME.t, *columns(SOME)[:3]], "cannot tell which columns are the currents by their names"),
+        ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "cannot tell which columns are the voltages by their names"),
+        ("ia,ib,ic,va,vb,vc", columns(SOME), "no column of time, and nothing that says the sampling frequency"),
+        ("t,ia,ib,ic,va,vb,vc", [np.arange(SOME.t.size), *columns(SOME)], "t: steps of 1 may be ms or us; the unit"),
+        (
+            "t,ia,ib,va,vb,vc",
+            [SOME.t, *(np.rint(1e3 * x) for x in columns(SOME)[:2]), *columns(SOME)[3:]],
+            "ia, ib: whole numbers up to",
+        ),
+        (
+            "t,ia,ib,ic,da,db,dc",
+            [SOME.t, *columns(SOME)[:3], *(0.5 + x / 540 for x in columns(SOME)[3:])],
+            "duties with",
+        ),
+        (
+            "t,ia,ib,ic,va,vb,vc",
+            [SOME.t, *columns(SOME)[:3], *(-x for x in columns(SOME)[3:])],
+            "what was guessed cannot be imported: voltage and current are 180 degrees apart",
+        ),
+        (
+            "t,ia,ib,va,vb",
+            [
+                SOME.t,
+                *(2 * np.cos(300 * SOME.t - k) for k in (0, 2.0944)),
+                *(9 * np.cos(300 * SOME.t - k) for k in (0, 2.09)),
+            ],
+            "the current turns 48 times at 47.67 Hz, and no column is the rotor's angle",
+        ),
+    ],
+)
+def test_what_cannot_be_told_is_refused_with_one_line(
+    tmp_path: Path, names: str, rows: Sequence[Numbers], said: str
+) -> None:
+    with pytest.raises(InputError) as raised:
+        guess_mapping(spoilt_text(tmp_path, names, rows))
+    assert said in str(raised.value)
+    assert len(str(raised.value).splitlines()) == 1
+
+
+def test_the_command_writes_a_mapping_that_imports(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    keysight(Path("log.csv"))
+    Path("plate.yaml").write_text(PLATE)
+    assert run_app(["import", "--guess", "log.csv", "--motor", "plate.yaml"]) == 0
+    assert "fluxbench import log.yaml log.csv --out DIR" in capsys.readouterr().out
+    assert run_app(["import", "log.yaml", "log.csv", "--out", "recording"]) == 0
+    assert run_app(["import", "--guess", "log.csv"]) == 2
+    assert "log.yaml: exists already" in capsys.readouterr().err
+    assert run_app(["import", "--guess", "plate.yaml", "--out", "x.yaml"]) == 2
+    assert not Path("x.yaml").exists()
+    assert run_app(["import", "log.yaml"]) == 2
