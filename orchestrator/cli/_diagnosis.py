@@ -8,6 +8,7 @@ from pathlib import Path
 from orchestrator import workbench
 from orchestrator.cli._interrupting import prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
+from orchestrator.cli._refreshing import refresh_report
 from orchestrator.cli._waiting import Waiting
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
@@ -48,6 +49,7 @@ def diagnose(
             out=out,
             tell=Waiting(),
         )
+        refresh_report(path, out)
     if as_json:
         say_document(kept.report.model_dump_json(indent=2))
     else:
@@ -61,6 +63,7 @@ def add(
     """Refit with these effects."""
     with prompt_interrupt():
         report = workbench.add(path, *names, model=model, effects=effects or (), out=out)
+        refresh_report(path, out)
     _say_added(report, as_json)
     return 0
 
@@ -69,6 +72,7 @@ def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_jso
     """Refit without this effect."""
     with prompt_interrupt():
         report = workbench.remove(path, name, effects=effects or (), out=out)
+        refresh_report(path, out)
     _say_added(report, as_json)
     return 0
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from orchestrator import workbench
 from orchestrator.cli._output import say, say_document, say_notes, say_table
+from orchestrator.cli._refreshing import refresh_report
 from orchestrator.presentation.names import PAPER_CROSSINGS
 from orchestrator.presentation.quantities import UNKNOWN, axes_percent
 from orchestrator.presentation.results import check_rows, coefficient_rows, resistance, resistance_course
@@ -16,6 +17,7 @@ from protocols import EstimationReport
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the estimators; results go into the recording's own results/, or below `out`."""
     report = workbench.estimate(path, estimators=names, out=out)
+    refresh_report(path, out)
     if as_json:
         say_document(report.model_dump_json(indent=2))
     else:

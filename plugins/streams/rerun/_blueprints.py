@@ -20,9 +20,11 @@ CHANGES = "What changed?"
 
 def commissioning(end_s: float | None = None) -> rrb.Blueprint:
     """For watching a run and scrubbing through it; time axes reach to the cursor, or to the end where it is known."""
-    time = _from_the_start(end_s)
-    return _layout(
-        EXPERIMENT,
+    return _layout(EXPERIMENT, *_of_commissioning(_from_the_start(end_s)))
+
+
+def _of_commissioning(time: rrb.TimeAxis) -> tuple[rrb.Container, ...]:
+    return (
         rrb.Horizontal(
             rrb.Vertical(
                 rrb.StateTimelineView(origin="/state", name="States", time_view=time),
@@ -80,8 +82,8 @@ def commissioning(end_s: float | None = None) -> rrb.Blueprint:
     )
 
 
-def diagnosis(contents: Contents) -> rrb.Blueprint:
-    """For watching the error fall as effects are added."""
+def diagnosis(contents: Contents, *, measured: bool, end_s: float | None = None) -> rrb.Blueprint:
+    """For watching the error fall as effects are added; behind that, the run that was `measured` in the same file."""
     tabs: list[rrb.Container] = [
         rrb.Horizontal(
             rrb.Vertical(
@@ -106,7 +108,10 @@ def diagnosis(contents: Contents) -> rrb.Blueprint:
     loops = [_chart(f"Flux loop {n + 1}", f"/loops/{n}") for n in range(contents.loops)]
     if loops or heat:
         tabs.append(rrb.Grid(*loops, *heat, grid_columns=2, name="Do the flux loops close?"))
-    return _layout(EFFECT_ADDED, *tabs)
+    if not measured:
+        return _layout(EFFECT_ADDED, *tabs)
+    # The steps stand on the experiment's time too, a second each after its end: one timeline serves all tabs.
+    return _layout(EXPERIMENT, *tabs, *_of_commissioning(_from_the_start(end_s)))
 
 
 def side_by_side(planes: Sequence[tuple[str, str]]) -> rrb.Blueprint:

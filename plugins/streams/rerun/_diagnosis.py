@@ -60,15 +60,19 @@ class Diagnosis:
     """The pictures of a diagnosis as its ladder grows."""
 
     def __init__(self) -> None:
-        self._base = 0
+        self._base, self._at_s = 0, -1.0
         self._step = 0
         self._rungs: list[DiagnosisStep] = []
         self._scales: _Scales | None = None
         self._page: dict[str, str] = {}
 
-    def take(self, message: Message) -> list[Entry]:
-        """The entries that a message makes; none for what is not a diagnosis's."""
+    def take(self, message: Message, after_s: float = 0.0) -> list[Entry]:
+        """The entries that a message makes; none for what is not a diagnosis's.
+
+        On the experiment's time each step stands a second after what was measured, or after the one before it.
+        """
         if isinstance(message, DiagnosisStep):
+            self._at_s = max(self._at_s, after_s) + 1.0
             return self._on(message)
         if isinstance(message, Diagnosed):
             return self._diagnosed(message)
@@ -86,7 +90,7 @@ class Diagnosis:
             out += plane("residual/plane/amperes", self._scales.reach_a)
         self._step = self._base + len(self._rungs)
         self._rungs.append(_without_arrays(step))
-        when = When(step=self._step)
+        when = When(experiment_s=self._at_s, step=self._step)
         out += [*self._ladder(when), *_residual(when, step, self._scales)]
         for k, excerpt in enumerate(step.excerpts[: DETAIL.excerpts]):
             out += _excerpt(when, f"excerpts/{k}", excerpt)

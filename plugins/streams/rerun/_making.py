@@ -40,7 +40,7 @@ def is_viewable(path: Path) -> bool:
 
 
 def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
-    """The view of a run or recording, made where there is none, or only half a one.
+    """The view of a run or recording, made where there is none, half a one, or one that is older than the results.
 
     Raises
     ------
@@ -50,13 +50,24 @@ def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
         Where it cannot be written; what there is of it is removed.
     """
     file = directory / FILE_NAME
-    if file.is_file() and is_whole(file):
+    if file.is_file() and is_whole(file) and not _is_stale(file):
         return Found(file)
     if file.is_file() and _is_at_work(directory):
         return Found(file, f"{directory} is still under way: what is written so far is shown")
-    why = "is torn (the run was killed, or could not write it)" if file.is_file() else "is missing"
+    why = "is missing"
+    if file.is_file():
+        torn = "is torn (the run was killed, or could not write it)"
+        why = "is older than the run's results" if is_whole(file) else torn
     tell(f"{file} {why}: making it from the recording and its results")
     return make_view(directory)
+
+
+def _is_stale(file: Path) -> bool:
+    """Whether something was found out after the view was made, and there is what to make it of."""
+    if not any((file.parent / name).is_file() for name in ("run.json", "recording.json")):
+        return False
+    found = (result.stat().st_mtime for result in (file.parent / "results").glob("*"))
+    return max(found, default=0.0) > file.stat().st_mtime + 1.0
 
 
 def make_view(directory: Path) -> Found:

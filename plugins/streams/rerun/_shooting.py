@@ -69,7 +69,7 @@ def headless_viewer(size: tuple[int, int] = (1600, 1000)) -> Iterator[ViewerClie
 
 def shoot(viewer: ViewerClient, file: Path, wanted: str | None = None, most: int | None = None) -> list[Shot]:
     """Open a recording and take a picture of each tab of its layout (of the one `wanted`; of the first few),
-    at the end of its time; raises `RecordingError` where the file has no recording, or no tabs."""
+    at the end of its time; raises `RecordingError` where the file has no recording, no tabs, or not the wanted one."""
     opened = viewer.open(str(file)).store_ids
     if not opened:
         raise RecordingError(str(file), "", "the viewer finds no recording in it")
@@ -80,7 +80,10 @@ def shoot(viewer: ViewerClient, file: Path, wanted: str | None = None, most: int
     layout = viewer.get_blueprint(of="recording", store_id=recording).blueprint
     if not any(part.get("container_kind") == "Tabs" for part in _containers(layout).values()):
         raise RecordingError(str(file), "", "has no layout of tabs to take a picture of; was it made by fluxbench?")
-    for name, path in list(tabs(layout).items())[:most]:
+    named = tabs(layout)
+    if wanted is not None and wanted not in named:
+        raise RecordingError(str(file), "tab", f"none is named {wanted!r}; there are: {', '.join(named)}")
+    for name, path in list(named.items())[:most]:
         if wanted in (None, name):
             layout[f"/{_root(layout)}"]["ContainerBlueprint"]["active_tab"] = path
             viewer.set_blueprint(layout, of="recording", store_id=recording)

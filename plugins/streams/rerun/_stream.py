@@ -52,6 +52,8 @@ class RerunStream:
         self._commissioning = Commissioning(ripple_every_s)
         self._diagnosis = diagnosis.Diagnosis()
         self._layout = ""
+        self._measured = False
+        self._contents: diagnosis.Contents | None = None
         self._sent_at = 0.0
         self._tape.put([*self._commissioning.furniture(), *diagnosis.furniture()])
         self._lay_out_commissioning()
@@ -74,7 +76,11 @@ class RerunStream:
             self._hand_on_waveforms()
         if isinstance(message, SamplesCaptured):
             return
-        self._tape.put(self._diagnosis.take(message))
+        now_s = self._commissioning.when.experiment_s or 0.0
+        self._tape.put(self._diagnosis.take(message, now_s))
+        self._measured |= isinstance(message, PointStarted) or (
+            isinstance(message, RunStarted) and message.points_done > 0
+        )
         if isinstance(message, DiagnosisStep):
             self._lay_out_diagnosis(message)
         elif isinstance(message, RunStarted | PointStarted):
@@ -89,9 +95,13 @@ class RerunStream:
         self._tape.listener = None
         for note in self.notes:
             self._tape.put([entry("log", self._commissioning.when, rr.TextLog(shown(note), level="WARN"))])
+        # The whole run from its beginning to its end; who looks on keeps the layout as it is.
+        end_s = self._commissioning.when.experiment_s
         if self._layout == blueprints.COMMISSIONING:
-            # The whole run from its beginning to its end; who looks on keeps the layout as it is.
-            self._tape.keep(blueprint(self._layout, blueprints.commissioning(self._commissioning.when.experiment_s)))
+            self._tape.keep(blueprint(self._layout, blueprints.commissioning(end_s)))
+        elif self._contents is not None and self._measured:
+            whole = blueprints.diagnosis(self._contents, measured=True, end_s=end_s)
+            self._tape.keep(blueprint(self._layout, whole))
         self._tape.close()
         if self._server is not None:
             stop(self._server)
@@ -122,8 +132,8 @@ class RerunStream:
         self._lay_out(blueprints.COMMISSIONING, blueprints.commissioning)
 
     def _lay_out_diagnosis(self, step: DiagnosisStep) -> None:
-        contents = diagnosis.Contents.of(step)
-        self._lay_out(blueprints.DIAGNOSIS, lambda: blueprints.diagnosis(contents))
+        self._contents = contents = diagnosis.Contents.of(step)
+        self._lay_out(blueprints.DIAGNOSIS, lambda: blueprints.diagnosis(contents, measured=self._measured))
 
     def _lay_out(self, job: str, make: Callable[[], rrb.Blueprint]) -> None:
         if self._layout != job:

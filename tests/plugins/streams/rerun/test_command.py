@@ -77,6 +77,17 @@ def test_a_view_is_made_where_there_is_none_and_made_anew_where_it_is_torn(tmp_p
     assert len(told) == 2
 
 
+def test_a_view_that_is_older_than_the_results_is_made_anew(tmp_path: Path, example: Path) -> None:
+    run = copied(example, tmp_path / "run")
+    told: list[str] = []
+    file = whole_view(run, told.append).file
+    os.utime(file, (file.stat().st_mtime - 3600.0,) * 2)
+    whole_view(run, told.append)
+    assert "is older than the run's results" in told[-1]
+    whole_view(run, told.append)
+    assert len(told) == 2
+
+
 def test_a_foreign_recording_is_left_as_it_is(tmp_path: Path) -> None:
     recording = tmp_path / "foreign"
     shutil.copytree(RECORDING, recording)

@@ -14,6 +14,8 @@ from pydantic import BaseModel, ValidationError
 
 from orchestrator.testing import StreamConformance
 from plugins.streams.rerun import RerunOptions, RerunStream
+from plugins.streams.rerun import _blueprints as blueprints
+from plugins.streams.rerun._diagnosis import Contents
 from plugins.streams.rerun._tape import is_whole
 from protocols import (
     Limits,
@@ -124,6 +126,19 @@ def test_each_added_effect_is_one_step_and_the_error_falls(tmp_path: Path) -> No
     found = entities(file)
     for path in ("/residual/plane/amperes/windows", "/residual/phases/a", "/excerpts/0/predicted", "/loops/0/model"):
         assert found[path] == len(EFFECTS) + 1, path
+
+
+def test_a_diagnosis_keeps_the_commissioning_s_tabs_on_one_timeline(tmp_path: Path) -> None:
+    whole = blueprints.diagnosis(Contents(excerpts=1, loops=1, resistance=True), measured=True)
+    names = [tab.name for tab in whole.root_container.contents]
+    assert names[0] == "Which effect is missing?"
+    assert {"What is it doing?", "What is the flux?", "How does R_s move?"} <= set(names)
+    file = drawn(tmp_path / "run", [*a_commissioning(tmp_path), *a_diagnosis(pictures=False)])
+    measured = max(row["experiment"] for row in rows(file, "/drive/current") if row.get("experiment") is not None)
+    steps = [row["experiment"] for row in rows(file, "/ladder/rms_mv") if row.get("experiment") is not None]
+    assert len(steps) == len(EFFECTS) + 1
+    assert sorted(steps) == steps
+    assert steps[0] > measured
 
 
 def test_a_second_round_goes_on_where_the_first_ended(tmp_path: Path) -> None:

@@ -18,9 +18,10 @@ from plugins.streams.rerun import make_view
 from plugins.streams.rerun._live import LiveFeed
 from plugins.streams.rerun._shooting import headless_viewer, shoot
 from plugins.streams.rerun._tape import scalars
+from protocols import RecordingError
 from tests.plugins.streams.rerun.example_diagnosis import a_diagnosis
 from tests.plugins.streams.rerun.reading import entities
-from tests.plugins.streams.rerun.test_stream import drawn
+from tests.plugins.streams.rerun.test_stream import a_commissioning, drawn
 from tests.support.tiny import run_tiny
 
 DRIVERS = ("/etc/vulkan/icd.d", "/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
@@ -66,6 +67,16 @@ def test_every_view_of_a_commissioning_draws(tmp_path: Path, viewer: ViewerClien
 
 def test_every_view_of_a_diagnosis_draws(tmp_path: Path, viewer: ViewerClient) -> None:
     everything_draws(viewer, drawn(tmp_path / "run", a_diagnosis()), tabs=4)
+
+
+def test_a_run_and_its_diagnosis_are_in_one_layout_and_a_wrong_tab_is_told_the_names(
+    tmp_path: Path, viewer: ViewerClient
+) -> None:
+    file = drawn(tmp_path / "run", [*a_commissioning(tmp_path), *a_diagnosis(pictures=False)])
+    with pytest.raises(RecordingError, match=r"none is named 'Flux'; there are: Which effect .*, What is it doing\?"):
+        shoot(viewer, file, "Flux")
+    shots = shoot(viewer, file, "What is it doing?")
+    assert [shot.complaints for shot in shots] == [()]
 
 
 def test_a_diagnosis_without_pictures_has_no_empty_tabs(tmp_path: Path, viewer: ViewerClient) -> None:
