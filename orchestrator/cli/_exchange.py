@@ -9,11 +9,14 @@ from pathlib import Path
 from orchestrator.cli._audit import motor_of
 from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.config import load_motor
+from orchestrator.estimation import load_estimates
 from orchestrator.exporting import FORMATS, export_map
 from orchestrator.flux_maps import load_map
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.presentation.quantities import percent
+from orchestrator.recording import read_model
+from orchestrator.runs import open_any
 from protocols import InputError, Motor
 
 
@@ -21,7 +24,9 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
     """Write the flux map of a run, recording or map file for other tools."""
     flux_map = load_map(path)
     folder = out if out is not None else (path if path.is_dir() else path.parent) / "export"
-    report = export_map(flux_map, _motor_of(path, motor), folder, list(formats) or list(FORMATS))
+    report = export_map(
+        flux_map, _motor_of(path, motor), folder, list(formats) or list(FORMATS), recording=_recording_of(path)
+    )
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return 0
@@ -36,7 +41,22 @@ def _motor_of(path: Path, motor: Path | None) -> Motor:
     found = motor_of(path, motor)
     if found is None:
         raise InputError(str(path), "--motor", "a map file does not say its motor: name a YAML file that does")
-    return found
+    measured = _measured_resistance(path)
+    return found if measured is None else found.model_copy(update={"stator_resistance_ohm": measured})
+
+
+def _measured_resistance(path: Path) -> float | None:
+    """R_s as a run's estimates or a model have it; None for a map file."""
+    if path.suffix == ".json":
+        return read_model(path).r_s_ohm
+    found = load_estimates(path).resistance if path.is_dir() else None
+    return None if found is None else found.value_ohm
+
+
+def _recording_of(path: Path) -> str:
+    if path.suffix == ".json":
+        return read_model(path).recording
+    return open_any(path).manifest.name if path.is_dir() else path.name
 
 
 def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> int:

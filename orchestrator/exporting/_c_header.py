@@ -102,9 +102,9 @@ def c_q15_file(products: Products) -> Written:
 
 def _written(products: Products, held: HeaderTables, kind: Literal["float", "q15"]) -> Written:
     if kind == "float":
-        style = _Style("float", "fluxbench", "float", {})
+        style = _Style("float", products.symbol, "float", {})
     else:
-        style = _Style("q15", "fluxbench_q15", "int16_t", _full_scales(held))
+        style = _Style("q15", f"{products.symbol}_q15", "int16_t", _full_scales(held))
     filled = int((~held.measured).sum())
     note = f"{filled} of {held.measured.size} nodes lie outside the measured region and are continued; masks tell which"
     text = _render(products, held, style)
@@ -135,7 +135,7 @@ def _render(products: Products, held: HeaderTables, style: _Style) -> str:
     blocks = [
         _opening(products, held, style),
         f"#ifndef {guard}\n#define {guard}\n\n#include <stdint.h>\n",
-        f"#define {style.prefix.upper()}_POLE_PAIRS {products.motor.pole_pairs}\n",
+        _constant_lines(products, style),
     ]
     if style.scales:
         blocks.append(_scale_lines(style))
@@ -159,6 +159,7 @@ def _opening(products: Products, held: HeaderTables, style: _Style) -> str:
     units = "SI units" if style.kind == "float" else "Q15: value = entry * scale / 32768, scales below in SI units"
     lines = [
         f"Flux map of {products.motor.name} (method {products.flux_map.method}), written by fluxbench.",
+        *([f"Recording: {products.recording}."] if products.recording else []),
         "",
         f"{units}; peak-valued dq vectors (amplitude-invariant), electrical angles.",
         "Row-major: entry [r][c] belongs to node r of the first axis and node c of the second; node k of an axis is",
@@ -170,6 +171,17 @@ def _opening(products: Products, held: HeaderTables, style: _Style) -> str:
     # A name must not end the comment, and a header is ASCII.
     safe = [line.encode("ascii", "replace").decode().replace("*/", "* /").replace("/*", "/ *") for line in lines]
     return "/*\n" + "".join(f" * {line}".rstrip() + "\n" for line in safe) + " */"
+
+
+def _constant_lines(products: Products, style: _Style) -> str:
+    """Pole pairs, R_s where it is known, and the flux at zero current where that was measured; SI in both headers."""
+    stem = style.prefix.upper()
+    lines = [f"#define {stem}_POLE_PAIRS {products.motor.pole_pairs}"]
+    if products.motor.stator_resistance_ohm is not None:
+        lines.append(f"#define {stem}_R_S_OHM ({_float(products.motor.stator_resistance_ohm)})")
+    if products.rest_wb is not None:
+        lines.append(f"#define {stem}_PSI_M_WB ({_float(products.rest_wb)}) /* psi_d at zero current */")
+    return "\n".join(lines) + "\n"
 
 
 def _scale_lines(style: _Style) -> str:

@@ -78,8 +78,8 @@ def header_tables(products: Products) -> HeaderTables:
     rms, worst = lookup_error(d.nodes, q.nodes, (psi_d, psi_q), surface.currents, surface.fluxes)
     notes = [f"linear lookup of psi misses the measured fluxes by {rms:.2g} Wb rms, {worst:.2g} Wb at most"]
     tables = [
-        Table("psi_d", "wb", "d-axis flux linkage", psi_d, (d, q)),
-        Table("psi_q", "wb", "q-axis flux linkage", psi_q, (d, q)),
+        Table("psi_d", "wb", "large-signal d-axis flux linkage", psi_d, (d, q)),
+        Table("psi_q", "wb", "large-signal q-axis flux linkage", psi_q, (d, q)),
     ]
     tables += _inductances(products.flux_map, d, q)
 
@@ -123,7 +123,8 @@ def _inductances(flux_map: FluxMap, d: Axis, q: Axis) -> list[Table]:
         filled = fill_smoothly(*axes, np.asarray(getattr(flux_map, name), dtype=np.float64), name)
         found[name] = np.asarray(RegularGridInterpolator(axes, filled)(np.clip(places, *_corners(axes))))
     angle = saliency(flux_map.model_copy(update=found)).angle_rad
-    tables = [Table(n, "h", f"incremental inductance {n}", values, (d, q)) for n, values in found.items()]
+    slopes = {"l_dd": "dpsi_d/di_d", "l_dq": "dpsi_d/di_q", "l_qq": "dpsi_q/di_q"}
+    tables = [Table(n, "h", f"incremental inductance {slopes[n]}", values, (d, q)) for n, values in found.items()]
     meaning = "angle from the d axis to the axis of least incremental inductance, electrical"
     return [*tables, Table("saliency_angle", "rad", meaning, angle, (d, q))]
 

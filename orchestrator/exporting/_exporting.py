@@ -10,6 +10,7 @@ from orchestrator.exporting._c_header import c_float_file, c_q15_file
 from orchestrator.exporting._matlab_files import simulink_file, syre_file
 from orchestrator.exporting._numeric_files import csv_file, netcdf_file, npz_file
 from orchestrator.exporting._products import Products, Written
+from orchestrator.exporting._simulator_tables import ltspice_file, modelica_file, plecs_file
 from orchestrator.recording import replace_file
 from protocols import FluxMap, InputError, Motor, StorageError, Strict
 
@@ -21,6 +22,9 @@ FORMATS: dict[str, str] = {
     "npz": "NumPy, as motulator reads it: complex i_s_dq, psi_s_dq",
     "c": "C header: tables and lookups in float",
     "c-q15": "C header: tables and lookups in 16-bit fixed point with scale factors",
+    "modelica": "text file of CombiTable2Ds tables: fluxes over currents, currents over fluxes",
+    "plecs": "initialisation commands: axes and tables for 2D-Table blocks",
+    "ltspice": "subcircuit of the machine in the dq frame",
 }
 """Name of each format, and what it is."""
 
@@ -32,6 +36,9 @@ _WRITERS: dict[str, tuple[str, Callable[[Products], Written]]] = {
     "npz": ("flux_map.npz", npz_file),
     "c": ("flux_map.h", c_float_file),
     "c-q15": ("flux_map_q15.h", c_q15_file),
+    "modelica": ("flux_map_modelica.txt", modelica_file),
+    "plecs": ("flux_map_plecs.m", plecs_file),
+    "ltspice": ("flux_map_ltspice.lib", ltspice_file),
 }
 
 
@@ -63,7 +70,9 @@ class ExportReport(Strict):
     notes: tuple[str, ...]
 
 
-def export_map(flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] = tuple(FORMATS)) -> ExportReport:
+def export_map(
+    flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] = tuple(FORMATS), *, recording: str = ""
+) -> ExportReport:
     """Write a flux map into a folder, in every format asked for.
 
     Everything is computed before the first file is written; each file is replaced atomically.
@@ -72,11 +81,13 @@ def export_map(flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str
     ----------
     flux_map : FluxMap
     motor : Motor
-        Pole pairs for the torque; resistance and magnet flux are used where they are known.
+        Pole pairs for the torque; resistance (as measured, if it was) and magnet flux are used where they are known.
     out : Path
         A folder; made where it does not exist.
     formats : sequence of str
         Of `FORMATS`; all of them unless told.
+    recording : str
+        Name of what the map is of; it stands in every file.
 
     Raises
     ------
@@ -90,7 +101,7 @@ def export_map(flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str
             close = get_close_matches(name, FORMATS, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
             raise InputError("export", name, f"no such format{hint} There are {', '.join(FORMATS)}")
-    products = Products(flux_map, motor)
+    products = Products(flux_map, motor, recording)
     made = {name: _WRITERS[name][1](products) for name in dict.fromkeys(formats)}
     try:
         out.mkdir(parents=True, exist_ok=True)

@@ -23,7 +23,7 @@ def netcdf_file(products: Products) -> Written:
 
     with tempfile.TemporaryDirectory() as folder:
         plain = Path(folder) / "flux_map.nc"
-        save_flux_map(plain, products.flux_map, motor=products.motor.name)
+        save_flux_map(plain, products.flux_map, motor=products.motor.name, recording=products.recording)
         with xr.open_dataset(plain, engine="h5netcdf") as opened:
             dataset = opened.load()
     dataset.attrs |= {"pole_pairs": products.motor.pole_pairs, "notes": "\n".join(products.notes)}
@@ -54,11 +54,11 @@ def csv_file(products: Products) -> Written:
         table[f"{name}{suffix}"] = values[known]
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(table)
+    writer.writerow([*table, "recording"])
     cells = [["" if np.isnan(v) else repr(float(v)) for v in column] for column in table.values()]
-    writer.writerows(zip(*cells, strict=True))
+    writer.writerows((*row, products.recording) for row in zip(*cells, strict=True))
     note = ("points that were not measured are left out",) if not known.all() else ()
-    return Written(text.getvalue().encode("ascii"), products.measured_percent, notes=note)
+    return Written(text.getvalue().encode("utf-8"), products.measured_percent, notes=note)
 
 
 def npz_file(products: Products) -> Written:
@@ -73,7 +73,8 @@ def npz_file(products: Products) -> Written:
     grids |= {name: getattr(flux_map, name) for name in CSV_UNITS if not name.startswith("psi") or "std" in name}
     whole = bool(known.all())
     content: dict[str, Any] = {name: values if whole else values[known] for name, values in grids.items()}
-    content["method"] = np.array(flux_map.method)
+    texts = {"method": flux_map.method, "motor": products.motor.name, "recording": products.recording}
+    content |= {name: np.array(text) for name, text in texts.items()}
     for name, curve, unit in (("mtpa", products.mtpa, "A"), ("mtpv", products.mtpv, "Wb")):
         if curve is not None:
             content |= {f"{name}_{field}": values for field, (values, _) in _columns(curve, unit).items()}

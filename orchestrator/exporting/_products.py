@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -34,10 +35,25 @@ class Products:
     ----------
     flux_map : FluxMap
     motor : Motor
+        With the measured R_s, where it was.
+    recording : str
+        Name of what the map is of.
     """
 
-    def __init__(self, flux_map: FluxMap, motor: Motor) -> None:
-        self.flux_map, self.motor = flux_map, motor
+    def __init__(self, flux_map: FluxMap, motor: Motor, recording: str = "") -> None:
+        self.flux_map, self.motor, self.recording = flux_map, motor, recording
+
+    @property
+    def symbol(self) -> str:
+        """The motor's name as a C or Modelica name may be: lower-case letters, digits, underscores."""
+        name = re.sub(r"[^a-z0-9]+", "_", self.motor.name.lower()).strip("_")[:32].strip("_")
+        return name if name[:1].isalpha() else f"motor_{name}".rstrip("_")
+
+    @property
+    def rest_wb(self) -> float | None:
+        """psi_d at zero current; None where that was not measured."""
+        rest = np.zeros((1, 2))
+        return float(self.surface.psi(rest)[0, 0]) if self.surface.inside(rest)[0] else None
 
     @cached_property
     def surface(self) -> MapSurface:

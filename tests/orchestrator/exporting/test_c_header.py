@@ -24,9 +24,9 @@ int main(void)
 {
     float a, b;
     while (scanf("%f %f", &a, &b) == 2) {
-        const float d = fluxbench_psi_d(a, b), q = fluxbench_psi_q(a, b);
-        printf("%.9g %.9g %.9g %.9g %.9g %.9g\\n", (double)d, (double)q, (double)fluxbench_i_d(d, q),
-            (double)fluxbench_i_q(d, q), (double)fluxbench_l_dd(a, b), (double)fluxbench_mtpa_i_d(b));
+        const float d = pm400_psi_d(a, b), q = pm400_psi_q(a, b);
+        printf("%.9g %.9g %.9g %.9g %.9g %.9g\\n", (double)d, (double)q, (double)pm400_i_d(d, q),
+            (double)pm400_i_q(d, q), (double)pm400_l_dd(a, b), (double)pm400_mtpa_i_d(b));
     }
     return 0;
 }
@@ -39,9 +39,9 @@ int main(void)
 {
     int a, b;
     while (scanf("%d %d", &a, &b) == 2) {
-        const int16_t d = fluxbench_q15_psi_d((int16_t)a, (int16_t)b), q = fluxbench_q15_psi_q((int16_t)a, (int16_t)b);
-        printf("%d %d %d %d %d %d\\n", d, q, fluxbench_q15_i_d(d, q), fluxbench_q15_i_q(d, q),
-            fluxbench_q15_l_dd((int16_t)a, (int16_t)b), fluxbench_q15_mtpa_i_d((int16_t)b));
+        const int16_t d = pm400_q15_psi_d((int16_t)a, (int16_t)b), q = pm400_q15_psi_q((int16_t)a, (int16_t)b);
+        printf("%d %d %d %d %d %d\\n", d, q, pm400_q15_i_d(d, q), pm400_q15_i_q(d, q),
+            pm400_q15_l_dd((int16_t)a, (int16_t)b), pm400_q15_mtpa_i_d((int16_t)b));
     }
     return 0;
 }
@@ -101,14 +101,14 @@ def test_float_lookups_are_the_tables_linear_interpolation(exported: tuple[Path,
 def test_fixed_point_lookups_are_within_two_counts_of_it(exported: tuple[Path, FluxMap]) -> None:
     folder, flux_map = exported
     header = folder / "flux_map_q15.h"
-    amperes = defined(header, "FLUXBENCH_Q15_CURRENT_SCALE_A") / 32768.0
-    webers = defined(header, "FLUXBENCH_Q15_FLUX_SCALE_WB") / 32768.0
+    amperes = defined(header, "PM400_Q15_CURRENT_SCALE_A") / 32768.0
+    webers = defined(header, "PM400_Q15_FLUX_SCALE_WB") / 32768.0
     counts = np.round(CURRENTS / amperes).astype(int)
     found = run(folder, Q15_PROGRAM, [f"{d} {q}" for d, q in counts])
     truth = expected(flux_map)
     np.testing.assert_allclose(found[:, :2] * webers, truth[:, :2], atol=2 * webers)
     np.testing.assert_allclose(found[:, 2:4] * amperes, truth[:, 2:4], atol=8 * amperes)
-    henries = defined(header, "FLUXBENCH_Q15_INDUCTANCE_SCALE_H") / 32768.0
+    henries = defined(header, "PM400_Q15_INDUCTANCE_SCALE_H") / 32768.0
     np.testing.assert_allclose(found[0, 4] * henries, 0.043, atol=2 * henries)
 
 
@@ -123,30 +123,28 @@ def test_lookups_stop_at_the_ends_of_the_axes(exported: tuple[Path, FluxMap]) ->
 
 def test_mtpa_in_the_header_is_the_maps(exported: tuple[Path, FluxMap]) -> None:
     folder, flux_map = exported
-    last = defined(folder / "flux_map.h", "FLUXBENCH_MTPA_CURRENT_STEP_A") * 32
+    last = defined(folder / "flux_map.h", "PM400_MTPA_CURRENT_STEP_A") * 32
     curve = mtpa(flux_map, POLE_PAIRS, np.linspace(0.0, last, 33))
-    assert_close(table(folder, "fluxbench_mtpa_i_q_table"), curve.i_dq[:, 1], 2.0**-23)
+    assert_close(table(folder, "pm400_mtpa_i_q_table"), curve.i_dq[:, 1], 2.0**-23)
     assert curve.interior.all()
 
 
 def test_rows_are_nodes_of_the_first_axis(exported: tuple[Path, FluxMap]) -> None:
     folder, flux_map = exported
-    assert_close(table(folder, "fluxbench_psi_d_table"), MapSurface(flux_map).filled[0], 2.0**-23)
+    assert_close(table(folder, "pm400_psi_d_table"), MapSurface(flux_map).filled[0], 2.0**-23)
 
 
 def test_masks_tell_measured_from_continued(exported: tuple[Path, FluxMap]) -> None:
     folder, flux_map = exported
-    np.testing.assert_array_equal(table(folder, "fluxbench_measured_i"), np.isfinite(flux_map.psi_d))
-    np.testing.assert_array_equal(table(folder, "fluxbench_measured_psi"), invert(flux_map).measured)
+    np.testing.assert_array_equal(table(folder, "pm400_measured_i"), np.isfinite(flux_map.psi_d))
+    np.testing.assert_array_equal(table(folder, "pm400_measured_psi"), invert(flux_map).measured)
 
 
 def test_every_fixed_point_entry_is_within_half_a_count(exported: tuple[Path, FluxMap]) -> None:
     folder, _ = exported
-    scale = defined(folder / "flux_map_q15.h", "FLUXBENCH_Q15_FLUX_SCALE_WB")
-    counts = table(folder, "fluxbench_q15_psi_q_table")
-    np.testing.assert_allclose(
-        counts * scale / 32768, table(folder, "fluxbench_psi_q_table"), atol=0.51 * scale / 32768
-    )
+    scale = defined(folder / "flux_map_q15.h", "PM400_Q15_FLUX_SCALE_WB")
+    counts = table(folder, "pm400_q15_psi_q_table")
+    np.testing.assert_allclose(counts * scale / 32768, table(folder, "pm400_psi_q_table"), atol=0.51 * scale / 32768)
 
 
 def test_both_headers_go_into_one_program_twice(exported: tuple[Path, FluxMap]) -> None:

@@ -74,7 +74,7 @@ def test_csv_has_one_header_row_with_units_and_a_row_a_measured_point(
     folder, flux_map, _ = holed
     lines = (folder / "flux_map.csv").read_text().splitlines()
     assert lines[0].startswith("i_d_a,i_q_a,psi_d_wb,psi_q_wb,l_dd_h,l_dq_h,l_qq_h,psi_d_std_wb,")
-    assert lines[0].endswith("torque_nm,l_max_h,l_min_h,saliency_ratio,saliency_angle_rad")
+    assert lines[0].endswith("torque_nm,l_max_h,l_min_h,saliency_ratio,saliency_angle_rad,recording")
     assert len(lines) == 1 + np.isfinite(flux_map.psi_d).sum()
 
 
