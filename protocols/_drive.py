@@ -358,3 +358,22 @@ class ResumableDrive(Protocol):
     def restore(self, point_id: str, start_s: float) -> None:
         """Take the state up again, the experiment's clock standing at `start_s`."""
         ...
+
+
+@runtime_checkable
+class RelayedDrive(Protocol):
+    """A drive whose heartbeats another process can write: its link is a descriptor that takes whole frames from two.
+
+    A process of its own beats where this one is kept waiting; see `Drive.heartbeat` for what has to work without it.
+    """
+
+    def heartbeat_outlet(self) -> int | None:
+        """The descriptor to write to; None where this link cannot be shared."""
+        ...
+
+    def heartbeat_at(self, time_s: float) -> bytes:
+        """All that is to be written for the next beat, which is due at this instant of the host's monotonic clock.
+
+        Called in order of time, from the heartbeat's thread; never raises.
+        """
+        ...

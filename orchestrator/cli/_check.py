@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_plan, read_procedure
-from orchestrator.engine import UsedPlugins, connected_drive
+from orchestrator.engine import UsedPlugins, connected_drive, host_gap
 from orchestrator.presentation.quantities import duration, number, quantity
 from orchestrator.stages import parse_stages
-from protocols import Capabilities
+from protocols import Capabilities, Drive
 
 if TYPE_CHECKING:
     from orchestrator.diagnosis.experiment_design.machine import Machine
@@ -36,9 +36,10 @@ def check(
     if not as_json:
         say_notes(loaded.readings)
     UsedPlugins(parse_stages(procedure))
-    with loaded.naming_its_places(), connected_drive(procedure, private=None) as (_, capabilities):
+    with loaded.naming_its_places(), connected_drive(procedure, private=None) as (connected, capabilities):
         plan = make_plan(procedure, capabilities)
         summary = check_plan(plan, capabilities)
+        summary = summary.model_copy(update={"notes": (*summary.notes, *_heart_notes(connected, capabilities))})
         report = None if rehearsal is None else rehearsal.outlook(plan, capabilities)
     if as_json and report is not None:
         say_document(report.model_dump_json(indent=2))
@@ -51,6 +52,20 @@ def check(
 
             say_isolability(report)
     return 0
+
+
+def _heart_notes(drive: Drive, says: Capabilities) -> list[str]:
+    """Whether this host, as busy as it is, keeps the dead man of a real drive from tripping."""
+    if says.simulated or says.watchdog_s is None:
+        return []
+    gap = host_gap(drive)
+    told = (
+        f"heartbeats come from {gap.who} which was late by {1e3 * gap.worst_s:.2g} ms at most in a second: "
+        f"a watchdog of {gap.keeps_s:.2g} s or more is kept"
+    )
+    if says.watchdog_s >= gap.keeps_s:
+        return [f"{told}; the drive's is {says.watchdog_s:g} s"]
+    return [f"{told}, and the drive's {says.watchdog_s:g} s may trip: have less run beside it, or make it longer"]
 
 
 @dataclass(frozen=True)

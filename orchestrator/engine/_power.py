@@ -90,9 +90,14 @@ class PowerStage:
         self.require_interlocks()
         if self.armed:
             return
-        keeper = HeartbeatKeeper(self._drive, self._capabilities.watchdog_s)
         with as_drive_errors(self._capabilities.name):
-            self._drive.arm(self._limits)
+            keeper = HeartbeatKeeper(self._drive, self._capabilities.watchdog_s)
+        try:
+            with as_drive_errors(self._capabilities.name):
+                self._drive.arm(self._limits)
+        except BaseException:
+            keeper.close()
+            raise
         self._keeper = keeper.__enter__()
 
     def execute(self, excitation: Excitation, quiet_s: float) -> Generator[Capture]:
@@ -135,7 +140,7 @@ class PowerStage:
         failed_ramp = self._attempt(self._drive.ramp_down)
         self._keeper.renew()
         self.unsafe = self._attempt(self._disarm)
-        self._keeper.__exit__(None, None, None)
+        self._keeper.close()
         self._keeper = None
         failures = {"ramping down": failed_ramp, "disarming": self.unsafe}
         told = "; ".join(f"{deed} failed ({error})" for deed, error in failures.items() if error is not None)

@@ -18,7 +18,7 @@ from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._options import LinkOptions
 from plugins.link._patience import PATIENCE
-from plugins.link._port import Port
+from plugins.link._port import Port, SharedPort
 from plugins.link._running import Program
 from plugins.link._timeline import CLOCK, SIMULATED, Timeline
 from plugins.wire import (
@@ -33,6 +33,7 @@ from plugins.wire import (
     Status,
     StopReason,
     capabilities_of,
+    encode,
     facts_of,
     limit_registers,
     motor_registers,
@@ -134,6 +135,18 @@ class LinkDrive(DriveShell):
         host = self._host
         if host is not None and host.link.lost is None:
             host.link.try_to_send(host.conversation.heartbeat(time.monotonic()))
+
+    def heartbeat_outlet(self) -> int | None:
+        """The port's descriptor, where another process may write to it."""
+        port = None if self._link is None else self._link.port
+        return port.fileno() if isinstance(port, SharedPort) else None
+
+    def heartbeat_at(self, time_s: float) -> bytes:
+        """The heartbeat of that instant; nothing once the link is lost."""
+        host = self._host
+        if host is None or host.link.lost is not None or not isinstance(host.link.port, SharedPort):
+            return b""
+        return host.link.port.as_written([encode(host.conversation.heartbeat(time_s))])
 
     # Power stage
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from plugins.wire import BlockLayout, Frame
 
@@ -39,4 +39,17 @@ class Port(Protocol):
 
     def close(self) -> None:
         """Let go of the link."""
+        ...
+
+
+@runtime_checkable
+class SharedPort(Protocol):
+    """A link that another process may write to as well; a frame that the other one has cut in two is dropped."""
+
+    def fileno(self) -> int:
+        """Its descriptor."""
+        ...
+
+    def as_written(self, frames: Sequence[Frame]) -> bytes:
+        """Frames as they are written to it."""
         ...

@@ -88,6 +88,12 @@ class SerialPort:
         self._before = b"\0" if data else b""  # what is cut off here is damaged there, and dropped
         return not data
 
+    def fileno(self) -> int:
+        return self._fd
+
+    def as_written(self, frames: Sequence[Frame]) -> bytes:
+        return b"\0" + all_to_serial(frames)  # what the other process has begun ends here
+
     def receive(self, timeout_s: float) -> list[Frame]:
         if not self._readable.poll(1e3 * timeout_s):
             return []
