@@ -30,6 +30,9 @@ class SegmentStage(StrEnum):
     INJECTION = "injection"
     STEPS = "steps"
     """Voltage steps: +-U on one axis or both, turned round where a current limit is met; nothing rests."""
+    SPIN = "spin"
+    """The rotor turns, driven or with the bridge off (the voltage is then the measured one): its angle is a column
+    `theta_rad`, or goes on from the segment's by the setting `speed_rad_s` (electrical)."""
 
 
 class Capture(ArrayModel):
@@ -52,6 +55,8 @@ class Capture(ArrayModel):
     i_abc: Phases | None = None
     """Phase currents [A], shape (n, 3), where the drive measures all three."""
     temperature_c: Samples | None = None
+    theta_rad: Samples | None = None
+    """Electrical angle of the believed d axis at each row, where the rotor turns and its angle is logged."""
     clipped_rows: int = 0
     """Rows in which a reading or a voltage stood at the end of its scale, as far as the drive can tell."""
 

@@ -16,6 +16,7 @@ from orchestrator.analysis._known_resistance import KnownResistance, known_resis
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._rotor_lock import judge_lock
+from orchestrator.analysis._spin import SpinFit, SpunPoints, fit_spin, flux_by_emf, magnet_axis, spun_points
 from orchestrator.analysis._steady_currents import Dwell, dwell
 from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, trace_steps, turns_of
 from orchestrator.analysis._steps import Beliefs, StepsFit, fit_steps
@@ -47,6 +48,8 @@ __all__ = [
     "PhaseLoss",
     "PolynomialFit",
     "Ripple",
+    "SpinFit",
+    "SpunPoints",
     "StepTrace",
     "StepsFit",
     "Sweep",
@@ -63,8 +66,10 @@ __all__ = [
     "find_dwells",
     "fit_energy",
     "fit_polynomial",
+    "fit_spin",
     "fit_steps",
     "flux_at",
+    "flux_by_emf",
     "flux_by_rests",
     "flux_ratio",
     "injection_frequency",
@@ -73,7 +78,9 @@ __all__ = [
     "join_paths",
     "judge_lock",
     "known_resistance",
+    "magnet_axis",
     "rated_flux_wb",
+    "spun_points",
     "sweep_of",
     "temperature_rise",
     "trace_steps",

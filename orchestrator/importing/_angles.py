@@ -16,7 +16,7 @@ from orchestrator.importing._timing import at
 from orchestrator.importing._vectors import Columns, angle_rad
 from protocols import SegmentStage
 
-_FREE = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK, SegmentStage.GATES_OFF)
+_FREE = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK, SegmentStage.GATES_OFF, SegmentStage.SPIN)
 """Stages in which the rotor may move."""
 
 

@@ -60,9 +60,14 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
         "i_abc": i_abc,
         "temperature_c": None if mapping.temperature is None else temperature_c(mapping.temperature, columns),
     }
+    if rule.stage is SegmentStage.SPIN and not isinstance(theta_rad, float):
+        signals["theta_rad"] = np.unwrap(theta_rad)
     if stretch.uneven:
         signals = _evened(signals, piece.time_s[stretch.rows], rate_hz)
     _check_bounds(signals, piece, stretch)
+    if signals.get("theta_rad") is not None:
+        # Of many turns 32 bits would not keep the angle.
+        signals["theta_rad"] = np.mod(_there(signals["theta_rad"]), 2.0 * np.pi)
     made = {name: None if x is None else x.astype(np.float32) for name, x in signals.items()}
     capture = Capture(start_s=float(piece.time_s[stretch.rows[0]]), sampling_frequency_hz=rate_hz, **made)
     waveforms = Waveforms(

@@ -13,6 +13,7 @@ CURRENT = ("i_alpha", "i_beta")
 BUS = "v_dc"
 PHASE_CURRENT = ("i_a", "i_b", "i_c")
 TEMPERATURE = "temperature_c"
+THETA = "theta_rad"
 
 REQUIRED = (*VOLTAGE, *CURRENT, BUS)
 
@@ -27,6 +28,8 @@ def columns_of(capture: Capture) -> dict[str, RealArray]:
         columns.update(zip(PHASE_CURRENT, capture.i_abc.T, strict=True))
     if capture.temperature_c is not None:
         columns[TEMPERATURE] = capture.temperature_c
+    if capture.theta_rad is not None:
+        columns[THETA] = capture.theta_rad
     return columns
 
 

@@ -15,6 +15,7 @@ from orchestrator.recording._columns import (
     PHASE_CURRENT,
     REQUIRED,
     TEMPERATURE,
+    THETA,
     VOLTAGE,
     first_non_finite,
 )
@@ -74,6 +75,7 @@ class Recording:
             v_dc=columns[BUS],
             i_abc=_side_by_side(phases) if len(phases) == len(PHASE_CURRENT) else None,
             temperature_c=columns.get(TEMPERATURE),
+            theta_rad=columns.get(THETA),
         )
 
 
@@ -175,7 +177,7 @@ def _check_shape(path: Path, schema: Any, rows: int, segment: Segment) -> list[s
     for name in REQUIRED:
         if name not in names:
             raise RecordingError(str(path), name, f"column missing; the file has {', '.join(names)}"[:200])
-    wanted = [*REQUIRED, *(name for name in (*PHASE_CURRENT, TEMPERATURE) if name in names)]
+    wanted = [*REQUIRED, *(name for name in (*PHASE_CURRENT, TEMPERATURE, THETA) if name in names)]
     for name in wanted:
         if names.count(name) > 1:
             raise RecordingError(str(path), name, "two columns have this name")

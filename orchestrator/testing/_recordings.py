@@ -10,7 +10,7 @@ import numpy as np
 from orchestrator.numerics.frames import to_ab
 from protocols import Capture, Manifest, RecordingReader, Segment, SegmentStage
 
-ARRAYS = ("i_ab", "v_ab", "v_dc", "i_abc", "temperature_c")
+ARRAYS = ("i_ab", "v_ab", "v_dc", "i_abc", "temperature_c", "theta_rad")
 
 
 class Disguised:
@@ -80,7 +80,12 @@ def turned(recording: RecordingReader, angle_rad: float) -> Disguised:
     return Disguised(
         recording,
         lambda capture: capture.model_copy(
-            update={"i_ab": to_ab(capture.i_ab, angle_rad), "v_ab": to_ab(capture.v_ab, angle_rad), "i_abc": None}
+            update={
+                "i_ab": to_ab(capture.i_ab, angle_rad),
+                "v_ab": to_ab(capture.v_ab, angle_rad),
+                "i_abc": None,
+                "theta_rad": None if capture.theta_rad is None else capture.theta_rad + angle_rad,
+            }
         ),
         lambda segment: segment.model_copy(update={"rotor_angle_rad": segment.rotor_angle_rad + angle_rad}),
     )

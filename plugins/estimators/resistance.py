@@ -35,7 +35,7 @@ from protocols import (
     SegmentStage,
 )
 
-_NEEDING = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
+_NEEDING = (SegmentStage.CLASSICAL, SegmentStage.STEPS, SegmentStage.SPIN)
 """Stages whose flux takes an R_s: where nothing rests in them, the nameplate's has to do."""
 
 

@@ -43,7 +43,7 @@ def answers(segment: Segment, excitation: Excitation, manifest: Manifest, scale_
     scale_a : float
         Currents may differ by a hundredth of this.
     """
-    if KIND_OF[segment.stage] != excitation.kind:
+    if KIND_OF.get(segment.stage) != excitation.kind:
         return False
     if segment.samples < excitation.rows(manifest.drive.sampling_frequency_hz):
         return False

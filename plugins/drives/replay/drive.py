@@ -84,7 +84,7 @@ class ReplayDrive(DriveShell):
         pwm_all = sorted({pwm_hz, *(float(f) for f in others if isinstance(f, int | float) and f > 0)})
         peak_a, peak_v = _peaks(recording)
         self._recording = recording
-        kinds = frozenset(KIND_OF[s.stage] for s in manifest.segments)
+        kinds = frozenset(KIND_OF[s.stage] for s in manifest.segments if s.stage in KIND_OF)
         return Capabilities(
             name=f"replay of {manifest.name}",
             sampling_frequency_hz=drive.sampling_frequency_hz,

@@ -1,0 +1,286 @@
+"""The flux of a rotor that turns, by its back-EMF: one energy, the magnet, R_s, iron loss and the angle's offset.
+
+    v = R_s i + e + w J psi(i_m),      i = i_m + g w J psi,      psi = (psi_M, 0) + grad W(i_m)
+
+in means over whole turns at a steady current, J being a quarter turn ahead. A voltage that is held over a sample while
+the rotor turns is shorter by sin(x)/x, x = w Ts / 2, and acts where the rotor is in the middle of it. W is even in i_q
+about the true d axis; e is a phase's loss, whose mean over a turn is 4/pi of it along the current. All is told at once,
+R_s and e from several speeds, or by what is known of R_s beforehand; how smooth W is the data say.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from orchestrator.analysis._energy_fit import EnergyFit, energy_rows
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.reml import Solution, most_likely
+from orchestrator.numerics.tensor_spline import EvenSpline
+from orchestrator.numerics.types import Array
+from protocols import Capture, NotMeasuredError
+
+CELLS = (6, 6)
+LOSS_SHARE, IRON_SHARE, TURN_RAD = 0.02, 0.2, 0.2
+"""Standard deviations of what is believed: a phase's loss (of the largest voltage), the iron's current (of the largest
+one), and a turn of the axis."""
+
+
+@dataclass(frozen=True)
+class SpunPoints:
+    """Means over whole turns, in the believed rotor frame.
+
+    Attributes
+    ----------
+    i, v : array, shape (n, 2)
+        Current [A], and the voltage that acted [V].
+    speed : array, shape (n,)
+        Electrical [rad/s].
+    """
+
+    i: Array
+    v: Array
+    speed: Array
+
+
+def spun_points(
+    capture: Capture,
+    theta_rad: Array,
+    *,
+    delay: float | None,
+    scale_a: float,
+    where: str,
+    turns: float = 2.0,
+    steady: float = 0.03,
+) -> SpunPoints:
+    """Points of a capture in which the rotor turns.
+
+    Parameters
+    ----------
+    theta_rad : array, shape (n,)
+        Electrical angle of the believed d axis at each row.
+    delay : float or None
+        v[k] is held from t_k + `delay` Ts; None: it was measured at t_k, the bridge being off.
+    scale_a : float
+        The largest current of all.
+    turns : float
+        Whole turns that make a point.
+    steady : float
+        Change of current (of the largest) and speed within a point up to which it is one.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the rotor does not turn often enough, or nothing is steady.
+    """
+    step, angle = 1.0 / capture.sampling_frequency_hz, np.unwrap(np.asarray(theta_rad, dtype=np.float64))
+    turned = abs(angle[-1] - angle[0]) / (2.0 * np.pi)
+    count = int(turned / turns)
+    if count < 1:
+        raise NotMeasuredError(where, "theta_rad", f"the rotor makes {turned:.2g} turns: expected {turns:g} at least")
+    speed = np.gradient(angle, step)
+    smooth = np.convolve(speed, np.ones(5) / 5.0, mode="same") if len(speed) > 10 else speed
+    smooth[:2], smooth[-2:] = speed[2], speed[-3]
+    i, v = to_dq(capture.i_ab, angle), to_dq(capture.v_ab, angle)
+    if delay is not None:
+        v = to_dq(capture.v_ab, angle + smooth * step * (delay + 0.5)) * np.sinc(0.5 * smooth * step / np.pi)[:, None]
+    edges = np.searchsorted(np.abs(angle - angle[0]), 2.0 * np.pi * turns * np.arange(count + 1))
+    kept = []
+    for first, last in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        middle = (first + last) // 2
+        moved = np.linalg.norm(i[first:middle].mean(axis=0) - i[middle:last].mean(axis=0)) / scale_a
+        mean = (angle[last] - angle[first]) / ((last - first) * step)
+        faster = abs(smooth[first:middle].mean() - smooth[middle:last].mean()) / abs(mean)
+        if max(moved, faster) < steady:
+            kept.append([*i[first:last].mean(axis=0), *v[first:last].mean(axis=0), mean])
+    if not kept:
+        raise NotMeasuredError(where, "i_alpha, i_beta", "current and speed are steady over no two turns")
+    rows = np.array(kept)
+    return SpunPoints(rows[:, :2], rows[:, 2:4], rows[:, 4])
+
+
+@dataclass(frozen=True)
+class SpinFit:
+    """What a turning rotor says; each number with its standard deviation.
+
+    Attributes
+    ----------
+    energy : EnergyFit
+        Of the flux without the magnet's.
+    magnet_wb : (float, float)
+    resistance_ohm : (float, float)
+    angle_rad : (float, float)
+        Of the true d axis from the believed one.
+    conductance_s : (float, float)
+        g, of the iron's loss.
+    loss_v : (float, float)
+        What each phase loses.
+    left_wb : array, shape (n, 2)
+        What is left of each point's flux.
+    """
+
+    energy: EnergyFit
+    magnet_wb: tuple[float, float]
+    resistance_ohm: tuple[float, float]
+    angle_rad: tuple[float, float]
+    conductance_s: tuple[float, float]
+    loss_v: tuple[float, float]
+    left_wb: Array
+
+
+def flux_by_emf(points: SpunPoints, resistance_ohm: float) -> Array:
+    """psi_d = (v_q - R i_q) / w, psi_q = -(v_d - R i_d) / w, shape (n, 2) [Wb]."""
+    return _behind(points.v - resistance_ohm * points.i) / points.speed[:, None]
+
+
+def fit_spin(points: SpunPoints, resistance_ohm: tuple[float, float], rounds: int = 6) -> SpinFit:
+    """Fit all points at once.
+
+    Parameters
+    ----------
+    resistance_ohm : (float, float)
+        What is known of R_s beforehand, and its standard deviation.
+    """
+    psi = flux_by_emf(points, resistance_ohm[0])
+    size = np.full(2, 1e-2 * float(np.median(np.linalg.norm(psi, axis=1))))
+    system = _System(points, resistance_ohm, magnet_axis(points, resistance_ohm[0]))
+    solution = system.solved(size)
+    for _ in range(rounds):
+        # What iron loss and a turn of the axis do is known only where the flux is.
+        system = system.informed(solution)
+        solution = system.solved(size)
+        size = system.left(solution)
+    return system.finished(solution)
+
+
+def magnet_axis(points: SpunPoints, resistance_ohm: float, small: float = 0.3) -> float:
+    """Angle of the flux where little current flows, from the believed d axis; zero where much flows everywhere."""
+    length = np.linalg.norm(points.i, axis=1)
+    least = int(np.argmin(length))
+    if length[least] > small * length.max():
+        return 0.0
+    d, q = flux_by_emf(points, resistance_ohm)[least]
+    return float(np.arctan2(q, d))
+
+
+@dataclass(frozen=True)
+class _System:
+    """The equations of all points, where the axis stands and as far as the flux is known."""
+
+    points: SpunPoints
+    known: tuple[float, float]
+    angle_rad: float
+    flux: tuple[Array, Array] | None = None
+    """With the magnet's, (n, 2), and the inductances, (n, 3)."""
+
+    @cached_property
+    def spline(self) -> EvenSpline:
+        own = to_dq(self.points.i, self.angle_rad)
+        low, high = own.min(axis=0), own.max(axis=0)
+        more = 0.06 * float((high - low).max())
+        reach = float(np.abs(own[:, 1]).max())
+        return EvenSpline(float(low[0]) - more, float(high[0]) + more, reach + more, CELLS)
+
+    @property
+    def free(self) -> int:
+        """Modes of the energy that are free; its constant is none."""
+        return self.spline.smooth - 1
+
+    def shape(self, at: Array, order: int = 1) -> Array:
+        """Derivatives of the energy's modes at believed currents, shape (n, order + 1, modes)."""
+        return np.asarray(energy_rows(self.spline, at, self.angle_rad, order) @ self.spline.modes[:, 1:])
+
+    @cached_property
+    def rows(self) -> Array:
+        """What each unknown does to each flux, shape (n, 2, unknowns)."""
+        shape = self.shape(self.points.i)
+        return np.concatenate([shape[:, :, : self.free], self._own(), shape[:, :, self.free :]], axis=2)
+
+    def _own(self) -> Array:
+        p = self.points
+        out = np.zeros((len(p.i), 2, 4))
+        over = 1.0 / p.speed[:, None]
+        out[:, :, 0] = _behind(p.i) * over
+        along = p.i / np.maximum(np.linalg.norm(p.i, axis=1, keepdims=True), 1e-12)
+        out[:, :, 1] = 4.0 / np.pi * _behind(along) * over
+        if self.flux is not None:
+            psi, inductance = self.flux
+            matrix = inductance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
+            ahead = -_behind(psi)
+            out[:, :, 2] = -np.einsum("nij,nj->ni", matrix, ahead) * p.speed[:, None]
+            out[:, :, 3] = ahead - np.einsum("nij,nj->ni", matrix, -_behind(p.i))
+        return out
+
+    @cached_property
+    def _std(self) -> Array:
+        """Of what is believed of R_s, a phase's loss, the iron's conductance and a turn of the axis."""
+        p = self.points
+        emf = float(np.linalg.norm(p.v, axis=1).max())
+        return np.array([self.known[1], LOSS_SHARE * emf, IRON_SHARE * float(np.abs(p.i).max()) / emf, TURN_RAD])
+
+    def solved(self, size: Array) -> Solution:
+        """What is most likely where so much is left of each axis, shape (2,)."""
+        own = slice(self.free, self.free + 4)
+        prior = np.zeros((4, self.rows.shape[2]))
+        prior[:, own] = np.diag(1.0 / self._std)
+        expected = np.array([self.known[0], 0.0, 0.0, 0.0]) / self._std
+        target = flux_by_emf(self.points, 0.0)
+        rows = (self.rows / size[None, :, None]).reshape(-1, self.rows.shape[2])
+        data = np.concatenate([(target / size).ravel(), expected])
+        return most_likely(np.concatenate([rows, prior]), data, own.stop)
+
+    def left(self, solution: Solution, resolved: float = 1e-4) -> Array:
+        """rms of what is left, shape (2,), as far as there are more points than unknowns."""
+        off = self.residual(solution)
+        count = max(len(off) - 0.5 * solution.modes.size, 0.3 * len(off))
+        least = resolved * float(np.abs(flux_by_emf(self.points, 0.0)).max())
+        return np.asarray(np.maximum(np.sqrt((off**2).sum(axis=0) / count), least))
+
+    def residual(self, solution: Solution) -> Array:
+        """Shape (n, 2) [Wb]."""
+        return np.asarray(flux_by_emf(self.points, 0.0) - self.rows @ solution.modes)
+
+    def informed(self, solution: Solution) -> _System:
+        """The same with the axis where it was found, and the flux there."""
+        modes = np.delete(solution.modes, np.s_[self.free : self.free + 4])
+        psi, inductance = self.shape(self.points.i) @ modes, self.shape(self.points.i, 2) @ modes
+        turn = float(solution.modes[self.free + 3])
+        return _System(self.points, self.known, self.angle_rad + turn, (psi, inductance))
+
+    def finished(self, solution: Solution) -> SpinFit:
+        """The answer as numbers with their deviations."""
+        own = slice(self.free, self.free + 4)
+        value, std = solution.modes[own].tolist(), np.linalg.norm(solution.root[own], axis=1).tolist()
+        modes, root = (np.delete(x, np.s_[own], axis=0) for x in (solution.modes, solution.root))
+        axis = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
+        at_zero = axis @ self.shape(np.zeros((1, 2)))[0]
+        space = self.spline.modes[:, 1:]
+        fit = EnergyFit(
+            spline=self.spline,
+            angle_rad=self.angle_rad,
+            coefficients=space @ modes,
+            covariance=(space @ root) @ (space @ root).T,
+            scales=np.ones(4),
+            stiffening_per_h=0.0,
+            correlation=0.0,
+            inverter_step=0.0,
+            taken_out=np.zeros((0, 7)),
+            taken_out_std=np.zeros((0, 7)),
+            trust=np.ones(0),
+        )
+        return SpinFit(
+            energy=fit,
+            magnet_wb=(float(at_zero @ modes), float(np.linalg.norm(at_zero @ root))),
+            resistance_ohm=(value[0], std[0]),
+            loss_v=(value[1], std[1]),
+            conductance_s=(value[2], std[2]),
+            angle_rad=(self.angle_rad + value[3], std[3]),
+            left_wb=self.residual(solution),
+        )
+
+
+def _behind(x: Array) -> Array:
+    """Vectors turned back by a quarter, shape (n, 2)."""
+    return np.column_stack([x[:, 1], -x[:, 0]])

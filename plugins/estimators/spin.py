@@ -1,0 +1,218 @@
+"""Magnet flux and map of a rotor that turns, by its back-EMF, held against the map at standstill.
+
+Without current (the bridge off, the terminals' voltage measured) the EMF says the magnet's flux, where the d axis
+truly is, and whether phase order and pole pairs are those that are believed (`orchestrator.analysis.fit_spin`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from orchestrator.analysis import (
+    SpinFit,
+    SpunPoints,
+    check_map,
+    each_capture,
+    fit_spin,
+    flux_at,
+    flux_by_emf,
+    magnet_axis,
+    rated_flux_wb,
+    spun_points,
+)
+from orchestrator.numerics.surface import require_area
+from orchestrator.numerics.types import Array
+from plugins.estimators._energies import EnergyFlux, gridded, pm_flux
+from plugins.estimators._maps import SweptFlux, voltage_delay
+from plugins.estimators.resistance import ResistanceEstimator
+from plugins.estimators.steps import SteppedFlux
+from protocols import (
+    Capture,
+    Estimate,
+    EstimationContext,
+    FluxMap,
+    FluxMapEstimate,
+    FluxPoints,
+    NotMeasuredError,
+    RecordingReader,
+    Remark,
+    Segment,
+    SegmentStage,
+)
+
+
+@dataclass(frozen=True)
+class SpinEstimator:
+    """psi_d = (v_q - R i_q) / w, psi_q = -(v_d - R i_d) / w, in means over whole turns, held against one energy.
+
+    Attributes
+    ----------
+    without_current : float
+        Part of the rated current below which the EMF is the magnet's alone.
+    drift : float
+        Relative standard deviation that R_s has against what was measured or stated before: 2.5 K of copper.
+    sure : float
+        Standard deviations from which on something is spoken of.
+    told_rad : float
+        Offset of the angle from which on it is spoken of.
+    """
+
+    without_current: float = 0.02
+    drift: float = 0.01
+    sure: float = 4.0
+    told_rad: float = 0.005
+
+    name: ClassVar[str] = "spin"
+    summary: ClassVar[str] = "magnet flux and flux map by the back-EMF of a rotor that turns"
+    requires: ClassVar[tuple[type[Estimate], ...]] = (EnergyFlux, SteppedFlux, SweptFlux)
+    produces: ClassVar[type[Estimate]] = FluxMapEstimate
+    rank: ClassVar[int] = 5
+
+    def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
+        """Make the map.
+
+        Raises
+        ------
+        NotMeasuredError
+            Where nothing turns, its angle is not known, the phases are in another order or the pole pairs are others.
+        """
+        where, segments = recording.manifest.name, recording.segments(SegmentStage.SPIN)
+        if not segments:
+            raise NotMeasuredError(where, "segments", "no segment of stage spin")
+        rated_a, delay = recording.manifest.motor.rated_current_a, voltage_delay(recording)
+        nothing_a = self.without_current * (rated_a or 0.0)
+        largest_a = max(each_capture(recording, segments, lambda _, c: float(np.linalg.norm(c.i_ab, axis=1).max())))
+        scale_a = max(largest_a, nothing_a)
+
+        def turned(segment: Segment, capture: Capture) -> SpunPoints:
+            theta = _theta(segment, capture)
+            _require_emf_turns_with(theta, segment, capture)
+            held = float(np.abs(capture.i_ab).max()) > nothing_a
+            return spun_points(capture, theta, delay=delay if held else None, scale_a=scale_a or 1.0, where=segment.id)
+
+        each = each_capture(recording, segments, turned)
+        points = SpunPoints(*(np.concatenate([getattr(p, name) for p in each]) for name in ("i", "v", "speed")))
+        names = [s.id for s, p in zip(segments, each, strict=True) for _ in range(len(p.i))]
+        if float(np.linalg.norm(points.i, axis=1).max()) <= nothing_a:
+            return self._magnet(recording, points, names)
+        require_area(points.i, where)
+        known = ResistanceEstimator().estimate(recording, EstimationContext())
+        std = float(np.hypot((known.high - known.low) / 3.92, self.drift * known.value_ohm))
+        fit = fit_spin(points, (known.value_ohm, std))
+        flux_map = gridded("spin", recording, fit.energy, points.i)
+        rated = rated_flux_wb(flux_map, rated_a)
+        return FluxMapEstimate(
+            map=flux_map,
+            points=FluxPoints(
+                i_dq=points.i, psi_dq=fit.energy.flux(points.i)[0] + pm_flux(recording), segment=tuple(names)
+            ),
+            checks=check_map(flux_map, rated, fit.left_wb),
+            remarks=(
+                *self._remarks(fit, recording.manifest.motor.pm_flux_wb),
+                *_beside_standstill(flux_map, context, rated),
+            ),
+        )
+
+    def _magnet(self, recording: RecordingReader, points: SpunPoints, names: Sequence[str]) -> FluxMapEstimate:
+        """The one point of the map that there is without current."""
+        psi = flux_by_emf(points, 0.0)
+        angle = magnet_axis(points, 0.0)
+        along = np.linalg.norm(psi, axis=1)
+        flux, std = float(along.mean()), float(along.std() / max(len(along) - 1, 1) ** 0.5)
+        nothing = np.full((1, 1), np.nan)
+        zero = np.zeros(1)
+        flux_map = FluxMap(
+            method="spin",
+            i_d=zero,
+            i_q=zero,
+            psi_d=np.full((1, 1), flux),
+            psi_q=np.zeros((1, 1)),
+            psi_d_std=np.full((1, 1), std),
+            psi_q_std=np.full((1, 1), std),
+            **dict.fromkeys(("l_dd", "l_dq", "l_qq", "l_dd_std", "l_dq_std", "l_qq_std"), nothing),
+        )
+        told = [_magnet_remark((flux, std), recording.manifest.motor.pm_flux_wb)]
+        if abs(angle) > self.told_rad:
+            told.append(_offset_remark(angle))
+        shown = FluxPoints(i_dq=points.i, psi_dq=psi, segment=tuple(names))
+        return FluxMapEstimate(map=flux_map, points=shown, checks=check_map(flux_map, None, None), remarks=tuple(told))
+
+    def _remarks(self, fit: SpinFit, stated: float | None) -> list[Remark]:
+        told = [_magnet_remark(fit.magnet_wb, stated)]
+        angle, std = fit.angle_rad
+        if abs(angle) > max(self.told_rad, self.sure * std):
+            told.append(_offset_remark(angle))
+        conductance, std = fit.conductance_s
+        if conductance > self.sure * std:
+            text = "iron loss as of {loss_ohm:.0f} ohm beside the magnetising current; taken out"
+            told.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
+        volts, std = fit.loss_v
+        if abs(volts) > self.sure * std:
+            text = "the inverter keeps {kept_v:.2f} V from each phase; taken out"
+            told.append(Remark.of("inverter_loss", text, kept_v=volts))
+        return told
+
+
+def _theta(segment: Segment, capture: Capture) -> Array:
+    if capture.theta_rad is not None:
+        return np.asarray(capture.theta_rad, dtype=np.float64)
+    speed = segment.settings.get("speed_rad_s")
+    if isinstance(speed, bool) or not isinstance(speed, int | float):
+        problem = "the rotor turns, and neither its angle (a column theta_rad) nor a setting speed_rad_s is there"
+        raise NotMeasuredError(segment.id, "theta_rad", problem)
+    time_s = np.arange(len(capture), dtype=np.float64) / capture.sampling_frequency_hz
+    return np.asarray(segment.rotor_angle_rad + float(speed) * time_s)
+
+
+def _require_emf_turns_with(theta: Array, segment: Segment, capture: Capture) -> None:
+    """Refuse a voltage that turns the other way than the rotor, or at another multiple of it."""
+    v = np.asarray(capture.v_ab, dtype=np.float64) @ [1.0, 1j]
+    window = np.hanning(len(v))
+    angle = np.unwrap(theta)
+    ratios = [k / n for n in range(1, 9) for k in range(1, 9)]
+    shares = {s * r: abs(np.vdot(np.exp(1j * s * r * angle) * window, v)) for r in sorted({*ratios}) for s in (1, -1)}
+    best = max(shares, key=shares.__getitem__)
+    if best == 1.0 or shares[best] < 3.0 * shares[1.0]:
+        return
+    if best < 0.0:
+        problem = "the voltage turns the other way than the angle: phases in another order, or the angle's sign"
+        raise NotMeasuredError(segment.id, "theta_rad", problem)
+    problem = (
+        f"the voltage turns {best:.4g} times as fast as the angle: {best:.4g} times the pole pairs that are believed?"
+    )
+    raise NotMeasuredError(segment.id, "motor.pole_pairs", problem)
+
+
+def _magnet_remark(magnet: tuple[float, float], stated: float | None) -> Remark:
+    text = "psi_M = {flux_wb:.4g} Wb (+-{std_wb:.1g}) by the back-EMF"
+    values = {"flux_wb": magnet[0], "std_wb": magnet[1]}
+    if stated:
+        text += ", {ratio:.4g} times the nameplate's"
+        values["ratio"] = magnet[0] / stated
+    return Remark.of("magnet_flux", text, **values)
+
+
+def _offset_remark(angle_rad: float) -> Remark:
+    text = "the magnet lies {angle_deg:+.2f} degrees (electrical) from the believed d axis"
+    if abs(angle_rad) > 0.5 * np.pi:
+        text += ": the angle's zero, or the polarity, is another one"
+    return Remark.of("angle_offset", text, angle_deg=float(np.degrees(angle_rad)))
+
+
+def _beside_standstill(spun: FluxMap, context: EstimationContext, rated: float | None) -> list[Remark]:
+    """By how much the flux differs from that of the map at standstill, where both are known."""
+    still = next((one.map for kind in (EnergyFlux, SteppedFlux, SweptFlux) for one in context.of(kind)), None)
+    if still is None or not rated:
+        return []
+    grid = np.stack(np.meshgrid(spun.i_d, spun.i_q, indexing="ij"), axis=-1).reshape(-1, 2).astype(np.float64)
+    zero = np.zeros((1, 2))
+    apart = [flux_at(one)(grid) - flux_at(one)(zero) for one in (spun, still)]
+    off = np.linalg.norm(apart[0] - apart[1], axis=1)
+    if not np.isfinite(off).any():
+        return []
+    text = "spun and at standstill the flux differs by {apart_percent:.2f} % of the rated flux (rms)"
+    return [Remark.of("beside_standstill", text, apart_percent=100.0 * float(np.sqrt(np.nanmean(off**2))) / rated)]
