@@ -183,7 +183,7 @@ def _off_the_known(fit: StepsFit, beliefs: Beliefs, doubtful: float = 3.0) -> li
 class LoopsEstimator:
     """R_s by which the loops of voltage steps close best, what was known before it counted in."""
 
-    name: ClassVar[str] = "loops"
+    name: ClassVar[str] = "step_resistance"
     summary: ClassVar[str] = "R_s by which the loops of voltage steps close"
     requires: ClassVar[tuple[type[Estimate], ...]] = (SteppedFlux,)
     produces: ClassVar[type[Estimate]] = ResistanceEstimate

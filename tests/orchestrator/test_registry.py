@@ -93,7 +93,7 @@ def test_an_unknown_name_suggests_the_nearest() -> None:
 
 def test_a_name_like_no_other_lists_what_there_is() -> None:
     text = complaint(lambda: load_plugin(PluginKind.ESTIMATORS, "zzz"))
-    assert "classical, energy, injection, loops, polynomial, resistance, spin, steps" in text
+    assert "classical, energy, injection, polynomial, resistance, spin, step_resistance, steps" in text
 
 
 @pytest.mark.parametrize(
