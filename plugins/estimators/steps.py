@@ -180,7 +180,7 @@ def _off_the_known(fit: StepsFit, beliefs: Beliefs, doubtful: float = 3.0) -> li
 
 
 @dataclass(frozen=True)
-class LoopsEstimator:
+class StepResistanceEstimator:
     """R_s by which the loops of voltage steps close best, what was known before it counted in."""
 
     name: ClassVar[str] = "step_resistance"

@@ -12,7 +12,7 @@ from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.energy import EnergyEstimator
 from plugins.estimators.injection import InjectionEstimator
 from plugins.estimators.resistance import ResistanceEstimator
-from plugins.estimators.steps import LoopsEstimator, StepsEstimator
+from plugins.estimators.steps import StepResistanceEstimator, StepsEstimator
 from protocols import EstimationContext, Estimator, RecordingReader
 from tests.blind.hidden import draw_case
 from tests.blind.stepping import Steps, record_steps
@@ -75,9 +75,9 @@ class TestSteps(EstimatorConformance):
         return stepped()
 
 
-class TestLoops(TestSteps):
+class TestStepResistance(TestSteps):
     def make_estimator(self) -> Estimator:
-        return LoopsEstimator()
+        return StepResistanceEstimator()
 
     def context(self) -> EstimationContext:
         return EstimationContext()

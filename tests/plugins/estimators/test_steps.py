@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from orchestrator.recording import open_recording
-from plugins.estimators.steps import LoopsEstimator, SteppedFlux, StepsEstimator
+from plugins.estimators.steps import SteppedFlux, StepResistanceEstimator, StepsEstimator
 from protocols import EstimationContext, FluxMap, NotMeasuredError, RecordingReader
 from tests.blind.campaign import Bench
 from tests.blind.hidden import draw_case
@@ -66,7 +66,7 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
     wrong, std = errors(stepped.map, at)
     assert rms(wrong) < 0.1
     assert np.mean(np.abs(wrong) < 1.96 * np.maximum(std, 0.01)) > 0.9
-    resistance = LoopsEstimator().estimate(recording, EstimationContext((stepped,)))
+    resistance = StepResistanceEstimator().estimate(recording, EstimationContext((stepped,)))
     assert resistance.low < ohm < resistance.high
     assert resistance.high - resistance.low < 0.04 * ohm
 
