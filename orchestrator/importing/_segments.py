@@ -37,7 +37,7 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
         Where an angle cannot be in its unit, or a value is beyond all bounds.
     """
     mapping = piece.mapping
-    columns = {name: values[stretch.rows] for name, values in piece.columns.items()}
+    columns = {name: values[stretch.part] for name, values in piece.columns.items()}
     rule = mapping.segments[piece.rule]
     rotor, pole_pairs = rule.rotor_angle or mapping.rotor_angle, mapping.motor.pole_pairs
     for angle in (rotor, mapping.current.angle, mapping.voltage.angle):
@@ -63,7 +63,7 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
     if rule.stage is SegmentStage.SPIN and not isinstance(theta_rad, float):
         signals["theta_rad"] = np.unwrap(theta_rad)
     if stretch.uneven:
-        signals = _evened(signals, piece.time_s[stretch.rows], rate_hz)
+        signals = _evened(signals, piece.time_s[stretch.part], rate_hz)
     _check_bounds(signals, piece, stretch)
     if signals.get("theta_rad") is not None:
         # Of many turns 32 bits would not keep the angle.

@@ -51,12 +51,17 @@ class _Open:
 
     key: tuple[int, str]
     first_row: int
-    columns: list[Mapping[str, Numbers]] = field(default_factory=list)
+    columns: dict[str, list[Numbers]] = field(default_factory=dict)
     times: list[Numbers] = field(default_factory=list)
 
+    def add(self, columns: Mapping[str, Numbers], time_s: Numbers, rows: slice) -> None:
+        for name, values in columns.items():
+            self.columns.setdefault(name, []).append(values[rows])
+        self.times.append(time_s[rows])
+
     def close(self, path: Path, mapping: ImportMapping) -> Piece:
-        names = self.columns[0].keys()
-        columns = {name: np.concatenate([part[name] for part in self.columns]) for name in names}
+        # One after another: the parts of a column are let go before the next is made.
+        columns = {name: np.concatenate(self.columns.pop(name)) for name in list(self.columns)}
         return Piece(path, mapping, self.key[0], self.first_row, columns, np.concatenate(self.times))
 
 
@@ -98,8 +103,7 @@ class Splitter:
                     continue
                 self._used.add(key[0])
                 opened = opened or _Open(key, row + start)
-                opened.columns.append({name: values[start:end] for name, values in block.numbers.items()})
-                opened.times.append(time_s[start:end])
+                opened.add(block.numbers, time_s, slice(start, end))
             row += len(block)
             self.rows += len(block)
         if opened is not None:

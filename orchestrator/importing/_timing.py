@@ -36,6 +36,12 @@ class Stretch:
     rows: NDArray[np.intp]
     uneven: bool
 
+    @property
+    def part(self) -> slice | NDArray[np.intp]:
+        """The rows as an index that copies nothing, where they follow each other."""
+        first, last = int(self.rows[0]), int(self.rows[-1])
+        return slice(first, last + 1) if last - first + 1 == self.rows.size else self.rows
+
 
 class Clock:
     """Finds the sampling frequency with the first piece and holds every later one against it."""
