@@ -143,11 +143,19 @@ class _Import:
 
     def _take_piece(self, piece: Piece) -> None:
         for stretch in self._clock.stretches(piece):
-            made = segment_of(piece, stretch, self._clock.rate_hz, self._findings)
+            rate, parts = self._clock.rate_hz, stretch.parts()
+            made = segment_of(piece, parts[0], rate, self._findings)
             self._checks.judge(made.waveforms)
-            segment_id, start_s = self._placing.place(piece, stretch, len(made.capture), self._clock.rate_hz)
+            samples = len(made.capture) if len(parts) == 1 else stretch.rows.size
+            segment_id, start_s = self._placing.place(piece, stretch, samples, rate)
             with SegmentWriter(self._directory, segment_id) as writer:
                 writer.append(made.capture.model_copy(update={"start_s": start_s}))
+                rotor_angle_rad, written_rows = made.rotor_angle_rad, len(made.capture)
+                for part in parts[1:]:
+                    made = segment_of(piece, part, rate, self._findings)
+                    self._checks.judge(made.waveforms)
+                    writer.append(made.capture.model_copy(update={"start_s": start_s + written_rows / rate}))
+                    written_rows += len(made.capture)
                 written = writer.finish()
             rule = self._mapping.segments[piece.rule]
             self._segments.append(
@@ -156,7 +164,7 @@ class _Import:
                     stage=rule.stage,
                     start_s=written.start_s,
                     samples=written.samples,
-                    rotor_angle_rad=made.rotor_angle_rad,
+                    rotor_angle_rad=rotor_angle_rad,
                     settings=rule.settings,
                     sha256=written.sha256,
                 )

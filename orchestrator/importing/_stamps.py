@@ -54,8 +54,8 @@ class Stamps:
     def _unwrapped(self, raw: Numbers, wraps_at: float) -> Numbers:
         finite = np.isfinite(raw)
         known = raw[finite]
-        # Half a turn back is a new turn; less is time that does not increase, and is found later.
-        back = np.diff(known, prepend=self._last) < -0.5 * wraps_at
+        # Time only goes on: a step back is a new turn, of which a pause may hide more.
+        back = np.diff(known, prepend=self._last) < 0.0
         turns = self._turns + np.cumsum(back)
         out = np.full_like(raw, np.nan)
         out[finite] = known + turns * wraps_at

@@ -24,6 +24,8 @@ from protocols import InputError
 FEWEST_SAMPLES = 10
 """Shorter stretches are left out: nothing can be told from them."""
 
+_PART_ROWS = 1 << 20
+"""Longer stretches are computed with in parts, for the memory."""
 _GAP = 1.5
 """A longer step than this, in samples, is a gap."""
 _PLAUSIBLE_RATE_HZ = (200.0, 5e6)
@@ -41,6 +43,12 @@ class Stretch:
         """The rows as an index that copies nothing, where they follow each other."""
         first, last = int(self.rows[0]), int(self.rows[-1])
         return slice(first, last + 1) if last - first + 1 == self.rows.size else self.rows
+
+    def parts(self) -> list[Stretch]:
+        """The stretch in pieces that are computed with one by one; whole where it has to be resampled."""
+        if self.uneven:
+            return [self]
+        return [Stretch(self.rows[k : k + _PART_ROWS], False) for k in range(0, self.rows.size, _PART_ROWS)]
 
 
 class Clock:

@@ -226,6 +226,15 @@ def test_files_that_cannot_be_taken_are_said(bench: Bench, names: list[str]) -> 
     assert not (bench.folder / "out").exists()
 
 
+def test_a_long_segment_is_one_though_it_is_computed_in_parts(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    bench.run("whole")
+    monkeypatch.setattr("orchestrator.importing._timing._PART_ROWS", 150)
+    bench.run("parts")
+    (whole,), (parts,) = bench.captures("whole"), bench.captures("parts")
+    np.testing.assert_array_equal(parts.i_ab, whole.i_ab)
+    np.testing.assert_array_equal(parts.v_ab, whole.v_ab)
+
+
 def test_memory_holds_one_segment_not_the_file(bench: Bench) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -60,7 +60,9 @@ def counts(desk: Desk) -> None:
 
 def ticks(desk: Desk) -> None:
     # A counter of 24 bits, at one megahertz: it wraps within the sweep, and more than once in the pauses.
-    desk.write("log.csv", {"n": (np.rint(1e6 * LOG.t) + 5_000_000) % 2**24, **LOG.phases, **LOG.volts, "what": LOG.stage})
+    desk.write(
+        "log.csv", {"n": (np.rint(1e6 * LOG.t) + 5_000_000) % 2**24, **LOG.phases, **LOG.volts, "what": LOG.stage}
+    )
     desk.mapping = CURRENT + VOLTAGE + STAGES
     desk.mapping += "time: {column: n, unit: tick, tick_hz: 1000000, wraps_at: 16777216}\n"
 
