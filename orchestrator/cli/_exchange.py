@@ -10,7 +10,7 @@ from orchestrator.cli._audit import motor_of
 from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.config import load_motor
 from orchestrator.estimation import load_estimates
-from orchestrator.exporting import FORMATS, export_map
+from orchestrator.exporting import export_map
 from orchestrator.flux_maps import load_map
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
@@ -24,9 +24,7 @@ def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | N
     """Write the flux map of a run, recording or map file for other tools."""
     flux_map = load_map(path)
     folder = out if out is not None else (path if path.is_dir() else path.parent) / "export"
-    report = export_map(
-        flux_map, _motor_of(path, motor), folder, list(formats) or list(FORMATS), recording=_recording_of(path)
-    )
+    report = export_map(flux_map, _motor_of(path, motor), folder, list(formats) or None, recording=_recording_of(path))
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return 0

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from orchestrator.exporting._c_header import c_float_file, c_q15_file
 from orchestrator.exporting._matlab_files import simulink_file, syre_file
+from orchestrator.exporting._motulator_script import motulator_file
 from orchestrator.exporting._numeric_files import csv_file, netcdf_file, npz_file
 from orchestrator.exporting._products import Products, Written
 from orchestrator.exporting._simulator_tables import ltspice_file, modelica_file, plecs_file
@@ -25,6 +26,7 @@ FORMATS: dict[str, str] = {
     "modelica": "text file of CombiTable2Ds tables: fluxes over currents, currents over fluxes",
     "plecs": "initialisation commands: axes and tables for 2D-Table blocks",
     "ltspice": "subcircuit of the machine in the dq frame",
+    "motulator": "script that runs the machine in motulator's drive; takes the npz",
 }
 """Name of each format, and what it is."""
 
@@ -39,6 +41,7 @@ _WRITERS: dict[str, tuple[str, Callable[[Products], Written]]] = {
     "modelica": ("flux_map_modelica.txt", modelica_file),
     "plecs": ("flux_map_plecs.m", plecs_file),
     "ltspice": ("flux_map_ltspice.lib", ltspice_file),
+    "motulator": ("flux_map_motulator.py", motulator_file),
 }
 
 
@@ -71,7 +74,7 @@ class ExportReport(Strict):
 
 
 def export_map(
-    flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] = tuple(FORMATS), *, recording: str = ""
+    flux_map: FluxMap, motor: Motor, out: Path, formats: Sequence[str] | None = None, *, recording: str = ""
 ) -> ExportReport:
     """Write a flux map into a folder, in every format asked for.
 
@@ -84,25 +87,25 @@ def export_map(
         Pole pairs for the torque; resistance (as measured, if it was) and magnet flux are used where they are known.
     out : Path
         A folder; made where it does not exist.
-    formats : sequence of str
-        Of `FORMATS`; all of them unless told.
+    formats : sequence of str, optional
+        Of `FORMATS`; all that the map has enough for, unless told.
     recording : str
         Name of what the map is of; it stands in every file.
 
     Raises
     ------
     InputError
-        Where a format is unknown, or the map cannot be interpolated.
+        Where a format is unknown, the map cannot be interpolated, or lacks what a format that was asked for needs.
     StorageError
         Where a file cannot be written.
     """
-    for name in formats:
+    for name in formats or ():
         if name not in FORMATS:
             close = get_close_matches(name, FORMATS, 1)
             hint = f"; did you mean {close[0]}?" if close else ""
             raise InputError("export", name, f"no such format{hint} There are {', '.join(FORMATS)}")
     products = Products(flux_map, motor, recording)
-    made = {name: _WRITERS[name][1](products) for name in dict.fromkeys(formats)}
+    made, left_out = _made(products, formats)
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
@@ -126,5 +129,19 @@ def export_map(
         inverse_coverage_percent=products.inverse.coverage_percent,
         inverse_misfit_wb=products.inverse.misfit_wb,
         non_convex_points=len(products.audit.non_convex),
-        notes=products.notes,
+        notes=(*products.notes, *left_out),
     )
+
+
+def _made(products: Products, formats: Sequence[str] | None) -> tuple[dict[str, Written], list[str]]:
+    """What goes into the files, by format; and why some were left out, where they were not asked for by name."""
+    _ = products.inverse  # what no format can do without says what is wrong with the map
+    made, left_out = {}, []
+    for name in dict.fromkeys(FORMATS if formats is None else formats):
+        try:
+            made[name] = _WRITERS[name][1](products)
+        except InputError as error:
+            if formats is not None:
+                raise
+            left_out.append(f"no {name} file: {error.problem}")
+    return made, left_out

@@ -64,6 +64,8 @@ def csv_file(products: Products) -> Written:
 def npz_file(products: Products) -> Written:
     """Complex `i_s_dq` and `psi_s_dq` as motulator's `MagneticModel` takes them, `tau_M`, and all other fields.
 
+    And `inverse_i_s_dq` over `inverse_flux_d`, `inverse_flux_q`, continued where `inverse_measured` is false.
+
     Shape (d, q), i_d along the rows, where the map has no holes. With holes the arrays are flat and hold the measured
     points only: motulator's `invert` refuses NaN and takes scattered points.
     """
@@ -73,6 +75,10 @@ def npz_file(products: Products) -> Written:
     grids |= {name: getattr(flux_map, name) for name in CSV_UNITS if not name.startswith("psi") or "std" in name}
     whole = bool(known.all())
     content: dict[str, Any] = {name: values if whole else values[known] for name, values in grids.items()}
+    inverse = products.inverse
+    filled_d, filled_q = inverse.filled()
+    content |= {"inverse_flux_d": inverse.psi_d, "inverse_flux_q": inverse.psi_q}
+    content |= {"inverse_i_s_dq": filled_d + 1j * filled_q, "inverse_measured": inverse.measured}
     texts = {"method": flux_map.method, "motor": products.motor.name, "recording": products.recording}
     content |= {name: np.array(text) for name, text in texts.items()}
     for name, curve, unit in (("mtpa", products.mtpa, "A"), ("mtpv", products.mtpv, "Wb")):

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+import ast
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -9,7 +11,7 @@ import numpy as np
 import pytest
 
 from orchestrator.exporting import export_map
-from protocols import FluxMap
+from protocols import FluxMap, InputError
 from tests.orchestrator.exporting.machines import MOTOR, saturated_map, shipped
 
 PROGRAM = """\
@@ -65,3 +67,34 @@ def test_motulator_loads_interpolates_and_inverts_what_we_wrote(motulator: Path,
     # motulator resamples a map when it takes it in; the linear interpolation between its own nodes is its error.
     assert np.abs(psi - truth)[found].max() < 0.01 * np.abs(truth).max()
     assert np.isfinite(inverse).mean() > 0.7
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(900)
+def test_the_exported_script_runs_the_machine_to_its_speed_and_load(motulator: Path, tmp_path: Path) -> None:
+    motor = MOTOR.model_copy(update={"rated_current_rms_a": 1.66, "rated_voltage_rms_v": 139.3})
+    export_map(saturated_map(), motor, tmp_path, ["npz", "motulator"])
+    script = tmp_path / "flux_map_motulator.py"
+    done = subprocess.run([motulator, script], check=True, capture_output=True, text=True, timeout=600)
+    told = {
+        name: float(re.findall(rf"^{name} = (\S+)", script.read_text(), re.M)[0]) for name in ("SPEED_RAD_S", "LOAD_NM")
+    }
+    speed, torque = (float(word) for word in re.findall(r"(?:speed|torque) (\S+)", done.stdout))
+    assert speed == pytest.approx(float(told["SPEED_RAD_S"]), rel=1e-3)
+    assert torque == pytest.approx(float(told["LOAD_NM"]), rel=1e-2)
+
+
+def test_a_machine_without_a_resistance_has_no_script_and_says_so(tmp_path: Path) -> None:
+    bare = MOTOR.model_copy(update={"stator_resistance_ohm": None})
+    report = export_map(saturated_map(nodes=9), bare, tmp_path)
+    assert any("no motulator file" in note for note in report.notes)
+    assert not (tmp_path / "flux_map_motulator.py").exists()
+    with pytest.raises(InputError, match="needs a resistance"):
+        export_map(saturated_map(nodes=9), bare, tmp_path, ["motulator"])
+
+
+def test_a_motor_s_name_cannot_end_the_script_s_opening_string(tmp_path: Path) -> None:
+    motor = MOTOR.model_copy(update={"name": 'm\\"""; raise SystemExit(3); """'})
+    export_map(saturated_map(nodes=9), motor, tmp_path, ["motulator"])
+    tree = ast.parse((tmp_path / "flux_map_motulator.py").read_text())
+    assert not any(isinstance(node, ast.Raise) for node in ast.walk(tree))
