@@ -7,6 +7,7 @@ from difflib import get_close_matches
 from pathlib import Path
 
 from orchestrator.exporting._c_header import c_float_file, c_q15_file
+from orchestrator.exporting._fmu import fmu_file
 from orchestrator.exporting._matlab_files import simulink_file, syre_file
 from orchestrator.exporting._motulator_script import motulator_file
 from orchestrator.exporting._numeric_files import csv_file, netcdf_file, npz_file
@@ -26,6 +27,7 @@ FORMATS: dict[str, str] = {
     "modelica": "text file of CombiTable2Ds tables: fluxes over currents, currents over fluxes",
     "plecs": "initialisation commands: axes and tables for 2D-Table blocks",
     "ltspice": "subcircuit of the machine in the dq frame",
+    "fmu": "FMI 2.0 co-simulation: voltages and speed in, currents and torque out",
     "motulator": "script that runs the machine in motulator's drive; takes the npz",
 }
 """Name of each format, and what it is."""
@@ -41,6 +43,7 @@ _WRITERS: dict[str, tuple[str, Callable[[Products], Written]]] = {
     "modelica": ("flux_map_modelica.txt", modelica_file),
     "plecs": ("flux_map_plecs.m", plecs_file),
     "ltspice": ("flux_map_ltspice.lib", ltspice_file),
+    "fmu": ("machine.fmu", fmu_file),
     "motulator": ("flux_map_motulator.py", motulator_file),
 }
 
