@@ -45,6 +45,8 @@ class Paths:
     """One trajectory a segment, shape (n, 2)."""
     injection: RealArray = field(default_factory=lambda: np.empty((0, 2)))
     """One mean current a segment, shape (n, 2)."""
+    temperature_c: RealArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Time [s] and mean temperature of each segment of direct current that has one, shape (n, 2)."""
 
 
 @dataclass(frozen=True)
@@ -178,7 +180,23 @@ def _paths(
             means.append((float(i_dq[:, 0].mean()), float(i_dq[:, 1].mean())))
     if left_out:
         problems.append(f"the current paths are drawn without {left_out} segments, to keep the reading short")
-    return Paths(tuple(trajectories), np.array(means, dtype=np.float64).reshape(-1, 2))
+    return Paths(
+        tuple(trajectories), np.array(means, dtype=np.float64).reshape(-1, 2), _temperatures(recording, budget)
+    )
+
+
+def _temperatures(recording: Recording, budget: int) -> RealArray:
+    """Of the segments of direct current, which come again and again in a run."""
+    found: list[tuple[float, float]] = []
+    for segment in recording.segments(SegmentStage.RESISTANCE):
+        budget -= segment.samples
+        if budget < 0:
+            break
+        temperature = recording.load(segment).temperature_c
+        if temperature is None:
+            continue
+        found.append((segment.start_s, float(np.mean(temperature))))
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def _current(recording: Recording, segment: Segment) -> RealArray:

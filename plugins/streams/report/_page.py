@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.exporting import Trajectory, mtpa, mtpv
 from orchestrator.presentation.drawing import BASIS_LINES
 from orchestrator.presentation.names import MAP_QUANTITIES
 from orchestrator.presentation.sentences import cut, visible
@@ -16,11 +17,13 @@ from orchestrator.recording import replace_file
 from plugins.streams.report import _content as content
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import _figures as figures
+from plugins.streams.report import _motor_figures as motor_figures
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
+from plugins.streams.report._motor_content import motor_lines
 from plugins.streams.report._picture import Picture
-from protocols import Basis, FluxMap
+from protocols import Basis, FluxbenchError, FluxMap, Motor
 
 FILE_NAME = "report.html"
 INDUCTANCES = {
@@ -73,6 +76,7 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         name=material.directory.resolve().name,
         created=content.date(created or (material.record.created if material.record is not None else "")),
         about=material.record.procedure.about.lines() if material.record is not None else [],
+        motor=list(motor_lines(material)),
         summary=list(content.summary(material)),
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
@@ -149,6 +153,29 @@ def _pictures(material: Material, main: FluxMap | None) -> Iterator[Picture]:
         else:
             caption = f"In mH, by {main.method}. White is outside what was measured."
             yield Picture(title, caption, figures.inductance_figure(main, name))
+    if main is not None and np.isfinite(main.psi_d).any():
+        yield from _plane_pictures(main, content.motor_of(material))
+    if len(material.paths.temperature_c) > 1:
+        told = "Mean of each segment of direct current, as recorded."
+        yield Picture("Temperature over the run", told, motor_figures.temperature_figure(material.paths.temperature_c))
+
+
+def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
+    """What follows from the map, over the current plane."""
+    if motor is not None and motor.pm_flux_wb is not None:
+        best: list[Trajectory | None] = []
+        for trajectory in (mtpa, mtpv):
+            try:
+                best.append(trajectory(main, motor.pole_pairs))
+            except FluxbenchError:  # no point with i_q > 0, or one line of points alone
+                best.append(None)
+        told = "In Nm, with the most torque an ampere (MTPA) and a volt (MTPV), as far as they were measured."
+        yield Picture("Torque", told, motor_figures.torque_figure(main, motor.pole_pairs, best[0], best[1]))
+    for axis in ("d", "q"):
+        yield Picture(f"ψ_{axis} over the current plane", "In mWb.", motor_figures.flux_plane_figure(main, axis))
+    if np.isfinite(main.l_dd * main.l_qq * main.l_dq).any():
+        told = "Electrical degrees from the d axis to that of least inductance: what a tracking by injection is off by."
+        yield Picture("Saliency angle", told, motor_figures.saliency_figure(main))
 
 
 def _paths_picture(material: Material) -> Picture:

@@ -1,0 +1,91 @@
+"""The motor in a handful of lines, as an engineer asks for it first: R_s, L_d, L_q, flux, torque, saliency.
+
+Torque is that of the delivered map, T = 3/2 p (psi_d i_q - psi_q i_d), at the best angle of the rated current (MTPA).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from orchestrator.exporting import mtpa, saliency
+from orchestrator.presentation.quantities import number, quantity, vector
+from orchestrator.presentation.results import resistance, resistance_course
+from plugins.streams.report._collect import Material
+from plugins.streams.report._content import Line, motor_of
+from protocols import FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
+
+COPPER_PER_K = 0.00393
+"""Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
+
+
+def motor_lines(material: Material) -> Iterator[Line]:
+    """Label and text; nothing of what was not measured."""
+    found, motor = material.estimates, motor_of(material)
+    if found is not None and found.resistance is not None:
+        yield Line("R_s", resistance(found.resistance))
+        yield Line("R_s at 20 °C", _at_20_c(found.resistance, _ambient_c(material)))
+        yield Line("R_s over the run", resistance_course(found.resistance))
+    shown = material.maps.get(found.method) if found is not None and found.method is not None else None
+    if shown is not None and motor is not None:
+        yield from _of_map(shown, motor)
+
+
+def _ambient_c(material: Material) -> float | None:
+    return None if material.record is None else material.record.procedure.about.ambient_c
+
+
+def _at_20_c(found: ResistanceEstimate, ambient_c: float | None) -> str:
+    """By copper's coefficient, from the first reading, which the winding's own heat has not reached yet."""
+    if ambient_c is None:
+        return "not known: nobody said how warm the room was (--ambient)"
+    cold = found.first_ohm / (1.0 + COPPER_PER_K * (ambient_c - 20.0))
+    return f"{quantity(cold, 'ohm', 4)}, if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
+
+
+def _of_map(found: FluxMap, motor: Motor) -> Iterator[Line]:
+    l_d, l_q = (_at(found, getattr(found, name), 0.0, 0.0) for name in ("l_dd", "l_qq"))
+    if l_d is not None and l_q is not None:
+        yield Line("L_d, L_q unsaturated", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
+    if motor.pm_flux_wb is not None:
+        why = "nameplate: a locked rotor does not show it"
+        yield Line("ψ of the magnet", f"{quantity(motor.pm_flux_wb, 'Wb', 4)} ({why})")
+    rated_a = motor.rated_current_a
+    if rated_a is None:
+        return
+    saturated = [_at(found, getattr(found, name), 0.0, rated_a) for name in ("l_dd", "l_qq")]
+    if saturated[0] is not None and saturated[1] is not None:
+        yield Line("L_d, L_q at rated i_q", f"{quantity(saturated[0], 'H', 4)}, {quantity(saturated[1], 'H', 4)}")
+    yield from _torque(found, motor, rated_a)
+    ratios = saliency(found).ratio
+    at_rest, loaded = _at(found, ratios, 0.0, 0.0), _at(found, ratios, 0.0, rated_a)
+    told = [f"{number(r, 3)} {where}" for r, where in ((at_rest, "at no current"), (loaded, "at rated i_q")) if r]
+    if told:
+        yield Line("Saliency", f"{', '.join(told)} (largest over smallest inductance)")
+
+
+def _torque(found: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
+    try:
+        best = mtpa(found, motor.pole_pairs, np.array([rated_a]))
+    except FluxbenchError:  # a map without i_q > 0, or of a single line
+        return
+    torque = float(best.torque_nm[0])
+    if motor.pm_flux_wb is None or not math.isfinite(torque):
+        return
+    where = vector(float(best.i_dq[0, 0]), float(best.i_dq[0, 1]))
+    edge = "" if best.interior[0] else "; the best lies at the edge of what was measured"
+    stated = "" if motor.rated_torque_nm is None else f"; nameplate {quantity(motor.rated_torque_nm, 'Nm', 3)}"
+    yield Line("Torque at rated current", f"{quantity(torque, 'Nm', 3)} at {where}{edge}{stated}")
+
+
+def _at(found: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:
+    """The map's value at its node nearest to a current; None where that is more than a step away, or not measured."""
+    d, q = (int(np.abs(np.asarray(axis) - x).argmin()) for axis, x in ((found.i_d, i_d), (found.i_q, i_q)))
+    for axis, k, x in ((found.i_d, d, i_d), (found.i_q, q, i_q)):
+        steps = np.diff(axis)
+        if len(steps) and abs(float(axis[k]) - x) > float(steps.max()):
+            return None
+    value = float(values[d, q])
+    return value if math.isfinite(value) else None

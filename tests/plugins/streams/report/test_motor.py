@@ -1,0 +1,72 @@
+"""The report opens with the motor, and its pictures are of the delivered map."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from orchestrator.runs import RunDirectory
+from plugins.streams.report._collect import Material, Paths, collect
+from plugins.streams.report._motor_content import COPPER_PER_K, motor_lines
+from plugins.streams.report._page import render
+from protocols import About
+from tests.plugins.streams.example_run import a_run_directory
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return a_run_directory(tmp_path_factory.mktemp("motor") / "run")
+
+
+@pytest.fixture
+def material(run: Path, monkeypatch: pytest.MonkeyPatch) -> Material:
+    for module in ("_figures", "_diagnosis_figures", "_motor_figures"):
+        monkeypatch.setattr(f"plugins.streams.report.{module}.uri", lambda figure: "data:image/svg+xml;base64,")
+    return collect(run)
+
+
+def lines(material: Material) -> dict[str, str]:
+    return {line.label: line.text for line in motor_lines(material)}
+
+
+def test_the_page_opens_with_the_motor_and_says_where_what_is(material: Material) -> None:
+    page = render(material)
+    assert 0 < page.index("<nav") < page.index("The motor in short") < page.index("<h2>Summary</h2>")
+    for target in re.findall(r'<a href="#([a-z-]+)">', page):
+        assert f'id="{target}"' in page, target
+    titles = re.findall(r"<h3>([^<]+)</h3>", page)
+    assert {"Torque", "ψ_d over the current plane", "ψ_q over the current plane", "Saliency angle"} <= set(titles)
+
+
+def test_torque_is_the_map_s_at_the_best_angle_of_the_rated_current(material: Material) -> None:
+    manifest = material.manifest
+    assert manifest is not None
+    motor = manifest.motor
+    assert motor.rated_current_a
+    assert motor.pm_flux_wb
+    said = lines(material)["Torque at rated current"]
+    found = float(said.split(" Nm")[0])
+    # Magnet alone, all of the current on q: reluctance adds a little to that, or nothing.
+    magnet = 1.5 * motor.pole_pairs * motor.pm_flux_wb * motor.rated_current_a
+    assert 0.95 * magnet < found < 1.3 * magnet
+    assert {"R_s", "L_d, L_q unsaturated", "Saliency", "ψ of the magnet"} <= set(lines(material))
+
+
+def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Material, run: Path) -> None:
+    assert "not known" in lines(material)["R_s at 20 °C"]
+    record = RunDirectory.open(run).record
+    procedure = record.procedure.model_copy(update={"about": About(ambient_c=45.0)})
+    warm = Material(**{**vars(material), "record": record.model_copy(update={"procedure": procedure})})
+    assert material.estimates is not None
+    assert material.estimates.resistance is not None
+    cold = material.estimates.resistance.first_ohm / (1.0 + 25.0 * COPPER_PER_K)
+    assert lines(warm)["R_s at 20 °C"].startswith(f"{cold:.4g} Ω")
+
+
+def test_a_recorded_temperature_is_drawn_over_time(material: Material) -> None:
+    assert "Temperature over the run" not in render(material)
+    warm = Paths(temperature_c=np.array([[0.0, 21.0], [60.0, 24.0]]))
+    assert "Temperature over the run" in render(Material(**{**vars(material), "paths": warm}))
