@@ -21,7 +21,7 @@ class RunStarted(Strict):
 
     kind: Literal["run_started"] = "run_started"
     run: str
-    """The run directory."""
+    """Name of the run directory, which may have been moved since."""
     name: str
     motor: Motor
     about: About = About()
@@ -148,7 +148,7 @@ class RunEnded(Strict):
     outcome: Literal["finished", "faulted", "aborted"]
     reason: str
     run: str
-    """The run directory."""
+    """Name of the run directory, which may have been moved since."""
     estimates: Annotated[EstimationReport | None, BeforeValidator(lambda found: found or None)] = None
     """None where nothing was estimated; older journals have an empty object there."""
 

@@ -333,7 +333,7 @@ class EstimatorsReport(Lenient):
     criteria: MapCriteria = MapCriteria()
     """By which the maps were judged."""
     files: dict[str, str] = Field(default_factory=dict)
-    """Path of each file written, by name."""
+    """The file of each result, by its name, in the folder where this report is."""
 
     @computed_field  # type: ignore[prop-decorator]
     @property

@@ -21,11 +21,11 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
     if as_json:
         say_document(report.model_dump_json(indent=2))
     else:
-        _print_report(report)
+        _print_report(report, (out or path) / "results")
     return 0
 
 
-def _print_report(report: EstimationReport) -> None:
+def _print_report(report: EstimationReport, folder: Path) -> None:
     if report.resistance is not None:
         say(f"R_s {resistance(report.resistance)}; {resistance_course(report.resistance)}")
     if report.method is not None:
@@ -37,4 +37,4 @@ def _print_report(report: EstimationReport) -> None:
             say(f"{method}: {made.form.formula}")
             say_table(("coefficient", "value", "standard deviation"), coefficient_rows(made.form))
     say_notes(report.reasons)
-    say(*(f"{name}: {file}" for name, file in report.files.items()))
+    say(*(f"{name}: {folder / file}" for name, file in report.files.items()))

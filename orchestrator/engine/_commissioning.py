@@ -145,7 +145,7 @@ class Commissioning:
         procedure = self._agenda.plan.procedure
         self._log.say(
             RunStarted(
-                run=str(self._run.path),
+                run=self._run.path.name,
                 name=procedure.name,
                 motor=procedure.motor,
                 about=procedure.about,
@@ -277,7 +277,7 @@ class Commissioning:
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         ending = self._ending(outcome)
         self._last_word(lambda: self._machine.fire(ENDINGS[ending], reason))
-        ended = RunEnded(outcome=ending, reason=reason, run=str(self._run.path), estimates=self._summary)
+        ended = RunEnded(outcome=ending, reason=reason, run=self._run.path.name, estimates=self._summary)
         trouble.append(self._last_word(lambda: self._log.say(ended, durable=True)))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         return Outcome(self._ending(outcome), reason, outcome.error or self._unwritten, self._summary)

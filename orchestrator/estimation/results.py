@@ -53,7 +53,7 @@ def write_results(
         Where a result cannot be written.
     """
     named = {"flux_map" if m == report.method else f"flux_map_{m}": found for m, found in maps.items()}
-    files = {**{name: str(folder / f"{name}.nc") for name in named}, "estimates": str(folder / REPORT_NAME)}
+    files = {**{name: f"{name}.nc" for name in named}, "estimates": REPORT_NAME}
     report = report.model_copy(update={"files": files})
     try:
         folder.mkdir(parents=True, exist_ok=True)

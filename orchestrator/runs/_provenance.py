@@ -1,4 +1,4 @@
-"""Where a run comes from: versions, interpreter, host, and the state of the source. Asks; changes nothing."""
+"""Where a run comes from: versions, interpreter, and the state of the source. Asks; changes nothing."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Provenance(Strict):
     fluxbench: str
     python: str
     platform: str
-    host: str
+    host: str | None = None
+    """Only older runs tell it."""
     packages: dict[str, str]
     """Versions of what fluxbench depends on."""
     plugins: tuple[PluginInfo, ...] = ()
@@ -44,7 +45,6 @@ def provenance(plugins: Iterable[PluginInfo] = ()) -> Provenance:
         fluxbench=_version(_DISTRIBUTION) or "?",
         python=platform.python_version(),
         platform=platform.platform(),
-        host=platform.node(),
         packages=_packages(),
         plugins=tuple(plugins),
         git=_git_state(Path(__file__).resolve().parents[2]),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from typing import TextIO
 
 from rich.console import Console, ConsoleOptions, Group, RenderableType
@@ -107,7 +108,7 @@ class LiveView:
         elif isinstance(message, RunEnded):
             self._is_over = True
             self._stop()
-            self._console.print(_ending(message))
+            self._console.print(_ending(message, self._display.progress.run))
         elif isinstance(message, StateChanged) and message.target == "paused":
             self._stop()
             self._console.print("paused; the drive is disarmed")
@@ -241,9 +242,9 @@ def _two_columns() -> Table:
     return table
 
 
-def _ending(message: RunEnded) -> RenderableType:
+def _ending(message: RunEnded, run: Path) -> RenderableType:
     _, style = MARKS[OUTCOME_MOODS[message.outcome]]
     table = _two_columns()
-    for label, text in summary_rows(message):
+    for label, text in summary_rows(message, run):
         table.add_row(label, Text(one_line(cut(text)), style=style if label == "outcome" else ""))
     return Group("", table)

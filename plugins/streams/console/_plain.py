@@ -76,7 +76,7 @@ class PlainView:
             case DiagnosisStep():
                 return ["  ".join(step_line(message))]
             case RunEnded():
-                return ["", *columns(list(summary_rows(message)))]
+                return ["", *columns(list(summary_rows(message, progress.run)))]
             case StagesAppended():
                 return []
             case StateChanged() if message.target not in WORTH_A_LINE:

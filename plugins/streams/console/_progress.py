@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 from protocols import (
     Message,
@@ -44,6 +45,8 @@ class Progress:
 
     Attributes
     ----------
+    run : Path
+        The run directory.
     clock : callable
         Seconds on the wall; replaced in tests.
     stages : int
@@ -52,9 +55,9 @@ class Progress:
         Planned time on the drive's clock: of what has been measured since the start or resumption, and of the rest.
     """
 
+    run: Path = Path()
     clock: Callable[[], float] = time.monotonic
     name: str = ""
-    run: str = ""
     state: str = "idle"
     stages: int = 0
     points: int = 0
@@ -113,7 +116,7 @@ class Progress:
         return max(0.0, self.left_s * self.measuring_s / self.drive_s - running)
 
     def _start(self, message: RunStarted) -> None:
-        self.name, self.run = message.name, message.run
+        self.name = message.name
         self.points, self.points_done = message.points, message.points_done
         self.left_s, self.begun_s = message.seconds, self.clock()
         self.stages = message.stages

@@ -49,7 +49,7 @@ class ConsoleStream:
     def __init__(self, setup: StreamSetup) -> None:
         options = setup.options if isinstance(setup.options, ConsoleOptions) else ConsoleOptions()
         output: TextIO = sys.stderr if options.output == "stderr" else sys.stdout
-        self._progress = Progress()
+        self._progress = Progress(setup.run)
         self._view: View | None = _view(options.mode, output)
 
     def receive(self, message: Message) -> None:

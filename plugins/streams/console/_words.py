@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from pathlib import Path
 
 from orchestrator.presentation.events import step_error_v
 from orchestrator.presentation.names import rung_name
@@ -48,15 +49,15 @@ def step_bar(step: DiagnosisStep, cells: int, decades: float = 3.0) -> str:
     return "━" * max(1, min(cells, round(cells / decades * math.log10(error / step.noise_rms_v))))
 
 
-def summary_rows(message: RunEnded, longest: int = 220) -> Iterator[tuple[str, str]]:
+def summary_rows(message: RunEnded, run: Path, longest: int = 220) -> Iterator[tuple[str, str]]:
     """The end of a run as label and text, the most wanted first; remarks of at most so many letters."""
     yield "outcome", f"{message.outcome}: {message.reason}" if message.reason else message.outcome
     if message.estimates is not None:
-        yield from _estimate_rows(message.estimates, longest)
-    yield "run", message.run
+        yield from _estimate_rows(message.estimates, run / "results", longest)
+    yield "run", str(run)
 
 
-def _estimate_rows(found: EstimationReport, longest: int) -> Iterator[tuple[str, str]]:
+def _estimate_rows(found: EstimationReport, folder: Path, longest: int) -> Iterator[tuple[str, str]]:
     """What was estimated, what is said of it, and where it is kept."""
     if found.resistance is not None:
         yield "R_s", resistance(found.resistance)
@@ -66,4 +67,5 @@ def _estimate_rows(found: EstimationReport, longest: int) -> Iterator[tuple[str,
     yield from (row for row in check_rows(found) if row[1] != UNKNOWN)
     for k, remark in enumerate(found.remarks):
         yield "" if k else "remarks", shortened(typographic(remark.text), longest)
-    yield from sorted(found.files.items(), key=lambda file: (file[0] == "estimates", file[0]))
+    for name, file in sorted(found.files.items(), key=lambda file: (file[0] == "estimates", file[0])):
+        yield name, str(folder / file)

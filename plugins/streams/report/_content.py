@@ -213,7 +213,7 @@ def provenance(material: Material) -> Iterator[tuple[str, str]]:
     if made.git is not None:
         yield "source", f"{made.git.sha}{' with changes' if made.git.dirty else ''}"
     yield "plugins", ", ".join(f"{p.name} ({p.distribution} {p.version})" for p in made.plugins) or "none"
-    yield "host", f"{made.host}, {made.platform}, Python {made.python}"
+    yield "machine", f"{made.platform}, Python {made.python}"
     yield "packages", ", ".join(f"{name} {version}" for name, version in made.packages.items())
 
 

@@ -71,7 +71,7 @@ def _of_recording(recording: Recording) -> Iterator[Message]:
     manifest = recording.manifest
     segments = recording.segments()
     yield RunStarted(
-        run=str(recording.path),
+        run=recording.path.name,
         name=manifest.name,
         motor=manifest.motor,
         limits=_reached_limits(recording, segments),

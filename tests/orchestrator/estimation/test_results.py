@@ -63,7 +63,7 @@ def test_a_kill_leaves_no_report_beside_maps_of_another_pass(
     is_old = file.read_bytes() == before
     for name, path in told.files.items():
         if name != "estimates":
-            with xr.open_dataset(path, engine="h5netcdf") as dataset:
+            with xr.open_dataset(tmp_path / "results" / path, engine="h5netcdf") as dataset:
                 assert dataset.attrs["recording"] == ("first" if is_old else "second")
     maps = {path.name for path in (tmp_path / "results").glob("flux_map*.nc")}
     assert maps == {Path(path).name for name, path in told.files.items() if name != "estimates"}

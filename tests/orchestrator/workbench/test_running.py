@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import platform
+import socket
 import threading
 from pathlib import Path
 
@@ -65,3 +67,16 @@ def test_settings_are_the_words_of_set() -> None:
     assert as_overrides({"limits.current_a": 3.0, "drive.plant": {"effects": {}}, "seed": None}) == [
         "limits.current_a=3.0", 'drive.plant={"effects": {}}', "seed=null",
     ]  # fmt: skip
+
+
+def test_what_a_run_keeps_tells_neither_who_ran_it_nor_where(
+    tiny: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("HOME", "USER", "LOGNAME", "SECRET_TOKEN"):
+        monkeypatch.setenv(name, f"/home/canary-{name}")
+    for module, name in ((platform, "node"), (socket, "gethostname")):
+        monkeypatch.setattr(module, name, lambda: "canary-host")
+    done = run(tiny, out=tmp_path / "canary-folder" / "run", streams=("report", "rerun"))
+    kept = [file for file in done.path.rglob("*") if file.is_file()]
+    assert len(kept) > 10
+    assert [file.name for file in kept if b"canary" in file.read_bytes()] == []

@@ -140,14 +140,15 @@ def test_summary_is_a_table_of_what_was_estimated(monkeypatch: pytest.MonkeyPatc
         classical_against_injection_percent=None,
         usable=False,
         reasons=["the rotor turned", "too few points"],
-        files={"estimates": "results/estimates.json", "flux_map": "results/flux_map.nc"},
+        files={"estimates": "estimates.json", "flux_map": "flux_map.nc"},
     )
     lines = told(monkeypatch, tmp_path, [end]).splitlines()
     assert "R_s         4.312 Ω (95 %: 4.305 to 4.320)" in lines
     assert "crossings   d 0.41 %" in lines
     assert "map usable  no" in lines
     assert lines[lines.index("remarks     the rotor turned") + 1] == "            too few points"
-    assert lines.index("flux_map    results/flux_map.nc") < lines.index("estimates   results/estimates.json")
+    there = tmp_path / "results"
+    assert lines.index(f"flux_map    {there}/flux_map.nc") < lines.index(f"estimates   {there}/estimates.json")
 
 
 def test_quiet_says_warnings_errors_and_a_bad_end_only(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -162,7 +162,7 @@ def test_a_long_remark_is_one_line_and_numbers_are_typeset() -> None:
     energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
     estimates = a_report().model_copy(update={**changes, "maps": energy})
     ended = RunEnded(outcome="finished", reason="", run="r", estimates=estimates)
-    rows = list(summary_rows(ended))
+    rows = list(summary_rows(ended, Path("runs/r")))
     assert ("remarks", "moved −0.2 ± 0.1 deg") in rows
     assert ("reciprocity", "0.002 % (by construction)") in rows
     assert max(len(text) for _, text in rows) < 270
