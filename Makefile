@@ -16,7 +16,7 @@ STAMP := $(VENV)/.installed
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
-.PHONY: demo test suite test-all test-socketcan bench torture blind pictures lint lock clean
+.PHONY: demo test suite test-all test-socketcan bench torture blind pictures lint lock release audit clean
 
 demo: $(STAMP)
 	$(BIN)/fluxbench run demo
@@ -68,8 +68,28 @@ lint: $(STAMP)
 lock: $(STAMP)
 	$(BIN)/pip freeze --exclude-editable --exclude fluxbench > constraints.txt
 
+# The wheel, the same bytes from the same sources, and what an installation of it consists of (CycloneDX).
+release: $(STAMP)
+	rm -rf dist
+	$(BIN)/python -m hatchling build -d dist
+	$(PYTHON) -m venv dist/.installed
+	dist/.installed/bin/pip install --quiet --disable-pip-version-check --constraint constraints.txt dist/*.whl
+	dist/.installed/bin/pip freeze --exclude fluxbench > dist/requirements.txt
+	$(PYTHON) -m venv dist/.tools
+	dist/.tools/bin/pip install --quiet --disable-pip-version-check "cyclonedx-bom>=7"
+	dist/.tools/bin/cyclonedx-py environment --output-reproducible --pyproject pyproject.toml --of JSON \
+		-o dist/sbom.json dist/.installed/bin/python
+	rm -rf dist/.installed dist/.tools
+
+# What is known to be unsafe of the versions that are pinned. Advisories are PyPI's: where they cannot be reached, this fails.
+audit:
+	$(PYTHON) -m venv dist/.audit
+	dist/.audit/bin/pip install --quiet --disable-pip-version-check "pip-audit>=2.9"
+	dist/.audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
+	rm -rf dist/.audit
+
 clean:
-	rm -rf $(VENV) runs .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) dist runs .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
