@@ -110,7 +110,7 @@ class Fitter:
             if promised < enough:
                 break
             while True:
-                move, _ = newton_step(best, system, damping)
+                move, kept = newton_step(best, system, damping)
                 trial = self._resized(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
                 missed = trial.objective >= best.objective + limits.slack
                 if not missed or damping > limits.most_damping or promised < limits.least_promise:
@@ -122,7 +122,7 @@ class Fitter:
             if gain < enough:
                 break
             # Where a step had to be damped, the next one most likely has to be too.
-            if gain > limits.promise_kept * promised:
+            if gain > limits.promise_kept * kept:
                 damping = 0.1 * damping if damping > limits.least_damping else 0.0
         return best
 
