@@ -14,6 +14,7 @@ from protocols import Capabilities, Effect, Procedure, StageEntry
 NOISE_A = 0.02
 DRIVE = Capabilities(
     name="on paper",
+    simulated=True,
     sampling_frequency_hz=10_000.0,
     pwm_frequency_hz=10_000.0,
     pwm_frequencies_hz=(10_000.0, 20_000.0),
