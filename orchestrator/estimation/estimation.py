@@ -22,6 +22,7 @@ from protocols import (
     RecordingReader,
     Remark,
     ResistanceEstimate,
+    SegmentStage,
 )
 
 
@@ -63,7 +64,7 @@ def estimate_recording(
     against = _conventions(recording)
     made: list[tuple[Estimator, Estimate]] = []
     missing: list[Remark] = []
-    for estimator in in_order(estimators):
+    for estimator in in_order([one for one in estimators if _is_concerned(one, recording)]):
         context = EstimationContext(tuple(estimate for _, estimate in made))
         try:
             estimate = estimator.estimate(recording, context)
@@ -88,6 +89,12 @@ def estimate_recording(
     report = beside_nameplate(report, maps, recording.manifest.motor).objected(against)
     about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
     return write_results(report, {method: found.map for method, found in maps.items()}, out / "results", **about)
+
+
+def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:
+    """Whether there is a segment of a stage that it `reads`; one that names none is asked in any case."""
+    stages: tuple[SegmentStage, ...] = getattr(estimator, "reads", ())
+    return not stages or bool(recording.segments(*stages))
 
 
 def _conventions(recording: RecordingReader) -> list[Remark]:

@@ -76,7 +76,8 @@ class WaveformChecks:
             self._zero_sequence(w, w.i_abc)
             if self._mapping.phase_currents is not None:
                 self._scaling(w, from_phases(w.i_abc))
-        self._polarity(w)
+        if w.stage is not SegmentStage.SPIN:  # a machine that turns may give power
+            self._polarity(w)
         if w.stage is SegmentStage.INJECTION:
             found = alignment_of(w.i_ab, w.v_ab)
             self._lags += [] if found is None else [found.lag_rows]

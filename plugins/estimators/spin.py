@@ -70,6 +70,7 @@ class SpinEstimator:
     summary: ClassVar[str] = "magnet flux and flux map by the back-EMF of a rotor that turns"
     requires: ClassVar[tuple[type[Estimate], ...]] = (EnergyFlux, SteppedFlux, SweptFlux)
     produces: ClassVar[type[Estimate]] = FluxMapEstimate
+    reads: ClassVar[tuple[SegmentStage, ...]] = (SegmentStage.SPIN,)
     rank: ClassVar[int] = 5
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> FluxMapEstimate:
@@ -143,6 +144,9 @@ class SpinEstimator:
 
     def _remarks(self, fit: SpinFit, stated: float | None) -> list[Remark]:
         told = [_magnet_remark(fit.magnet_wb, stated)]
+        ohm, std = fit.resistance_ohm
+        text = "R_s = {value_ohm:.4g} ohm (+-{std_ohm:.1g}) by the EMF's evenness and its speeds"
+        told.append(Remark.of("resistance_by_emf", text, value_ohm=ohm, std_ohm=std))
         angle, std = fit.angle_rad
         if abs(angle) > max(self.told_rad, self.sure * std):
             told.append(_offset_remark(angle))

@@ -79,6 +79,7 @@ class StepsEstimator:
     summary: ClassVar[str] = "flux map of one energy by voltage steps between current limits"
     requires: ClassVar[tuple[type[Estimate], ...]] = ()
     produces: ClassVar[type[Estimate]] = SteppedFlux
+    reads: ClassVar[tuple[SegmentStage, ...]] = (SegmentStage.STEPS,)
     rank: ClassVar[int] = 25
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> SteppedFlux:
@@ -187,6 +188,7 @@ class StepResistanceEstimator:
     summary: ClassVar[str] = "R_s by which the loops of voltage steps close"
     requires: ClassVar[tuple[type[Estimate], ...]] = (SteppedFlux,)
     produces: ClassVar[type[Estimate]] = ResistanceEstimate
+    reads: ClassVar[tuple[SegmentStage, ...]] = (SegmentStage.STEPS,)
     rank: ClassVar[int] = 0
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> ResistanceEstimate:

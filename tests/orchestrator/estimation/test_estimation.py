@@ -20,6 +20,7 @@ from protocols import (
     PluginError,
     RecordingReader,
     ResistanceEstimate,
+    SegmentStage,
 )
 from tests.orchestrator.estimation.made_up import R_S, RECORDING, Mapper, Resistance, Ripples, Sweeps, Swept
 
@@ -38,6 +39,16 @@ def test_resistance_comes_first_and_the_rest_sees_it(tmp_path: Path) -> None:
     assert mapper.saw is not None
     assert mapper.saw.resistance is R_S
     assert [type(estimate) for estimate in heard] == [ResistanceEstimate, Swept]
+
+
+def test_an_estimator_of_rare_stages_is_asked_only_where_there_is_one(tmp_path: Path) -> None:
+    class Rare(Sweeps):
+        reads: ClassVar[tuple[SegmentStage, ...]] = (SegmentStage.SPIN,)
+
+    rare = Rare()
+    report = estimate_recording(RECORDING, [rare, Resistance()], tmp_path)
+    assert rare.saw is None
+    assert all(remark.code != "not_measured" for remark in report.remarks)
 
 
 def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> None:

@@ -95,7 +95,7 @@ def test_the_map_and_the_magnet_are_right_with_a_resistance_that_is_off_by_a_per
     off = np.stack([estimate.map.psi_d - MAGNET_WB, estimate.map.psi_q], axis=-1) - flux_for(grid, saturated_current)
     assert 100.0 / RATED_WB * float(np.sqrt((off[there] ** 2).sum(axis=1).mean())) < 0.1
     assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
-    assert [remark.code for remark in estimate.remarks] == ["magnet_flux"]
+    assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]
 
 
 def test_an_offset_of_the_angle_is_told_in_either_direction_of_turning() -> None:
