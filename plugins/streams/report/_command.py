@@ -22,14 +22,20 @@ def report(
     out: Annotated[
         Path | None, typer.Option(help="The file to write; by default report.html in RUN, comparison.html of several.")
     ] = None,
+    pdf: Annotated[bool, typer.Option("--pdf", help="As PDF beside it too, by a Chromium on this machine.")] = False,
 ) -> int:
     """Write the report of a run or recording, or of several side by side: one self-contained page."""
     if len(directories) > 1:
         from plugins.streams.report._comparison_page import write_comparison
 
-        print(shown(str(write_comparison(directories, out))))
-        return 0
-    print(shown(str(write_report(directories[0], out))))
+        page = write_comparison(directories, out)
+    else:
+        page = write_report(directories[0], out)
+    print(shown(str(page)))
+    if pdf:
+        from plugins.streams.report._printing import print_page
+
+        print(shown(str(print_page(page, page.with_suffix(".pdf")))))
     return 0
 
 
