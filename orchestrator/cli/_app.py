@@ -399,16 +399,19 @@ def import_command(
     ],
     out: Annotated[Path | None, typer.Option(help="Recording to make; with --guess, the mapping to write.")] = None,
     guess: Annotated[bool, typer.Option("--guess", help="Write a mapping for FILE, each line with a reason.")] = False,
+    merge: Annotated[bool, typer.Option("--merge", help="Make one recording of several.")] = False,
     motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor.")] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Somebody else's measurements into a recording."""
-    from orchestrator.cli._exchange import guess_import, import_
+    from orchestrator.cli._exchange import guess_import, import_, merge_import
 
     if guess:
         return guess_import(files, out, motor, as_json)
+    if merge and out is not None:
+        return merge_import(files, out, as_json)
     if out is None or len(files) < 2:
-        raise typer.BadParameter("expected MAPPING FILE... --out DIR, or --guess FILE")
+        raise typer.BadParameter("expected MAPPING FILE... --out DIR, --merge RECORDING... --out DIR, or --guess FILE")
     return import_(files[0], files[1:], out, as_json)
 
 

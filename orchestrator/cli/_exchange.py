@@ -12,7 +12,7 @@ from orchestrator.config import load_motor
 from orchestrator.estimation import load_estimates
 from orchestrator.exporting import export_map
 from orchestrator.flux_maps import load_map
-from orchestrator.importing import import_files
+from orchestrator.importing import ImportReport, import_files, merge_recordings
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.presentation.quantities import percent
 from orchestrator.recording import read_model
@@ -59,7 +59,15 @@ def _recording_of(path: Path) -> str:
 
 def import_(mapping: Path, files: Sequence[Path], out: Path, as_json: bool) -> int:
     """Turn somebody else's measurements into a recording."""
-    report = import_files(mapping, files, out)
+    return _say_import(import_files(mapping, files, out), as_json)
+
+
+def merge_import(recordings: Sequence[Path], out: Path, as_json: bool) -> int:
+    """Make one recording of several."""
+    return _say_import(merge_recordings(recordings, out), as_json)
+
+
+def _say_import(report: ImportReport, as_json: bool) -> int:
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return 0

@@ -73,12 +73,12 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
     _check_files(files)
     mappings.check_all_used(mapping, files)
     pairs = paired(mappings, files)
-    with _appearing_whole(out) as partial:
+    with appearing_whole(out) as partial:
         importer = _Import(mappings, findings, partial)
         for path, beside in pairs.items():
             importer.take(path, beside)
         manifest = importer.finish(mapping)
-        _check_readable(mapping, partial)
+        check_readable(mapping, partial)
     return ImportReport(
         recording=str(out),
         name=manifest.name,
@@ -184,7 +184,7 @@ class _Import:
 
 
 @contextmanager
-def _appearing_whole(out: Path) -> Iterator[Path]:
+def appearing_whole(out: Path) -> Iterator[Path]:
     """A directory beside `out` that takes its name at the end, or vanishes where an exception ends it."""
     try:
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
@@ -204,7 +204,7 @@ def _appearing_whole(out: Path) -> Iterator[Path]:
         raise
 
 
-def _check_readable(mapping: Path, directory: Path) -> None:
+def check_readable(mapping: Path, directory: Path) -> None:
     """Refuse what every other command would refuse to read."""
     try:
         SoundRecording(open_recording(directory)).read_through()
