@@ -86,7 +86,7 @@ def guess_import(files: Sequence[Path], out: Path | None, motor: Path | None, as
     target = out if out is not None else Path(files[0].with_suffix(".yaml").name)
     if target.exists():
         raise InputError(str(target), "", "exists already, and nothing is overwritten: name another with --out")
-    plate = None if motor is None else load_motor(motor).model_dump(exclude_none=True)
+    plate = None if motor is None else load_motor(motor).model_dump(exclude_defaults=True)
     guessed = guess_mapping(files[0], plate)
     try:
         target.write_text(guessed.text, encoding="utf-8")

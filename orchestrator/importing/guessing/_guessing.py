@@ -144,7 +144,9 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
     if name not in raw:
         lines.say("time", {"column": name, "unit": "iso"}, "texts that are dates")
         return
-    step = float(np.median(np.diff(raw[name][np.isfinite(raw[name])])))
+    steps = np.diff(raw[name][np.isfinite(raw[name])])
+    # Of an epoch a single step is coarse: the mean of those that are no gap.
+    step = float(np.mean(steps[np.abs(steps) < 1.5 * np.median(np.abs(steps))])) if steps.size else 0.0
     fitting = [u for u in _TIME_UNITS if step > 0 and _RATES_HZ[0] <= 1.0 / (step * FACTORS[u]) <= _RATES_HZ[1]]
     given = columns.units.get(name)
     if given in _TIME_UNITS or given == "min":
