@@ -157,7 +157,7 @@ class WaveformChecks:
             )
 
     def _turning(self, w: Waveforms) -> None:
-        where = f"{w.stage.value} is for a locked one; a rotor that turns is not locked, and needs its angle"
+        where = f"{w.stage.value} is for a locked rotor; one that turns is of stage spin, with its angle"
         if self._is_significant(rms(w.i_ab)) and w.injected_hz is None:
             found = turning(w.i_ab, w.rate_hz)
             if found is not None:

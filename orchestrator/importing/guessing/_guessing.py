@@ -16,7 +16,7 @@ from orchestrator.importing._rotation import turning
 from orchestrator.importing._source import Numbers, Wanted, whole
 from orchestrator.importing._stamps import Stamps
 from orchestrator.importing._units import FACTORS
-from orchestrator.importing._vectors import vectors
+from orchestrator.importing._vectors import angle_rad, vectors
 from orchestrator.importing.guessing._columns import Columns, columns_of
 from orchestrator.importing.guessing._roles import Roles, Signal, roles_of
 from orchestrator.importing.guessing._stages import Stretch, stretches_of
@@ -243,6 +243,10 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
     if mapping.rotor_angle.column is None and (found := turning(i, 1.0 / float(np.median(np.diff(time_s))))):
         said = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz, and no column is the rotor's angle"
         raise InputError(str(path), "", said)
+    angle = mapping.rotor_angle
+    if angle.column is not None and np.ptp(np.unwrap(angle_rad(angle, columns, pairs))) > 6.0 * np.pi:
+        lines.say_rules([({"stage": SegmentStage.SPIN.value}, f"{angle.column} goes round more than three times")])
+        return
     largest = float(np.max(np.hypot(*i.T))), float(np.max(np.hypot(*v.T)))
     if label is None or block.labels is None:
         lines.say_rules(_by_time(path, stretches_of(time_s, i, v, largest)))

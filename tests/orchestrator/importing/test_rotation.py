@@ -5,9 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pyarrow.csv
 import pytest
 
 from orchestrator.importing._rotation import turning
+from orchestrator.importing.guessing import guess_mapping
 from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.strangers import REDUCED, Desk
@@ -61,3 +63,13 @@ def test_nothing_that_a_locked_rotor_does_is_taken_for_turning() -> None:
 def test_nothing_and_noise_do_not_turn() -> None:
     assert turning(np.zeros((500, 2)), 1e4) is None
     assert turning(np.random.default_rng(0).normal(size=(5000, 2)), 1e4) is None
+
+
+def test_an_angle_that_goes_round_is_guessed_to_be_a_spin(tmp_path: Path) -> None:
+    desk = Desk(tmp_path)
+    running(desk, "spin", 50.0)
+    t = np.arange(4000) / 1e4
+    table = pyarrow.csv.read_csv(desk.files[0])
+    phases = {f"{kind}{phase}": table[f"{kind}{phase}"].to_numpy() for kind in "iv" for phase in "abc"}
+    path = desk.write("spin.csv", {"t": t, "theta": np.angle(np.exp(2j * np.pi * 50.0 * t)), **phases})
+    assert "{stage: spin}  # theta goes round" in guess_mapping(path).text
