@@ -11,6 +11,7 @@ from orchestrator.flux_maps._checks import (
     least_inductances,
     reciprocity,
     roughness,
+    swing_of,
     symmetry,
     symmetry_axis,
 )
@@ -99,7 +100,7 @@ def audit_map(
     """
     criteria = criteria or AuditCriteria()
     surface = MapSurface(flux_map)
-    swing = 0.5 * float(np.ptp(surface.fluxes, axis=0).max())
+    swing = swing_of(surface)
     floor = max(0.01 * criteria.material_percent * swing, criteria.deviations * _own_error(flux_map, surface.known))
     gradient, found = reciprocity(surface), _symmetries(surface, swing)
     least = least_inductances(surface)

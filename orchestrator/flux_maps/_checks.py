@@ -11,9 +11,12 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.flux_maps._surface import MapSurface
+from orchestrator.flux_maps._surface import WHERE, MapSurface
 from orchestrator.numerics.types import Array, Mask
+from protocols import InputError
 
+_LEAST_WB, _GREATEST_WB = 1e-12, 1e6
+"""Beyond what any motor's flux swings by: a file's zeros, or its unit."""
 _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
@@ -38,6 +41,14 @@ class Symmetry:
     """Largest odd part of the flux along the axis."""
     q_wb: float
     """Largest even part of the flux across it."""
+
+
+def swing_of(surface: MapSurface) -> float:
+    """Half the range of psi_d or psi_q, whichever is larger [Wb]; raises `InputError` where that is no motor's."""
+    swing = 0.5 * float(np.ptp(surface.fluxes, axis=0).max())
+    if not _LEAST_WB < swing < _GREATEST_WB:
+        raise InputError(WHERE, "psi_d, psi_q", f"fluxes that swing by {swing:.3g} Wb are no motor's")
+    return swing
 
 
 def curl(surface: MapSurface) -> Array:
@@ -109,9 +120,11 @@ def symmetry_axis(surface: MapSurface, near_rad: float, reach_rad: float = np.pi
     if symmetry(surface, near_rad) is None:
         return None
 
+    nothing = 1e3 * swing_of(surface)  # worse than any axis, and finite: the search computes with it
+
     def apart(axis_rad: float) -> float:
         found = symmetry(surface, axis_rad)
-        return np.inf if found is None else found.rms_wb
+        return nothing if found is None else found.rms_wb
 
     # A coarse scan first: what lies inside the region changes with the axis, and makes steps.
     scan = near_rad + np.linspace(-reach_rad, reach_rad, 31)

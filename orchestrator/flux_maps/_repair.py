@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from pydantic import Field
 
-from orchestrator.flux_maps._checks import symmetry, symmetry_axis
+from orchestrator.flux_maps._checks import swing_of, symmetry, symmetry_axis
 from orchestrator.flux_maps._surface import WHERE, MapSurface
 from orchestrator.numerics.surface import inside_hull
 from orchestrator.numerics.tensor_spline import EvenSpline
@@ -79,11 +79,11 @@ def repair_map(flux_map: FluxMap, criteria: RepairCriteria | None = None) -> Rep
 
 def _turn(surface: MapSurface, least_share: float = 0.05) -> float:
     """Angle of the axis of symmetry nearest to the magnet, or to d where nothing tells of a magnet."""
-    near = 0.0
+    near, swing = 0.0, swing_of(surface)
     rest = np.zeros((1, 2))
     if surface.inside(rest)[0]:
         flux = surface.psi(rest)[0]
-        if np.linalg.norm(flux) > least_share * 0.5 * float(np.ptp(surface.fluxes, axis=0).max()):
+        if np.linalg.norm(flux) > least_share * swing:
             near = 0.5 * math.pi * round(math.atan2(flux[1], flux[0]) / (0.5 * math.pi))
     best, plain = symmetry_axis(surface, near), symmetry(surface, near)
     return near if best is None or plain is None or best.rms_wb > 0.5 * plain.rms_wb else best.axis_rad

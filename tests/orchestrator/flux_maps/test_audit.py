@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.flux_maps import MapSurface, audit_map, load_map, repair_map
-from protocols import FluxMap, RealArray
+from protocols import FluxMap, InputError, RealArray
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, Array, saturated_map, shipped, shipped_path
 from tests.support.close import assert_close
 
@@ -122,3 +122,11 @@ def test_public_maps_of_real_machines_are_what_they_are() -> None:
     slow, fast = (load_map(shipped_path(f"beckhoff-am8141-{rpm}rpm")) for rpm in (400, 800))
     assert [f.remark.code for f in audit_map(slow).faults] == ["not_reciprocal", "turned", "not_even"]
     assert [f.remark.code for f in audit_map(fast).faults] == ["turned"]
+
+
+@pytest.mark.parametrize("scale", [0.0, 1e300, 1e-300])
+def test_fluxes_of_no_motor_are_one_line(scale: float) -> None:
+    silly = changed(psi_d=scale * sound().psi_d, psi_q=scale * sound().psi_q)
+    for judged in (audit_map, repair_map):
+        with pytest.raises(InputError, match="are no motor's"):
+            judged(silly)
