@@ -89,8 +89,13 @@ def fitted_clock(
     i_s, i = i_s[known], i[known]
     step_s = max(_step(i_s), _step(v_s), _SHORTEST_STEP_S)
     clock, begins_s = _to_a_sample(other, (i_s, i), (v_s, v), step_s)
-    for _ in range(2):
+    for _ in range(3):
         clock = clock.later(*_late((i_s, i), (clock.of(v_s), v), begins_s, step_s))
+    late_s, slope, _ = _late((i_s, i), (clock.of(v_s), v), begins_s, step_s)
+    if abs(late_s) + 0.5 * abs(slope) * float(np.ptp(i_s)) > 0.5 * step_s:
+        raise InputError(
+            str(other), "align", "no offset and drift between the clocks fits the voltage's edges throughout"
+        )
     said = (
         f"{other}: laid beside {path.name} by its edges, {clock.offset_s:.6g} s between the clocks, "
         f"{1e6 * clock.drift:.1f} ppm drift; a delay of the drive would be in it"
@@ -134,20 +139,19 @@ def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> 
             lags.append(_sharp(left, place) - (samples - 1) - start)
             explained.append(1.0 - float(left[place]))
     used = np.array(explained) > 0.5 * max(explained)
-    slope, at_zero = _line(np.array(places)[used], np.array(lags)[used], within=1.0)
+    slope, at_zero = _line(np.array(places)[used], np.array(lags)[used])
     offset_s = i_s[0] - v_s[0] - (1.0 - slope) * at_zero * step_s
     return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * starts[used]
 
 
-def _line(x: Numbers, y: Numbers, within: float) -> tuple[float, float]:
-    """Slope and y(0) of the line through most of the points, those further off it left out; level through few."""
-    slope, at_zero = 0.0, float(np.median(y))
-    for _ in range(3):
-        used = np.abs(y - at_zero - slope * x) < within
-        if np.count_nonzero(used) < 3:
-            break
-        slope, at_zero = (float(number) for number in np.polyfit(x[used], y[used], 1))
-    return slope, at_zero
+def _line(x: Numbers, y: Numbers) -> tuple[float, float]:
+    """Slope and y(0) of the line through most of the points (Theil and Sen's); level through few."""
+    from scipy.stats import theilslopes
+
+    if x.size < 3:
+        return 0.0, float(np.median(y))
+    found = theilslopes(y, x)
+    return float(found[0]), float(found[1])
 
 
 def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> tuple[float, float, float]:
@@ -163,7 +167,7 @@ def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> t
         return 0.0, 0.0, 0.0
     times, late_s = np.array(told).T
     middle = float(np.mean(times))
-    slope, at_middle = _line(times - middle, late_s, within=0.3 * step_s)
+    slope, at_middle = _line(times - middle, late_s)
     return at_middle, slope, middle
 
 
