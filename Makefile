@@ -16,7 +16,7 @@ STAMP := $(VENV)/.installed
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
-.PHONY: demo test suite test-all test-socketcan bench torture blind pictures lint lock release audit clean
+.PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures lint lock release audit clean
 
 demo: $(STAMP)
 	$(BIN)/fluxbench run demo
@@ -34,6 +34,10 @@ test-all: $(STAMP) lint
 # Real SocketCAN in a virtual machine: qemu-system-x86, busybox-static and a Debian kernel (docs/robustness.md).
 test-socketcan: $(STAMP)
 	$(BIN)/python -m tests.socketcan
+
+# The reference firmware on the host and on QEMU's Cortex-M4: kits, runs, kills, fuzzing. What lacks its tool is skipped.
+test-firmware: $(STAMP)
+	$(BIN)/pytest -q -m "slow or not slow" tests/plugins/wire/firmware
 
 bench: $(STAMP)
 	$(BIN)/python -m tests.benchmarks

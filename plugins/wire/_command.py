@@ -1,4 +1,4 @@
-"""`fluxbench wire`: the protocol's page, its DBC, or C code for firmware."""
+"""`fluxbench wire`: the protocol's page, its DBC, its C codec, or a whole firmware."""
 
 from __future__ import annotations
 
@@ -14,14 +14,22 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 @app.command()
 def wire(
     c: Annotated[Path | None, typer.Option("--c", help="Write the C codec for firmware here.", metavar="DIR")] = None,
+    firmware: Annotated[
+        Path | None, typer.Option("--firmware", help="Write the reference firmware here, codec and all.", metavar="DIR")
+    ] = None,
     dbc: Annotated[bool, typer.Option("--dbc", help="Print the DBC instead.")] = False,
     node: Annotated[int, typer.Option(min=0, max=3, help="Of the drive whose identifiers the DBC has.")] = 0,
 ) -> int:
     """Print the page that documents the drive protocol, or write what firmware needs of it."""
-    if c is not None:
+    if firmware is not None:
         from plugins.wire._firmware import write_firmware
 
-        for path in write_firmware(c):
+        for path in write_firmware(firmware):
+            print(path)
+    elif c is not None:
+        from plugins.wire._firmware import write_codec
+
+        for path in write_codec(c):
             print(path)
     elif dbc:
         from plugins.wire._dbc import dbc_text

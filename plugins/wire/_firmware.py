@@ -1,14 +1,18 @@
-"""C for firmware: the message codec by cantools, and the register table as a header. Made from the same two files."""
+"""C for firmware: the codec by cantools and the register table as a header, and a whole firmware that uses them."""
 
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator, Mapping
 from enum import IntEnum, IntFlag
+from importlib.resources import files
+from importlib.resources.abc import Traversable
 from pathlib import Path
 
 from orchestrator.recording import replace_file
+from plugins.wire._blocks import DESCRIPTION, LAST_CAPTURE, LONGEST_CAPTURE, RIPPLE
 from plugins.wire._dbc import message_database
-from plugins.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
+from plugins.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, AckStatus, Capability, Fault, Op, Phase, PowerState
 from plugins.wire._program import AXES, KINDS, WAVEFORMS
 from plugins.wire._registers import registers
 from plugins.wire._rows import CaptureFormat, Channel
@@ -17,7 +21,7 @@ from protocols import InputError
 FILES = ("fluxbench.h", "fluxbench.c", "fluxbench_registers.h")
 _HEADER = """\
 /* Registers of the fluxbench drive protocol {major}.{minor}: index, access, range, unit.
-   Made by `fluxbench wire --c`; do not edit. */
+   Made by `fluxbench wire`; do not edit. */
 
 #ifndef FLUXBENCH_REGISTERS_H
 #define FLUXBENCH_REGISTERS_H
@@ -34,7 +38,14 @@ typedef struct {{
     float low, high, initial;
 }} fluxbench_register_t;
 
+#define FLUXBENCH_DESCRIPTION {description}u /* capture number of the description */
+#define FLUXBENCH_RIPPLE {ripple}u /* added to a capture's number: its ripple rows */
+#define FLUXBENCH_LAST_CAPTURE {last}u /* 1 follows it */
+#define FLUXBENCH_LONGEST_CAPTURE {longest}u /* bytes */
+#define FLUXBENCH_MOST_ROWS {most}u
+
 {indices}
+#define FLUXBENCH_REGISTERS_END {end} /* past the last index */
 
 {constants}
 
@@ -46,8 +57,20 @@ typedef struct {{
 """
 
 
-def write_firmware(directory: Path) -> tuple[Path, ...]:
-    """Write the C files, each whole or not at all, and return their paths.
+_PREFIXES = {
+    "Capability": "CAN",
+    "Channel": "CHANNEL",
+    "CaptureFormat": "FORMAT",
+    "PowerState": "STATE",
+    "Phase": "PHASE",
+    "Fault": "FAULT",
+    "Op": "OP",
+    "AckStatus": "ACK",
+}
+
+
+def write_codec(directory: Path) -> tuple[Path, ...]:
+    """Write the codec and the register table, each file whole or not at all, and return their paths.
 
     Raises
     ------
@@ -56,18 +79,36 @@ def write_firmware(directory: Path) -> tuple[Path, ...]:
     StorageError
         The disk is full.
     """
-    texts = (*codec_source(), registers_header())
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError("--c", str(directory), f"cannot be made: {error.strerror or error}") from None
-    if not os.access(directory, os.W_OK | os.X_OK):
-        raise InputError("--c", str(directory), "cannot be written to")
-    paths = tuple(directory / name for name in FILES)
+    return _write("--c", directory, dict(zip(FILES, (*codec_source(), registers_header()), strict=True)))
+
+
+def write_firmware(directory: Path) -> tuple[Path, ...]:
+    """Write the reference firmware with its boards beside the codec (docs/firmware.md); raises as `write_codec`."""
+    codec = dict(zip(FILES, (*codec_source(), registers_header()), strict=True))
+    return _write("--firmware", directory, codec | dict(_sources(files("plugins.wire") / "firmware")))
+
+
+def _sources(folder: Traversable, below: str = "") -> Iterator[tuple[str, str]]:
+    for entry in sorted(folder.iterdir(), key=lambda entry: entry.name):
+        if entry.is_dir():
+            yield from _sources(entry, f"{below}{entry.name}/")
+        elif entry.name == "Makefile" or entry.name.endswith((".c", ".h", ".ld")):
+            yield below + entry.name, entry.read_text(encoding="utf-8")
+
+
+def _write(option: str, directory: Path, texts: Mapping[str, str]) -> tuple[Path, ...]:
+    paths = tuple(directory / name for name in texts)
+    for folder in (directory, *sorted({path.parent for path in paths} - {directory})):
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise InputError(option, str(folder), f"cannot be made: {error.strerror or error}") from None
+        if not os.access(folder, os.W_OK | os.X_OK):
+            raise InputError(option, str(folder), "cannot be written to")
     occupied = next((path for path in paths if path.is_dir()), None)
     if occupied is not None:
-        raise InputError("--c", str(occupied), "is a folder")
-    for path, text in zip(paths, texts, strict=True):
+        raise InputError(option, str(occupied), "is a folder")
+    for path, text in zip(paths, texts.values(), strict=True):
         replace_file(path, text.encode("utf-8"))
     return paths
 
@@ -93,15 +134,26 @@ def registers_header() -> str:
         *_constants(Capability),
         *_constants(Channel),
         *_constants(CaptureFormat),
+        *(line for kind in (PowerState, Phase, Fault, Op, AckStatus) for line in _constants(kind)),
         *(f"#define FLUXBENCH_KIND_{kind.upper()} {number}" for number, kind in enumerate(KINDS)),
         *(f"#define FLUXBENCH_AXIS_{axis.upper()} {number}" for number, axis in enumerate(AXES)),
         *(f"#define FLUXBENCH_WAVEFORM_{wave.upper()} {number}" for number, wave in enumerate(WAVEFORMS)),
     ]
     return _HEADER.format(
-        major=PROTOCOL_MAJOR, minor=PROTOCOL_MINOR, indices=indices, constants="\n".join(constants), rows=rows
+        major=PROTOCOL_MAJOR,
+        minor=PROTOCOL_MINOR,
+        description=DESCRIPTION,
+        ripple=RIPPLE,
+        last=LAST_CAPTURE,
+        longest=LONGEST_CAPTURE,
+        most=int(registers()["capture_rows"].range[1]),
+        indices=indices,
+        end=max(register.index for register in registers().values()) + 1,
+        constants="\n".join(constants),
+        rows=rows,
     )
 
 
 def _constants(kind: type[IntEnum] | type[IntFlag]) -> list[str]:
-    prefix = {"Capability": "CAN", "Channel": "CHANNEL", "CaptureFormat": "FORMAT"}[kind.__name__]
+    prefix = _PREFIXES[kind.__name__]
     return [f"#define FLUXBENCH_{prefix}_{member.name} {member.value}" for member in kind]

@@ -14,7 +14,7 @@ import pytest
 from plugins.wire import registers
 from plugins.wire._command import command
 from plugins.wire._dbc import layouts
-from plugins.wire._firmware import FILES, write_firmware
+from plugins.wire._firmware import FILES, write_codec
 from protocols import InputError, StorageError
 from tests.plugins.wire.test_codec import database, random_payload
 
@@ -70,7 +70,7 @@ def c_name(name: str) -> str:
 
 
 def test_c_codec_compiles_strictly_and_round_trips_what_python_sends(tmp_path: Path) -> None:
-    write_firmware(tmp_path)
+    write_codec(tmp_path)
     cases = "\n".join(CASE.format(id=m.frame_id, name=c_name(name)) for name, m in layouts().items())
     (tmp_path / "main.c").write_text(HARNESS.format(cases=cases, registers=len(registers())))
     build = [compiler(), *STRICT, "-O1", "-o", "codec", "main.c", "fluxbench.c"]
@@ -98,17 +98,17 @@ def test_the_command_writes_the_files(tmp_path: Path, capsys: pytest.CaptureFixt
 def test_a_directory_that_cannot_be_made_is_one_clear_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     with pytest.raises(InputError, match="file"):
-        write_firmware(tmp_path / "file" / "below")
+        write_codec(tmp_path / "file" / "below")
 
 
 def test_a_full_disk_leaves_the_old_files_and_no_half_ones(tmp_path: Path) -> None:
-    write_firmware(tmp_path)
+    write_codec(tmp_path)
     before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
     try:
         with pytest.raises(StorageError):
-            write_firmware(tmp_path)
+            write_codec(tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before

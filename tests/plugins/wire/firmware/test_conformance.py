@@ -1,0 +1,74 @@
+"""The reference firmware under the drives' kit: as a process, and on a Cortex-M4 that QEMU emulates."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import ClassVar, Literal
+
+import pytest
+
+from orchestrator.testing import DriveConformance
+from plugins.drives.serial import SerialDrive, SerialOptions
+from protocols import Drive, DriveSetup, Motor
+from tests.plugins.wire.firmware.built import Board, build, cortex_m4, host_board
+from tests.support.tiny import MOTOR
+
+
+class OnABoard(DriveConformance):
+    """A board for all checks."""
+
+    capture: ClassVar[Literal["raw", "demodulated"]] = "raw"
+    port: ClassVar[str]
+
+    @classmethod
+    def board(cls, folder: Path) -> AbstractContextManager[Board]:
+        raise NotImplementedError
+
+    @pytest.fixture(autouse=True, scope="class")
+    @classmethod
+    def _running(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+        with cls.board(tmp_path_factory.mktemp("board")) as board:
+            cls.port = board.port
+            yield
+
+    def make_drive(self, setup: DriveSetup) -> Drive:
+        return SerialDrive(setup)
+
+    def setup(self) -> DriveSetup:
+        options = SerialOptions(port=self.port, capture=self.capture, telemetry_period_s=0.15)
+        return DriveSetup(motor=Motor(**MOTOR), options=options, seed=1)
+
+
+@pytest.mark.slow
+class TestOnTheHost(OnABoard):
+    """Twenty seconds a second."""
+
+    speed = 20.0
+
+    @classmethod
+    def board(cls, folder: Path) -> AbstractContextManager[Board]:
+        return host_board(build(folder, "host"), folder, cls.speed)
+
+
+class TestInRealTime(TestOnTheHost):
+    """Settling takes its time, and rows come while they are captured."""
+
+    speed = 1.0
+
+
+class TestDemodulated(TestOnTheHost):
+    """Injections as ripple rows."""
+
+    speed = 1.0
+    capture = "demodulated"
+
+
+@pytest.mark.slow
+class TestOnACortexM4(OnABoard):
+    """In real time."""
+
+    @classmethod
+    def board(cls, folder: Path) -> AbstractContextManager[Board]:
+        return cortex_m4(build(folder, "mps2_an386"))
