@@ -143,7 +143,7 @@ def test_schemas_are_json_schemas(name: str) -> None:
 
 def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert "report" in called("--help").stdout
-    assert "one self-contained page" in called("report", "--help").stdout
+    assert "Write the report of a run" in called("report", "--help").stdout
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     done = called("report", data, "--out", tmp_path / "page.html")
     assert done.returncode == 0, done.stderr

@@ -25,7 +25,7 @@ def test_a_damaged_map_is_one_line(tmp_path: Path) -> None:
 
 
 def test_memory_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    def greedy(name: str) -> int:
+    def greedy(*_: object) -> int:
         raise MemoryError("Unable to allocate 16. GiB for an array")
 
     monkeypatch.setattr("orchestrator.cli._inspect.schema", greedy)

@@ -272,7 +272,7 @@ def test_an_override_may_set_a_drives_own_option() -> None:
         ("limits..current_a=3", "expected key.path=value"),
         ("limits.currant_a=3", "did you mean 'current_a'?"),
         ("limit.current_a=3", "did you mean 'limits'?"),
-        ("limits.current_a=40 V", "expected a number in A, got '40 V'"),
+        ("limits.current_a=40 V", "expected a number in A, or a quantity such as '5 A' or '5 mA', got '40 V'"),
         ("limits.current_a=", "expected a number in A, got None"),
         ("limits.current_a=.nan", "finite"),
         ("limits.current_a=nan", "expected a number in A, got 'nan'"),

@@ -71,7 +71,7 @@ def test_every_picture_of_the_diagnosis_is_on_the_page(page: str) -> None:
     ]
     places = [page.index(f"<h3>{title}") for title in titles]
     assert places == sorted(places)
-    assert page.count("<img") == 8 + 11
+    assert page.count("<img") == 12 + 11
 
 
 def test_the_page_stays_small(page: str) -> None:
