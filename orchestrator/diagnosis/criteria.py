@@ -123,8 +123,10 @@ class FittingCriteria(Strict):
     """Rise of the objective that is rounding and renewed noise, not failure."""
     renewal_change: float = _is(1e-3, "1", "theory")
     """Relative change of chi2 below which a frame need not be renewed again."""
-    least_damping: float = _is(0.001, "1", "practice")
+    first_damping: float = _is(0.1, "1", "practice")
     """Damping (of Levenberg and Marquardt) with which a step that failed is tried again; tenfold each time, ..."""
+    least_damping: float = _is(2e-3, "1", "practice")
+    """... a tenth after each step that kept its promise, and none from here on, ..."""
     most_damping: float = _is(50.0, "1", "practice")
     """... and the one beyond which no more is tried."""
     promise_kept: float = _is(0.75, "1", "practice")

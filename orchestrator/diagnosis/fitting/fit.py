@@ -109,20 +109,21 @@ class Fitter:
             promised = newton_step(best, system, 0.0)[1]
             if promised < enough:
                 break
+            begun = damping
             while True:
                 move, kept = newton_step(best, system, damping)
                 trial = self._resized(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
                 missed = trial.objective >= best.objective + limits.slack
                 if not missed or damping > limits.most_damping or promised < limits.least_promise:
                     break
-                damping = max(10.0 * damping, limits.least_damping)
+                damping = 10.0 * damping or limits.first_damping
             gain = best.objective - trial.objective
             if gain > -limits.slack:
                 best = trial
             if gain < enough:
                 break
-            # Where a step had to be damped, the next one most likely has to be too.
-            if gain > limits.promise_kept * kept:
+            # Where a step had to be damped more, the next one most likely has to be too.
+            if damping == begun and gain > limits.promise_kept * kept:
                 damping = 0.1 * damping if damping > limits.least_damping else 0.0
         return best
 
