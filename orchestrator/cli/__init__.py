@@ -9,9 +9,9 @@ def main() -> None:
     from orchestrator.cli._early_signals import EarlySignals
 
     signals = EarlySignals()  # before anything is imported that takes time
-    from orchestrator.cli._app import run_app
     from orchestrator.cli._leaving import leave
     from orchestrator.cli._quiet import hush_libraries
+    from orchestrator.cli._running import run_app
 
     hush_libraries()
 

@@ -116,11 +116,11 @@ class _Signal(Strict):
 
     def offset_of(self, axis: str) -> float:
         """What the axis' column reads at zero."""
-        return self.offset[axis] if isinstance(self.offset, dict) else self.offset  # type: ignore[index]
+        return self.offset[axis] if isinstance(self.offset, dict) else self.offset  # type: ignore[index]  # an Axis
 
     def factor_of(self, axis: str) -> float:
         """What the axis' column is multiplied by."""
-        return self.factor[axis] if isinstance(self.factor, dict) else self.factor  # type: ignore[index]
+        return self.factor[axis] if isinstance(self.factor, dict) else self.factor  # type: ignore[index]  # an Axis
 
     @property
     def as_it_stands(self) -> bool:

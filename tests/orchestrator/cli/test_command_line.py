@@ -28,7 +28,7 @@ def assert_one_line(done: subprocess.CompletedProcess[str], code: int, *words: s
 
 def test_help_imports_nothing_heavy() -> None:
     code = (
-        "import sys\nfrom orchestrator.cli._app import run_app\nrun_app(['--help'])\n"
+        "import sys\nfrom orchestrator.cli._running import run_app\nrun_app(['--help'])\n"
         "print(sorted({'numpy', 'pydantic', 'numba', 'scipy', 'pyarrow', 'rich.progress'} & set(sys.modules)))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.cli._app import run_app
+from orchestrator.cli._running import run_app
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
 EFFECT = """

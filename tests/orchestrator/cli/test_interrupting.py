@@ -69,9 +69,9 @@ def test_ctrl_c_ends_a_search_at_once(seconds: float, times: int, tmp_path: Path
 
 def test_ctrl_c_anywhere_else_is_one_line_too() -> None:
     code = (
-        "from orchestrator.cli import _app, _inspect\n"
+        "from orchestrator.cli import _inspect, _running\n"
         "def raising(*_):\n    raise KeyboardInterrupt\n"
-        "_inspect.procedures = raising\nraise SystemExit(_app.run_app(['procedures']))"
+        "_inspect.procedures = raising\nraise SystemExit(_running.run_app(['procedures']))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert (done.returncode, done.stderr) == (130, "fluxbench: interrupted\n")

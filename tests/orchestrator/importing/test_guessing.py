@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 import scipy.io
 
-from orchestrator.cli._app import run_app
+from orchestrator.cli._running import run_app
 from orchestrator.importing import import_files
 from orchestrator.importing.guessing import guess_mapping
 from orchestrator.recording import open_recording

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.cli._app import run_app
+from orchestrator.cli._running import run_app
 from orchestrator.importing import merge_recordings
 from orchestrator.recording import open_recording
 from protocols import InputError
