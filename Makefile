@@ -16,7 +16,7 @@ STAMP := $(VENV)/.installed
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
-.PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures lint lock release audit clean
+.PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures docs lint lock release audit clean
 
 demo: $(STAMP)
 	$(BIN)/fluxbench run demo
@@ -58,6 +58,14 @@ pictures: $(STAMP)
 	$(BIN)/fluxbench run demo --out runs/pictures
 	$(BIN)/python -m tests.pictures runs/pictures
 
+# The documentation as a site in site/, strictly: a page that the navigation lacks or a link into nothing fails.
+docs: $(VENV)/.docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
+
+$(VENV)/.docs: $(STAMP)
+	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[docs]"
+	touch $@
+
 $(COMPILED): $(STAMP) $(KERNELS)
 	$(BIN)/python -m tests.support.kernels
 	touch $@
@@ -93,7 +101,7 @@ audit:
 	rm -rf dist/.audit
 
 clean:
-	rm -rf $(VENV) dist runs .mypy_cache .ruff_cache .hypothesis .import_linter_cache
+	rm -rf $(VENV) dist runs site .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
 $(STAMP): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)

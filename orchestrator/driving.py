@@ -31,6 +31,7 @@ from protocols import (
     Limits,
     NoOptions,
     Telemetry,
+    VoltageSteps,
 )
 
 SINGLE = 1.0 + 1e-6
@@ -269,6 +270,8 @@ def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities,
     current_a = excitation.longest_current_a
     if current_a > limits.current_a * SINGLE:
         raise DriveRefused(f"current {current_a:.4g} A is above the limit of {limits.current_a:g} A")
+    if isinstance(excitation, VoltageSteps) and excitation.voltage_v > limits.voltage_v * SINGLE:
+        raise DriveRefused(f"steps of {excitation.voltage_v:.4g} V are above the limit of {limits.voltage_v:g} V")
     if isinstance(excitation, Injection):  # on open loop: current control saturates by itself
         voltage_v = excitation.amplitude_v + resistance_ohm * current_a
         if voltage_v > limits.voltage_v * SINGLE:

@@ -30,8 +30,8 @@ MOTOR_RANGES: Mapping[str, Range] = {
     "rated_torque_nm": (1e-7, 1e8),
     "stator_resistance_ohm": (1e-6, 1e5),
     "stator_resistance_std_ohm": (1e-9, 1e5),
-    "d_inductance_h": (1e-8, 100.0),
-    "q_inductance_h": (1e-8, 100.0),
+    "d_inductance_h": (1e-8, 10.0),
+    "q_inductance_h": (1e-8, 10.0),
     "pm_flux_wb": (0.0, 100.0),
 }
 """In the fields' own units: from the smallest watch's motor to the largest ship's, and some decades more."""

@@ -11,7 +11,7 @@ import inspect
 import sys
 import typing
 from collections.abc import Iterable, Mapping
-from enum import StrEnum
+from enum import Enum, StrEnum
 from functools import lru_cache
 from importlib.metadata import Distribution, EntryPoint
 from pathlib import Path
@@ -123,6 +123,12 @@ def make_plugins(kind: PluginKind, names: Iterable[str] | None = None) -> list[A
     return [found.load(name)() for name in (names if names is not None else [info.name for info in found.plugins])]
 
 
+_NO_EFFECT = (
+    "holds no effect: a class with name, summary, signature, layer, needs, gauge, a class Parameters(EffectParameters) "
+    "and a method correct(self, signals, parameters); `fluxbench new effect NAME` writes one"
+)
+
+
 def load_effects_file(path: Path) -> list[type[Any]]:
     """Run a Python file and take the classes in it that are effects.
 
@@ -144,7 +150,7 @@ def load_effects_file(path: Path) -> list[type[Any]]:
     own = [c for c in vars(module).values() if inspect.isclass(c) and c.__module__ == module.__name__]
     found = [c for c in own if hasattr(c, "correct")]
     if not found:
-        raise PluginError(str(path), "", "holds no effect: a class with a method 'correct'")
+        raise PluginError(str(path), "", _NO_EFFECT)
     for plugin in found:
         name = str(getattr(plugin, "name", plugin.__name__))
         _check_contract(
@@ -233,7 +239,7 @@ def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
 
 def _attribute_problem(plugin: type[Any], attribute: str, wanted: Any) -> str | None:
     if not hasattr(plugin, attribute):
-        return "is missing"
+        return f"is missing: write {_example(attribute, wanted)}"
     value = getattr(plugin, attribute)
     origin: Any = get_origin(wanted)
     if origin is type:
@@ -247,11 +253,26 @@ def _attribute_problem(plugin: type[Any], attribute: str, wanted: Any) -> str | 
     return None if isinstance(value, expected) else f"has to be a {what}, is {value!r}"
 
 
+def _example(attribute: str, wanted: Any) -> str:
+    """An attribute of this type, as it could be written."""
+    origin: Any = get_origin(wanted)
+    if origin is type:
+        base = getattr(get_args(wanted)[0], "__name__", "object")
+        return f"class {attribute}({base}) in it"
+    if origin is Literal:
+        return f"{attribute} = {' or '.join(map(repr, get_args(wanted)))}"
+    if isinstance(wanted, type) and issubclass(wanted, Enum):
+        first, *others = wanted
+        return f"{attribute} = {wanted.__name__}.{first.name} (or {', '.join(other.name for other in others)})"
+    examples = {str: '"..."', bool: "True", int: "0", float: "0.0", tuple: "()"}
+    return f"{attribute} = {examples.get(origin or wanted, '...')}"
+
+
 def _method_problem(plugin: type[Any], method: str, definition: Any) -> str | None:
     found = getattr(plugin, method, None)
-    if not callable(found):
-        return "is missing"
     arguments = inspect.signature(definition).parameters
+    if not callable(found):
+        return f"is missing: write def {method}({', '.join(arguments)})"
     try:
         inspect.signature(found).bind(*arguments)
     except TypeError:

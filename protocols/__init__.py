@@ -26,22 +26,14 @@ from protocols._diagnosis import (
 )
 from protocols._drive import (
     Capabilities,
-    CurrentControl,
     Drive,
     DriveSetup,
     DriveState,
-    Excitation,
-    ExcitationKind,
-    GatesOff,
-    Hold,
-    Injection,
     Limits,
-    NonNegative,
     NoOptions,
     RelayedDrive,
     ResumableDrive,
     Telemetry,
-    Trapezoid,
 )
 from protocols._effects import (
     PLAIN_UNITS,
@@ -113,7 +105,20 @@ from protocols._events import (
     SamplesCaptured,
     StagesAppended,
     StageStarted,
+    StageSufficed,
     StateChanged,
+)
+from protocols._excitations import (
+    CurrentControl,
+    Excitation,
+    ExcitationKind,
+    GatesOff,
+    Hold,
+    Injection,
+    NonNegative,
+    Spin,
+    Trapezoid,
+    VoltageSteps,
 )
 from protocols._model import (
     Baseline,
@@ -336,6 +341,7 @@ __all__ = [
     "ShapeGroup",
     "ShapeShare",
     "Signals",
+    "Spin",
     "Stage",
     "StageContext",
     "StageEntry",
@@ -344,6 +350,7 @@ __all__ = [
     "StageRun",
     "StageStarted",
     "StageState",
+    "StageSufficed",
     "StagesAppended",
     "StateChanged",
     "StorageError",
@@ -356,6 +363,7 @@ __all__ = [
     "Unexplained",
     "Vectors",
     "Verdict",
+    "VoltageSteps",
     "WorstSegment",
     "amplitude",
     "refinement",

@@ -64,6 +64,16 @@ class StagesAppended(Strict):
     stages: tuple[StageEntry, ...]
 
 
+class StageSufficed(Strict):
+    """What a stage has measured is enough: the rest of its plan is not measured, in a resumed run neither."""
+
+    kind: Literal["stage_sufficed"] = "stage_sufficed"
+    index: int
+    points_spared: int
+    seconds_spared: float
+    """Planned time of these, on the drive's clock."""
+
+
 class PointStarted(Strict):
     kind: Literal["point_started"] = "point_started"
     id: str
@@ -107,6 +117,8 @@ class OperatorAnswered(Strict):
     kind: Literal["operator_answered"] = "operator_answered"
     answer: str
     by: Literal["operator", "procedure"]
+    through: str = ""
+    """What the operator sat at, where that was no terminal: "page"."""
     words: str = ""
     """By which the procedure's answer was let count on a real drive, spelled out by whoever started the run."""
 
@@ -158,6 +170,7 @@ Message = (
     | StateChanged
     | StageStarted
     | StagesAppended
+    | StageSufficed
     | PointStarted
     | PointDone
     | SamplesCaptured
@@ -179,6 +192,7 @@ JournalledMessage = Annotated[
     | StateChanged
     | StageStarted
     | StagesAppended
+    | StageSufficed
     | PointStarted
     | PointDone
     | OperatorAsked

@@ -12,7 +12,8 @@ from typing import Annotated, Any, Literal
 from pydantic import ConfigDict, Field, model_validator
 
 from protocols._base import Strict
-from protocols._drive import CurrentControl, Limits
+from protocols._drive import Limits
+from protocols._excitations import CurrentControl
 from protocols._motor import ProcedureMotor
 
 Point = tuple[float, float]

@@ -7,14 +7,15 @@ the streams know a stage by what is declared here and by nothing else.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, ClassVar, Literal, NamedTuple, Protocol, Self, runtime_checkable
 
 from protocols._base import Strict
-from protocols._drive import Capabilities, CurrentControl, Excitation, Telemetry
+from protocols._drive import Capabilities, Telemetry
 from protocols._events import Message
+from protocols._excitations import CurrentControl, Excitation
 from protocols._procedure import Procedure, StageEntry
 from protocols._recording import RecordingReader, Segment, SegmentStage
 from protocols._reports import EstimationReport
@@ -85,7 +86,7 @@ class Stage(Strict):
     records_as: ClassVar[SegmentStage | None] = None
     """What kind of measurement its segments are, for whoever reads the recording."""
     working: ClassVar[tuple[StageState, ...]] = ()
-    """The states that `work` enters, the drive disarmed."""
+    """The states that `work` and `as_run` enter, the drive disarmed."""
     looks_ahead: ClassVar[bool] = False
     """Whether it is filled in after the others, and sees them."""
     journalled: ClassVar[bool] = True
@@ -99,9 +100,14 @@ class Stage(Strict):
         """What a filled stage measures, in order."""
         return ()
 
-    def before_point(self, run: StageRun, excitation: Excitation) -> Excitation:
-        """A planned excitation as it is to be run, by what was measured before it: of the same kind and length."""
-        return excitation
+    def as_run(self, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
+        """The planned excitations that are left as they are to be run, each asked for when those before are measured.
+
+        What differs from the plan is of the same kind, no longer than planned, and within what limits and drive allow:
+        whoever runs it sees to that. Where they end early, what was measured is enough. The drive is armed, and holds
+        what it held; who computes enters a `working` state first, and the drive is armed again when there is a point.
+        """
+        yield from planned
 
     def after_point(self, run: StageRun, segment: Segment) -> None:
         """What to look at with each point (a thermometer), shortly: the drive still holds it."""
@@ -165,7 +171,7 @@ class StageRun(Protocol):
 
     @property
     def segments(self) -> Sequence[Segment]:
-        """What this stage has measured, in order."""
+        """What this stage has measured so far, in order."""
         ...
 
     @property

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.processes import called
+from tests.support.tiny import all_effects_but
 
 ROOT = Path(__file__).parents[1]
 MYSTERY = re.compile(r"\bmystery\b|mystery-4")
@@ -18,8 +19,13 @@ MYSTERY = re.compile(r"\bmystery\b|mystery-4")
 DEMO = re.compile(r"^fluxbench run demo\b")
 LONG = re.compile(r"--isolability\b")
 """A prediction that looks at all effects at once: ten seconds."""
-SHORT = " --set stages.7.held_a=[0] --set stages.8.step_a=2.5 --set stages.11.rounds=0"
-"""The demo with a few points of each stage, and without the experiment that its diagnosis asks for."""
+OTHERS = all_effects_but("dead_time", "device_drop", "voltage_bias", "winding_heating")
+SHORT = (
+    " --set stages.7.held_a=[0] --set stages.8.step_a=2.5 --set stages.11.rounds=0"
+    f" --set 'stages.11.without=[{','.join(OTHERS)}]' --set drive.watchdog_s=60"
+)
+"""The demo with a few points of each stage, few effects to tell apart, and without the experiment that its diagnosis
+asks for; with patience, where the machine is busy."""
 
 
 def console_lines(page: Path) -> list[str]:

@@ -13,10 +13,20 @@ from orchestrator.analysis._energy_search import fit_energy
 from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
 from orchestrator.analysis._known_resistance import KnownResistance, known_resistance
+from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
 from orchestrator.analysis._rotor_lock import judge_lock
-from orchestrator.analysis._spin import SpinFit, SpunPoints, fit_spin, flux_by_emf, magnet_axis, spun_points
+from orchestrator.analysis._spin import (
+    SpinFit,
+    SpunPoints,
+    fit_spin,
+    flux_by_emf,
+    magnet_axis,
+    require_emf_turns_with,
+    spun_points,
+    theta_of,
+)
 from orchestrator.analysis._steady_currents import Dwell, dwell
 from orchestrator.analysis._step_trace import STEP_KNOTS, StepTrace, trace_steps, turns_of
 from orchestrator.analysis._steps import Beliefs, StepsFit, fit_steps
@@ -38,11 +48,13 @@ __all__ = [
     "NO_LOSS",
     "STEP_KNOTS",
     "Beliefs",
+    "Candidate",
     "Dwell",
     "EnergyFit",
     "FluxPath",
     "Inductances",
     "IntegratedFlux",
+    "KnownMap",
     "KnownResistance",
     "Network",
     "PhaseLoss",
@@ -72,17 +84,21 @@ __all__ = [
     "flux_by_emf",
     "flux_by_rests",
     "flux_ratio",
+    "injected_points",
     "injection_frequency",
     "integrate",
     "invert",
     "join_paths",
     "judge_lock",
+    "known_map",
     "known_resistance",
     "magnet_axis",
     "rated_flux_wb",
+    "require_emf_turns_with",
     "spun_points",
     "sweep_of",
     "temperature_rise",
+    "theta_of",
     "trace_steps",
     "trace_sweep",
     "turns_of",

@@ -93,7 +93,7 @@ def fit_energy(
     angle, std = _angle(few, paths)
     posed = pose(points, paths, rotor_angle_rad).varied(angle_rad=angle)
     stiffening = _stiffening(points, paths, angle) if points is not None and paths else 0.0
-    problem, solution = _finest(_behind_dead_time(posed.varied(stiffening_per_h=stiffening)))
+    problem, solution = _finest(behind_dead_time(posed.varied(stiffening_per_h=stiffening)))
     fit = finished(problem, solution)
     if angle:
         fit = _widened(fit, problem, problem.varied(angle_rad=angle + std))
@@ -109,7 +109,7 @@ def _widened(fit: EnergyFit, problem: EnergyProblem, other: EnergyProblem) -> En
     return replace(fit, covariance=fit.covariance + np.outer(aside, aside))
 
 
-def _behind_dead_time(problem: EnergyProblem) -> Settled:
+def behind_dead_time(problem: EnergyProblem) -> Settled:
     """With dead time's share in the ripple taken out where the data ask for it."""
     plain = settled(problem)
     if problem.points is None:

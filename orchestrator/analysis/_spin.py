@@ -20,9 +20,11 @@ from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.reml import Solution, most_likely
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Capture, NotMeasuredError
+from protocols import Capture, NotMeasuredError, Segment
 
 CELLS = (6, 6)
+LITTLE = 0.02
+"""Part of the largest current below which it is none."""
 LOSS_SHARE, IRON_SHARE, TURN_RAD = 0.02, 0.2, 0.2
 """Standard deviations of what is believed: a phase's loss (of the largest voltage), the iron's current (of the largest
 one), and a turn of the axis."""
@@ -99,6 +101,49 @@ def spun_points(
         raise NotMeasuredError(where, "i_alpha, i_beta", "current and speed are steady over no two turns")
     rows = np.array(kept)
     return SpunPoints(rows[:, :2], rows[:, 2:4], rows[:, 4])
+
+
+def theta_of(segment: Segment, capture: Capture) -> Array:
+    """Electrical angle of the believed d axis at each row of a rotor that turns, shape (n,).
+
+    Raises
+    ------
+    NotMeasuredError
+        Where it was not logged, and no speed is known.
+    """
+    if capture.theta_rad is not None:
+        return np.asarray(capture.theta_rad, dtype=np.float64)
+    speed = segment.settings.get("speed_rad_s")
+    if isinstance(speed, bool) or not isinstance(speed, int | float):
+        problem = "the rotor turns, and neither its angle (a column theta_rad) nor a setting speed_rad_s is there"
+        raise NotMeasuredError(segment.id, "theta_rad", problem)
+    time_s = np.arange(len(capture), dtype=np.float64) / capture.sampling_frequency_hz
+    return np.asarray(segment.rotor_angle_rad + float(speed) * time_s)
+
+
+def require_emf_turns_with(segment: Segment, capture: Capture) -> None:
+    """Refuse a voltage that turns the other way than the rotor, or at another multiple of it.
+
+    Raises
+    ------
+    NotMeasuredError
+        In words: the phases' order, or the pole pairs; or what `theta_of` raises.
+    """
+    v = np.asarray(capture.v_ab, dtype=np.float64) @ [1.0, 1j]
+    window = np.hanning(len(v))
+    angle = np.unwrap(theta_of(segment, capture))
+    ratios = [k / n for n in range(1, 9) for k in range(1, 9)]
+    shares = {s * r: abs(np.vdot(np.exp(1j * s * r * angle) * window, v)) for r in sorted({*ratios}) for s in (1, -1)}
+    best = max(shares, key=shares.__getitem__)
+    if best == 1.0 or shares[best] < 3.0 * shares[1.0]:
+        return
+    if best < 0.0:
+        problem = "the voltage turns the other way than the angle: phases in another order, or the angle's sign"
+        raise NotMeasuredError(segment.id, "theta_rad", problem)
+    problem = (
+        f"the voltage turns {best:.4g} times as fast as the angle: {best:.4g} times the pole pairs that are believed?"
+    )
+    raise NotMeasuredError(segment.id, "motor.pole_pairs", problem)
 
 
 @dataclass(frozen=True)
@@ -203,7 +248,9 @@ class _System:
         out = np.zeros((len(p.i), 2, 4))
         over = 1.0 / p.speed[:, None]
         out[:, :, 0] = _behind(p.i) * over
-        along = p.i / np.maximum(np.linalg.norm(p.i, axis=1, keepdims=True), 1e-12)
+        length = np.linalg.norm(p.i, axis=1, keepdims=True)
+        # A current that is noise has no direction, and a bridge that is off loses nothing.
+        along = np.where(length > LITTLE * length.max(), p.i / np.maximum(length, 1e-12), 0.0)
         out[:, :, 1] = 4.0 / np.pi * _behind(along) * over
         if self.flux is not None:
             psi, inductance = self.flux

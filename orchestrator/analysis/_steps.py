@@ -19,6 +19,7 @@ import numpy as np
 
 from orchestrator.analysis._energy_fit import EnergyFit, energy_rows
 from orchestrator.analysis._step_trace import StepTrace
+from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution, most_likely
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -42,6 +43,8 @@ class StepsFit:
         rms of what is left of the flux.
     misfit : array, shape (m, 2)
         The same, averaged over a quarter of a swing [Wb].
+    paths : tuple of FluxPath
+        The flux from each turn of the voltage to the next, all that is wrong with it taken out.
     """
 
     energy: EnergyFit
@@ -53,6 +56,7 @@ class StepsFit:
     loss_std_v: Array
     left_wb: Array
     misfit: Array
+    paths: tuple[FluxPath, ...]
 
 
 @dataclass(frozen=True)
@@ -224,8 +228,35 @@ class _System:
             loss_v=own[knots],
             loss_std_v=std[knots],
             left_wb=size,
+            paths=_some(tuple(self._paths(own, size * widened))),
             misfit=left[:, : count * quarter].reshape(2, count, quarter).mean(axis=2).T,
         )
+
+    def _paths(self, own: Array, std: Array, shortest: int = 8) -> Iterator[FluxPath]:
+        psi = (self.target - self.rows[:, :, self.own] @ own).T
+        first = 0
+        for trace in self.traces:
+            inside = slice(first, first + len(trace.i))
+            for swing in _swings(trace):
+                if swing.stop - swing.start >= shortest:
+                    yield FluxPath(trace.i[swing], psi[inside][swing], std)
+            first = inside.stop
+
+
+def _some(paths: tuple[FluxPath, ...], most: int = 120) -> tuple[FluxPath, ...]:
+    """So many of them, spread evenly: loops repeat themselves."""
+    return paths[:: max(1, -(-len(paths) // most))]
+
+
+def _swings(trace: StepTrace, share: float = 0.5) -> Iterator[slice]:
+    """The rows of a trace between two turns of its voltage, the blocks left out in which it turns."""
+    rate = np.diff(trace.impulse, axis=0)
+    jump = np.abs(np.diff(rate, axis=0))
+    turned = (jump > share * jump.max(axis=0, initial=1e-300)).any(axis=1)
+    cut = np.concatenate([[False], turned, [False]]) | np.concatenate([np.diff(trace.stretch) != 0, [False]])
+    edges = np.flatnonzero(cut)
+    for before, after in pairwise([-1, *edges.tolist(), len(trace.i)]):
+        yield slice(before + 1, after)
 
 
 def _stretches(traces: Sequence[StepTrace]) -> Iterator[slice]:

@@ -106,6 +106,15 @@ AbsentOption = Annotated[
         metavar="WORDS",
     ),
 ]
+RemoteOption = Annotated[
+    str | None,
+    typer.Option(
+        "--remote",
+        help="For programs with a person at them: WORD says what that is. The run goes out as lines of JSON, answers "
+        "and stops come in (docs/serve.md).",
+        metavar="WORD",
+    ),
+]
 
 
 @app.command("run")
@@ -134,6 +143,7 @@ def run_command(
     streams: StreamOption = None,
     log: LogOption = "text",
     unattended: AbsentOption = None,
+    remote: RemoteOption = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> int:
@@ -145,7 +155,9 @@ def run_command(
     """
     from orchestrator.cli._commission import Audience, run, run_further
 
-    audience = Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()))
+    audience = Audience(
+        unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()), _remote_of(remote, unattended)
+    )
     if source is None:
         if rounds is not None:
             raise typer.BadParameter("goes with --from only", param_hint="--rounds")
@@ -164,6 +176,7 @@ def resume_command(
     streams: StreamOption = None,
     log: LogOption = "text",
     unattended: AbsentOption = None,
+    remote: RemoteOption = None,
     quiet: QuietOption = False,
     as_json: JsonOption = False,
 ) -> int:
@@ -173,7 +186,14 @@ def resume_command(
     """
     from orchestrator.cli._commission import Audience, resume
 
-    return resume(path, Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ())))
+    heard = _remote_of(remote, unattended)
+    return resume(path, Audience(unattended, quiet, as_json, _log_of(log), view, tuple(streams or ()), heard))
+
+
+def _remote_of(remote: str | None, unattended: str | None) -> str | None:
+    if remote is not None and unattended is not None:
+        raise typer.BadParameter("somebody is there: without --unattended", param_hint="--remote")
+    return remote
 
 
 def _log_of(log: str) -> str:
@@ -224,6 +244,7 @@ def design_command(
     model: RehearsedOption = None,
     effects: EffectsOption = None,
     noise_a: NoiseOption = None,
+    as_json: JsonOption = False,
 ) -> int:
     """The shortest procedure that tells effects apart.
 
@@ -234,8 +255,9 @@ def design_command(
     from orchestrator.cli._design import write_design
 
     rehearsal = RehearsalOptions(model, effects, noise_a)
+    overrides = settings or []
     return write_design(
-        procedure, effect, out, rehearsal, size=size, drive=drive, motor=motor, overrides=settings or []
+        procedure, effect, out, rehearsal, as_json, size=size, drive=drive, motor=motor, overrides=overrides
     )
 
 
@@ -429,6 +451,7 @@ def new_command(
     kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.")],
     name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
     out: Annotated[Path | None, typer.Option(help="Folder to make; by default fluxbench-NAME.")] = None,
+    as_json: JsonOption = False,
 ) -> int:
     """A package for a plugin of your own.
 
@@ -436,7 +459,7 @@ def new_command(
     """
     from orchestrator.cli._new import new
 
-    return new(kind, name, out)
+    return new(kind, name, out, as_json)
 
 
 @app.command("plugins")

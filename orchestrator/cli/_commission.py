@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -17,6 +17,7 @@ from orchestrator.engine import (
     AbsentOperator,
     Crew,
     Operator,
+    RemoteOperator,
     RunResult,
     TerminalOperator,
     extend_run,
@@ -42,9 +43,13 @@ class Audience:
     """In the viewer, live."""
     streams: tuple[str, ...] = ()
     """Others that listen as well."""
+    remote: str | None = None
+    """What another program is to the person who answers through it."""
 
     @property
     def console_mode(self) -> str:
+        if self.remote is not None:
+            return "quiet"
         if self.log == "json":
             return "jsonl"
         return "quiet" if self.quiet or self.as_json else "auto"
@@ -53,8 +58,9 @@ class Audience:
         """Options of each stream, by its plugin's name."""
         # With --json the result alone goes to standard output.
         output = "stderr" if self.as_json and self.log == "json" else "stdout"
+        console = {"console": {"mode": self.console_mode, "output": output}}
         return {
-            "console": {"mode": self.console_mode, "output": output},
+            **(console if self.remote is None else {"remote": {}}),
             "report": {},
             "rerun": {"view": "auto" if self.view else "none"},
             **{name: {} for name in self.streams},
@@ -99,9 +105,11 @@ def resume(path: Path, audience: Audience) -> int:
 def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> int:
     # A viewer's library would write its own words to the terminal; what matters of them is in the streams' tally.
     os.environ.setdefault("RUST_LOG", "off")
-    alone = audience.unattended is not None or not sys.stdin.isatty()
-    operator: Operator = AbsentOperator(audience.unattended) if alone else TerminalOperator()
-    with handling_signals() as interrupts:
+    operator = _operator(audience)
+    with ExitStack() as stack:
+        interrupts = stack.enter_context(handling_signals())
+        if isinstance(operator, RemoteOperator):
+            stack.enter_context(operator.listening(interrupts))
         result = commission(Crew(operator, interrupts, audience.options()))
     troubles = [tally.trouble for tally in result.streams if tally.trouble]
     if result.outcome.error is None:
@@ -113,6 +121,13 @@ def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> i
     code = _exit_code(result, troubles, audience.as_json)
     give_up_broken_output()
     return code
+
+
+def _operator(audience: Audience) -> Operator:
+    if audience.remote is not None:
+        return RemoteOperator(audience.remote)
+    alone = audience.unattended is not None or not sys.stdin.isatty()
+    return AbsentOperator(audience.unattended) if alone else TerminalOperator()
 
 
 def _exit_code(result: RunResult, troubles: Sequence[str], as_json: bool) -> int:

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import yaml
 
 from orchestrator.cli._check import RehearsalOptions
-from orchestrator.cli._output import say
+from orchestrator.cli._output import say, say_document
 from orchestrator.config import LoadedProcedure, check_plan, make_plan, read_procedure
 from orchestrator.diagnosis.experiment_design.design import Designed, design, kept
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, require_known
@@ -25,6 +27,7 @@ def write_design(
     names: Sequence[str],
     out: Path,
     rehearsal: RehearsalOptions,
+    as_json: bool,
     *,
     size: float,
     drive: str | None,
@@ -49,7 +52,10 @@ def write_design(
         designed = design(plan, capabilities, machine, wanted, size=size, noise_a=rehearsal.noise_a)
         before, after = check_plan(plan, capabilities), check_plan(designed.plan, capabilities)
     out.write_text(_as_yaml(loaded, plan_places=kept(plan), designed=designed), encoding="utf-8")
-    _say(designed, out, before.duration_s, after.duration_s)
+    if as_json:
+        say_document(json.dumps(_as_json(designed, out, before.duration_s, after.duration_s), indent=2))
+    else:
+        _say(designed, out, before.duration_s, after.duration_s)
     return 0
 
 
@@ -60,6 +66,21 @@ def _as_yaml(loaded: LoadedProcedure, plan_places: tuple[list[int], list[int]], 
     whole = {**data, "name": f"{data['name']}-designed", "summary": f"the shortest that tells {told}", "stages": stages}
     head = f"# Designed by `fluxbench design` from {data['name']}: finds {told}, and tells them apart.\n"
     return head + yaml.safe_dump(whole, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
+
+
+def _as_json(designed: Designed, out: Path, before_s: float, after_s: float) -> dict[str, Any]:
+    told, best = designed.told, designed.approximate
+    return {
+        "out": str(out),
+        "points": len(designed.plan.points),
+        "duration_s": after_s,
+        "duration_before_s": before_s,
+        "found_at": {name: told.found[name] for name in told.names},
+        "parted_at": [{"effect": a, "from": b, "size": size} for (a, b), size in told.parted.items()],
+        "offered_points": designed.offered,
+        "largest_derivative": best.largest,
+        "bound": best.bound,
+    }
 
 
 def _say(designed: Designed, out: Path, before_s: float, after_s: float) -> None:

@@ -22,11 +22,18 @@ from orchestrator._entry_points import entries_of
 GROUP = "fluxbench.commands"
 
 
-def with_plugin_commands(app: typer.Typer) -> typer.Typer:
-    """The application with one command more for each entry point; none of them is imported."""
-    whole = copy.copy(app)
-    whole.registered_commands = list(app.registered_commands)
-    for entry in sorted(entries_of(GROUP), key=lambda entry: entry.name):
+def with_plugin_commands(app: typer.Typer, words: Sequence[str] = ()) -> typer.Typer:
+    """The application with one command more for each entry point; none of them is imported.
+
+    Where the first of the words names a command, that one alone: to describe all the others takes longer than some run.
+    """
+    whole, named = copy.copy(app), next(iter(words), "")
+    entries = sorted(entries_of(GROUP), key=lambda entry: entry.name)
+    foreign = [entry for entry in entries if entry.name == named]
+    own = [] if foreign else [command for command in app.registered_commands if command.name == named]
+    is_known = bool(own or foreign)
+    whole.registered_commands = own if is_known else list(app.registered_commands)
+    for entry in foreign if is_known else entries:
         settings = {"allow_extra_args": True, "ignore_unknown_options": True, "help_option_names": []}
         add = whole.command(entry.name, help=summary_of(entry), context_settings=settings)
         add(_command(entry))

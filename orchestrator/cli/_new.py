@@ -2,17 +2,21 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 
-from orchestrator.cli._output import say
+from orchestrator.cli._output import say, say_document
 from orchestrator.scaffolding import write_package
 
 
-def new(kind: str, name: str, out: Path | None) -> int:
+def new(kind: str, name: str, out: Path | None, as_json: bool = False) -> int:
     """Write the package and say what to do with it."""
     folder = out if out is not None else Path(f"fluxbench-{name.replace('_', '-')}")
-    for path in write_package(kind, name, folder):
-        say(str(path))
+    written = [str(path) for path in write_package(kind, name, folder)]
+    if as_json:
+        say_document(json.dumps({"folder": str(folder), "files": written}, indent=2))
+        return 0
+    say(*written)
     say(f"next: cd {shlex.quote(str(folder))} && pip install -e . && pytest tests")
     return 0

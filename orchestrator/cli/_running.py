@@ -26,7 +26,10 @@ def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | Non
 
     try:
         code = int(
-            with_plugin_commands(app)(list(arguments), standalone_mode=False, obj=settle, prog_name="fluxbench") or 0
+            with_plugin_commands(app, arguments)(
+                list(arguments), standalone_mode=False, obj=settle, prog_name="fluxbench"
+            )
+            or 0
         )
         sys.stdout.flush()
     except (typer.Abort, KeyboardInterrupt):

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.cli._output import complain, say, say_document
 from orchestrator.presentation.sentences import text_table
-from orchestrator.runs import RunDirectory, is_run
-from protocols import FluxbenchError, InputError
+from orchestrator.runs import run_rows
+from protocols import InputError
 
 
 def runs(folder: Path, words: Sequence[str], as_json: bool) -> int:
     """List the runs in which all words are found, the newest last; what cannot be read is said and passed over."""
     if not folder.is_dir():
         raise InputError(str(folder), "", "no such folder")
-    found = sorted((row for row in _rows(folder) if _has(row, words)), key=lambda row: row["created"])
+    found = sorted((row for row in run_rows(folder, complain) if _has(row, words)), key=lambda row: row["created"])
     if as_json:
         say_document(json.dumps(found, indent=2))
     elif found:
@@ -25,28 +25,6 @@ def runs(folder: Path, words: Sequence[str], as_json: bool) -> int:
     else:
         say(f"no run below {folder}" + (f" has the words {' '.join(words)}" if words else ""))
     return 0
-
-
-def _rows(folder: Path) -> Iterator[dict[str, str]]:
-    for place in sorted(path.parent for path in folder.rglob("run.json")):
-        if not is_run(place):
-            continue
-        try:
-            run = RunDirectory.open(place)
-            ended = run.ended()
-        except FluxbenchError as error:
-            complain(str(error))
-            continue
-        procedure = run.record.procedure
-        yield {
-            "run": str(place),
-            "created": run.record.created,
-            "procedure": procedure.name,
-            "motor": procedure.motor.name,
-            "outcome": "not ended" if ended is None else ended.outcome,
-            **dict.fromkeys(("serial", "operator", "tags", "notes"), ""),
-            **dict(procedure.about.lines()),
-        }
 
 
 def _has(row: dict[str, str], words: Sequence[str]) -> bool:

@@ -1,6 +1,6 @@
 """Procedures from words to a checked plan: read, scaled to the motor, laid out in points, held against limits."""
 
-from orchestrator.config._checking import PlanSummary, StageRow, check_plan
+from orchestrator.config._checking import PlanSummary, StageRow, check_plan, check_point
 from orchestrator.config._loading import LoadedProcedure, MotorFile, load_motor, load_procedure, read_procedure
 from orchestrator.config._loads import nominal_ripple_a
 from orchestrator.config._nameplate import nameplate_doubts
@@ -14,6 +14,7 @@ __all__ = [
     "PlannedPoint",
     "StageRow",
     "check_plan",
+    "check_point",
     "load_motor",
     "load_procedure",
     "make_plan",

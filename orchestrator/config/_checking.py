@@ -7,8 +7,9 @@ from collections.abc import Sequence
 
 from orchestrator.config._loads import Load, load_of
 from orchestrator.config._nameplate import nameplate_doubts
-from orchestrator.config._planning import Plan
+from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.config._requirements import Requirements
+from orchestrator.stages import NOMINAL_SAMPLING_HZ
 from protocols import Capabilities, CapabilityError, Point, Strict
 
 _COPPER = 3 / 2
@@ -68,7 +69,7 @@ def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
     CapabilityError
         In one line: the stage and the field that ask for more than limits or drive allow.
     """
-    loads = _loads(plan)
+    loads = _loads(plan, capabilities)
     requirements = Requirements(plan, capabilities)
     requirements.check_drive()
     for point, load in zip(plan.points, loads, strict=True):
@@ -78,11 +79,24 @@ def check_plan(plan: Plan, capabilities: Capabilities | None) -> PlanSummary:
     return summary
 
 
-def _loads(plan: Plan) -> list[Load]:
-    loads = []
+def check_point(plan: Plan, point: PlannedPoint, capabilities: Capabilities | None) -> None:
+    """Hold one point that differs from the plan's against limits and drive; raises `CapabilityError`."""
+    load = load_of(point, (0.0, 0.0), plan.procedure.motor, _late_s(capabilities))
+    Requirements(plan, capabilities).check_point(point, load)
+
+
+def _late_s(capabilities: Capabilities | None) -> float:
+    """How long after a current has passed a limit a voltage that is turned for it acts."""
+    if capabilities is None:
+        return 1.0 / NOMINAL_SAMPLING_HZ
+    return (1.0 + capabilities.voltage_delay_samples) / capabilities.sampling_frequency_hz
+
+
+def _loads(plan: Plan, capabilities: Capabilities | None) -> list[Load]:
+    loads, late_s = [], _late_s(capabilities)
     before: Point = (0.0, 0.0)
     for point in plan.points:
-        loads.append(load_of(point, before, plan.procedure.motor))
+        loads.append(load_of(point, before, plan.procedure.motor, late_s))
         before = point.excitation.start_dq_a
     return loads
 

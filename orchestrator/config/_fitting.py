@@ -49,7 +49,7 @@ class Fitting:
             return self._fewer_periods(excitation, longest_s, where)
         if isinstance(excitation, Injection):
             return [self._fewer_turns(excitation, longest_s, drive, where)]
-        if stage.records_as in _IN_PARTS:
+        if isinstance(excitation, Hold | GatesOff) and stage.records_as in _IN_PARTS:
             return self._in_parts(excitation, longest_s, drive, where)
         self._note(f"{where}: {excitation.captured_s:g} s become {longest_s:g} s, the drive's longest capture")
         return [excitation.model_copy(update={"duration_s": longest_s})]

@@ -1,7 +1,8 @@
 """What one excitation asks of motor and drive by the nameplate: current, voltage, copper loss. No limit is known here.
 
 Copper loss is 3/2 R_s |i|^2 (peak-valued, amplitude-invariant vectors). The trapezoid's mean
-square is 2/3 of its amplitude's: half the period at the amplitude, half on ramps (1/3).
+square is 2/3 of its amplitude's: half the period at the amplitude, half on ramps (1/3). Voltage steps
+overshoot where they are turned, by U T / L in the time T until the drive sees and does it.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from dataclasses import dataclass
 
 from orchestrator.config._planning import PlannedPoint
 from orchestrator.stages import flux_swing_wb, ripple_a
-from protocols import Excitation, Injection, Motor, Point, Trapezoid
+from protocols import Excitation, Injection, Motor, Point, Spin, Trapezoid, VoltageSteps
 
 _TRAPEZOID_MEAN_SQUARE = 2 / 3
 _TRIANGLE_MEAN_SQUARE = 1 / 3
@@ -24,7 +25,7 @@ class Load:
     longest_current_a: float
     """Longest current vector of what was asked for [A]."""
     ripple_a: float
-    """Peak of the injection's ripple on top of it; 0 where no inductance is known."""
+    """Peak of the injection's ripple on top of it, or by how much steps overshoot; 0 where no inductance is known."""
     current_square_a2_s: float
     """Time integral of |i|^2, settling included."""
     steady_voltage_v: float | None
@@ -38,14 +39,22 @@ class Load:
         return self.longest_current_a + self.ripple_a
 
 
-def load_of(point: PlannedPoint, before: Point, motor: Motor) -> Load:
-    """The load of a point that is approached from the current `before` (i_d, i_q)."""
+def load_of(point: PlannedPoint, before: Point, motor: Motor, late_s: float = 0.0) -> Load:
+    """The load of a point that is approached from the current `before` (i_d, i_q).
+
+    Parameters
+    ----------
+    late_s : float
+        How long after a current has passed a limit a voltage that is turned for it acts.
+    """
     excitation = point.excitation
     longest = excitation.longest_current_a
-    ripple = nominal_ripple_a(excitation, motor)
+    ripple = nominal_ripple_a(excitation, motor, late_s)
     resistance = motor.stator_resistance_ohm
     steady = control = None
-    if resistance is not None:
+    if isinstance(excitation, VoltageSteps):
+        steady = control = excitation.voltage_v
+    elif resistance is not None:
         steady = resistance * longest + _driving_voltage(excitation, motor)
         control = resistance * longest + _proportional_gain(excitation, motor) * math.dist(
             excitation.start_dq_a, before
@@ -54,8 +63,13 @@ def load_of(point: PlannedPoint, before: Point, motor: Motor) -> Load:
     return Load(longest, ripple, squared, steady, control)
 
 
-def nominal_ripple_a(excitation: Excitation, motor: Motor) -> float:
-    """Peak of an injection's ripple on the axis of the nameplate's smaller inductance [A]; 0 where none is known."""
+def nominal_ripple_a(excitation: Excitation, motor: Motor, late_s: float = 0.0) -> float:
+    """Peak of an injection's ripple on the axis of the nameplate's smaller inductance, or by how much steps overshoot.
+
+    In ampere; 0 where no inductance is known. `late_s` as of `load_of`.
+    """
+    if isinstance(excitation, VoltageSteps):
+        return ripple_a(excitation.voltage_v * late_s, motor)
     if not isinstance(excitation, Injection):
         return 0.0
     return ripple_a(flux_swing_wb(excitation.amplitude_v, excitation.frequency_hz, excitation.waveform), motor)
@@ -67,6 +81,9 @@ def _driving_voltage(excitation: Excitation, motor: Motor) -> float:
         return excitation.amplitude_v
     if isinstance(excitation, Trapezoid):
         return _inductance(motor) * excitation.amplitude_a / (excitation.period_s / 8)
+    if isinstance(excitation, Spin) and excitation.bridge == "on":
+        flux = (motor.pm_flux_wb or 0.0) + _inductance(motor) * excitation.longest_current_a
+        return abs(excitation.speed_rad_s) * flux
     return 0.0
 
 
@@ -81,6 +98,8 @@ def _current_square(excitation: Excitation, point: PlannedPoint) -> float:
     squared = math.hypot(*excitation.start_dq_a) ** 2 * (excitation.settling_s + point.captured_s)
     if isinstance(excitation, Trapezoid):
         squared += _TRAPEZOID_MEAN_SQUARE * excitation.amplitude_a**2 * point.captured_s
+    if isinstance(excitation, VoltageSteps):
+        squared += _TRIANGLE_MEAN_SQUARE * excitation.longest_current_a**2 * point.captured_s
     return squared
 
 

@@ -19,6 +19,7 @@ from protocols import (
     Procedure,
     ProcedureError,
     SegmentStage,
+    Spin,
     Stage,
     StageContext,
     StageEntry,
@@ -48,7 +49,7 @@ class PlannedPoint:
     @property
     def target(self) -> Point | None:
         """(i_d, i_q) [A]; None where the current is swept, or there is none."""
-        return self.excitation.start_dq_a if isinstance(self.excitation, Hold | Injection) else None
+        return self.excitation.start_dq_a if isinstance(self.excitation, Hold | Injection | Spin) else None
 
     @property
     def seconds(self) -> float:
@@ -162,4 +163,6 @@ _ASKED_FOR: dict[ExcitationKind, set[str]] = {
     "hold": {"current_d_a", "current_q_a"},
     "trapezoid": {"swept_axis", "held_a", "amplitude_a", "period_s", "periods"},
     "injection": {"target_d_a", "target_q_a", "amplitude_v", "frequency_hz", "rotation_hz", "waveform"},
+    "steps": {"voltage_d_v", "voltage_q_v", "turn_d_a", "turn_q_a"},
+    "spin": {"speed_rad_s", "bridge", "current_d_a", "current_q_a"},
 }

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Literal
 
 from orchestrator.config._fitting import longest_capture_s, on_grid
 from orchestrator.config._loads import Load
@@ -14,18 +15,26 @@ from protocols import (
     CurrentControl,
     GatesOff,
     Injection,
+    Spin,
     Stage,
     Trapezoid,
+    VoltageSteps,
 )
 
 INVERTER_ERROR = 0.02
 """Of the bus voltage: what dead time and drops may take away from what is commanded."""
+_OF_AN_OFFSET = 0.1
+"""Part of a free rotor's current that may be on its q axis: what sensors read without a current is no torque."""
 _LEAST_SAMPLES = 10
 _LEAST_PER_PERIOD = 4
 _FASTEST_ROTATION = 0.2
 """Of the injection's frequency: a period has nearly one direction then."""
 _LEAST_PER_TRAPEZOID = 1000
 _LEAST_PER_CONTROL_PERIOD = 20
+_LEAST_PER_SWING = 8
+_LEAST_PER_TURN = 20
+_OVER_OHMIC = 1.5
+"""Of R_s i where steps are turned: less, and the current gets there late or never."""
 
 
 class Requirements:
@@ -41,7 +50,8 @@ class Requirements:
     def __init__(self, plan: Plan, capabilities: Capabilities | None) -> None:
         self._plan, self._drive = plan, capabilities
         self._procedure, self._limits = plan.procedure, plan.procedure.limits
-        self._released = _stages_with_released_brake(plan)
+        self._released = _stages_with_brake(plan, "release")
+        self._engaged = _stages_with_brake(plan, "engage")
 
     def check_drive(self) -> None:
         """Motor, interlocks, limits and dead man; raises `CapabilityError`."""
@@ -66,6 +76,10 @@ class Requirements:
         self._check_voltage(point, load)
         if point.stage_index in self._released:
             self._check_free_rotor(point)
+        elif isinstance(point.excitation, Spin):
+            self._check_spinning_brake(point)
+        if isinstance(point.excitation, VoltageSteps):
+            self._check_turns(point, point.excitation)
         if self._drive is None:
             return
         self._check_offered(point, self._drive)
@@ -80,17 +94,24 @@ class Requirements:
             raise self._error("motor.example", f"{problem}: give the real nameplate by --motor FILE")
 
     def _check_free_rotor(self, point: PlannedPoint) -> None:
-        if isinstance(point.excitation, Trapezoid | Injection):
+        if isinstance(point.excitation, Spin):
+            return
+        if isinstance(point.excitation, Trapezoid | Injection | VoltageSteps):
             raise self._at(point, "", "with the brake released; put a stage with brake: engage before it")
-        if point.target is not None and point.target[1] != 0:
+        if point.target is not None and abs(point.target[1]) > _OF_AN_OFFSET * math.hypot(*point.target):
             raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
+
+    def _check_spinning_brake(self, point: PlannedPoint) -> None:
+        own_brake = self._drive is not None and self._drive.has_brake
+        if own_brake or point.stage_index in self._engaged:
+            raise self._at(point, "", "with the brake engaged; put a stage with brake: release before it")
 
     def _check_watchdog(self, drive: Capabilities) -> None:
         advice = "write accept_no_watchdog with its sentence to do without"
         if drive.watchdog_s is None:
             raise self._error("drive.name", f"{drive.name!r} has no dead man: its power would stay on; {advice}")
         energised = {p.excitation.kind for p in self._plan.points if not isinstance(p.excitation, GatesOff)}
-        uncovered = sorted(energised - drive.watchdog_covers)
+        uncovered = sorted((energised & drive.excitations) - drive.watchdog_covers)
         if uncovered:
             kinds = ", ".join(uncovered)
             raise self._error("drive.name", f"the dead man of {drive.name!r} does not work during {kinds}; {advice}")
@@ -118,6 +139,15 @@ class Requirements:
         if needed > available:
             problem = f"needs {needed:.4g} V, a bus of {bus:g} V gives {available:.4g} V in every direction"
             raise self._at(point, self._written(point).voltage_field, problem)
+
+    def _check_turns(self, point: PlannedPoint, e: VoltageSteps) -> None:
+        resistance = self._procedure.motor.stator_resistance_ohm or 0.0
+        for volts, turn_a in ((e.voltage_d_v, e.turn_d_a), (e.voltage_q_v, e.turn_q_a)):
+            if volts < _OVER_OHMIC * resistance * turn_a:
+                ohmic = f"{turn_a:.4g} A through R_s of {resistance:g} ohm"
+                problem = f"{volts:.4g} V do not reach {ohmic} soon enough: at least"
+                field = self._written(point).voltage_field
+                raise self._at(point, field, f"{problem} {_OVER_OHMIC * resistance * turn_a:.3g} V")
 
     def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
         e = point.excitation
@@ -155,10 +185,43 @@ class Requirements:
             self._check_control(point, e.control, sampling_hz)
         if isinstance(e, Injection):
             self._check_injection(point, e, sampling_hz)
+        if isinstance(e, VoltageSteps):
+            self._check_swings(point, e, sampling_hz)
+        if isinstance(e, Spin):
+            self._check_spin(point, e, sampling_hz)
         if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _LEAST_PER_TRAPEZOID:
             shortest = _LEAST_PER_TRAPEZOID / sampling_hz
             problem = f"{e.period_s:g} s is too short at {sampling_hz:g} Hz sampling: at least {shortest:g} s"
             raise self._at(point, "period_s", problem)
+
+    def _check_swings(self, point: PlannedPoint, e: VoltageSteps, sampling_hz: float) -> None:
+        motor = self._procedure.motor
+        inductances = (motor.d_inductance_h, motor.q_inductance_h or motor.d_inductance_h)
+        for volts, turn_a, inductance in zip(
+            (e.voltage_d_v, e.voltage_q_v), (e.turn_d_a, e.turn_q_a), inductances, strict=True
+        ):
+            if volts == 0.0 or inductance is None:
+                continue
+            rows = 2.0 * turn_a * inductance / volts * sampling_hz
+            if rows < _LEAST_PER_SWING:
+                most = volts * rows / _LEAST_PER_SWING
+                problem = f"{volts:.4g} V give {rows:.2g} rows from one turn to the next at {sampling_hz:g} Hz"
+                field = self._written(point).voltage_field
+                raise self._at(point, field, f"{problem}: at most {most:.3g} V, for {_LEAST_PER_SWING} rows")
+
+    def _check_spin(self, point: PlannedPoint, e: Spin, sampling_hz: float) -> None:
+        speed, flux = abs(e.speed_rad_s), self._procedure.motor.pm_flux_wb or 0.0
+        fastest = 2.0 * math.pi * sampling_hz / _LEAST_PER_TURN
+        if speed > fastest:
+            problem = f"{speed:.4g} rad/s (electrical) is too fast at {sampling_hz:g} Hz sampling: at most"
+            raise self._at(point, "speeds_rpm", f"{problem} {fastest:.4g}")
+        if e.duration_s * speed < 4.0 * math.pi:
+            captured = f"captures {e.duration_s * speed / (2.0 * math.pi):.2g} turns (electrical)"
+            raise self._at(point, "turns", f"{captured}: two are needed at least")
+        bus, emf = self._drive.dc_bus_voltage_v if self._drive else math.inf, math.sqrt(3.0) * speed * flux
+        if e.bridge == "off" and emf > bus:
+            problem = f"has a back-EMF of {emf:.4g} V between terminals, which the diodes feed to a bus of {bus:g} V"
+            raise self._at(point, "speeds_rpm", problem)
 
     def _check_control(self, point: PlannedPoint, control: CurrentControl, sampling_hz: float) -> None:
         highest = sampling_hz / _LEAST_PER_CONTROL_PERIOD
@@ -195,12 +258,12 @@ class Requirements:
         return CapabilityError(self._procedure.name, field, problem)
 
 
-def _stages_with_released_brake(plan: Plan) -> set[int]:
-    released, found = False, set()
+def _stages_with_brake(plan: Plan, state: Literal["engage", "release"]) -> set[int]:
+    """Those for which the procedure says that the brake is so."""
+    last, found = None, set()
     for index, stage in enumerate(plan.stages):
-        if stage.leaves_brake is not None:
-            released = stage.leaves_brake == "release"
-        if released:
+        last = stage.leaves_brake or last
+        if last == state:
             found.add(index)
     return found
 

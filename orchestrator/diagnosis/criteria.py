@@ -204,9 +204,11 @@ class SelectionCriteria(Strict):
     """Half width of the map's 95 % band, of the rated flux, beyond which the map is no longer one to be relied on."""
     joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
     """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
+    formings: int = _is(3, "1", "budget")
+    """How often all effects' forms and what scatters beside them are told anew, each in the light of the other."""
     weighings: int = _is(2, "1", "practice")
     """How often the model's own error is weighed, where it is much, and all is fitted again."""
-    joint_tolerance: float = _is(1e-2, "1", "simulated")
+    joint_tolerance: float = _is(5e-3, "1", "practice")
     """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
     prior_probability: float = _is(0.2, "1", "practice")
     """That any one effect of the library shows in a recording, before it is looked at."""
@@ -289,8 +291,8 @@ class UncertaintyCriteria(Strict):
     most_offset_scatter: float = _is(0.002, "1", "practice")
     """Part of the rated current by which the readings' zero may wander from segment to segment (rms) and be noise: a
     sound sensor's does, in warm-up and over minutes; more is a fault, and has to be found as one."""
-    most_timer_step_s: float = _is(5e-8, "s", "practice")
-    """Step of a modulator's timer that scatters held voltages and is noise: those of drives run at 20 MHz and more."""
+    most_timer_step_s: float = _is(3.5e-8, "s", "practice")
+    """Step of a modulator's timer that scatters held voltages and is noise: those of drives run at 30 MHz and more."""
     form_doubt: float = _is(5e-4, "1", "simulated")
     """Standard deviation of what any effect's form leaves out, as a part of the effect.
 

@@ -6,6 +6,7 @@ from orchestrator.engine._interrupts import Interrupts, handling_signals
 from orchestrator.engine._operator import WORDS, AbsentOperator, Operator, TerminalOperator
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import PowerStage
+from orchestrator.engine._remote import RemoteOperator
 from orchestrator.engine._session import (
     NOTHING_LEFT,
     Crew,
@@ -37,6 +38,7 @@ __all__ = [
     "Operator",
     "Outcome",
     "PowerStage",
+    "RemoteOperator",
     "RunResult",
     "State",
     "StateMachine",

@@ -4,10 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from orchestrator.config import Plan, PlannedPoint, check_plan, make_plan
+from orchestrator.config import Plan, PlannedPoint, check_plan, check_point, make_plan
 from orchestrator.engine._probing import factor_of
 from orchestrator.runs import RunDirectory
-from protocols import Capabilities, Segment, Stage, StageEntry, StagesAppended
+from protocols import (
+    Capabilities,
+    Excitation,
+    PluginError,
+    Segment,
+    Stage,
+    StageEntry,
+    StagesAppended,
+    StageSufficed,
+)
 
 
 class Agenda:
@@ -28,7 +37,9 @@ class Agenda:
         self.plan = plan
         self.done = dict(run.completed())
         self._appended = list(run.appended())
+        self._sufficed = set(run.sufficed())
         self._resumed_at = self._first_not_passed()
+        self._spared = sum(p.stage_index in self._sufficed and p.id not in self.done for p in plan.points)
         self._left_s = self._planned_s()
 
     @property
@@ -41,18 +52,45 @@ class Agenda:
         return len(self._appended)
 
     @property
+    def points(self) -> int:
+        """How many there are, without those that turned out not to be needed."""
+        return len(self.plan.points) - self._spared
+
+    @property
     def seconds_left(self) -> float:
         """Planned time of what is not done yet, on the drive's clock."""
         return max(0.0, self._left_s)
 
     def tick_off(self, point: PlannedPoint, segment: Segment) -> None:
-        """A point is done."""
+        """A point of the plan is done."""
         self.done[point.id] = segment
         self._left_s -= point.seconds
 
     def points_left(self, index: int) -> list[PlannedPoint]:
-        """The points of a stage that are not done."""
-        return [point for point in self.plan.points_of(index) if point.id not in self.done]
+        """The points of a stage that are not done and may be needed."""
+        return [point for point in self.plan.points_of(index) if self._is_left(point)]
+
+    def allowed(self, point: PlannedPoint, excitation: Excitation) -> PlannedPoint:
+        """The point as a stage wants it run; `InputError` where that is more than plan, limits or drive allow."""
+        if excitation == point.excitation:
+            return point
+        asked = point.run_as(excitation)
+        if excitation.kind != point.excitation.kind or asked.seconds > point.seconds * (1.0 + 1e-9):
+            stage = self.stages[point.stage_index].name
+            raise PluginError(
+                "stages", stage, f"{point.id} is asked for as another kind of excitation, or a longer one"
+            )
+        check_point(self.plan, asked, self._capabilities)
+        return asked
+
+    def suffice(self, index: int) -> StageSufficed:
+        """What a stage has measured is enough."""
+        spared = self.points_left(index)
+        self._sufficed.add(index)
+        seconds = sum(point.seconds for point in spared)
+        self._spared += len(spared)
+        self._left_s -= seconds
+        return StageSufficed(index=index, points_spared=len(spared), seconds_spared=seconds)
 
     def factor(self, index: int) -> float | None:
         """By how much the injection of a stage is weaker than planned; None where nothing of it is measured yet."""
@@ -105,4 +143,7 @@ class Agenda:
         return first
 
     def _planned_s(self) -> float:
-        return sum(point.seconds for point in self.plan.points if point.id not in self.done)
+        return sum(point.seconds for point in self.plan.points if self._is_left(point))
+
+    def _is_left(self, point: PlannedPoint) -> bool:
+        return point.id not in self.done and point.stage_index not in self._sufficed

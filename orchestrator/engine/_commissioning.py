@@ -40,7 +40,6 @@ from protocols import (
     RunInterrupted,
     RunStarted,
     Segment,
-    Stage,
     StageStarted,
     StageState,
     StateChanged,
@@ -152,7 +151,7 @@ class Commissioning:
                 limits=procedure.limits,
                 drive=self._capabilities.name,
                 stages=len(procedure.stages),
-                points=len(self._agenda.plan.points),
+                points=self._agenda.points,
                 points_done=len(self._agenda.done),
                 seconds=self._agenda.seconds_left,
             )
@@ -177,7 +176,7 @@ class Commissioning:
             self._machine.fire(stage.measuring.trigger)
             self._power.arm()
             try:
-                self._measure_points(stage, stage.measuring, at_work, self._within_limits(index, left))
+                self._measure_points(index, stage.measuring, at_work, self._within_limits(index, left))
             except DriveRefused as refusal:
                 return self._skipped(index, refusal)
         if self._agenda.has_work(index):
@@ -185,13 +184,22 @@ class Commissioning:
         return index + 1
 
     def _measure_points(
-        self, stage: Stage, measuring: StageState, at_work: StageAtWork, points: list[PlannedPoint]
+        self, index: int, measuring: StageState, at_work: StageAtWork, points: list[PlannedPoint]
     ) -> None:
+        stage = self._agenda.stages[index]
+        asked = stage.as_run(at_work, [point.excitation for point in points])
         for point in points:
             if self._interrupts.pause_wanted:
                 self._pause(measuring)
-            excitation = stage.before_point(at_work, point.excitation)
-            self._measure_point(point.run_as(excitation), partial(stage.after_point, at_work))
+            excitation = next(asked, None)
+            if excitation is None:
+                self._log.say(self._agenda.suffice(index), durable=True)
+                return
+            asked_for = self._agenda.allowed(point, excitation)
+            if self._machine.state != measuring.name:  # it stood down to compute
+                self._machine.fire(measuring.trigger)
+            self._power.arm()
+            self._measure_point(point, asked_for, partial(stage.after_point, at_work))
 
     def _skipped(self, index: int, refusal: DriveRefused) -> int:
         """Nobody has written an experiment that this program proposed: where the drive refuses it, the run is complete.
@@ -217,7 +225,7 @@ class Commissioning:
                 self._log.say(Note(level="info", text=told))
         return [weakened(point, factor) for point in left]
 
-    def _measure_point(self, point: PlannedPoint, after: Callable[[Segment], None]) -> None:
+    def _measure_point(self, planned: PlannedPoint, point: PlannedPoint, after: Callable[[Segment], None]) -> None:
         target_d_a, target_q_a = point.target if point.target is not None else (None, None)
         self._log.say(
             PointStarted(
@@ -233,7 +241,7 @@ class Commissioning:
         if isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
                 self._drive.checkpoint(point.id)
-        self._agenda.tick_off(point, segment)
+        self._agenda.tick_off(planned, segment)
         self._log.say(
             PointDone(
                 id=point.id,
@@ -242,7 +250,7 @@ class Commissioning:
                 achieved_d_a=achieved_d_a,
                 achieved_q_a=achieved_q_a,
                 points_done=len(self._agenda.done),
-                points=len(self._agenda.plan.points),
+                points=self._agenda.points,
                 seconds_left=self._agenda.seconds_left,
             ),
             durable=True,

@@ -12,6 +12,7 @@ from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._power import PowerStage
 from orchestrator.engine._thermometer import LoggedTemperature, Thermometer
+from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.recording import SegmentWriter
 from orchestrator.runs import RunDirectory
 from protocols import Capabilities, Capture, DriveFault, FaultCause, Limits, Note, SamplesCaptured, Segment
@@ -24,12 +25,13 @@ class MeanCurrent:
     """Mean of the current over the blocks of a segment, in the believed frame."""
 
     def __init__(self, rotor_angle_rad: float) -> None:
-        self._turn = np.exp(-1j * rotor_angle_rad)
+        self._angle, self._turn = rotor_angle_rad, np.exp(-1j * rotor_angle_rad)
         self._sum = 0j
         self.samples = self.clipped_rows = 0
 
     def add(self, capture: Capture) -> None:
-        alpha, beta = capture.i_ab.sum(axis=0, dtype=np.float64)
+        i_ab = capture.i_ab if capture.theta_rad is None else to_ab(to_dq(capture.i_ab, capture.theta_rad), self._angle)
+        alpha, beta = i_ab.sum(axis=0, dtype=np.float64)
         self._sum += complex(alpha, beta)
         self.samples += len(capture)
         self.clipped_rows += capture.clipped_rows

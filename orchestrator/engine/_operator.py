@@ -8,6 +8,7 @@ from typing import Protocol
 
 from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
+from orchestrator.engine._remote import RemoteOperator
 from orchestrator.presentation.sentences import cut, visible
 from protocols import InputError, OperatorAnswered, OperatorAsked, RunAborted
 
@@ -96,6 +97,8 @@ class Questions:
             raise RunAborted(f'nobody is there to answer: {prompt} ({problem}, or with --unattended "{WORDS}")')
         self._log.before_prompt()
         agreed = self._operator.confirm(prompt, self._interrupts)
-        self._log.say(OperatorAnswered(answer="yes" if agreed else "no", by="operator"), durable=True)
+        through = self._operator.through if isinstance(self._operator, RemoteOperator) else ""
+        told = OperatorAnswered(answer="yes" if agreed else "no", by="operator", through=through)
+        self._log.say(told, durable=True)
         if not agreed:
             raise RunAborted(f"the operator said no to: {prompt}")

@@ -75,7 +75,7 @@ class StageAtWork:
     @property
     def segments(self) -> Sequence[Segment]:
         agenda = self._engine.agenda
-        return [agenda.done[point.id] for point in agenda.plan.points_of(self._index)]
+        return [agenda.done[point.id] for point in agenda.plan.points_of(self._index) if point.id in agenda.done]
 
     @property
     def appended(self) -> int:

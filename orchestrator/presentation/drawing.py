@@ -115,6 +115,13 @@ def legend_above(axes: Axes, columns: int, handles: list[Any] | None = None, nam
 
 def uri(figure: Figure) -> str:
     """The figure as a data URI of an SVG."""
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
+    FigureCanvasSVG(figure)
+    layout = figure.get_layout_engine()
+    if layout is not None:  # once, and by itself: to lay out what it saves, matplotlib would draw all of it twice
+        layout.execute(figure)
+        figure.set_layout_engine(None)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="svg", dpi=STYLE.dpi, metadata={"Date": None})
     return "data:image/svg+xml;base64," + base64.b64encode(buffer.getvalue()).decode("ascii")

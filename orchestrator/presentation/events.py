@@ -25,6 +25,7 @@ from protocols import (
     RunStarted,
     StagesAppended,
     StageStarted,
+    StageSufficed,
     StateChanged,
 )
 
@@ -73,7 +74,8 @@ def said(message: Message) -> Said | None:
             return Said("asked", message.prompt)
         case OperatorAnswered():
             words = f': "{message.words}"' if message.words else ""
-            return Said("answered", f"{message.answer} (by {message.by}{words})")
+            through = f", through the {message.through}" if message.through else ""
+            return Said("answered", f"{message.answer} (by {message.by}{through}{words})")
         case LockChecked():
             mood = "info" if message.locked is None else "good" if message.locked else "bad"
             return Said("lock check", typographic(message.summary), mood)
@@ -92,6 +94,9 @@ def said(message: Message) -> Said | None:
             return Said("next experiment", _experiment(message))
         case StagesAppended():
             return Said("stages", f"{len(message.stages)} more to do")
+        case StageSufficed():
+            saved = f"{plural(message.points_spared, 'point')} of the plan ({duration(message.seconds_spared)})"
+            return Said(f"stage {message.index + 1}", f"enough is measured; {saved} not needed", "good")
         case Note():
             return Said(message.level, typographic(message.text), {"error": "bad"}.get(message.level, message.level))
         case RunEnded():

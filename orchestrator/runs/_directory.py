@@ -43,6 +43,7 @@ from protocols import (
     RunStarted,
     Segment,
     StagesAppended,
+    StageSufficed,
     StorageError,
 )
 
@@ -218,6 +219,10 @@ class RunDirectory:
         """What was appended to the procedure's stages, in order of the journal."""
         told = (entry.message for entry in self.journal.read())
         return tuple(message for message in told if isinstance(message, StagesAppended))
+
+    def sufficed(self) -> set[int]:
+        """Places of the stages that need not measure the rest of their plan."""
+        return {entry.message.index for entry in self.journal.read() if isinstance(entry.message, StageSufficed)}
 
     def ended(self) -> RunEnded | None:
         """How the run ended; None while there is something left of it, and after a kill."""

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Literal
 
-from protocols import Excitation, Point, Stage, Trapezoid
+from protocols import Excitation, Point, Spin, Stage, Trapezoid, VoltageSteps
 
 MOST_POINTS = 100_000
 """More than anybody measures; a slip of the decimal point gives millions."""
@@ -68,6 +68,10 @@ def largest_q_a(stages: Iterable[Stage]) -> float:
 
 
 def _on_q(excitation: Excitation) -> float:
+    if isinstance(excitation, VoltageSteps):
+        return excitation.turn_q_a
+    if isinstance(excitation, Spin):
+        return 0.0  # nothing holds the rotor then
     if not isinstance(excitation, Trapezoid):
         return abs(excitation.start_dq_a[1])
     along = excitation.amplitude_a

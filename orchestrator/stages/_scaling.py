@@ -36,6 +36,8 @@ class ScalingRules:
     """Of the injection."""
     periods_per_turn: int = 250
     """Of the injection, while its direction turns once."""
+    rows_per_turn: int = 60
+    """Of a rotor that turns: it moves little while a voltage is held."""
     turns: int = 2
     """Of the injection's direction at each point."""
     time_constants: float = 5.0
@@ -119,6 +121,37 @@ class Scaling:
         """Peak of an injection's current ripple [A]; 0 where no inductance is known."""
         return ripple_a(flux_swing_wb(amplitude_v, frequency_hz, waveform), self._motor)
 
+    def step_v(self, setting: str, axis: Literal["d", "q"], turn_a: float, swing_s: float, least_ohmic: float) -> float:
+        """Voltage that takes the current from one limit to the other in such a time, and beyond R_s i by a factor [V].
+
+        Within the limit, where it is the R_s i that is lower.
+        """
+        inductance = self._needed("d_inductance_h", self._inductance(axis), setting)
+        wanted = 2.0 * turn_a * inductance / swing_s
+        ohmic = least_ohmic * (self._motor.stator_resistance_ohm or 0.0) * turn_a
+        return tidy(min(max(wanted, ohmic), self._rules.of_limit * self._limits.voltage_v))
+
+    def swing_s(self, axis: Literal["d", "q"], turn_a: float, voltage_v: float) -> float | None:
+        """Time that a voltage takes from one current limit to the other; None where no inductance is known."""
+        inductance = self._inductance(axis)
+        return None if inductance is None else 2.0 * turn_a * inductance / voltage_v
+
+    def spin_rad_s(self, setting: str, current_a: float) -> float:
+        """Electrical speed at which half of the voltage's limit turns the flux, half the rated speed at most.
+
+        A magnet that nobody knows has as much flux as the current makes.
+        """
+        motor, limits = self._motor, self._limits
+        own = self._needed("q_inductance_h", self._inductance("q"), setting) * current_a
+        flux = own + (own if motor.pm_flux_wb is None else motor.pm_flux_wb)
+        room = self._rules.of_limit * limits.voltage_v - (motor.stator_resistance_ohm or 0.0) * current_a
+        if room <= 0.0 or flux <= 0.0:
+            raise self.error(setting, "limits.voltage_v leave no room for a back-EMF, or there is no flux: give it")
+        rows = self._rules.rows_per_turn
+        fastest = 2.0 * math.pi * self._context.sampling_frequency_hz / rows
+        rated = motor.rated_speed_rpm and 0.5 * motor.rated_speed_rpm * motor.pole_pairs * math.pi / 30.0
+        return min(0.6 * room / flux, fastest, rated or math.inf)
+
     def turns(self, rotation_hz: float | None, duration_s: float | None, frequency_hz: float) -> tuple[float, float]:
         """Rotation and duration such that the duration holds whole turns, where either is free."""
         usual = frequency_hz / self._rules.periods_per_turn
@@ -151,6 +184,10 @@ class Scaling:
     def error(self, setting: str, problem: str) -> ProcedureError:
         """A setting that cannot be used."""
         return ProcedureError(self._context.procedure.name, f"stages.{self._context.index}.{setting}", problem)
+
+    def _inductance(self, axis: Literal["d", "q"]) -> float | None:
+        d, q = self._motor.d_inductance_h, self._motor.q_inductance_h
+        return d if axis == "d" else q or d
 
     def _time_constant_s(self, setting: str) -> float:
         resistance = self._needed("stator_resistance_ohm", self._motor.stator_resistance_ohm, setting)

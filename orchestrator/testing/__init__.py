@@ -8,7 +8,15 @@ question for its own tests. Nothing here is used while a motor runs.
 from orchestrator.testing._drive import DriveConformance
 from orchestrator.testing._effect import EffectConformance
 from orchestrator.testing._estimator import EstimatorConformance
+from orchestrator.testing._signals import exciting_signals
 from orchestrator.testing._stage import StageConformance
 from orchestrator.testing._stream import StreamConformance
 
-__all__ = ["DriveConformance", "EffectConformance", "EstimatorConformance", "StageConformance", "StreamConformance"]
+__all__ = [
+    "DriveConformance",
+    "EffectConformance",
+    "EstimatorConformance",
+    "StageConformance",
+    "StreamConformance",
+    "exciting_signals",
+]

@@ -29,7 +29,9 @@ from protocols import (
     Injection,
     Limits,
     Motor,
+    Spin,
     Trapezoid,
+    VoltageSteps,
 )
 
 SAMPLES_PER_PERIOD = 20
@@ -50,6 +52,7 @@ class Sizes:
     period_s: float
     injection_s: float
     amplitude_v: float
+    step_v: float
     frequency_hz: float
     rotation_hz: float
 
@@ -76,6 +79,7 @@ class Sizes:
             period_s=min(0.6, longest / 2.0),
             injection_s=injection_s,
             amplitude_v=min(amplitude, 0.4 * capabilities.max_voltage_v),
+            step_v=min(max(amplitude, 1.2 * rated * (motor.stator_resistance_ohm or 0.0)), capabilities.max_voltage_v),
             frequency_hz=frequency,
             rotation_hz=1.0 / injection_s,
         )
@@ -124,6 +128,29 @@ class Sizes:
             }
         )
 
+    def voltage_steps(self, **changed: Any) -> VoltageSteps:
+        """On d, turned at the kit's current; of the injection's voltage, or three times R_s i."""
+        return VoltageSteps(
+            **{
+                "voltage_d_v": self.step_v,
+                "turn_d_a": self.current_a,
+                "settle_s": self.settle_s,
+                "duration_s": self.duration_s,
+                **changed,
+            }
+        )
+
+    def spin(self, **changed: Any) -> Spin:
+        """Two turns and a half without current, bridge on."""
+        return Spin(
+            **{
+                "speed_rad_s": 5.0 * math.pi / self.duration_s,
+                "settle_s": self.settle_s,
+                "duration_s": self.duration_s,
+                **changed,
+            }
+        )
+
     def one_of(self, kind: str) -> Excitation:
         """The kit's ordinary excitation of this kind."""
         makers: dict[str, Callable[[], Excitation]] = {
@@ -131,6 +158,8 @@ class Sizes:
             "hold": self.hold,
             "trapezoid": self.trapezoid,
             "injection": self.injection,
+            "steps": self.voltage_steps,
+            "spin": self.spin,
         }
         return makers[kind]()
 

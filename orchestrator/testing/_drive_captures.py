@@ -131,3 +131,42 @@ class DriveCaptureChecks(DriveBench):
             assert abs(reached - target) < 0.5 * abs(target), f"ripples about {reached:.3f} A instead of {target:.3f} A"
             follows = ripple_follows_flux(measured.v_ab, measured.i_ab, SAMPLES_PER_PERIOD)
             assert follows > 0.5, f"the ripple current follows the integral of the voltage with {follows:.2f} only"
+
+    def test_steps_turn_round_where_the_current_meets_its_limit(self, tmp_path: Path) -> None:
+        with self.armed(tmp_path) as session:
+            session.requires("steps")
+            excitation = session.sizes.voltage_steps(rotor_angle_rad=SIXTY_DEGREES)
+            measured = session.measure(excitation)
+            v_dq, i_dq = (complex_dq(x, SIXTY_DEGREES) for x in (measured.v_ab, measured.i_ab))
+            allowed = bounded("voltage_tolerance", self.voltage_tolerance, 0.1) * excitation.voltage_d_v
+            off = float(np.abs(np.abs(v_dq.real) - excitation.voltage_d_v).max() + np.abs(v_dq.imag).max())
+            assert off <= allowed, f"the voltage is off +-{excitation.voltage_d_v:.2f} V on d by {off:.2f} V"
+            turned = np.flatnonzero(np.diff(np.sign(v_dq.real)) != 0) + 1
+            assert len(turned) >= 4, f"turned {len(turned)} times only"
+            reached = np.abs(i_dq.real[turned])
+            least = excitation.turn_d_a - self.near(session)
+            assert reached.min() >= least, f"turned at {reached.min():.3f} A, before the {excitation.turn_d_a:.3f} A"
+            most = 1.5 * excitation.turn_d_a
+            assert np.abs(i_dq.real).max() <= most, f"goes on to {np.abs(i_dq.real).max():.3f} A after a turn"
+
+    @pytest.mark.parametrize("bridge", ["off", "on"])
+    def test_a_rotor_that_turns_says_its_angle(self, tmp_path: Path, bridge: str) -> None:
+        with self.connected(tmp_path) as session:
+            session.requires("spin")
+            if session.capabilities.has_brake:
+                session.drive.set_brake(False)
+            with self.beating(session) as beating:
+                excitation = session.sizes.spin(bridge=bridge)
+                measured = beating.measure(excitation)
+                assert all(block.theta_rad is not None for block in measured.blocks), "no theta_rad is captured"
+                theta = np.unwrap(np.concatenate([np.asarray(block.theta_rad) for block in measured.blocks]))
+                fs = session.capabilities.sampling_frequency_hz
+                speed = float(np.polyfit(np.arange(len(theta)) / fs, theta, 1)[0])
+                assert math.isclose(speed, excitation.speed_rad_s, rel_tol=0.02), f"turns at {speed:.3f} rad/s"
+                i_dq = (measured.i_ab[:, 0] + 1j * measured.i_ab[:, 1]) * np.exp(-1j * theta)
+                assert abs(i_dq.mean()) <= self.near(beating), f"{abs(i_dq.mean()):.3f} A flow, none was asked for"
+                ahead = (measured.v_ab[:, 0] + 1j * measured.v_ab[:, 1]) * np.exp(-1j * theta)
+                if (flux := self.setup().motor.pm_flux_wb or 0.0) > 0.0:
+                    least = 0.5 * excitation.speed_rad_s * flux
+                    assert abs(ahead.mean()) > least, "the voltage has no back-EMF in it that turns with the rotor"
+                beating.drive.ramp_down()

@@ -12,7 +12,7 @@ from pydantic import BaseModel
 from orchestrator.testing._drive_bench import DriveBench
 from protocols import Drive, DriveRefused, DriveState, Limits
 
-ENERGISED = ("hold", "trapezoid", "injection")
+ENERGISED = ("hold", "trapezoid", "injection", "steps", "spin")
 
 
 class DriveContractChecks(DriveBench):

@@ -22,7 +22,7 @@ from protocols import (
     ResumableDrive,
 )
 
-KINDS = ("gates_off", "hold", "trapezoid", "injection")
+KINDS = ("gates_off", "hold", "trapezoid", "injection", "steps")
 
 
 class DriveSafetyChecks(DriveBench):

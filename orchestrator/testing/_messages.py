@@ -47,6 +47,7 @@ from protocols import (
     StageEntry,
     StagesAppended,
     StageStarted,
+    StageSufficed,
     StateChanged,
     Unexplained,
 )
@@ -111,6 +112,7 @@ def one_of_each(run: Path) -> list[Message]:
             accepted=True,
         ),
         StagesAppended(by=4, stages=(StageEntry(kind="kit_sweep", duration_s=2.0),)),
+        StageSufficed(index=3, points_spared=4, seconds_spared=2.5),
         Note(level="warning", text="the bus sags by 2 %"),
         _ended(run),
     ]

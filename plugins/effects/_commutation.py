@@ -29,7 +29,7 @@ SETTLED = 5e-4
 """Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _late(knees: float, leg: float, brake: float, before: float) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
@@ -52,7 +52,7 @@ def _late(knees: float, leg: float, brake: float, before: float) -> float:
     return leg * (1.0 - 0.5 * x / braked if x < braked else 0.5 * braked / x)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _ramp(start: float, width: float) -> float:
     """Mean of max(0, s - start) over a swing 0..width, each instant weighted by what is left of it."""
     if start >= width:
@@ -107,7 +107,7 @@ def lost_at_edges(
     return out
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _settle(
     valley: Array, step: Array, commanded: Array, volts: float, legs: Array, pull: Array, up: Array, down: Array
 ) -> None:
@@ -117,11 +117,12 @@ def _settle(
     """
     for _ in range(PASSES):
         rises, falls = (up[0], up[1], up[2]), (down[0], down[1], down[2])
+        mean_0 = commanded[0] - volts * (up[0] - down[0])
+        mean_1 = commanded[1] - volts * (up[1] - down[1])
+        mean_2 = commanded[2] - volts * (up[2] - down[2])
         moved = 0.0
         for x in range(3):
-            drift = step[x]
-            for y in range(3):
-                drift -= pull[x, y] * (commanded[y] - volts * (rises[y] - falls[y]))
+            drift = step[x] - pull[x, 0] * mean_0 - pull[x, 1] * mean_1 - pull[x, 2] * mean_2
             rising = valley[x] + 0.25 * drift
             falling = valley[x] + 0.75 * drift
             swing_up = volts * min(legs[x], 2.0 * rises[x])
@@ -129,9 +130,9 @@ def _settle(
             for y in range(3):
                 if y != x:
                     ahead = 0.5 * (commanded[y] - commanded[x])
-                    falling += pull[x, y] * (ahead + volts * (rises[x] - rises[y]))
                     rising += pull[x, y] * _ramp(volts * rises[y] - ahead, swing_up)
-                    falling -= pull[x, y] * _ramp(volts * falls[y] + ahead, swing_down)
+                    late = ahead + volts * (rises[x] - rises[y])
+                    falling += pull[x, y] * (late - _ramp(volts * falls[y] + ahead, swing_down))
             # The leg's own swing brakes the current that drives it.
             brake = pull[x, x] * volts / 12.0
             up[x] = _late(-rising, legs[x], brake, rises[x])

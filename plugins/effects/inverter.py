@@ -36,16 +36,21 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def _look_up(table: Array, place: float) -> float:
-    """s at a place in the table's steps, odd."""
-    size = abs(place)
-    m = min(int(size), table.shape[0] - 2)
-    value = table[m] + min(size - m, 1.0) * (table[m + 1] - table[m])
+def _look_up(table: Array, place: float, growth: float) -> float:
+    """s at a place in the table's steps, odd; beyond the table it grows so much with each factor e."""
+    size, end = abs(place), table.shape[0] - 1
+    if size >= end:
+        value = table[end] + (growth * math.log(size / end) if growth > 0.0 else 0.0)
+    else:
+        m = int(size)
+        value = table[m] + (size - m) * (table[m + 1] - table[m])
     return float(value if place >= 0.0 else -value)
 
 
 @njit(cache=True, nogil=True)
-def _without_sign(v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: float, table: Array) -> Array:
+def _without_sign(
+    v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: float, table: Array, growth: float
+) -> Array:
     """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the table are one ampere."""
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
@@ -58,13 +63,13 @@ def _without_sign(v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: fl
     for k in range(n + 1):
         last = min(k, n - 1)
         a1, b1, c1 = phases_of(steps * i_ab[last, 0], steps * i_ab[last, 1])
-        e0 = _look_up(table, a1)
-        e1 = _look_up(table, b1)
-        e2 = _look_up(table, c1)
+        e0 = _look_up(table, a1, growth)
+        e1 = _look_up(table, b1, growth)
+        e2 = _look_up(table, c1, growth)
         if k > 0:
-            m0 = s0 + 4.0 * _look_up(table, 0.5 * (a0 + a1)) + e0
-            m1 = s1 + 4.0 * _look_up(table, 0.5 * (b0 + b1)) + e1
-            m2 = s2 + 4.0 * _look_up(table, 0.5 * (c0 + c1)) + e2
+            m0 = s0 + 4.0 * _look_up(table, 0.5 * (a0 + a1), growth) + e0
+            m1 = s1 + 4.0 * _look_up(table, 0.5 * (b0 + b1), growth) + e1
+            m2 = s2 + 4.0 * _look_up(table, 0.5 * (c0 + c1), growth) + e2
             sixth = volts[k - 1] / 6.0
             alpha, beta = vector_of(legs[0] * m0, legs[1] * m1, legs[2] * m2)
             out[k - 1, 0] = v_ab[k - 1, 0] - sixth * alpha
@@ -88,16 +93,20 @@ def _less_step(
     threshold_a: float,
     knee: Knee,
     legs: Array,
+    growth: float = 0.0,
     *,
     step: float = 0.01,
     end: float = 40.0,
 ) -> Array:
     """The voltage without `volts` (n,) against the sign of each phase current, in each leg times its part (3,).
 
-    s is read, linearly between entries, from a table of this `step` and `end`, in thresholds; beyond it is flat.
+    s + growth arsinh(i / i_th) is read, linearly between entries, from a table of this `step` and `end`, in thresholds;
+    beyond, s is flat.
     """
     table = _soft_sign(knee.softness, knee.variance, step, end)
-    return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), table))
+    if growth > 0.0:
+        table = table + growth * np.arcsinh(np.arange(len(table)) * step)
+    return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), table, growth))
 
 
 class DeadTime:
@@ -168,7 +177,13 @@ class DeviceDrop:
     """Forward drop of transistors and diodes.
 
     e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
-    r_on i, cannot be told from R_s. Source: as `DeadTime`.
+    r_on i, cannot be told from R_s. In the flexible form the drop goes on growing beyond its knee, by the part `growth`
+    with each factor e of the current, as over any junction: n k T / q over the drop,
+
+        e = T V_0 (s(x) + growth arsinh x) / (1 + growth arsinh x_r),    x = i_abc / i_th,
+
+    so that `voltage_v` is the drop at the motor's rated current, x_r thresholds.
+    Sources: as `DeadTime`; W. Shockley, Bell Syst. Tech. J. 28 (1949), doi:10.1002/j.1538-7305.1949.tb03645.x.
     """
 
     name: ClassVar[str] = "device_drop"
@@ -181,13 +196,16 @@ class DeviceDrop:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
+        growth: float = refinement("1", neutral=0.0, prior_width=0.1, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
         v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
         i_ab = _without_noise(signals)
-        volts = np.full(len(signals.v_dc), p.voltage_v)
-        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3)))
+        rated_a = (signals.motor.rated_current_a if signals.motor is not None else None) or 0.0
+        at_knee = p.voltage_v / (1.0 + p.growth * math.asinh(rated_a / p.threshold_a))
+        volts = np.full(len(signals.v_dc), at_knee)
+        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3), p.growth))
 
 
 class VoltageBias:

@@ -10,7 +10,7 @@ import numpy as np
 from orchestrator.analysis import EnergyFit, FluxPath, Inductances, fit_energy
 from orchestrator.numerics.surface import inside_hull, require_area
 from orchestrator.numerics.types import Array
-from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of
+from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux, as_map, grid_of
 from plugins.estimators.classical import ClassicalEstimator
 from plugins.estimators.injection import InjectionEstimator
 from protocols import Basis, EstimationContext, FluxMap, FluxMapEstimate, NotMeasuredError, RecordingReader
@@ -32,7 +32,7 @@ class EnergyFlux(FluxMapEstimate):
 
 @dataclass(frozen=True)
 class Measurements:
-    """Inductances by injection and flux by integration; one of them may be None.
+    """Inductances by injection, flux by integration and by voltage steps; what was not measured is None.
 
     Attributes
     ----------
@@ -52,6 +52,7 @@ class Measurements:
     segments: tuple[str, ...]
     angles: Array
     energy: EnergyFit | None
+    stepped: SteppedFlux | None = None
 
     @property
     def inductances(self) -> Inductances | None:
@@ -59,7 +60,8 @@ class Measurements:
 
     @property
     def paths(self) -> tuple[FluxPath, ...]:
-        return self.swept.paths if self.swept else ()
+        swept = self.swept.paths if self.swept else ()
+        return swept + self.stepped.fit.paths if self.stepped else swept
 
     def fit(self) -> EnergyFit:
         """The flexible energy of these, made here where it was not made yet."""
@@ -96,10 +98,11 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
             injected = InjectionEstimator().estimate(recording, context)
         except NotMeasuredError as error:
             problems.append(str(error))
-    sources = [source for source in (injected, swept) if source is not None]
     where = recording.manifest.name
-    if not sources:
+    if injected is None and swept is None:
         raise NotMeasuredError(where, "segments", "; ".join(problems))
+    stepped = context.latest(SteppedFlux)
+    sources = [source for source in (injected, swept, stepped) if source is not None]
     current = np.concatenate([source.points.i_dq.astype(np.float64) for source in sources])
     require_area(current, where)
     if not inside_hull(current, np.zeros((1, 2)), where)[0]:
@@ -113,6 +116,7 @@ def energy_measurements(recording: RecordingReader, context: EstimationContext) 
         segments=tuple(name for source in sources for name in source.points.segment),
         angles=np.array([angle[name] for name in injected.points.segment] if injected else []),
         energy=None if fitted is None else fitted.fit,
+        stepped=stepped,
     )
 
 

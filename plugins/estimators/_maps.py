@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss
+from orchestrator.analysis import NO_LOSS, FluxPath, Inductances, PhaseLoss, StepsFit
 from orchestrator.numerics.surface import current_axes
 from orchestrator.numerics.types import Array
 from protocols import Basis, FluxMap, FluxMapEstimate, Motor, RecordingReader
@@ -17,6 +17,13 @@ class SweptFlux(FluxMapEstimate):
 
     paths: tuple[FluxPath, ...]
     loss: PhaseLoss = NO_LOSS
+
+
+class SteppedFlux(FluxMapEstimate):
+    """A map by voltage steps, with all that they told beside it, and when they began."""
+
+    fit: StepsFit
+    start_s: float
 
 
 class InjectedFlux(FluxMapEstimate):

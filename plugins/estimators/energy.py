@@ -15,7 +15,7 @@ import numpy as np
 from orchestrator.analysis import EnergyFit, check_map, rated_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
-from plugins.estimators._maps import InjectedFlux, SweptFlux
+from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux
 from protocols import Estimate, EstimationContext, FluxMap, FluxPoints, MapChecks, RecordingReader, Remark
 
 
@@ -38,7 +38,7 @@ class EnergyEstimator:
 
     name: ClassVar[str] = "energy"
     summary: ClassVar[str] = "flux map of one energy, fitted to injection and integration together"
-    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux, InjectedFlux)
+    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux, InjectedFlux, SteppedFlux)
     produces: ClassVar[type[Estimate]] = EnergyFlux
     rank: ClassVar[int] = 30
 

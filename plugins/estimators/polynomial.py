@@ -15,7 +15,7 @@ import numpy as np
 from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, rated_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, energy_measurements, gridded, pm_flux
-from plugins.estimators._maps import InjectedFlux, SweptFlux
+from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux
 from protocols import (
     ClosedForm,
     Coefficient,
@@ -43,7 +43,7 @@ class PolynomialEstimator:
 
     name: ClassVar[str] = "polynomial"
     summary: ClassVar[str] = "flux map of the paper's polynomial energy, with its coefficients"
-    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux, InjectedFlux, EnergyFlux)
+    requires: ClassVar[tuple[type[Estimate], ...]] = (SweptFlux, InjectedFlux, SteppedFlux, EnergyFlux)
     produces: ClassVar[type[Estimate]] = FluxMapEstimate
     rank: ClassVar[int] = 0
 

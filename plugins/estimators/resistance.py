@@ -97,14 +97,10 @@ class ResistanceEstimator:
                 return _as_known(known)
             problem = "no segment of stage resistance or classical in which a current rests"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
-        fit = fit_voltage(
-            np.array([d.i_ab for _, d in used]),
-            np.array([d.v_ab for _, d in used]),
-            np.array([d.start_s + 0.5 * d.seconds for _, d in used]),
-            np.array([_pwm_hz(recording, s) for s, _ in used]),
-            self._heat([d for _, d in used]),
-            strong_share=self.strong_share,
-        )
+        fit = self._fit(recording, used)
+        if not fit.error_v:
+            used = sorted([*used, *self._means(recording)], key=lambda one: one[1].start_s)
+            fit = self._fit(recording, used)
         strong = [(s, d) for s, d in (*holds, *rests) if np.linalg.norm(d.i_ab) > self.strong_share * largest]
         found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
         found += self._injected(recording, fit, self.strong_share * largest)
@@ -127,6 +123,22 @@ class ResistanceEstimator:
         used = [d for _, d in self._holds(recording) or _rests(recording)]
         largest = max((float(np.linalg.norm(d.i_ab)) for d in used), default=0.0)
         return [d for d in used if np.linalg.norm(d.i_ab) > self.strong_share * largest]
+
+    def _fit(self, recording: RecordingReader, used: list[tuple[Segment, Dwell]]) -> VoltageFit:
+        return fit_voltage(
+            np.array([d.i_ab for _, d in used]),
+            np.array([d.v_ab for _, d in used]),
+            np.array([d.start_s + 0.5 * d.seconds for _, d in used]),
+            np.array([_pwm_hz(recording, s) for s, _ in used]),
+            self._heat([d for _, d in used]),
+            strong_share=self.strong_share,
+        )
+
+    def _means(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
+        """The means under injection, as if they had been held: where a current stands, the inverter keeps as much."""
+        injected = recording.segments(SegmentStage.INJECTION)
+        found = each_capture(recording, injected, lambda s, c: (s, self._mean(c)))
+        return [(s, mean) for s, mean in found if mean is not None]
 
     def _holds(self, recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
         delay = recording.manifest.drive.voltage_delay_samples or 0.0
@@ -161,18 +173,12 @@ class ResistanceEstimator:
     def _mean_reading(
         self, fit: VoltageFit, capture: Capture, pwm_hz: float, least_a: float
     ) -> ResistanceReading | None:
-        """R_s of the means, in which the ripple cancels; what the inverter keeps follows it and is averaged too.
-
-        The means are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
-        """
-        rate = capture.sampling_frequency_hz
-        first = max(round(self.settling_share * len(capture)), len(capture) - round(self.injected_s * rate))
-        if len(capture) - first < self.fewest_samples:
+        """R_s of the means, in which the ripple cancels; what the inverter keeps follows it and is averaged too."""
+        mean = self._mean(capture)
+        if mean is None:
             return None
-        i, v = (x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
-        weight = np.hanning(len(i) + 2)[1:-1]
-        weight /= weight.sum()
-        mean_i = weight @ i
+        i = capture.i_ab[len(capture) - round(mean.seconds * capture.sampling_frequency_hz) :].astype(np.float64)
+        weight, mean_i = _fading(len(i)), mean.i_ab
         length = float(np.linalg.norm(mean_i))
         if length <= least_a:
             return None
@@ -183,8 +189,27 @@ class ResistanceEstimator:
         std = float(np.hypot(self.shape_doubt * fit.noise_v, fit.lost_std(i, pwm_hz, along))) / length
         if std > self.worthless_share * fit.resistance_ohm:
             return None
-        value = float(along @ (weight @ v - lost)) / length
-        return ResistanceReading(start_s=capture.start_s + first / rate, value_ohm=value, std_ohm=std)
+        value = float(along @ (mean.v_ab - lost)) / length
+        return ResistanceReading(start_s=mean.start_s, value_ohm=value, std_ohm=std)
+
+    def _mean(self, capture: Capture) -> Dwell | None:
+        """Means of an injection's last part, in which the ripple cancels; None where it is too short.
+
+        They are taken behind a window that begins and ends at zero, so that whole periods are not asked for.
+        """
+        rate = capture.sampling_frequency_hz
+        first = max(round(self.settling_share * len(capture)), len(capture) - round(self.injected_s * rate))
+        if len(capture) - first < self.fewest_samples:
+            return None
+        weight = _fading(len(capture) - first)
+        i, v = (weight @ x[first:].astype(np.float64) for x in (capture.i_ab, capture.v_ab))
+        return Dwell(capture.start_s + first / rate, len(weight) / rate, i, v, np.zeros((2, 2)))
+
+
+def _fading(count: int) -> Array:
+    """Weights of a mean that begin and end at nothing."""
+    window = np.hanning(count + 2)[1:-1]
+    return np.asarray(window / window.sum())
 
 
 def _as_known(known: KnownResistance) -> ResistanceEstimate:

@@ -22,14 +22,14 @@ from orchestrator.analysis import (
     flux_by_emf,
     magnet_axis,
     rated_flux_wb,
+    require_emf_turns_with,
     spun_points,
+    theta_of,
 )
 from orchestrator.numerics.surface import require_area
-from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, gridded, pm_flux
-from plugins.estimators._maps import SweptFlux, voltage_delay
+from plugins.estimators._maps import SteppedFlux, SweptFlux, voltage_delay
 from plugins.estimators.resistance import ResistanceEstimator
-from plugins.estimators.steps import SteppedFlux
 from protocols import (
     Capture,
     Estimate,
@@ -90,9 +90,10 @@ class SpinEstimator:
         scale_a = max(largest_a, nothing_a)
 
         def turned(segment: Segment, capture: Capture) -> SpunPoints:
-            theta = _theta(segment, capture)
-            _require_emf_turns_with(theta, segment, capture)
-            held = float(np.abs(capture.i_ab).max()) > nothing_a
+            theta = theta_of(segment, capture)
+            require_emf_turns_with(segment, capture)
+            bridge = segment.settings.get("bridge")
+            held = bridge == "on" if bridge else float(np.abs(capture.i_ab).max()) > nothing_a
             return spun_points(capture, theta, delay=delay if held else None, scale_a=scale_a or 1.0, where=segment.id)
 
         each = each_capture(recording, segments, turned)
@@ -159,36 +160,6 @@ class SpinEstimator:
             text = "the inverter keeps {kept_v:.2f} V from each phase; taken out"
             told.append(Remark.of("inverter_loss", text, kept_v=volts))
         return told
-
-
-def _theta(segment: Segment, capture: Capture) -> Array:
-    if capture.theta_rad is not None:
-        return np.asarray(capture.theta_rad, dtype=np.float64)
-    speed = segment.settings.get("speed_rad_s")
-    if isinstance(speed, bool) or not isinstance(speed, int | float):
-        problem = "the rotor turns, and neither its angle (a column theta_rad) nor a setting speed_rad_s is there"
-        raise NotMeasuredError(segment.id, "theta_rad", problem)
-    time_s = np.arange(len(capture), dtype=np.float64) / capture.sampling_frequency_hz
-    return np.asarray(segment.rotor_angle_rad + float(speed) * time_s)
-
-
-def _require_emf_turns_with(theta: Array, segment: Segment, capture: Capture) -> None:
-    """Refuse a voltage that turns the other way than the rotor, or at another multiple of it."""
-    v = np.asarray(capture.v_ab, dtype=np.float64) @ [1.0, 1j]
-    window = np.hanning(len(v))
-    angle = np.unwrap(theta)
-    ratios = [k / n for n in range(1, 9) for k in range(1, 9)]
-    shares = {s * r: abs(np.vdot(np.exp(1j * s * r * angle) * window, v)) for r in sorted({*ratios}) for s in (1, -1)}
-    best = max(shares, key=shares.__getitem__)
-    if best == 1.0 or shares[best] < 3.0 * shares[1.0]:
-        return
-    if best < 0.0:
-        problem = "the voltage turns the other way than the angle: phases in another order, or the angle's sign"
-        raise NotMeasuredError(segment.id, "theta_rad", problem)
-    problem = (
-        f"the voltage turns {best:.4g} times as fast as the angle: {best:.4g} times the pole pairs that are believed?"
-    )
-    raise NotMeasuredError(segment.id, "motor.pole_pairs", problem)
 
 
 def _magnet_remark(magnet: tuple[float, float], stated: float | None) -> Remark:

@@ -26,13 +26,12 @@ from orchestrator.analysis import (
 )
 from orchestrator.numerics.surface import inside_hull, require_area
 from plugins.estimators._energies import gridded, pm_flux
-from plugins.estimators._maps import voltage_delay
+from plugins.estimators._maps import SteppedFlux, voltage_delay
 from plugins.estimators.resistance import ResistanceEstimator
 from protocols import (
     Capture,
     Estimate,
     EstimationContext,
-    FluxMapEstimate,
     FluxPoints,
     NotMeasuredError,
     RecordingReader,
@@ -42,13 +41,6 @@ from protocols import (
     Segment,
     SegmentStage,
 )
-
-
-class SteppedFlux(FluxMapEstimate):
-    """A map by voltage steps, with all that they told beside it, and when they began."""
-
-    fit: StepsFit
-    start_s: float
 
 
 @dataclass(frozen=True)

@@ -1,5 +1,6 @@
 """What drives behind every link share: the host's conversation, the receive loop, uploads, faults, ways out."""
 
+from plugins.link._clock import AttentiveClock
 from plugins.link._drive import LinkDrive
 from plugins.link._errors import link_errors
 from plugins.link._host import Host
@@ -7,4 +8,4 @@ from plugins.link._link import Link
 from plugins.link._options import LinkOptions
 from plugins.link._port import Port
 
-__all__ = ["Host", "Link", "LinkDrive", "LinkOptions", "Port", "link_errors"]
+__all__ = ["AttentiveClock", "Host", "Link", "LinkDrive", "LinkOptions", "Port", "link_errors"]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import ClassVar, Literal, Self
 
 import numpy as np
@@ -70,7 +70,11 @@ class AlignmentStage(EnergisedStage):
     largest_offset: ClassVar[float] = 0.1
     """Part of the current beyond which a reading without current is no offset, but a fault, and nothing is added."""
 
-    def before_point(self, run: StageRun, excitation: Excitation) -> Excitation:
+    def as_run(self, run: StageRun, planned: Sequence[Excitation]) -> Iterator[Excitation]:
+        for excitation in planned:
+            yield self._beside_offset(run, excitation)
+
+    def _beside_offset(self, run: StageRun, excitation: Excitation) -> Excitation:
         reading = _without_current(run.recording())
         if reading is None or not isinstance(excitation, Hold):
             return excitation

@@ -154,7 +154,7 @@ def _is_held_as(value: float, held: float) -> bool:
 
 
 def _mask(kinds: frozenset[ExcitationKind]) -> float:
-    return float(sum(1 << KINDS.index(kind) for kind in kinds))
+    return float(sum(1 << bit for bit, kind in enumerate(KINDS) if kind in kinds))
 
 
 def _kinds(mask: float) -> frozenset[ExcitationKind]:

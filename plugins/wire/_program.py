@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import get_args
 
 from plugins.wire._messages import Fault
 from plugins.wire._rows import CaptureFormat, Channel
 from protocols import (
     CurrentControl,
     DriveFault,
+    DriveRefused,
     Excitation,
     ExcitationKind,
     FaultCause,
@@ -18,11 +18,13 @@ from protocols import (
     Injection,
     Limits,
     Motor,
+    Spin,
     Trapezoid,
+    VoltageSteps,
 )
 
-KINDS: tuple[ExcitationKind, ...] = get_args(ExcitationKind)
-"""Excitations in the order of their numbers (program_kind) and bits (excitations, watchdog_covers)."""
+KINDS: tuple[ExcitationKind, ...] = ("gates_off", "hold", "trapezoid", "injection")
+"""What there are programs for, in the order of their numbers (program_kind) and bits (excitations, watchdog_covers)."""
 AXES = ("d", "q", "dq")
 WAVEFORMS = ("square", "sine")
 
@@ -63,6 +65,8 @@ def program_registers(excitation: Excitation, sampling_frequency_hz: float) -> R
     def on_grid(seconds: float) -> float:
         return round(seconds * sampling_frequency_hz) / sampling_frequency_hz
 
+    if isinstance(excitation, VoltageSteps | Spin):
+        raise DriveRefused(f"the protocol has no program for {excitation.kind}")
     common = {
         "program_kind": float(KINDS.index(excitation.kind)),
         "rotor_angle_rad": excitation.rotor_angle_rad,

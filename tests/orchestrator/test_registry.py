@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 import pytest
 from pydantic import BaseModel
 
-from orchestrator.registry import PluginKind, installed, load_plugin, make_options
+from orchestrator.registry import PluginKind, installed, load_effects_file, load_plugin, make_options
 from protocols import NoOptions, PluginError, Strict
 
 GOOD_STREAM = """
@@ -182,3 +182,50 @@ def test_a_plugin_without_options_takes_none() -> None:
     assert isinstance(make_options(Plain, {}, "x"), NoOptions)
     assert "unknown key" in complaint(lambda: make_options(Plain, {"a": 1}, "x"))
     assert issubclass(NoOptions, BaseModel)
+
+
+EFFECT = """
+from protocols import Correction, EffectLayer, EffectParameters, amplitude
+
+class Mine:
+    name = "mine"
+    summary = "..."
+    signature = "..."
+    layer = EffectLayer.INVERTER
+    needs = ()
+    gauge = ""
+
+    class Parameters(EffectParameters):
+        offset_v: float = amplitude("V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0)
+
+    def correct(self, signals, parameters):
+        return Correction()
+"""
+
+
+@pytest.mark.parametrize(
+    ("change", "told"),
+    [
+        (
+            ("    layer = EffectLayer.INVERTER\n", ""),
+            "write layer = EffectLayer.CURRENT_SENSORS (or DELAY, BUS, INVERTER",
+        ),
+        (("    needs = ()\n", ""), "write needs = ()"),
+        (("    gauge = ", "    gage = "), 'write gauge = "..."'),
+        (("class Parameters(", "class Settings("), "write class Parameters(EffectParameters) in it"),
+        (("def correct", "def korrect"), "a method correct(self, signals, parameters); `fluxbench new effect NAME`"),
+    ],
+)
+def test_what_a_new_effect_lacks_is_said_with_what_to_write(change: tuple[str, str], told: str, tmp_path: Path) -> None:
+    whole, mine = tmp_path / "whole.py", tmp_path / "mine.py"
+    whole.write_text(EFFECT)
+    assert [effect.name for effect in load_effects_file(whole)] == ["mine"]
+    mine.write_text(EFFECT.replace(*change))
+    text = complaint(lambda: load_effects_file(mine))
+    assert told in text
+    assert "mine.py" in text
+
+
+def test_a_method_that_is_missing_is_said_with_its_arguments(install: Install) -> None:
+    install("acme_broken", GOOD_STREAM.replace("def close", "def klose"), "acme_broken:Good")
+    assert "write def close(self)" in complaint(lambda: load_plugin(PluginKind.STREAMS, "third"))

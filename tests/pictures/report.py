@@ -32,6 +32,15 @@ _FLAGS = (
 )
 DESKTOP, PHONE = (1200, 5000), (360, 9000)
 TIMEOUT_S = 120.0
+WANTED = {
+    "report": ("summary", "checks"),
+    "report-diagnosis": ("diagnosis",),
+    "report-motor": ("motor",),
+}
+"""The page's sections of each picture on a desk."""
+MAP = "demo"
+NOT_OF_THE_MAP = "main > :not(section), h2, figure:not(:nth-of-type(n+3):nth-of-type(-n+8))"
+"""What the picture of the map leaves out of the motor's section: all but fluxes and inductances."""
 LONGEST = 2600
 """Rows of a picture that a page of documentation bears."""
 
@@ -53,10 +62,11 @@ def report_pictures(run: Path, folder: Path = PICTURES) -> tuple[Path, ...]:
     with tempfile.TemporaryDirectory() as scratch:
         page = write_report(run, Path(scratch) / "report.html")
         sections = re.findall(r'<section id="(\w+)"', page.read_text(encoding="utf-8"))
-        wanted = {"report": ("summary", "checks"), "report-diagnosis": ("diagnosis",), "report-motor": ("motor",)}
-        for name, ids in wanted.items():
+        for name, ids in WANTED.items():
             if set(ids) <= set(sections):
                 shots.append(_shot(only(page, ids), folder / f"{name}.png", DESKTOP))
+        if "motor" in sections:
+            shots.append(_shot(only(page, ("motor",), NOT_OF_THE_MAP), folder / f"{MAP}.png", DESKTOP))
         shots.append(_shot(only(page, ("summary", "diagnosis")), folder / "report-phone.png", PHONE))
     return tuple(shots)
 
@@ -66,10 +76,11 @@ def browser() -> str | None:
     return next((found for name in BROWSERS if (found := shutil.which(name))), None)
 
 
-def only(page: Path, sections: tuple[str, ...]) -> Path:
-    """A copy of a page that shows these sections alone, beside it."""
+def only(page: Path, sections: tuple[str, ...], hidden: str = "") -> Path:
+    """A copy of a page that shows these sections alone, less what a selector names, beside it."""
     shown = ", ".join(f"section#{name}" for name in sections)
-    style = f"<style>section:not({shown}) {{ display: none; }}</style></head>"
+    also = f", {hidden}" if hidden else ""
+    style = f"<style>section:not({shown}){also} {{ display: none; }}</style></head>"
     copy = page.with_name("-".join(sections) + ".html")
     copy.write_text(page.read_text(encoding="utf-8").replace("</head>", style, 1), encoding="utf-8")
     return copy

@@ -20,6 +20,7 @@ from plugins.streams.rerun._tape import FILE_NAME
 from protocols import Compared, Diagnosed, DiagnosisStep, ExperimentProposed, Message, RecordingError, StreamSetup
 
 OF_DIAGNOSIS = (Compared, DiagnosisStep, Diagnosed, ExperimentProposed)
+NAMES = ("viewer-commissioning", "viewer-flux", "viewer-diagnosis")
 SIZE = (1600, 1000)
 LARGEST_BYTES = 400_000
 GREETING_S = 6.0

@@ -23,7 +23,7 @@ REDUCED = Path(__file__).parents[1] / "data" / "pm400-reduced"
 
 @cache
 def recording() -> RecordingReader:
-    return open_recording(REDUCED)
+    return in_memory(open_recording(REDUCED))
 
 
 @cache
@@ -37,8 +37,12 @@ def stepped() -> RecordingReader:
     top = bench.machine.top_a
     with TemporaryDirectory() as folder:
         path = record_steps(bench, [Steps((130.0, 108.0), (top, 0.7 * top), 0.02)] * 2, Path(folder) / "steps")
-        read = open_recording(path)
-        return MemoryRecording(read.manifest, {s.id: read.load(s) for s in read.segments()})
+        return in_memory(open_recording(path))
+
+
+def in_memory(read: RecordingReader) -> RecordingReader:
+    """The same, read once."""
+    return MemoryRecording(read.manifest, {s.id: read.load(s) for s in read.segments()})
 
 
 class TestResistance(EstimatorConformance):

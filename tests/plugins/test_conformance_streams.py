@@ -6,6 +6,7 @@ from pydantic import BaseModel
 
 from orchestrator.testing import StreamConformance
 from plugins.streams.console import ConsoleOptions, ConsoleStream
+from plugins.streams.remote import RemoteStream
 from plugins.streams.report import ReportStream
 from protocols import Stream, StreamSetup
 
@@ -34,6 +35,11 @@ class TestConsoleQuiet(TestConsoleAuto):
 
 class TestConsoleJson(TestConsoleAuto):
     options_given = ConsoleOptions(mode="jsonl")
+
+
+class TestRemote(StreamConformance):
+    def make_stream(self, setup: StreamSetup) -> Stream:
+        return RemoteStream(setup)
 
 
 class TestReport(StreamConformance):

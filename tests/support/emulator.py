@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import socket
@@ -29,6 +30,11 @@ class Emulator:
         lines = self.log.read_text().splitlines(keepends=True) if self.log.exists() else []
         found: list[dict[str, Any]] = [json.loads(line) for line in lines if line.endswith("\n")]
         return [event for event in found if not kinds or event["event"] in kinds]
+
+    def is_energised(self, time_s: float = math.inf) -> bool:
+        """Whether its power stage was on at an instant of the monotonic clock; now, where none is named."""
+        turns = [event for event in self.events("armed", "disarmed", "safe") if event["time_s"] <= time_s]
+        return bool(turns) and turns[-1]["event"] == "armed"
 
     def send(self, number: signal.Signals) -> None:
         """A signal to it alone."""

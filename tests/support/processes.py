@@ -41,7 +41,7 @@ def start_afresh(*words: str | Path) -> subprocess.Popen[str]:
     )
 
 
-def wait_until(condition: Callable[[], bool], timeout_s: float = 30.0) -> None:
+def wait_until(condition: Callable[[], bool], timeout_s: float = 120.0) -> None:
     """Look every few milliseconds until it is so."""
     deadline = time.monotonic() + timeout_s
     while not condition():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
 
@@ -53,6 +54,11 @@ STAGES: list[dict[str, Any]] = [
 ENERGISED_KINDS = ("gates_off", "alignment", "lock_check", "resistance", "classical", "injection")
 
 
+def all_effects_but(*names: str) -> list[str]:
+    """What a diagnosis leaves out that is to know these effects alone, and be quick."""
+    return sorted(entry.name for entry in entry_points(group="fluxbench.effects") if entry.name not in names)
+
+
 def tiny_document(
     drive: Mapping[str, Any] | None = None,
     stages: Sequence[dict[str, Any]] | None = None,
@@ -65,7 +71,7 @@ def tiny_document(
     """
     chosen = {"name": "simulated", **(drive or {})}
     if chosen["name"] == "simulated":
-        chosen.setdefault("watchdog_s", 5.0)
+        chosen.setdefault("watchdog_s", 60.0)
     return {
         "format": "fluxbench-procedure",
         "version": 1,

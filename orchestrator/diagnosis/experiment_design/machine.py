@@ -9,7 +9,7 @@ import numpy as np
 
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.types import Array
-from protocols import Excitation, GatesOff, Hold, Motor, ProcedureError, Trapezoid
+from protocols import Excitation, GatesOff, Hold, Motor, ProcedureError, Spin, Trapezoid, VoltageSteps
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,10 @@ class Machine:
 def current_of(excitation: Excitation, machine: Machine, t: Array) -> Array:
     """The current that an excitation asks for at times t (n,), in the believed rotor frame, shape (n, 2) [A]."""
     i_dq = np.tile(np.array(excitation.start_dq_a), (len(t), 1))
-    if isinstance(excitation, Hold | GatesOff):
+    if isinstance(excitation, Hold | GatesOff | Spin):
         return i_dq
+    if isinstance(excitation, VoltageSteps):
+        return _triangles(excitation, machine, t)
     if isinstance(excitation, Trapezoid):
         corners, values = np.array([0, 1, 3, 5, 7, 8]) / 8, np.array([0, 1, 1, -1, -1, 0])
         swept = excitation.amplitude_a * np.interp(t / excitation.period_s % 1.0, corners, values)
@@ -73,3 +75,15 @@ def current_of(excitation: Excitation, machine: Machine, t: Array) -> Array:
         wave = -np.cos(2.0 * math.pi * part) / (2.0 * math.pi)
     swing = excitation.amplitude_v / excitation.frequency_hz * wave
     return machine.ripple(i_dq[0], swing[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1))
+
+
+def _triangles(e: VoltageSteps, machine: Machine, t: Array) -> Array:
+    """The current of steps of voltage, as a motor that does not saturate has it, shape (n, 2) [A]."""
+    out = np.zeros((len(t), 2))
+    for axis, (volts, turn_a) in enumerate(((e.voltage_d_v, e.turn_d_a), (e.voltage_q_v, e.turn_q_a))):
+        if volts:
+            small = 1e-3 * turn_a * np.eye(2)[axis : axis + 1]
+            inductance = float((machine.flux(small) - machine.flux(-small))[0, axis]) / (2e-3 * turn_a)
+            quarters = volts * t / (4.0 * turn_a * inductance)
+            out[:, axis] = turn_a * (1.0 - 4.0 * np.abs((quarters + 0.25) % 1.0 - 0.5))
+    return out

@@ -25,11 +25,12 @@ from orchestrator.diagnosis.weak_form.equations import (
 )
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
+from orchestrator.diagnosis.weak_form.rests import rests
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_two_phases, rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Correction, EffectLayer, SegmentStage, Signals
+from protocols import Correction, EffectLayer, Signals
 
 
 @dataclass
@@ -64,8 +65,8 @@ class SegmentEquations:
             covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, slopes)
             common, scatter = None, self.noise.of_model
             if scatter.scatters:
-                sigmas = np.repeat([scatter.offset_scatter_a, scatter.voltage_scatter_v], 2)
-                common = sigmas * self._common_rows(piece, base, corrected.signals, local, model.active)
+                common = self._common_rows(piece, base, corrected.signals, local, model.active)
+                common *= scatter_sizes(common.shape[1], scatter.offset_scatter_a, scatter.voltage_scatter_v)
             whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
@@ -75,7 +76,7 @@ class SegmentEquations:
         return SegmentFrame(base, local, whitener, raw, white, mean, inverter)
 
     def common(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Array:
-        """What a segment's readings may have in common, whitened: columns as of `_common_rows`, shape (rows, 4)."""
+        """What a segment's readings may have in common, whitened: columns as of `_common_rows`."""
         corrected = apply_effects(frame.base, model.active).signals
         local = local_map(piece, corrected, model.magnetics)
         return frame.whitener(self._common_rows(piece, frame.base, corrected, local, model.active))
@@ -85,8 +86,9 @@ class SegmentEquations:
     ) -> Array:
         """What one ampere on all readings of phase a, and of phase b, does to the equations, and a volt on each axis.
 
-        The volt is at rest alone, for a voltage that moves is dithered, and grows with the PWM frequency. The ampere's
-        step is as small as the readings' noise: within an inverter's knee it acts through the voltage. Shape (rows, 4).
+        The volt is that of each rest, for a voltage that moves is dithered, and grows with the PWM frequency. The
+        ampere's step is as small as the readings' noise: within an inverter's knee it acts through the voltage.
+        Shape (rows, 2 + 2 rests).
         """
         step, sums = math.sqrt(0.5 * float(np.trace(self.noise.covariance))), []
         for phases in (1.0, 0.0), (0.0, 1.0):
@@ -95,10 +97,11 @@ class SegmentEquations:
             change = {n: (getattr(there, n) - getattr(corrected, n)) / step for n in ("i_ab", "i_m_ab", "v_ab")}
             sums.append(difference(piece, corrected, change, local, self.pm_flux_wb))
         own = (base.drive.pwm_frequency_hz if base.drive is not None else None) or base.pwm_frequency_hz
-        at_rest = base.pwm_frequency_hz / own if piece.stage is SegmentStage.RESISTANCE else 0.0
-        for axis in np.eye(2):
-            volt = np.tile(at_rest * axis, (len(base.v_dc), 1))
-            sums.append(difference(piece, corrected, {"v_ab": volt}, local, self.pm_flux_wb))
+        for rest in rests(piece):
+            for axis in np.eye(2):
+                volt = np.zeros((len(base.v_dc), 2))
+                volt[rest] = base.pwm_frequency_hz / own * axis
+                sums.append(difference(piece, corrected, {"v_ab": volt}, local, self.pm_flux_wb))
         return piece.windows.combine(np.stack(sums, axis=-1))
 
     def _inverter(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
@@ -223,6 +226,11 @@ class SegmentEquations:
 
     def _sums(self, at: _Place, change: Change, step: float) -> Array:
         return difference(at.piece, at.cascade.corrected, change, at.local, self.pm_flux_wb) / step
+
+
+def scatter_sizes(columns: int, offset_a: float, voltage_v: float) -> Array:
+    """Standard deviations of what a segment's readings have in common: of both phases' zero, and of each volt."""
+    return np.array([offset_a] * 2 + [voltage_v] * (columns - 2))
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 
@@ -24,8 +25,8 @@ from orchestrator.numerics.types import Array
 from protocols import Effect, ParameterRole
 
 
-def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
-    """Everything in the library fitted together, and what the data do not ask for taken out again.
+def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
+    """The amplitudes of everything in the library fitted together.
 
     Parameters
     ----------
@@ -35,12 +36,28 @@ def joint_search(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> 
     limits = fitter.prepared.criteria.selection
     known = {active.name: active for active in start.active}
     everything = start.with_active([known.get(c.name, c.absent()) for c in library])
-    fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
-    for freed in (with_shapes, with_flexible_forms):
-        fit = refitted(fitter, freed(fitter, fit), fit)
+    return fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+
+
+def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit with the shapes of those effects free that show, and the flexible forms of those that it is worth to."""
+    known = fit if fit.frame.noise is fitter.noise else None
+    fit = refitted(fitter, with_shapes(fitter, fit), known)
+    return refitted(fitter, with_flexible_forms(fitter, fit), fit)
+
+
+def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
+    """What all effects together come to in the better of two forms, without those that the data do not ask for.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of all effects in their own forms.
+    """
     fit = in_better_form(fitter, fit)
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
-    return downwards(fitter, with_overlooked(fitter, fit, library)), rivals
+    fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
+    return fit, {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
 
 
 def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
@@ -153,6 +170,22 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         elif gain > -limits.tie or not separable(fit.prepared, other.candidate.effect, _effect(fit, name)):
             rivals.setdefault(name, []).append(other.name)
     return fit, rivals
+
+
+def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]]:
+    """The fit with one of each two effects that the recording cannot part, where it does as well, and what went."""
+    gone: dict[str, list[str]] = {}
+    for one, other in combinations(fit.model.names, 2):
+        if not {one, other} <= set(fit.model.names) or separable(fit.prepared, _effect(fit, one), _effect(fit, other)):
+            continue
+        factors = log_bayes_factors(fit)
+        lesser, stays = sorted((one, other), key=lambda name: factors[name])
+        kept = fit.model.with_active([a for a in fit.model.active if a.name != lesser])
+        trial = refitted(fitter, kept, fit)
+        if _evidence_gain(fit, trial) < fit.criteria.selection.log_evidence:
+            fit = trial
+            gone.setdefault(stays, []).append(lesser)
+    return fit, gone
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:

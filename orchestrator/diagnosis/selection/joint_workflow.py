@@ -12,16 +12,18 @@ from orchestrator.diagnosis.selection.forward_search import Search, Step, refitt
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
+    in_own_forms,
     joint_search,
     log_bayes_factors,
     refitted,
+    together,
 )
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
-from orchestrator.diagnosis.uncertainty.scatter import beside_scatter
+from orchestrator.diagnosis.uncertainty.scatter import as_much, beside_scatter, doubting_zeros
 
 
 def all_together(
@@ -31,11 +33,12 @@ def all_together(
 
     What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
-    fit, rivals = joint_search(setup.coarse_fitter, quick.fit.model, library)
+    doubting, fit = formed_together(setup, together(setup.coarse_fitter, quick.fit.model, library), library)
+    fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     if set(fit.model.names) <= set(quick.fit.model.names):
         return None
     before = setup.fitter.noise.of_model
-    if _formless(fit):
+    if doubting is not setup or _formless(fit):
         setup, fit = with_its_noise(setup, fit, library)
         fit, rivals = exchanged(setup.coarse_fitter, fit, library)
     resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
@@ -53,6 +56,19 @@ def all_together(
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
 
 
+def formed_together(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
+    """All effects in their own forms, and what scatters beside them as noise, each in the light of the other."""
+    doubting = setup
+    for turn in range(fit.criteria.selection.formings):
+        before = doubting
+        if _formless(fit) or before is not setup:
+            doubting = doubting_zeros(setup, setup.coarse_fitter, fit, library)
+        if turn and as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
+            break
+        fit = in_own_forms(doubting.coarse_fitter, fit)
+    return doubting, fit
+
+
 def _formless(fit: Fit) -> bool:
     """Whether so much is left beside all effects that a form must be wrong."""
     return fit.chi2_per_dof > 1.0 + fit.criteria.selection.explained_left
@@ -66,8 +82,9 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     there = {active.name: active for active in fit.model.active}
     everything = fit.model.with_active([there.get(c.name, c.absent()) for c in library])
     wider = beside_scatter(setup, setup.coarse_fitter, fit, library)
-    if wider is not None:
-        setup, fit = wider, downwards(wider.coarse_fitter, refitted(wider.coarse_fitter, everything))
+    setup = wider or setup
+    if fit.frame.noise is not setup.coarse_fitter.noise:
+        fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, everything))
     if _formless(fit):
         model = everything if wider is None else fit.model
         for _ in range(fit.criteria.selection.weighings):

@@ -24,6 +24,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.segment_equations import scatter_sizes
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
 
@@ -69,18 +70,18 @@ class _Likelihood:
     chi2: float
     dof: float
 
-    def cost(self, sigmas: Sequence[float]) -> float:
+    def cost(self, sigmas: tuple[float, float]) -> float:
         """Of standard deviations of offset [A] and voltage [V]."""
         return sum(self._parts(sigmas))
 
-    def chi2_per_dof(self, sigmas: Sequence[float]) -> float:
+    def chi2_per_dof(self, sigmas: tuple[float, float]) -> float:
         return self._parts(sigmas)[0] / self.dof
 
-    def _parts(self, sigmas: Sequence[float]) -> tuple[float, float]:
+    def _parts(self, sigmas: tuple[float, float]) -> tuple[float, float]:
         """What is left of chi2, and the determinants' logarithms."""
-        scale = np.repeat(sigmas, 2)
         roots, log_det = [], 0.0
         for one in self.segments:
+            scale = scatter_sizes(len(one.pull), *sigmas)
             inside = np.eye(len(scale)) + scale[:, None] * one.own * scale
             factor = np.linalg.cholesky(inside)
             log_det += 2.0 * float(np.log(np.diag(factor)).sum())
@@ -110,6 +111,24 @@ def beside_scatter(
     return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
 
 
+def doubting_zeros(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+    """The setup with as much scatter as there may be, at most a sound sensor's and modulator's, while forms are sought.
+
+    A hold's mean is known to microvolts, and what its timer does to it would be taken for an inverter's knee.
+    """
+    limits, noise = setup.prepared.criteria.uncertainty, scatter_of(fitter, fit, library).noise
+    most_a = limits.most_offset_scatter * setup.current_a
+    most_v = limits.most_timer_step_s / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
+    sigmas = min(noise.offset_scatter_a, most_a), min(noise.voltage_scatter_v, most_v)
+    return setup.with_noise(ModelNoise(offset_scatter_a=sigmas[0], voltage_scatter_v=sigmas[1]))
+
+
+def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
+    """Whether two scatters are the same as far as a fit heeds them."""
+    pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
+    return all(abs(a - b) <= within * max(a, b) for a, b in pairs)
+
+
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
     """Whether a scatter is there, and no larger than a sound sensor's and modulator's."""
     limits, noise = setup.prepared.criteria, scatter.noise
@@ -121,12 +140,13 @@ def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
 def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
     """The step of a modulator's timer that makes a scatter of held voltages [s].
 
-    A step of t_q moves a leg's mean voltage by t_q f V_dc, of which it is anywhere: an axis has sqrt(2 / 3) / sqrt(12).
+    A step of t_q moves both edges of a symmetric carrier's pulse, and a leg's mean voltage by 2 t_q f V_dc, of which it
+    is anywhere: an axis has sqrt(2 / 3) / sqrt(12) of it.
     """
     drive = setup.prepared.manifest.drive
     bus_v = drive.dc_bus_voltage_v or float(np.median([p.signals.v_dc[0] for p in setup.prepared.pieces]))
     pwm_hz = drive.pwm_frequency_hz or drive.sampling_frequency_hz
-    return math.sqrt(18.0) * noise.voltage_scatter_v / (bus_v * pwm_hz)
+    return math.sqrt(4.5) * noise.voltage_scatter_v / (bus_v * pwm_hz)
 
 
 def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Scatter:

@@ -12,7 +12,7 @@ import math
 import time
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import numpy as np
 from pydantic import BaseModel, Field
@@ -26,7 +26,6 @@ from protocols import (
     DriveFault,
     DriveSetup,
     Excitation,
-    ExcitationKind,
     FaultCause,
     InputError,
     Limits,
@@ -35,6 +34,14 @@ from protocols import (
     Strict,
     Telemetry,
 )
+
+_PLAYED: tuple[Literal["gates_off", "hold", "trapezoid", "injection"], ...] = (
+    "gates_off",
+    "hold",
+    "trapezoid",
+    "injection",
+)
+"""What a table can say: it knows beforehand when a voltage is turned."""
 
 
 class CsvScopeOptions(Strict):
@@ -54,7 +61,7 @@ class CsvScopeOptions(Strict):
     longest_excitation_s: Positive | None = None
     frequency_step_hz: Positive | None = None
     rotation_step_hz: Positive | None = None
-    excitations: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "trapezoid", "injection"})
+    excitations: frozenset[Literal["gates_off", "hold", "trapezoid", "injection"]] = frozenset(_PLAYED)
     wait_s: Positive | None = None
     """For a measurement; None: as long as it takes."""
     deed_s: Positive = 120.0

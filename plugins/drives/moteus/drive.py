@@ -52,7 +52,7 @@ class MoteusDrive(DriveShell):
     why_not: ClassVar[Mapping[ExcitationKind, str]] = {
         "gates_off": "its current amplifiers are switched off together with its gates",
         "trapezoid": "it is read a few dozen times a second, with voltages that are not of the same instant",
-        "injection": "its injection is not captured at its own rate, and its watchdog does not cover voltage modes",
+        "injection": "it is read a few dozen times a second, and its watchdog does not cover voltage modes",
     }
 
     def __init__(self, setup: DriveSetup) -> None:

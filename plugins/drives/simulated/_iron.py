@@ -44,6 +44,7 @@ class Held(NamedTuple):
     """What core and damper carry [A]."""
     branch_q: float
     moving: bool
+    driven: bool
     anchor: float
     cos: float
     sin: float

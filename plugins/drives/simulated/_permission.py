@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import ClassVar
 
 from orchestrator.driving import SINGLE
 from plugins.drives.simulated._derive import Nameplate, TruePlant
@@ -11,9 +12,9 @@ from plugins.drives.simulated._derive_switching import carrier_frequencies, decl
 from plugins.drives.simulated._map import misfit_in_words
 from plugins.drives.simulated._state import SQRT3
 from plugins.drives.simulated.options import SimulatedOptions
-from protocols import Capabilities, DriveRefused, Excitation, Injection, InputError, Trapezoid
+from protocols import Capabilities, DriveRefused, Excitation, Injection, InputError, Spin, Trapezoid, VoltageSteps
 
-KINDS = frozenset({"gates_off", "hold", "trapezoid", "injection"})
+KINDS = frozenset({"gates_off", "hold", "trapezoid", "injection", "steps", "spin"})
 
 
 @dataclass(frozen=True)
@@ -22,6 +23,8 @@ class Permission:
 
     capabilities: Capabilities
     reach_positive_d_a: float
+    fastest: ClassVar[float] = 0.5
+    """The rotor's electrical angle from a row to the next [rad]."""
 
     @classmethod
     def of(cls, options: SimulatedOptions, nameplate: Nameplate, plant: TruePlant, bus_v: float) -> Permission:
@@ -53,7 +56,7 @@ class Permission:
         )
         return cls(capabilities, plant.reach_positive_d_a)
 
-    def check(self, excitation: Excitation) -> None:
+    def check(self, excitation: Excitation, *, braked: bool) -> None:
         """Raises `DriveRefused` for what control and motor do not allow, whatever the limits."""
         fs = self.capabilities.sampling_frequency_hz
         if excitation.control.bandwidth_hz > fs / 10:
@@ -62,10 +65,21 @@ class Permission:
             raise DriveRefused(f"i_d above {self.reach_positive_d_a:.4g} A: this motor is not known there")
         if isinstance(excitation, Injection) and max(excitation.frequency_hz, excitation.rotation_hz) > 0.5 * fs:
             raise DriveRefused(f"injection at {excitation.frequency_hz:g} Hz is above half the sampling frequency")
+        if isinstance(excitation, Spin):
+            self._check_spin(excitation, braked)
+
+    def _check_spin(self, excitation: Spin, braked: bool) -> None:
+        speed = abs(excitation.speed_rad_s)
+        if braked:
+            raise DriveRefused("the brake holds the rotor")
+        if speed > self.fastest * self.capabilities.sampling_frequency_hz:
+            raise DriveRefused(f"{speed:g} rad/s: more than {self.fastest:g} rad between two rows")
 
 
 def _largest_d(excitation: Excitation) -> float:
     start = excitation.start_dq_a[0]
+    if isinstance(excitation, VoltageSteps):
+        return excitation.turn_d_a
     if not isinstance(excitation, Trapezoid):
         return start
     return start + excitation.amplitude_a * {"d": 1.0, "q": 0.0, "dq": math.sqrt(0.5)}[excitation.swept_axis]

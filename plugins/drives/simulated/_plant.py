@@ -24,6 +24,7 @@ from plugins.drives.simulated._state import (
     DAMPER_D,
     DAMPER_Q,
     DELAYED,
+    DRIVEN,
     HEAT,
     HOUSING,
     I_ALPHA,
@@ -121,9 +122,10 @@ def _slope(p: PlantParameters, f: Held, y: Stage, i_d: float, i_q: float, torque
     c, s, speed, acceleration = f.cos, f.sin, 0.0, 0.0
     if f.moving:
         c, s, speed = math.cos(y.theta), math.sin(y.theta), y.omega
+    if f.moving and not f.driven:
         friction = p.viscous * speed / p.pole_pairs + math.copysign(p.friction_nm, speed if speed != 0.0 else torque)
         acceleration = p.pole_pairs * (torque - friction) / p.inertia
-    elif p.twists:
+    elif p.twists and not f.moving:
         c, s = math.cos(y.theta), math.sin(y.theta)
         behind = f.anchor + _twist(p, torque) - y.theta
         if p.torsion_rate == 0.0:
@@ -131,15 +133,20 @@ def _slope(p: PlantParameters, f: Held, y: Stage, i_d: float, i_q: float, torque
         else:
             speed = y.omega
             acceleration = p.torsion_rate * (p.torsion_rate * behind - 2.0 * p.torsion_damping * speed)
+    if f.off:
+        # The terminals have the back-EMF's voltage, so that it drives nothing but the iron's own loss.
+        i_d -= p.eddy_siemens * speed * y.psi_q
+        i_q += p.eddy_siemens * speed * y.psi_d
     i_alpha, i_beta = c * i_d - s * i_q, s * i_d + c * i_q
     u_alpha, u_beta = _impressed(p, f, y, i_alpha, i_beta)
     if p.eddy_siemens != 0.0 and not f.off:
         u_alpha, u_beta = _with_eddies(p, f, y, i_alpha, i_beta, u_alpha, u_beta)
         i_alpha += p.eddy_siemens * u_alpha
         i_beta += p.eddy_siemens * u_beta
+    turning = 0.0 if f.off else speed
     slope = Stage(
-        c * u_alpha + s * u_beta + speed * y.psi_q,
-        -s * u_alpha + c * u_beta - speed * y.psi_d,
+        c * u_alpha + s * u_beta + turning * y.psi_q,
+        -s * u_alpha + c * u_beta - turning * y.psi_d,
         speed,
         acceleration,
         p.skin_rate * (i_alpha - y.skin_alpha),
@@ -175,6 +182,7 @@ def integrate(
         x[CORE_D] + x[DAMPER_D],
         x[CORE_Q] + x[DAMPER_Q],
         x[MOVING] != 0.0,
+        x[MOVING] == DRIVEN,
         x[ANCHOR],
         x[COS],
         x[SIN],
@@ -212,7 +220,7 @@ def integrate(
     else:
         x[I_ALPHA], x[I_BETA] = x[COS] * i_d - x[SIN] * i_q, x[SIN] * i_d + x[COS] * i_q
     _lag(p, x, from_alpha, from_beta, h)
-    if p.friction_nm < math.inf:
+    if p.friction_nm < math.inf and not f.driven:
         _stick_or_slip(p, x, start.omega)
 
 

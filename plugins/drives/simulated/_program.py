@@ -5,14 +5,16 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from plugins.drives.simulated._derive import Nameplate
-from plugins.drives.simulated._run import CONTROL, OFF, OPEN, ControlParameters, Piece
-from protocols import CurrentControl, Excitation, GatesOff, Hold, Injection, Trapezoid
+from plugins.drives.simulated._run import CONTROL, OFF, OPEN, STEPS, ControlParameters, Piece
+from protocols import CurrentControl, Excitation, GatesOff, Hold, Injection, Spin, Trapezoid, VoltageSteps
 
 DRAIN_S = 0.02
 """Time for the bridge's diodes to bring a residual current to zero."""
+SPIN_UP_S = 0.4
+"""Time in which the other machine takes the rotor to a speed, and back to rest."""
 
 
 @dataclass(frozen=True)
@@ -25,6 +27,10 @@ class Stretch:
     """The mean voltage over it becomes the base voltage of the stretches that follow."""
     on_base: bool = False
     """Its voltages are relative to the base voltage."""
+    turned: bool = False
+    """Another machine holds the shaft from here on, and turns it."""
+    parked: bool = False
+    """At its end the rotor stands again where it stood."""
 
 
 @dataclass(frozen=True)
@@ -70,6 +76,10 @@ class Planner:
                 return Program(tuple(self._trapezoid(excitation, start)))
             case Injection():
                 return Program(tuple(self._injection(excitation, start)))
+            case VoltageSteps():
+                return Program(tuple(self._steps(excitation, start)))
+            case Spin():
+                return Program(tuple(self._spin(excitation, start)))
 
     def to_zero(self, control: CurrentControl, start: tuple[float, float]) -> Program:
         """Current to zero under control, and four periods of the control's bandwidth there."""
@@ -79,6 +89,11 @@ class Planner:
     def wait(self, start: tuple[float, float], seconds: float) -> Program:
         """Hold the set-point."""
         return Program((Stretch(self._still(start, seconds)),))
+
+    def at_rest(self, mode: int, speed_rad_s: float) -> Stretch:
+        """The rotor taken from this speed to where it stood, without current."""
+        count = max(1, self.samples(SPIN_UP_S))
+        return Stretch(Piece(mode, count, faster=-speed_rad_s / count), parked=True)
 
     def _still(self, at: tuple[float, float], seconds: float) -> Piece:
         return Piece(CONTROL, self.samples(seconds), *at)
@@ -142,6 +157,37 @@ class Planner:
         rows = wave._replace(samples=self.samples(excitation.captured_s), first=discarded)
         yield Stretch(rows, captured=True, on_base=True)
 
+    def _steps(self, excitation: VoltageSteps, start: tuple[float, float]) -> Iterator[Stretch]:
+        yield from self._settle(excitation.control, start, (0.0, 0.0), self.samples(excitation.settle_s))
+        steps = Piece(
+            STEPS,
+            self.samples(excitation.captured_s),
+            excitation.voltage_d_v,
+            excitation.voltage_q_v,
+            turn_d=excitation.turn_d_a or math.inf,
+            turn_q=excitation.turn_q_a or math.inf,
+        )
+        yield Stretch(steps, captured=True)
+        yield from self.to_zero(excitation.control, (0.0, 0.0)).stretches
+
+    def _spin(self, excitation: Spin, start: tuple[float, float]) -> Iterator[Stretch]:
+        speed, up, zero = excitation.speed_rad_s, max(1, self.samples(SPIN_UP_S)), (0.0, 0.0)
+        mode = OFF if excitation.bridge == "off" else CONTROL
+        # The other machine holds the shaft from the first sample to the last.
+        yield from (replace(stretch, turned=True) for stretch in self.to_zero(excitation.control, start).stretches)
+        if mode == OFF:
+            yield Stretch(Piece(OFF, self.samples(DRAIN_S)))
+        yield Stretch(Piece(mode, up, faster=speed / up))
+        settle, target = self.samples(excitation.settle_s), excitation.start_dq_a
+        if mode == OFF:
+            yield Stretch(Piece(OFF, settle))
+        else:
+            yield from self._settle(excitation.control, zero, target, settle)
+        yield Stretch(Piece(mode, self.samples(excitation.captured_s), *target), captured=True)
+        if mode == CONTROL:
+            yield from self.to_zero(excitation.control, target).stretches
+        yield self.at_rest(mode, speed)
+
 
 def tune(
     nameplate: Nameplate,
@@ -152,6 +198,8 @@ def tune(
     max_v: float,
     trip_a: float,
     overload_s: float | None,
+    encoder_ratio: float = 1.0,
+    delay_samples: float = 0.0,
 ) -> ControlParameters:
     """PI gains from the nameplate.
 
@@ -168,6 +216,9 @@ def tune(
 
     (p_d, i_d), (p_q, i_q) = gains(nameplate.l_d_h), gains(nameplate.l_q_h)
     return ControlParameters(
+        angle_rad=angle_rad,
+        encoder_ratio=encoder_ratio,
+        lead_samples=0.5 + delay_samples,
         cos=math.cos(angle_rad),
         sin=math.sin(angle_rad),
         proportional_d=p_d,
@@ -177,6 +228,7 @@ def tune(
         resistance_ohm=r,
         inductance_d=nameplate.l_d_h / h,
         inductance_q=nameplate.l_q_h / h,
+        flux=nameplate.pm_flux_wb / h,
         max_v=max_v,
         trip_a=trip_a,
         per_rated2=0.0 if overload_s is None else 1.0 / nameplate.rated_a**2,

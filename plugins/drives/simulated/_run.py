@@ -18,28 +18,45 @@ from plugins.drives.simulated._numba import inlined, kernel
 from plugins.drives.simulated._plant import advance
 from plugins.drives.simulated._sensing import Rows, SensorParameters, read, sense
 from plugins.drives.simulated._state import (
+    ANCHOR,
     BUS,
     COMMAND_D,
     COMMAND_Q,
+    COS,
+    DRIVEN,
     INTEGRAL_D,
     INTEGRAL_Q,
+    MOVING,
+    OMEGA,
+    PSI_D,
+    PSI_Q,
     READING_A,
     READING_B,
     SHOWN_D,
     SHOWN_Q,
+    SIGN_D,
+    SIGN_Q,
+    SIN,
     SPENT,
     SQRT3,
+    THETA,
     PlantParameters,
 )
 from plugins.drives.simulated._switching import advance_switched
 
-CONTROL, OPEN, OFF, GIVEN = range(4)
-"""Current control; open-loop voltage; bridge off; the voltages that `v_out` already holds."""
+CONTROL, OPEN, OFF, GIVEN, STEPS = range(5)
+"""Current control; open-loop voltage; bridge off; voltages that `v_out` already holds; steps turned at a current."""
 
 
 class ControlParameters(NamedTuple):
     """PI control with feed-forward in the believed frame, tuned from the nameplate."""
 
+    angle_rad: float
+    """Of the believed d axis, the rotor standing."""
+    encoder_ratio: float
+    """What the angle sensor reads of a turn."""
+    lead_samples: float
+    """From a row to the middle of the time in which its voltage acts, as the drive knows it."""
     cos: float
     sin: float
     proportional_d: float
@@ -51,6 +68,8 @@ class ControlParameters(NamedTuple):
     inductance_d: float
     """Over the sample time: volts for amperes a sample."""
     inductance_q: float
+    flux: float
+    """Of the magnets, over the sample time."""
     max_v: float
     trip_a: float
     per_rated2: float
@@ -79,15 +98,27 @@ class Piece(NamedTuple):
     square: bool = True
     first: int = 0
     """Samples since the injection started."""
+    turn_d: float = 0.0
+    """Current at which the voltage of steps is turned round [A]."""
+    turn_q: float = 0.0
+    faster: float = 0.0
+    """By how much the speed grows in a sample, where another machine turns the rotor [rad/s]."""
 
 
 @inlined
-def _control(c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float) -> tuple[float, float]:
-    """v_dq of the PI control; back-calculation keeps the integrals where the voltage is limited."""
+def _control(
+    c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float, turned: float
+) -> tuple[float, float]:
+    """v_dq of the PI control; back-calculation keeps the integrals where the voltage is limited.
+
+    Where the frame turns, by `turned` a sample, the nameplate's back-EMF is fed forward.
+    """
     want_d, want_q = w.d + w.slope_d * k, w.q + w.slope_q * k
     error_d, error_q = want_d - i_d, want_q - i_q
     forward_d = c.resistance_ohm * want_d + c.inductance_d * w.slope_d
     forward_q = c.resistance_ohm * want_q + c.inductance_q * w.slope_q
+    forward_d -= turned * c.inductance_q * i_q
+    forward_q += turned * (c.inductance_d * i_d + c.flux)
     v_d = forward_d + c.proportional_d * error_d + x[INTEGRAL_D]
     v_q = forward_q + c.proportional_q * error_q + x[INTEGRAL_Q]
     length = math.sqrt(v_d * v_d + v_q * v_q)
@@ -116,6 +147,19 @@ def _inject(c: ControlParameters, w: Piece, k: int, cos: float, sin: float) -> t
     return scale * v_d, scale * v_q
 
 
+@inlined
+def _step(c: ControlParameters, w: Piece, k: int, x: Array, i_d: float, i_q: float) -> tuple[float, float]:
+    """v_dq of voltage steps: each axis turns where its current has passed its limit."""
+    if k == 0:
+        x[SIGN_D] = x[SIGN_Q] = 1.0
+    if x[SIGN_D] * i_d >= w.turn_d:
+        x[SIGN_D] = -x[SIGN_D]
+    if x[SIGN_Q] * i_q >= w.turn_q:
+        x[SIGN_Q] = -x[SIGN_Q]
+    scale = min(1.0, c.max_v / math.sqrt(w.d * w.d + w.q * w.q))
+    return scale * x[SIGN_D] * w.d, scale * x[SIGN_Q] * w.q
+
+
 @kernel
 def run(
     p: PlantParameters,
@@ -140,12 +184,19 @@ def run(
     `bench` is the switched inverter with its sensors; None, for which other code is compiled, an averaged one.
     `sums` gathers v_d and v_q as the drive believes them: the frozen base voltage is taken from it.
     """
-    off = w.mode == OFF
+    off, driven = w.mode == OFF, x[MOVING] == DRIVEN
+    own_cos, own_sin, ahead_cos, ahead_sin, turned = c.cos, c.sin, c.cos, c.sin, 0.0
     turn = (w.first + done) * w.turns
     turn = 2 * math.pi * (turn - math.floor(turn))
     cos, sin = math.cos(turn), math.sin(turn)
     cos_step, sin_step = math.cos(2 * math.pi * w.turns), math.sin(2 * math.pi * w.turns)
     for k in range(count):
+        if driven:
+            x[OMEGA] += w.faster
+            turned = c.encoder_ratio * x[OMEGA] * c.sample_s
+            angle = c.angle_rad + c.encoder_ratio * (x[THETA] - x[ANCHOR])
+            own_cos, own_sin = math.cos(angle), math.sin(angle)
+            ahead_cos, ahead_sin = math.cos(angle + c.lead_samples * turned), math.sin(angle + c.lead_samples * turned)
         if bench is None:
             i_a = read(s, x[READING_A], s.gain_a, s.offset_a, noise[k, 0])
             i_b = read(s, x[READING_B], s.gain_b, s.offset_b, noise[k, 1])
@@ -157,20 +208,25 @@ def run(
             x[SPENT] = max(0.0, x[SPENT] + (square * c.per_rated2 - 1.0) * c.sample_s)
             if square > c.trip_a * c.trip_a or x[SPENT] > c.overload_s:
                 return k
-        i_d, i_q = c.cos * i_alpha + c.sin * i_beta, -c.sin * i_alpha + c.cos * i_beta
+        i_d, i_q = own_cos * i_alpha + own_sin * i_beta, -own_sin * i_alpha + own_cos * i_beta
         v_d = v_q = 0.0
         if w.mode == CONTROL:
-            v_d, v_q = _control(c, w, done + k, x, i_d, i_q)
+            v_d, v_q = _control(c, w, done + k, x, i_d, i_q, turned)
+        elif w.mode == STEPS:
+            v_d, v_q = _step(c, w, done + k, x, i_d, i_q)
         elif w.mode == OPEN:
             v_d, v_q = _inject(c, w, done + k, cos, sin)
             cos, sin = cos * cos_step - sin * sin_step, sin * cos_step + cos * sin_step
         if w.mode != GIVEN:
-            v_out[k, 0] = np.float32(c.cos * v_d - c.sin * v_q)
-            v_out[k, 1] = np.float32(c.sin * v_d + c.cos * v_q)
+            v_out[k, 0] = np.float32(ahead_cos * v_d - ahead_sin * v_q)
+            v_out[k, 1] = np.float32(ahead_sin * v_d + ahead_cos * v_q)
         i_out[k, 0], i_out[k, 1] = np.float32(i_alpha), np.float32(i_beta)
         bus_out[k] = np.float32(x[BUS])
         sums[0] += v_d
         sums[1] += v_q
+        # With the bridge off the terminals themselves are measured, where there is something to measure.
+        emf_alpha = np.float32(-x[OMEGA] * (x[SIN] * x[PSI_D] + x[COS] * x[PSI_Q]))
+        emf_beta = np.float32(x[OMEGA] * (x[COS] * x[PSI_D] - x[SIN] * x[PSI_Q]))
         x[SHOWN_D] += c.shown_step * (i_d - x[SHOWN_D])
         x[SHOWN_Q] += c.shown_step * (i_q - x[SHOWN_Q])
         # The row's own (rounded) voltage acts, so that a recording says exactly what was applied.
@@ -178,4 +234,6 @@ def run(
             advance(p, e, spline, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
         else:
             advance_switched(p, e, spline, bench.switching, x, float(v_out[k, 0]), float(v_out[k, 1]), off)
+        if off and driven:
+            v_out[k, 0], v_out[k, 1] = emf_alpha, emf_beta
     return count

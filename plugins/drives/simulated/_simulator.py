@@ -167,6 +167,7 @@ class Simulator:
         ahead = sorted(stops)
         elapsed, rows, remaining = 0, self._scratch, program.captured
         warmth = np.empty(0, np.float32)
+        theta = np.empty(0, np.float64)
         filled, room = 0, 0
         for stretch in program.stretches:
             if stretch.averaged:
@@ -179,10 +180,13 @@ class Simulator:
                     room, filled = min(self.block, remaining), 0
                     start_s = self.time_s
                     rows, warmth = _buffers(room, self._three), np.empty(room, np.float32)
+                    theta = np.empty(room)
                 n = min(piece.samples - done, room if stretch.captured else self.block)
                 if ahead:
                     n = min(n, ahead[0] - elapsed)
                 before = self.temperature_c
+                if self.turns and stretch.captured:
+                    theta[filled : filled + n] = self._encoder(control, n)
                 self._rows(
                     switching, control, piece, done, n, noise, rows if stretch.captured else self._scratch, filled
                 )
@@ -201,6 +205,7 @@ class Simulator:
                             v_dc=rows[2],
                             i_abc=rows[3] if self._three else None,
                             temperature_c=warmth if self._thermometer else None,
+                            theta_rad=theta if self.turns else None,
                         )
                         filled = 0
             self._end(stretch)
@@ -276,8 +281,27 @@ class Simulator:
         if finished < count:
             raise Tripped(bool(x[layout.SPENT] > control.overload_s))
 
+    @property
+    def turns(self) -> bool:
+        """Whether another machine turns the rotor."""
+        return float(self.memory.state[layout.MOVING]) == layout.DRIVEN
+
+    @property
+    def speed_rad_s(self) -> float:
+        """Electrical."""
+        return float(self.memory.state[layout.OMEGA])
+
+    def _encoder(self, control: ControlParameters, rows: int) -> Array:
+        """What the angle sensor reads at the rows to come, at a steady speed."""
+        x = self.memory.state
+        turned = x[layout.THETA] - x[layout.ANCHOR] + x[layout.OMEGA] * control.sample_s * np.arange(rows)
+        return np.asarray(np.mod(control.angle_rad + control.encoder_ratio * turned, 2.0 * np.pi))
+
     def _begin(self, stretch: Stretch, control: ControlParameters) -> Piece:
         piece, memory, x = stretch.piece, self.memory, self.memory.state
+        if stretch.turned and not self.turns:
+            x[layout.MOVING] = layout.DRIVEN
+            x[layout.ANCHOR] = x[layout.THETA]
         if stretch.on_base:
             memory.open_loop = True
             return piece._replace(d=memory.base_v[0], q=memory.base_v[1])
@@ -294,6 +318,10 @@ class Simulator:
         if stretch.averaged:
             n = stretch.piece.samples
             self.memory.base_v = (float(self._sums[0]) / n, float(self._sums[1]) / n)
+        if stretch.parked and self.turns:
+            x = self.memory.state
+            x[layout.MOVING] = x[layout.OMEGA] = 0.0
+            self.turn_to(float(x[layout.ANCHOR]))
 
     def forget_control(self) -> None:
         """Set-point and integrals to zero, as when the bridge is off."""

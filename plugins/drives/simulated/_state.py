@@ -30,7 +30,12 @@ SUM_A, SUM_B = 61, 62
 """Integral of the phase currents since the last row [A s]."""
 DRIFT, REMANENT, BEFORE = 63, 66, 69
 """Of three sensors: offset walked so far, what the core remembers, the current at the last row [A]."""
-LENGTH = 72
+SIGN_D, SIGN_Q = 72, 73
+"""Which way the voltage of steps points now, along each axis."""
+LENGTH = 74
+
+DRIVEN = 2.0
+"""`MOVING` of a rotor that another machine turns, whatever its torque; 1: it moves by itself; 0: it rests."""
 
 
 class PlantParameters(NamedTuple):

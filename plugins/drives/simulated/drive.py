@@ -15,8 +15,7 @@ from pydantic import BaseModel
 
 from orchestrator.driving import DriveShell
 from plugins.drives.simulated._faults import FaultPlan, corrupted
-from plugins.drives.simulated._program import DRAIN_S, Program, Stretch
-from plugins.drives.simulated._run import OFF, Piece
+from plugins.drives.simulated._program import Program
 from plugins.drives.simulated._simulator import Simulator, Tripped
 from plugins.drives.simulated.options import Fault, SimulatedOptions
 from plugins.drives.simulated.rig import Rig
@@ -77,7 +76,7 @@ class SimulatedDrive(DriveShell):
 
     def start(self, excitation: Excitation) -> Iterator[Capture]:
         """Check what this plant does not allow, then run it as the iterator is drawn from."""
-        self._rig.permission.check(excitation)
+        self._rig.permission.check(excitation, braked=self._rig.braked)
         return self._run(excitation)
 
     def telemetry(self) -> Telemetry:
@@ -107,8 +106,7 @@ class SimulatedDrive(DriveShell):
     def switch_off(self) -> None:
         """Bridge off; what current there still is drains through the diodes."""
         self._check_link()
-        off = Piece(OFF, max(1, self._rig.planner.samples(DRAIN_S)))
-        self._drain(Program((Stretch(off),)), 3)
+        self._drain(self._rig.gates_off(), 3)
 
     def forget_fault(self) -> None:
         """Nothing is kept but what the shell keeps."""

@@ -78,6 +78,8 @@ class Rotor(Strict):
     inertia_kg_m2: Positive | None = None
     viscous_nm_s: NonNegative | None = None
     coulomb_nm: NonNegative | None = None
+    encoder_ratio: float = 1.0
+    """Of the drive's electrical turns to the true ones: -1 with two phases exchanged, 2 with twice the pole pairs."""
 
 
 class Brake(Strict):

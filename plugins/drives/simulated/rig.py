@@ -137,7 +137,7 @@ class Rig:
     def check(self, excitation: Excitation, limits: Limits) -> None:
         """Raises `DriveRefused` for what these limits, or this drive, do not allow."""
         refuse_excitation(excitation, limits, self.capabilities, self.own_nameplate.resistance_ohm)
-        self.permission.check(excitation)
+        self.permission.check(excitation, braked=self.braked)
 
     # What it does
 
@@ -176,7 +176,7 @@ class Rig:
 
     def drain(self) -> None:
         """Gates off at once, until the diodes have brought the current to zero."""
-        for _ in self._run(Program((Stretch(Piece(OFF, max(1, self.planner.samples(DRAIN_S)))),)), ENDLESS):
+        for _ in self._run(self.gates_off(), ENDLESS):
             pass
 
     def to_zero(self, samples: int) -> Iterator[Step]:
@@ -184,8 +184,18 @@ class Rig:
         return self._run(self.down(), samples)
 
     def down(self) -> Program:
-        """From the present set-point to zero."""
-        return self.planner.to_zero(self._power.control, self.simulator.set_point)
+        """From the present set-point to zero, and a rotor that is turned to rest."""
+        program = self.planner.to_zero(self._power.control, self.simulator.set_point)
+        if not self.simulator.turns:
+            return program
+        return Program((*program.stretches, self.planner.at_rest(CONTROL, self.simulator.speed_rad_s)))
+
+    def gates_off(self) -> Program:
+        """Gates off until the diodes have brought the current to zero; a rotor that is turned comes to rest."""
+        off = Stretch(Piece(OFF, max(1, self.planner.samples(DRAIN_S))))
+        if not self.simulator.turns:
+            return Program((off,))
+        return Program((off, self.planner.at_rest(OFF, self.simulator.speed_rad_s)))
 
     def to_safety(self, samples: int) -> Iterator[Step]:
         """Current to zero as fast as voltage and sampling allow without a jerk: about 10 ms."""
@@ -232,6 +242,8 @@ class Rig:
             max_v=self._power.max_voltage_v,
             trip_a=self.trip_a,
             overload_s=self.options.overload_s,
+            encoder_ratio=self.options.plant.rotor.encoder_ratio,
+            delay_samples=self.capabilities.voltage_delay_samples,
         )
 
     # Memory

@@ -16,6 +16,7 @@ from protocols import (
     RunStarted,
     StagesAppended,
     StageStarted,
+    StageSufficed,
     StateChanged,
 )
 
@@ -99,6 +100,9 @@ class Progress:
             self._finish_point(message)
         elif isinstance(message, ResistanceEstimated):
             self.resistance = message.estimate
+        elif isinstance(message, StageSufficed):
+            self.points -= message.points_spared
+            self.left_s = max(0.0, self.left_s - message.seconds_spared)
         elif isinstance(message, StagesAppended):
             self.stages += len(message.stages)
 

@@ -6,13 +6,15 @@ import json
 import sys
 import time
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from orchestrator.presentation.sentences import shown, visible
-from protocols import RecordingError
+from protocols import FluxbenchError, RecordingError
 
 if TYPE_CHECKING:
     from plugins.streams.rerun._making import Found
@@ -71,10 +73,12 @@ def command(arguments: Sequence[str]) -> int:
 def _see_run(path: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
     from plugins.streams.rerun._making import whole_view
 
-    return _see_made(whole_view(path, _tell), web, port, screenshot, tab)
+    return _see_made(whole_view(path, _tell), web, port, screenshot, tab, of=path)
 
 
-def _see_made(found: Found, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
+def _see_made(
+    found: Found, web: bool, port: int | None, screenshot: Path | None, tab: str | None, of: Path | None = None
+) -> int:
     """A view; what had to be made elsewhere goes when it was seen, but stays where a window shows it."""
     from plugins.streams.rerun._viewer import has_display
 
@@ -82,44 +86,94 @@ def _see_made(found: Found, web: bool, port: int | None, screenshot: Path | None
     if found.remark and (stays or found.folder is None):
         _tell(found.remark)
     try:
-        return _see(found.file, web, port, screenshot, tab)
+        return _see(found.file, web, port, screenshot, tab, of)
     finally:
         if not stays:
             found.remove()
 
 
-def _see(file: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None) -> int:
+def _see(
+    file: Path, web: bool, port: int | None, screenshot: Path | None, tab: str | None, of: Path | None = None
+) -> int:
+    """Open a file; where it is `of` a run, a page that is served keeps up with what is found out later."""
     if screenshot is not None:
         return _picture(file, screenshot, tab)
     from plugins.streams.rerun._viewer import has_display, start, viewer_words
 
     if web or not has_display():
-        return _serve([str(file)], port)
+        return _serve(file, port, None if of is None else Later(of, file))
     start(viewer_words(port or 9876, MEMORY_LIMIT, files=[file]))
     _tell(f"the viewer opens {file}")
     return 0
 
 
-def _serve(sources: Sequence[str], port: int | None) -> int:
-    """A page for the browser, until it is interrupted."""
+@dataclass(frozen=True)
+class Later:
+    """A run whose view is served, and may grow old meanwhile."""
+
+    run: Path
+    file: Path
+
+    def is_due(self, settled_s: float = 2.0) -> bool:
+        """Whether results are newer than the view, and written to no more."""
+        from plugins.streams.rerun._making import is_stale
+
+        if not self.file.is_file() or not is_stale(self.run, self.file):
+            return False
+        newest = max(result.stat().st_mtime for result in (self.run / "results").glob("*"))
+        return time.time() - newest > settled_s
+
+    def make(self) -> None:
+        """The view anew, in its place."""
+        from plugins.streams.rerun._making import make_view
+
+        made = make_view(self.run)
+        if made.file != self.file:
+            made.file.replace(self.file)
+            made.remove()
+
+
+def _serve(source: Path | str, port: int | None, later: Later | None = None) -> int:
+    """A page for the browser, until it is interrupted: of a file, or of the catalogue at an address."""
     from plugins.streams.rerun._live import free_port, wait_for_viewer
-    from plugins.streams.rerun._viewer import has_ended, page_url, start, stop, tied, viewer_words
+    from plugins.streams.rerun._viewer import has_ended, page_origin, page_url, start, stop, tied, viewer_words
 
     data_port, web_port = free_port(), port or free_port()
-    server = start(tied(viewer_words(data_port, MEMORY_LIMIT, web_port=web_port, files=sources)))
+    server = start(tied(viewer_words(data_port, MEMORY_LIMIT, web_port=web_port)))
     try:
         if not wait_for_viewer(web_port, 30.0, lambda: has_ended(server)):
-            raise RecordingError(sources[0], "", f"the page's server does not start; is port {web_port} taken?")
-        catalogue = [source for source in sources if source.startswith("rerun")]
-        print(page_url(data_port, web_port, *catalogue), flush=True)
-        _tell("open this address in a browser on this machine; Ctrl-C ends it")
-        while not has_ended(server):
-            time.sleep(0.2)
+            raise RecordingError(str(source), "", f"the page's server does not start; is port {web_port} taken?")
+        with _found_by(source, page_origin(web_port)) as address:
+            print(page_url(data_port, web_port, address), flush=True)
+            _tell("open this address in a browser on this machine; Ctrl-C ends it")
+            while not has_ended(server):
+                time.sleep(0.2)
+                if later is not None and later.is_due():
+                    later = _made_anew(later)
     except KeyboardInterrupt:
         return 0
     finally:
         stop(server)
     return 0
+
+
+def _found_by(source: Path | str, origin: str) -> AbstractContextManager[str]:
+    """The address by which the page of this origin finds what it is to show."""
+    from plugins.streams.rerun._handing import handed_out
+
+    return handed_out(source, origin) if isinstance(source, Path) else nullcontext(source)
+
+
+def _made_anew(later: Later) -> Later | None:
+    """A view that keeps up with its run; None where it cannot any more, which is said."""
+    _tell(f"{later.run} has newer results: the view is made anew")
+    try:
+        later.make()
+    except FluxbenchError as error:
+        _tell(f"what is shown is older than the results: {error}")
+        return None
+    _tell("reload the page")
+    return later
 
 
 def _browse(runs: Sequence[Path], web: bool, port: int | None) -> int:
@@ -141,7 +195,7 @@ def _show_catalogue(files: Sequence[Path], web: bool, port: int | None) -> int:
 
     with served([file for file in files if is_whole(file)]) as url:
         if web or not has_display():
-            return _serve([url], port)
+            return _serve(url, port)
         _tell("the viewer opens the catalogue; Ctrl-C ends it")
         window = start(viewer_words(port or 9876, MEMORY_LIMIT, files=[url]))
         try:

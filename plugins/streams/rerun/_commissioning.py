@@ -30,6 +30,7 @@ from orchestrator.presentation.profiles import flux_at_zero
 from orchestrator.presentation.quantities import vector
 from orchestrator.presentation.sentences import shown
 from orchestrator.stages import installed_stages
+from plugins.streams._ripple import FluxTree, RippleFit, fit_ripple
 from plugins.streams.rerun._axes import Chart, dotted, plane, reach
 from plugins.streams.rerun._clock import Clock
 from plugins.streams.rerun._detail import DETAIL
@@ -41,7 +42,6 @@ from plugins.streams.rerun._maps import (
     inductance_entries,
     reach_of,
 )
-from plugins.streams.rerun._ripple import FluxTree, RippleFit, fit_ripple
 from plugins.streams.rerun._status import Status
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry, properties, scalars, titled
 from plugins.streams.rerun._waveforms import Thinner
@@ -63,6 +63,7 @@ from protocols import (
     SegmentStage,
     StagesAppended,
     StageStarted,
+    StageSufficed,
     StateChanged,
 )
 
@@ -76,13 +77,16 @@ class Commissioning:
     ----------
     every_s : float
         Least time between two pictures of a ripple: a simulated drive measures faster than anybody looks.
+    wall_s : callable
+        The time that this is by; where nobody waits for the pictures, it may stand still.
     """
 
-    def __init__(self, every_s: float = 0.25) -> None:
-        self._clock = Clock()
+    def __init__(self, every_s: float = 0.25, wall_s: Callable[[], float] = time.monotonic) -> None:
+        self._wall = wall_s
+        self._clock = Clock(wall_s)
         self._every_s = every_s
         self._ripple_drawn_at = -math.inf
-        self._thinner = Thinner()
+        self._thinner = Thinner(wall_s)
         self._status = Status()
         self._tree = FluxTree()
         self._box: FluxBox | None = None
@@ -108,6 +112,7 @@ class Commissioning:
             ResistanceEstimated: self._resistance,
             MapEstimated: self._map,
             StagesAppended: self._said,
+            StageSufficed: self._said,
             Note: self._said,
             RunEnded: self._run_ended,
         }
@@ -247,8 +252,8 @@ class Commissioning:
         )
         l_h = 1e3 * fit.inductance_h
         out = [entry("point/inductance", self.when, rr.Scalars([l_h[0, 0], l_h[0, 1], l_h[1, 1]]))]
-        if time.monotonic() - self._ripple_drawn_at >= self._every_s:
-            self._ripple_drawn_at = time.monotonic()
+        if self._wall() - self._ripple_drawn_at >= self._every_s:
+            self._ripple_drawn_at = self._wall()
             out += _ripple_chart(self.when, fit, DETAIL.ripple_periods * period_s)
         self._tree.add(fit.mean_a, fit.inductance_h)
         if self._box is None:

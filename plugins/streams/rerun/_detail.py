@@ -17,8 +17,6 @@ class Detail:
         Limits are straight lines: two points a second are enough.
     block_rows, block_s : int, float
         Waveforms are handed on at so many rows of them, so long after the last ones, and when a point is done.
-    ripple_rows, least_ripple_rows : int
-        Samples of a point that the quick fit looks at, the last ones; with fewer than the least there is none.
     ripple_periods : int
         Of the injection, drawn at each point.
     windows : int
@@ -39,8 +37,6 @@ class Detail:
     limits_every_s: float = 1.0
     block_rows: int = 1000
     block_s: float = 0.1
-    ripple_rows: int = 3000
-    least_ripple_rows: int = 64
     ripple_periods: int = 4
     windows: int = 3000
     inner_part: float = 0.98

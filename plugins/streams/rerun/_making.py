@@ -50,7 +50,7 @@ def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
         Where it cannot be written; what there is of it is removed.
     """
     file = directory / FILE_NAME
-    if file.is_file() and is_whole(file) and not _is_stale(file):
+    if file.is_file() and is_whole(file) and not is_stale(directory, file):
         return Found(file)
     if file.is_file() and _is_at_work(directory):
         return Found(file, f"{directory} is still under way: what is written so far is shown")
@@ -62,11 +62,11 @@ def whole_view(directory: Path, tell: Callable[[str], None]) -> Found:
     return make_view(directory)
 
 
-def _is_stale(file: Path) -> bool:
+def is_stale(directory: Path, file: Path) -> bool:
     """Whether something was found out after the view was made, and there is what to make it of."""
-    if not any((file.parent / name).is_file() for name in ("run.json", "recording.json")):
+    if not any((directory / name).is_file() for name in ("run.json", "recording.json")):
         return False
-    found = (result.stat().st_mtime for result in (file.parent / "results").glob("*"))
+    found = (result.stat().st_mtime for result in (directory / "results").glob("*"))
     return max(found, default=0.0) > file.stat().st_mtime + 1.0
 
 
@@ -119,9 +119,9 @@ def _replayed(directory: Path, folder: Path) -> Path:
 
     messages = replay(directory)
     first = next(messages)  # what cannot be read is said before anything is made
-    stream = RerunStream(
-        StreamSetup(run=folder, options=RerunOptions()), name=directory.resolve().name, ripple_every_s=0.0
-    )
+    # What is in the file is a matter of the run, and not of how fast it is replayed: the clock stands still.
+    setup, name = StreamSetup(run=folder, options=RerunOptions()), directory.resolve().name
+    stream = RerunStream(setup, name=name, ripple_every_s=0.0, wall_s=lambda: 0.0)
     try:
         stream.receive(first)
         for message in messages:

@@ -39,7 +39,14 @@ class RerunStream:
     Options: ClassVar[type[BaseModel]] = RerunOptions
     wants_samples: ClassVar[bool] = True
 
-    def __init__(self, setup: StreamSetup, *, name: str = "", ripple_every_s: float = 0.25) -> None:
+    def __init__(
+        self,
+        setup: StreamSetup,
+        *,
+        name: str = "",
+        ripple_every_s: float = 0.25,
+        wall_s: Callable[[], float] = time.monotonic,
+    ) -> None:
         options = setup.options if isinstance(setup.options, RerunOptions) else RerunOptions()
         self._server: int | None = None
         self._live: LiveFeed | None = None
@@ -49,7 +56,8 @@ class RerunStream:
             self._tape.listener = self._live.put
         self._notes: list[str] = []
         self._open_viewer(options)
-        self._commissioning = Commissioning(ripple_every_s)
+        self._wall = wall_s
+        self._commissioning = Commissioning(ripple_every_s, wall_s)
         self._diagnosis = diagnosis.Diagnosis()
         self._layout = ""
         self._measured = False
@@ -120,13 +128,11 @@ class RerunStream:
             self._notes.append(f"no viewer was opened: {error}")
 
     def _is_time(self) -> bool:
-        return (
-            self._commissioning.waveform_rows >= DETAIL.block_rows or time.monotonic() - self._sent_at >= DETAIL.block_s
-        )
+        return self._commissioning.waveform_rows >= DETAIL.block_rows or self._wall() - self._sent_at >= DETAIL.block_s
 
     def _hand_on_waveforms(self) -> None:
         self._tape.put(self._commissioning.waveforms())
-        self._sent_at = time.monotonic()
+        self._sent_at = self._wall()
 
     def _lay_out_commissioning(self) -> None:
         self._lay_out(blueprints.COMMISSIONING, blueprints.commissioning)

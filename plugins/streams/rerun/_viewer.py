@@ -31,7 +31,12 @@ def best_view() -> Literal["spawn", "web"]:
 
 def page_url(port: int, web_port: int, source: str | None = None) -> str:
     """What a browser on this machine opens to see what the server on `port` takes, or another source."""
-    return f"http://{HOST}:{web_port}/?url={quote(source or address(port), safe='')}"
+    return f"{page_origin(web_port)}/?url={quote(source or address(port), safe='')}"
+
+
+def page_origin(web_port: int) -> str:
+    """Of the viewer's page, as a browser names it."""
+    return f"http://{HOST}:{web_port}"
 
 
 def viewer_words(

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 
 import numpy as np
 
@@ -28,7 +29,8 @@ def envelope(rows: RealArray, width: int) -> RealArray:
 class Thinner:
     """Collects thinned waveforms until they are worth a block."""
 
-    def __init__(self) -> None:
+    def __init__(self, wall_s: Callable[[], float] = time.monotonic) -> None:
+        self._wall = wall_s
         self._times: list[RealArray] = []
         self._current: list[RealArray] = []
         self._voltage: list[RealArray] = []
@@ -58,8 +60,8 @@ class Thinner:
             scalars("drive/current", times, np.concatenate(self._current, axis=1).T),
             scalars("drive/voltage", times, np.concatenate(self._voltage, axis=1).T),
         ]
-        if limits is not None and time.monotonic() - self._limits_at >= DETAIL.limits_every_s:
-            self._limits_at = time.monotonic()
+        if limits is not None and self._wall() - self._limits_at >= DETAIL.limits_every_s:
+            self._limits_at = self._wall()
             ends = times[[0, -1]]
             for name, limit in zip(("current", "voltage"), limits, strict=True):
                 out.append(scalars(f"drive/limit/{name}", ends, np.array([[limit, -limit]] * 2)))

@@ -11,8 +11,10 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.estimation import save_flux_map
 from orchestrator.recording import open_recording
 from protocols import shipped_procedures
+from tests.orchestrator.exporting.machines import saturated_map
 from tests.support.processes import FLUXBENCH, called, start_fluxbench
 from tests.support.tiny import STAGES, run_tiny, tiny_file
 
@@ -95,8 +97,7 @@ def test_a_run_ends_with_its_numbers_and_where_they_are(tmp_path: Path) -> None:
     assert str(tmp_path / "run") in done.stdout
     for name in ("run.json", "journal.jsonl", "recording.json", "report.html", "results/flux_map.nc"):
         assert (tmp_path / "run" / name).is_file(), name
-    again = called("estimate", tmp_path / "run", "--json")
-    report = json.loads(again.stdout)
+    report = json.loads((tmp_path / "run" / "results" / "estimates.json").read_text())
     assert report["resistance"]["value_ohm"] == pytest.approx(4.25, rel=0.1)
     assert report["method"] in ("energy", "injection")
 
@@ -151,6 +152,16 @@ def test_a_plugin_s_command_is_one_of_the_commands(tmp_path: Path) -> None:
     assert_one_line(called("report", tmp_path / "nowhere"), 2, "nowhere")
 
 
+def test_a_command_that_is_named_waits_for_no_description_of_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    def described(_: object) -> str:
+        raise AssertionError("asked for")
+
+    monkeypatch.setattr("orchestrator.cli._foreign.summary_of", described)
+    assert called("procedures").returncode == 0
+    with pytest.raises(AssertionError, match="asked for"):
+        called("--help")
+
+
 def test_an_effect_in_a_file_of_one_s_own_is_held_against_the_contract(tmp_path: Path) -> None:
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     mine = tmp_path / "mine.py"
@@ -171,12 +182,10 @@ def test_a_comparison_is_the_contract_s_json(tmp_path: Path) -> None:
 
 
 def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
-    data = Path(__file__).parents[2] / "data" / "pm400-reduced"
-    words = ("--estimator", "resistance", "--estimator", "injection")
-    assert called("estimate", data, *words, "--out", tmp_path).returncode == 0
     motor = tmp_path / "motor.yaml"
     motor.write_text("motor: {name: test, pole_pairs: 2}\n")
-    flux_map = tmp_path / "results" / "flux_map.nc"
+    flux_map = tmp_path / "flux_map.nc"
+    save_flux_map(flux_map, saturated_map(nodes=9), motor="test")
     done = called("export", flux_map, "--motor", motor, "--format", "csv", "--out", tmp_path / "out")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "out" / "flux_map.csv").is_file()
@@ -221,7 +230,8 @@ def test_with_out_nothing_is_written_into_a_run(tmp_path: Path) -> None:
     run_tiny(tmp_path, stages=[*STAGES[:4], *STAGES[5:7]])
     (run / "recording.json").unlink()
     before = sorted(run.rglob("*"))
-    assert called("estimate", run, "--out", tmp_path / "elsewhere").returncode == 0
+    words = ("--estimator", "resistance", "--estimator", "injection")
+    assert called("estimate", run, *words, "--out", tmp_path / "elsewhere").returncode == 0
     assert sorted(run.rglob("*")) == before
 
 
@@ -236,10 +246,13 @@ def test_check_numbers_stages_as_a_run_does_and_says_how_they_are_written(tmp_pa
 @pytest.mark.parametrize(
     ("unbuffered", "words"),
     [
-        ("", ("check", "demo")),
+        ("", ("procedures",)),
         ("1", ("procedures",)),
-        *(pytest.param("1", words, marks=pytest.mark.slow) for words in (("check", "demo"), ("plugins", "--json"))),
-        *(pytest.param("", words, marks=pytest.mark.slow) for words in (("procedures",), ("plugins", "--json"))),
+        *(
+            pytest.param(unbuffered, words, marks=pytest.mark.slow)
+            for unbuffered in ("", "1")
+            for words in (("check", "demo"), ("plugins", "--json"))
+        ),
     ],
 )
 def test_an_output_that_cannot_be_written_is_one_line(unbuffered: str, words: tuple[str, ...]) -> None:

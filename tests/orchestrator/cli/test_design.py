@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -21,6 +22,16 @@ def test_what_is_designed_is_a_procedure_that_check_takes(tmp_path: Path) -> Non
     checked = called("check", out)
     assert checked.returncode == 0, checked.stderr
     assert "gates_off" in checked.stdout
+
+
+def test_what_it_will_tell_is_told_as_json_too(tmp_path: Path) -> None:
+    out = tmp_path / "shortest.yaml"
+    told = json.loads(called("design", tiny_file(tmp_path), *PAIR, "--out", out, "--json").stdout)
+    assert told["out"] == str(out)
+    assert told["points"] > 0
+    assert told["duration_s"] > 0.0
+    assert set(told["found_at"]) == set(PAIR)
+    assert {one["effect"] for one in told["parted_at"]} <= set(PAIR)
 
 
 @pytest.mark.slow

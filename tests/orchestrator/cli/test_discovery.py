@@ -42,6 +42,12 @@ def test_effects_and_procedures_have_a_line_each(command: str, name: str) -> Non
     assert name in {row["name"] for row in rows}
 
 
+def test_a_new_package_is_told_as_json_too(tmp_path: Path) -> None:
+    told = json.loads(called("new", "effect", "mine", "--out", tmp_path / "new", "--json").stdout)
+    assert told["folder"] == str(tmp_path / "new")
+    assert all(Path(file).is_file() for file in told["files"])
+
+
 def test_every_option_of_the_simulated_drive_is_on_its_page() -> None:
     table = called("schema", "drive", "simulated", "--table").stdout
     assert table in PAGE.read_text(), "write it anew with `fluxbench schema drive simulated --table`"

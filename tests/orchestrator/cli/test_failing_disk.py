@@ -82,10 +82,10 @@ def ends_safely_and_resumes(folder: Path, library: Path, call: str, nth: int, er
     ("call", "nth", "error", "once"),
     [
         ("fdatasync", 9, errno.EIO, True),  # in the middle of a change of state
-        ("fdatasync", 6, errno.ENOSPC, False),
-        ("fsync", 7, errno.EIO, True),
         ("write", 25, errno.ENOSPC, False),
-        ("rename", 3, errno.EIO, True),
+        pytest.param("fdatasync", 6, errno.ENOSPC, False, marks=pytest.mark.slow),
+        pytest.param("fsync", 7, errno.EIO, True, marks=pytest.mark.slow),
+        pytest.param("rename", 3, errno.EIO, True, marks=pytest.mark.slow),
     ],
 )
 def test_a_run_on_a_failing_disk_ends_safely_and_can_be_resumed(

@@ -109,27 +109,27 @@ def _trapezoid(period: int) -> Array:
 
 def _plan(flaws: Flaws) -> list[tuple[SegmentStage, dict[str, object], Callable[[], Array]]]:
     plan: list[tuple[SegmentStage, dict[str, object], Callable[[], Array]]] = []
-    plan.append((SegmentStage.GATES_OFF, {}, lambda: np.zeros((2001, 2))))
+    plan.append((SegmentStage.GATES_OFF, {}, lambda: np.zeros((1201, 2))))
     holds = [(a * x, a * y) for a in (0.1, 0.5, 2.0) for x, y in ((1, 0), (-1, 0), (0, 1), (0, -1))]
     for point in [*holds, (3.0, 0.0), (0.0, 3.0), (2.0, 0.0)]:
-        plan.append((SegmentStage.RESISTANCE, {}, lambda p=point: np.repeat(flux(p)[None], 1201, axis=0)))  # type: ignore[misc]
+        plan.append((SegmentStage.RESISTANCE, {}, lambda p=point: np.repeat(flux(p)[None], 801, axis=0)))  # type: ignore[misc]
     for point in holds if flaws.second_pwm else []:
         twice: dict[str, object] = {"pwm_frequency_hz": 2.0 * FS}
-        plan.append((SegmentStage.RESISTANCE, twice, lambda p=point: np.repeat(flux(p)[None], 1201, axis=0)))  # type: ignore[misc]
+        plan.append((SegmentStage.RESISTANCE, twice, lambda p=point: np.repeat(flux(p)[None], 801, axis=0)))  # type: ignore[misc]
     for held in (-2.0, 0.0, 2.0):
         for axis in ("q", "d"):
-            plan.append((SegmentStage.CLASSICAL, {"swept_axis": axis, "period_s": 0.3}, _sweep(axis, held)))
-    plan.append((SegmentStage.CLASSICAL, {"swept_axis": "dq", "period_s": 0.3}, _sweep("dq", 0.0)))
+            plan.append((SegmentStage.CLASSICAL, {"swept_axis": axis, "period_s": 0.15}, _sweep(axis, held)))
+    plan.append((SegmentStage.CLASSICAL, {"swept_axis": "dq", "period_s": 0.15}, _sweep("dq", 0.0)))
     points = [(a, b, 40.0) for a in (-2.5, 0.0, 2.5) for b in (-2.5, 0.0, 2.5)]
     for d, q, volts in [*points, (1.2, 1.2, 20.0), (-1.2, -1.2, 20.0), (0.0, 0.0, 20.0)]:
-        settings: dict[str, object] = {"frequency_hz": 500.0, "rotation_hz": 4.0, "amplitude_v": volts}
+        settings: dict[str, object] = {"frequency_hz": 500.0, "rotation_hz": 8.0, "amplitude_v": volts}
         plan.append((SegmentStage.INJECTION, settings, _ripple(d, q, volts)))
     return plan
 
 
 def _sweep(axis: str, held: float) -> Callable[[], Array]:
     def make() -> Array:
-        wave = _trapezoid(3000)
+        wave = _trapezoid(1500)
         high = flux((3.0, held) if axis == "d" else (held, 3.0))
         middle = flux((0.0, held) if axis == "d" else (held, 0.0))
         if axis == "dq":
@@ -141,9 +141,9 @@ def _sweep(axis: str, held: float) -> Callable[[], Array]:
 
 def _ripple(d: float, q: float, volts: float) -> Callable[[], Array]:
     def make() -> Array:
-        k = np.arange(3200)
+        k = np.arange(1600)
         wave = np.where(k % 20 < 10, volts, -volts)
-        turn = 2 * np.pi * 4.0 * k * TS
+        turn = 2 * np.pi * 8.0 * k * TS
         steps = (wave * TS)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
         ripple = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
         return np.asarray(flux((d, q)) + ripple - ripple.mean(axis=0))

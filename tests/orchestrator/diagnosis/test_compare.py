@@ -30,7 +30,9 @@ def test_comparison_says_where_the_model_fails(misaligned: Recording, tmp_path: 
     assert report.chi2 > 5.0
     assert (stages["classical"].chi2 or 0.0) > (stages["resistance"].chi2 or 99.0)
     assert report.worst[0].segment.startswith("classical")
-    assert (report.parity.d_percent or 0.0) > 5.0 * (report.reciprocity_percent or 99.0)
+    # The injection takes a few seconds in all, of which noise alone breaks reciprocity by a quarter of a percent.
+    assert (report.parity.d_percent or 0.0) > 2.0 * (report.reciprocity_percent or 99.0)
+    assert (report.parity.q_percent or 0.0) > 3.0 * (report.reciprocity_percent or 99.0)
 
 
 def test_what_is_right_is_noise_everywhere(clean: Recording, tmp_path: Path) -> None:

@@ -84,6 +84,11 @@ def test_a_zero_that_wanders_a_little_is_noise_of_a_size_that_is_said(wandering:
     assert said.values["scatter_ma"] == pytest.approx(2.0, rel=0.3)
     # The model that is kept knows of it: a comparison finds what the diagnosis left.
     assert compare_recording(wandering, LIBRARY, out=tmp_path).chi2 == pytest.approx(1.0, abs=0.08)
+
+
+@pytest.mark.slow
+def test_what_is_taken_out_and_added_again_keeps_the_noise_that_was_found(wandering: Recording, tmp_path: Path) -> None:
+    diagnose_recording(wandering, LIBRARY, out=tmp_path)
     without = remove_effect(wandering, "rotor_misalignment", LIBRARY, out=tmp_path).ladder[-1].chi2
     assert without is not None
     assert without > 10.0

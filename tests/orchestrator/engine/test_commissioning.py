@@ -40,6 +40,14 @@ FIRST_EXCITATIONS = {
 }
 """Number of the first excitation in each stage of the tiny procedure."""
 
+OF_MANY_SECONDS: list[dict[str, Any]] = [
+    {"kind": "adaptive"},
+    {"kind": "steps"},
+    {"kind": "operator", "prompt": "Release the brake", "answer": "yes", "brake": "release"},
+    {"kind": "spin"},
+]
+"""What the tiny procedure has not: a run that is stopped in one of them has no time to take them all."""
+
 FAULTS: list[dict[str, Any]] = [
     {"kind": "trip", "cause": "overcurrent"},
     {"kind": "lost_link"},
@@ -211,7 +219,8 @@ def test_a_drive_that_fails_at_any_stage_is_left_safe_and_its_points_are_kept(
 def test_a_stop_at_any_stage_ramps_down_and_disarms(
     state: str, tmp_path: Path, at_close: list[Telemetry | DriveFault]
 ) -> None:
-    result = run_tiny(tmp_path, interrupts=StopAtState(tmp_path / "run", state))
+    stop = StopAtState(tmp_path / "run", state)
+    result = run_tiny(tmp_path, interrupts=stop, stages=[*STAGES[:-1], *OF_MANY_SECONDS])
     assert result.outcome.ending == "aborted"
     assert result.outcome.reason == f"seen in {state}"
     assert states(result.path)[-3:] == [state, "stopping", "aborted"]

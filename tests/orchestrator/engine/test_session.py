@@ -12,10 +12,11 @@ ROOT = Path(__file__).parents[3]
 WATCHED = """
 import sys
 from pathlib import Path
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, _session, start_run
 from plugins.drives.simulated import SimulatedDrive
 from tests.support.tiny import STAGES, tiny_procedure
 
+_session.STREAMS_READY_S = 200.0  # it is waited for, however long a busy machine takes
 armed = []
 late = set()
 

@@ -26,6 +26,7 @@ from protocols import (
     DriveState,
     Excitation,
     FaultCause,
+    Hold,
     Injection,
     Limits,
     NoOptions,
@@ -92,6 +93,8 @@ class ExampleDrive:
         self.watch()
         if self.state is not DriveState.ARMED:
             raise DriveRefused(f"the drive is {self.state.value}")
+        if excitation.kind not in self.capabilities.excitations:
+            raise DriveRefused(f"no {excitation.kind}")
         if excitation.pwm_frequency_hz not in (None, *self.capabilities.pwm_frequencies_hz):
             raise DriveRefused("no such PWM frequency")
         self.check(excitation)
@@ -158,6 +161,8 @@ class ExampleDrive:
         rows = excitation.rows(self.fs)
         if excitation.kind == "gates_off":
             return np.zeros(rows, dtype=complex), np.zeros(rows, dtype=complex)
+        if not isinstance(excitation, Hold):
+            raise DriveRefused(f"no {excitation.kind} on this bench")
         i_dq = np.full(rows, complex(excitation.current_d_a, excitation.current_q_a))
         return i_dq, self.resistance_ohm * i_dq
 

@@ -1,4 +1,4 @@
-"""What docs/plugins.md shows is complete, and passes the kits that it praises."""
+"""What docs/plugins.md and docs/effects.md show is complete, and passes the kits that they praise."""
 
 from __future__ import annotations
 
@@ -9,19 +9,23 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from importlib.resources import files
 from pathlib import Path
 
 import pytest
 
+from orchestrator.testing._effect_physics import CHANGES
+from protocols import EffectLayer, ParameterRole, Signals
+
 ROOT = Path(__file__).parents[3]
-PAGE = ROOT / "docs" / "plugins.md"
+PAGES = (ROOT / "docs" / "plugins.md", ROOT / "docs" / "effects.md")
 RECORDING = ROOT / "tests" / "data" / "pm400-reduced"
 
 
 def snippets() -> dict[str, str]:
-    """The page's files by name: each code block opens with a comment that holds it."""
-    blocks = re.findall(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", PAGE.read_text(encoding="utf-8"), re.M | re.S)
-    return dict(blocks)
+    """The pages' files by name: each code block opens with a comment that holds it."""
+    text = "\n".join(page.read_text(encoding="utf-8") for page in PAGES)
+    return dict(re.findall(r"^```(?:python|toml)\n# (\S+)\n(.*?)^```$", text, re.M | re.S))
 
 
 @pytest.fixture(scope="module")
@@ -57,8 +61,10 @@ def test_page_shows_a_plugin_of_each_kind_and_the_kits() -> None:
         "bench_plugins/thermal_soak.py",
         "bench_plugins/ohmmeter.py",
         "bench_plugins/voltage_offset.py",
+        "bench_plugins/lagging_drop.py",
         "bench_plugins/points_file.py",
         "tests/test_conformance.py",
+        "tests/test_lagging_drop.py",
     }
 
 
@@ -88,3 +94,24 @@ def test_a_plugin_that_breaks_its_contract_fails_there_too(package: Path, tmp_pa
     done = in_package(broken, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests", "-k", "TestSupply")
     assert done.returncode == 1
     assert "polarity is wrong" in done.stdout
+
+
+def test_effects_page_names_every_field_of_signals_every_layer_and_every_role() -> None:
+    page = PAGES[1].read_text(encoding="utf-8")
+    left_out = [name for name in Signals.model_fields if f"`{name}`" not in page]
+    left_out += [layer.name for layer in EffectLayer if f"| `{layer.name}` |" not in page]
+    left_out += [role.value for role in ParameterRole if f"`{role.value}(" not in page]
+    assert left_out == []
+
+
+def test_effects_page_says_what_an_effect_of_each_layer_may_change() -> None:
+    rows = re.findall(r"^\| `([A-Z_]+)` \|.*\| (.*) \|$", PAGES[1].read_text(encoding="utf-8"), re.M)
+    assert {layer: set(re.findall(r"`(\w+)`", may)) for layer, may in rows} == {
+        layer.name: set(changes) for layer, changes in CHANGES.items()
+    }
+
+
+def test_example_and_scaffold_take_from_the_voltage_what_the_inverter_keeps() -> None:
+    template = files("orchestrator.scaffolding").joinpath("templates", "effect.py.txt").read_text(encoding="utf-8")
+    assert "signals.v_ab - " in template
+    assert "signals.v_ab - " in snippets()["bench_plugins/voltage_offset.py"]

@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
-from plugins.effects.inverter import DeadTime
+from plugins.effects.inverter import DeadTime, DeviceDrop
 from protocols import DriveRecord, Motor, Signals
 
 FS, BUS = 10_000.0, 540.0
@@ -18,7 +18,7 @@ def _signals(i_abc: Array, v_abc: Array | None = None, pwm_hz: float = FS, *, kn
     """Held currents and voltages (n, 3), a segment's worth; `known`: with a nameplate."""
     i_ab = from_phases(i_abc)
     n = len(i_ab)
-    motor = Motor(name="m", pole_pairs=2, d_inductance_h=0.05, q_inductance_h=0.05) if known else None
+    motor = Motor(name="m", pole_pairs=2, rated_current_rms_a=5.0, d_inductance_h=0.05, q_inductance_h=0.05)
     return Signals(
         start_s=0.0,
         sampling_frequency_hz=FS,
@@ -30,7 +30,7 @@ def _signals(i_abc: Array, v_abc: Array | None = None, pwm_hz: float = FS, *, kn
         resistance_ohm=np.full(n, 4.0),
         i_m_ab=i_ab,
         heat_j=np.zeros(n),
-        motor=motor,
+        motor=motor if known else None,
         drive=DriveRecord(name="d", sampling_frequency_hz=FS, pwm_frequency_hz=FS, dc_bus_voltage_v=BUS),
     )
 
@@ -97,3 +97,29 @@ def test_a_share_of_the_switched_form_is_in_between() -> None:
     signals = _signals(_held(0.03))
     soft, switched, half = (_lost(signals, 0.05, share) for share in (0.0, 1.0, 0.5))
     np.testing.assert_allclose(half, 0.5 * (soft + switched), rtol=1e-12)
+
+
+def _drop_of_a(i_a: float, growth: float) -> float:
+    """What phase a drops with b and c far beyond the knee on either side."""
+    signals = _signals(np.tile([i_a, 50.0, -50.0 - i_a], (10, 1)))
+    effect = DeviceDrop()
+    p = effect.Parameters(voltage_v=0.8, threshold_a=0.01, growth=growth)
+    v_ab = effect.correct(signals, p).v_ab
+    assert v_ab is not None
+    lost = to_phases(signals.v_ab - v_ab)[0]
+    # The star point's own: a's drop is what it differs by from the mean of the other two, which nearly cancel.
+    return float(1.5 * lost[0])
+
+
+def test_a_junctions_drop_grows_as_much_with_every_factor_of_the_current() -> None:
+    drops = np.array([_drop_of_a(i_a, 0.1) for i_a in (0.2, 0.4, 0.8, 1.6)])
+    rated_knees = 5.0 * np.sqrt(2.0) / 0.01
+    # The table's end is between the first and the second.
+    expected = 0.8 * 0.1 * np.log(2.0) / (1.0 + 0.1 * np.arcsinh(rated_knees))
+    assert np.diff(drops) == pytest.approx(np.full(3, expected), rel=0.03)
+    assert np.ptp([_drop_of_a(i_a, 0.0) for i_a in (0.2, 0.4, 1.6)]) < 0.005
+
+
+def test_the_drops_size_is_that_at_the_rated_current() -> None:
+    rated_a = 5.0 * np.sqrt(2.0)
+    assert _drop_of_a(rated_a, 0.1) == pytest.approx(_drop_of_a(rated_a, 0.0), rel=0.01)

@@ -28,6 +28,18 @@ def test_resistance_and_its_interval_hold_the_truth(inverter: bool) -> None:
     assert found.last_ohm == pytest.approx(R_S, rel=5e-3)
 
 
+def test_one_held_current_will_do_where_injection_tells_what_the_inverter_keeps() -> None:
+    recording = behind_dead_time().only(SegmentStage.RESISTANCE, SegmentStage.INJECTION)
+    holds = recording.segments(SegmentStage.RESISTANCE)
+    largest = max(holds, key=lambda s: float(np.linalg.norm(recording.load(s).i_ab.mean(axis=0))))
+    kept = [s for s in recording.manifest.segments if s.stage is SegmentStage.INJECTION or s == largest]
+    found = resistance_of(recording.with_segments(tuple(kept)))
+    assert found.value_ohm == pytest.approx(R_S, rel=0.01)
+    assert found.low <= R_S <= found.high
+    assert found.inverter[0].phase_v > 0.1
+    assert not any(remark.code == "few_currents" for remark in found.remarks)
+
+
 def test_resistance_drift_is_read_off_the_sweeps() -> None:
     recording = clean().only(SegmentStage.RESISTANCE, SegmentStage.CLASSICAL)
     end = recording.manifest.segments[-1].start_s

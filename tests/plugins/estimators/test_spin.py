@@ -150,3 +150,19 @@ def test_a_constant_speed_in_the_settings_stands_for_the_angle() -> None:
     )
     estimate = found(MemoryRecording(recording.manifest, captures).with_segments(segments))
     assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
+
+
+def test_a_point_without_current_says_nothing_of_what_the_inverter_keeps() -> None:
+    """A phase's loss turns with the current; a current that is noise has no direction to lose along."""
+    lost_v, recording = 0.8, spun([*GRID[::3], *[(0.0, 0.0)] * 4], speeds=(200.0, -100.0))
+    captures = {}
+    for name, capture in recording.captures.items():
+        i = capture.i_ab @ np.array([1.0, 1j])
+        mean = i * np.exp(-1j * np.asarray(capture.theta_rad))
+        along = np.exp(1j * (np.angle(mean.mean()) + np.asarray(capture.theta_rad)))
+        flows = abs(mean.mean()) > 0.1
+        kept = 4.0 / np.pi * lost_v * along * flows
+        captures[name] = capture.model_copy(update={"v_ab": capture.v_ab + np.stack([kept.real, kept.imag], axis=1)})
+    estimate = found(MemoryRecording(recording.manifest, captures))
+    assert told(estimate, "inverter_loss", "kept_v") == pytest.approx(lost_v, rel=0.05)
+    assert told(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(R_S, rel=0.01)

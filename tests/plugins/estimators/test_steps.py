@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from orchestrator.recording import open_recording
-from plugins.estimators.steps import SteppedFlux, StepResistanceEstimator, StepsEstimator
+from plugins.estimators._maps import SteppedFlux
+from plugins.estimators.steps import StepResistanceEstimator, StepsEstimator
 from protocols import EstimationContext, FluxMap, NotMeasuredError, RecordingReader
 from tests.blind.campaign import Bench
 from tests.blind.hidden import draw_case

@@ -67,7 +67,7 @@ from plugins.wire import (
     register_name,
     serial_blocks,
 )
-from protocols import Capabilities, Excitation, GatesOff, Hold, Injection
+from protocols import Capabilities, Excitation, GatesOff, Hold, Injection, Trapezoid
 
 FS = 2000.0
 WATCHDOG_S = 0.6
@@ -452,6 +452,7 @@ def waveforms(program: Excitation, rows: int) -> tuple[np.ndarray, np.ndarray]:
         swing = program.amplitude_v / (4.0 * program.frequency_hz * INDUCTANCE_H)
         i = np.array((program.target_d_a, program.target_q_a)) + swing * g[:, None] * direction
         return i, np.array(base_voltage(program)) + program.amplitude_v * f[:, None] * direction
+    assert isinstance(program, Trapezoid)
     t = np.arange(rows) / FS / program.period_s
     i = np.column_stack((np.full(rows, program.held_a), program.amplitude_a * np.sin(2.0 * np.pi * t)))
     return i, RESISTANCE_OHM * i

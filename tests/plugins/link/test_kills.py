@@ -101,21 +101,16 @@ class Bench:
         assert self.starved <= TIMES, told
         return False
 
-    def energised_at(self, time_s: float) -> bool:
-        """Whether the power stage was on at this time, by the emulator's log."""
-        turns = [e for e in self.machine.events("armed", "disarmed", "safe") if e["time_s"] <= time_s]
-        return bool(turns) and turns[-1]["event"] == "armed"
-
     def require_safe_since(self, time_s: float) -> None:
         """Where the drive was energised it has gone to its safe state in time, and has not been armed since."""
-        if self.energised_at(time_s):
+        if self.machine.is_energised(time_s):
             wait_until(lambda: any(e["time_s"] > time_s for e in self.machine.events("safe", "disarmed")), 2.0)
             safe = [e for e in self.machine.events("safe") if e["time_s"] > time_s]
             if safe:
                 self.latencies_s.append(safe[0]["since_beat_s"])
                 assert safe[0]["cause"] == "watchdog"
                 assert safe[0]["since_beat_s"] <= SAFE_WITHIN_S
-        assert not self.energised_at(time.monotonic())
+        assert not self.machine.is_energised(time.monotonic())
 
     def require_points_kept(self) -> None:
         """Every point that the journal has is a segment that can be read."""
@@ -173,7 +168,7 @@ def test_a_stopped_host_leaves_a_safe_drive_and_ends_in_a_named_fault_when_it_go
             continue
         process.send_signal(signal.SIGSTOP)
         stopped_s = time.monotonic()
-        energised = bench.energised_at(stopped_s)
+        energised = bench.machine.is_energised(stopped_s)
         time.sleep(0.5)
         bench.require_safe_since(stopped_s)
         armed = len(bench.machine.events("armed"))
@@ -231,14 +226,14 @@ def test_a_stopped_drive_ends_the_run_in_a_named_fault_and_nothing_is_armed_agai
         if not bench.wait_a_while(process):
             continue
         bench.machine.send(signal.SIGSTOP)
-        stopped_s, energised = time.time(), bench.energised_at(time.monotonic())
+        stopped_s, energised = time.time(), bench.machine.is_energised(time.monotonic())
         seconds = require_named_end(bench, process, stopped_s)
         armed = len(bench.machine.events("armed"))
         bench.machine.send(signal.SIGCONT)
         if seconds is not None:
             took.append(seconds)
             if energised:
-                wait_until(lambda: not bench.energised_at(time.monotonic()), 2.0)
+                wait_until(lambda: not bench.machine.is_energised(time.monotonic()), 2.0)
             assert len(bench.machine.events("armed")) == armed
         bench.require_points_kept()
     bench.finish()

@@ -79,7 +79,8 @@ def angle_after_alignment(
     readings = [(0.0, 2.0 / math.sqrt(3.0) * offset_a)] if known else []
     run = Run(rig, read=read_without_current(pm400, *readings), procedure=pm400.procedure({"kind": "alignment"}))
     filled = AlignmentStage.model_validate({**stage, "current_a": point.excitation.longest_current_a})
-    for _ in rig.excite(filled.before_point(cast(StageRun, run), point.excitation), 1 << 60):
+    (excitation,) = filled.as_run(cast(StageRun, run), [point.excitation])
+    for _ in rig.excite(excitation, 1 << 60):
         pass
     segment = Segment(id="alignment-000", stage=SegmentStage.ALIGNMENT, start_s=0.0, samples=1)
     filled.after_point(cast(StageRun, run), segment)
@@ -148,7 +149,8 @@ def asked_for(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
     stage = AlignmentStage(angle_rad=math.pi / 2, current_a=2.0)
     read, procedure = read_without_current(pm400, *readings), pm400.procedure({"kind": "alignment"})
     run = cast(StageRun, Run(cast(Rig, None), [], read, procedure))
-    return point.run_as(stage.before_point(run, point.excitation))
+    (excitation,) = stage.as_run(run, [point.excitation])
+    return point.run_as(excitation)
 
 
 def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm400: Bench) -> None:

@@ -13,7 +13,7 @@ import pytest
 from markupsafe import Markup
 from matplotlib import pyplot
 
-from plugins.streams.report import ReportStream, write_report
+from plugins.streams.report import ReportStream, _figures, _motor_figures, write_report
 from plugins.streams.report._collect import collect
 from plugins.streams.report._content import checks, formulas, map_rows, remarks
 from plugins.streams.report._figures import (
@@ -104,6 +104,14 @@ def run(undrawn: None, finished: Path, tmp_path: Path) -> Path:
     return copy
 
 
+@pytest.fixture
+def without_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests of what is said where there may be a picture or none: figures are not even made."""
+    for module in (_figures, _motor_figures):
+        for name in [name for name in vars(module) if name.endswith("_figure") and name != "new_figure"]:
+            monkeypatch.setattr(module, name, lambda *_: "data:image/svg+xml;base64,")
+
+
 def page_of(run: Path) -> Page:
     return Page(write_report(run).read_text(encoding="utf-8"))
 
@@ -152,7 +160,7 @@ def test_every_picture_has_words_for_those_who_cannot_see_it(finished: Path) -> 
     assert all(image.get("alt") for image in page.all("img"))
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("without_figures")
 def test_hostile_names_stay_text(tmp_path: Path) -> None:
     page = page_of(a_run_directory(tmp_path / "run", motor=HOSTILE))
     assert not page.all("script")
@@ -161,12 +169,14 @@ def test_hostile_names_stay_text(tmp_path: Path) -> None:
     assert not [tag for tag, attributes in page.tags if any(name.startswith("on") for name in attributes)]
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_report_goes_where_it_is_asked_to(run: Path, tmp_path: Path) -> None:
     before = sorted(p.relative_to(run) for p in run.rglob("*"))
     assert write_report(run, tmp_path / "elsewhere.html") == tmp_path / "elsewhere.html"
     assert sorted(p.relative_to(run) for p in run.rglob("*")) == before
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_stream_writes_the_report_at_the_end(run: Path) -> None:
     stream = ReportStream(StreamSetup(run=run, options=NoOptions()))
     assert not (run / "report.html").exists()
@@ -184,6 +194,7 @@ def test_a_directory_that_is_no_run_is_refused_in_one_line(tmp_path: Path) -> No
         write_report(tmp_path)
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_file_that_cannot_be_written_is_told(run: Path, tmp_path: Path) -> None:
     with pytest.raises(StorageError, match="report"):
         write_report(run, tmp_path / "no" / "such" / "folder" / "report.html")
@@ -198,6 +209,7 @@ def test_a_run_without_results_says_so_and_draws_what_was_measured(run: Path) ->
     assert "Not measured: there is no flux map" in page.text
 
 
+@pytest.mark.usefixtures("without_figures")
 def test_a_recording_without_run_or_journal_is_reported(run: Path) -> None:
     for name in ("run.json", "journal.jsonl"):
         (run / name).unlink()
@@ -215,6 +227,7 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
     assert "Not drawn: it takes the maps by both methods." in page.text
 
 
+@pytest.mark.usefixtures("without_figures")
 @pytest.mark.parametrize(
     ("name", "content", "told"),
     [
@@ -242,7 +255,7 @@ def test_a_lost_capture_costs_the_picture_of_the_paths_only(run: Path) -> None:
     assert len(page.all("img")) >= PICTURES - 1
 
 
-@pytest.mark.usefixtures("undrawn")
+@pytest.mark.usefixtures("without_figures")
 def test_a_run_that_was_killed_is_told_as_not_ended(tmp_path: Path) -> None:
     page = page_of(a_run_directory(tmp_path / "run", ended=False))
     assert "not ended: interrupted from outside, or still under way" in page.text
@@ -256,8 +269,7 @@ def test_unmeasured_checks_are_said_not_to_be_measured(run: Path) -> None:
     assert [bar.text for bar in parity.bars] == ["not measured", "not measured"]
 
 
-def test_a_run_that_was_stopped_is_reported_without_waiting_for_pictures(tmp_path: Path) -> None:
-    run = a_run_directory(tmp_path / "run")
+def test_a_run_that_was_stopped_is_reported_without_waiting_for_pictures(run: Path) -> None:
     stream = ReportStream(StreamSetup(run=run, options=NoOptions()))
     stream.receive(RunEnded(outcome="aborted", reason="signal SIGINT", run=str(run)))
     stream.close()
@@ -324,10 +336,10 @@ def estimated(run: Path, **changes: object) -> Path:
     return run
 
 
-def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(tmp_path: Path) -> None:
+def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path) -> None:
     made = {"polynomial": MapReport(checks=MapChecks(), form=POLYNOMIAL)}
     said = (Remark(code="energy.flux_error", text="energy: known to +-0.1 %"),)
-    material = collect(estimated(a_run_directory(tmp_path / "run"), maps=made, remarks=said))
+    material = collect(estimated(run, maps=made, remarks=said))
     (formula,) = formulas(material)
     assert formula.rows == (("L_d", "43.20 mH", "0.10"), ("α30", "−12.5 A/Wb²", "0.3"))
     assert remarks(material) == ["energy: known to ±0.1 %"]
@@ -336,7 +348,7 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(tmp_path:
     assert "−12.5" in page
 
 
-def test_what_sensorless_control_sees_is_a_section_with_what_it_means(tmp_path: Path) -> None:
+def test_what_sensorless_control_sees_is_a_section_with_what_it_means(run: Path) -> None:
     seen = SeenByInjection(
         method="energy",
         frequency_hz=500.0,
@@ -351,22 +363,20 @@ def test_what_sensorless_control_sees_is_a_section_with_what_it_means(tmp_path: 
         angle_error_rad=0.2,
         left_by_map_rad=0.01,
     )
-    bare = a_run_directory(tmp_path / "run")
-    assert "For sensorless control" not in render(collect(bare), draws=False)
-    page = render(collect(estimated(bare, seen_by_injection=(seen,))), draws=False)
+    assert "For sensorless control" not in render(collect(run), draws=False)
+    page = render(collect(estimated(run, seen_by_injection=(seen,))), draws=False)
     assert "For sensorless control" in page
     assert "up to 4.2 % off the slopes of the large-signal map (by energy)" in page
     assert "by up to 11.5°" in page
     assert "<td>−2.10 %</td><td>−4.25 %</td><td>1.20 to 2.10</td>" in page.replace("\n", "")
     alike = seen.model_copy(update={"l_dd_percent": 0.3, "l_qq_percent": -0.4})
-    assert "one map serves both" in render(collect(estimated(bare, seen_by_injection=(alike,))), draws=False)
+    assert "one map serves both" in render(collect(estimated(run, seen_by_injection=(alike,))), draws=False)
 
 
-def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(tmp_path: Path) -> None:
+def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(run: Path) -> None:
     energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
     given = {"method": "energy", "parity": None, "reciprocity_percent": None}
-    run = estimated(a_run_directory(tmp_path / "run"), **given, maps=energy | a_report().maps)
-    shown = {check.name: check for check in checks(collect(run))}
+    shown = {check.name: check for check in checks(collect(estimated(run, **given, maps=energy | a_report().maps)))}
     assert "Of the injection map" in shown["Parity"].meaning
     assert [bar.text for bar in shown["Parity"].bars] == ["0.31 %", "0.88 %"]
     assert [bar.text for bar in shown["Reciprocity"].bars] == ["0.66 %"]

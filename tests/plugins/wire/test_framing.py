@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import random
+import re
 import sys
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from plugins.wire import Frame, SerialDecoder, all_to_serial, to_serial
+from plugins.wire import Frame, SerialDecoder, all_to_serial, decode, to_serial
 from plugins.wire._framing import LONGEST_PAYLOAD
 
 frames = st.builds(Frame, st.integers(0, 0x7FF), st.binary(max_size=600))
@@ -66,3 +68,21 @@ def test_the_longest_frame_passes_and_a_longer_one_does_not() -> None:
 @pytest.mark.parametrize("payload", [b"", bytes(300), b"\xff" * 300])
 def test_no_zero_is_inside_a_frame(payload: bytes) -> None:
     assert 0 not in to_serial(Frame(0, payload))[:-1]
+
+
+PAGE = Path(__file__).parents[3] / "docs" / "firmware.md"
+ROW = re.compile(r"^\| `(\w+)\((.*)\)` \| `([0-9A-F]{3})` \| `([0-9a-f ]+)` \| `([0-9a-f ]+)` \|$", re.MULTILINE)
+
+
+def test_the_golden_frames_of_the_page_are_what_is_said() -> None:
+    rows = ROW.findall(PAGE.read_text(encoding="utf-8"))
+    assert len(rows) == 7
+    for name, fields, number, payload, line in rows:
+        (frame,) = SerialDecoder().feed(bytes.fromhex(line))
+        assert (frame.frame_id, frame.payload) == (int(number, 16), bytes.fromhex(payload))
+        assert to_serial(frame) == bytes.fromhex(line)
+        said = decode(*frame)
+        assert type(said).__name__ == name
+        assert said is not None
+        told = [getattr(value, "name", None) or f"{value:g}" for value in said]
+        assert fields == ", ".join(f"{field}={value}" for field, value in zip(said._fields, told, strict=True))

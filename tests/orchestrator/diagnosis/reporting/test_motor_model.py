@@ -13,10 +13,10 @@ from orchestrator.diagnosis import add_effects, compare_recording, flux_map_of, 
 from orchestrator.diagnosis.reporting.motor_model import magnetics_of
 from orchestrator.recording import Recording, read_model, write_model
 from plugins.effects.frame import RotorMisalignment
-from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.inverter import DeviceDrop, VoltageBias
 from protocols import Effect, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, RecordingError, Saturated
 
-LIBRARY: list[Effect] = [DeadTime(), VoltageBias(), RotorMisalignment()]
+LIBRARY: list[Effect] = [DeviceDrop(), VoltageBias(), RotorMisalignment()]
 SAME = 1e-9
 """Relative: the same computation on what went through a file."""
 REFITTED = 3e-3
@@ -25,15 +25,15 @@ REFITTED = 3e-3
 
 @pytest.fixture(scope="module")
 def kept(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A directory with the model of a recording that has a dead time."""
+    """A directory with the model of a recording whose inverter loses voltage; a drop says that too."""
     out = tmp_path_factory.mktemp("model")
-    add_effects(with_dead_time, ["dead_time"], LIBRARY, out=out)
+    add_effects(with_dead_time, ["device_drop"], LIBRARY, out=out)
     return out
 
 
 def test_the_kept_model_holds_every_parameter_of_its_effects(kept: Path) -> None:
     (effect,) = read_model(kept).effects
-    assert set(effect.parameters) == {p.name for p in DeadTime.Parameters.declared()}
+    assert set(effect.parameters) == {p.name for p in DeviceDrop.Parameters.declared()}
     voltage, unfitted = effect.parameters["voltage_v"], [p for p in effect.parameters.values() if not p.fitted]
     assert voltage.fitted
     assert voltage.low is not None
@@ -45,7 +45,7 @@ def test_the_kept_model_holds_every_parameter_of_its_effects(kept: Path) -> None
 def test_a_kept_model_is_evaluated_as_it_was_saved(with_dead_time: Recording, kept: Path) -> None:
     rung = read_model(kept).ladder[-1]
     report = compare_recording(with_dead_time, LIBRARY, out=kept)
-    assert report.model == "saturated + dead_time"
+    assert report.model == "saturated + device_drop"
     assert report.chi2 == pytest.approx(rung.chi2, rel=SAME)
 
 
@@ -64,10 +64,10 @@ def test_an_added_effect_grows_the_ladder_from_where_the_model_stands(
     (tmp_path / "model.json").write_bytes((kept / "model.json").read_bytes())
     before = read_model(tmp_path).ladder
     after = add_effects(with_dead_time, ["voltage_bias"], LIBRARY, out=tmp_path).ladder
-    assert [r.added for r in after] == [None, "dead_time", "voltage_bias"]
+    assert [r.added for r in after] == [None, "device_drop", "voltage_bias"]
     assert after[0] == before[0]
     assert after[1].chi2 == pytest.approx(before[1].chi2, rel=REFITTED)
-    left = remove_effect(with_dead_time, "dead_time", LIBRARY, out=tmp_path)
+    left = remove_effect(with_dead_time, "device_drop", LIBRARY, out=tmp_path)
     assert [r.added for r in left.ladder] == [None, "voltage_bias"]
     assert left.ladder[0].chi2 == pytest.approx(before[0].chi2, rel=SAME)
     assert [e.name for e in read_model(tmp_path).effects] == ["voltage_bias"]
@@ -79,21 +79,21 @@ def test_an_effect_without_a_rung_of_its_own_is_taken_out_and_stays_beside_other
     (tmp_path / "model.json").write_bytes((kept / "model.json").read_bytes())
     add_effects(with_dead_time, ["voltage_bias"], LIBRARY, out=tmp_path)
     both = read_model(tmp_path)
-    ladder = (both.ladder[0], both.ladder[2].model_copy(update={"added": "dead_time"}))
+    ladder = (both.ladder[0], both.ladder[2].model_copy(update={"added": "device_drop"}))
     beside = both.model_copy(update={"ladder": ladder})
     write_model(tmp_path, beside)
     left = remove_effect(with_dead_time, "voltage_bias", LIBRARY, out=tmp_path)
-    assert [r.added for r in left.ladder] == [None, "dead_time"]
-    assert [e.name for e in read_model(tmp_path).effects] == ["dead_time"]
+    assert [r.added for r in left.ladder] == [None, "device_drop"]
+    assert [e.name for e in read_model(tmp_path).effects] == ["device_drop"]
     write_model(tmp_path, beside)
-    remove_effect(with_dead_time, "dead_time", LIBRARY, out=tmp_path)
+    remove_effect(with_dead_time, "device_drop", LIBRARY, out=tmp_path)
     assert [e.name for e in read_model(tmp_path).effects] == ["voltage_bias"]
 
 
 def test_the_map_is_let_go_and_held_again(with_dead_time: Recording, tmp_path: Path) -> None:
-    add_effects(with_dead_time, ["dead_time"], LIBRARY, model="linear", out=tmp_path)
+    add_effects(with_dead_time, ["device_drop"], LIBRARY, model="linear", out=tmp_path)
     grown = add_effects(with_dead_time, ["saturation"], LIBRARY, out=tmp_path)
-    assert [r.added for r in grown.ladder] == [None, "dead_time", "saturation"]
+    assert [r.added for r in grown.ladder] == [None, "device_drop", "saturation"]
     assert read_model(tmp_path).baseline == Nameplate(freed=("saturation",))
     chi2 = [r.chi2 or 0.0 for r in grown.ladder]
     assert chi2[2] < 0.5 * chi2[1]
@@ -106,10 +106,10 @@ def test_a_map_of_one_s_own_stays_the_baseline(with_dead_time: Recording, kept: 
     own = flux_map_of(read_model(kept)).model_copy(update={"method": "mine"})
     add_effects(with_dead_time, [], LIBRARY, model=own, out=tmp_path)
     coefficients = read_model(tmp_path).magnetics.coefficients_j
-    add_effects(with_dead_time, ["dead_time"], LIBRARY, out=tmp_path)
+    add_effects(with_dead_time, ["device_drop"], LIBRARY, out=tmp_path)
     model = read_model(tmp_path)
     assert model.baseline == GivenMap(method="mine")
-    assert model.title == "map:mine + dead_time"
+    assert model.title == "map:mine + device_drop"
     assert model.magnetics.coefficients_j == coefficients
     chi2 = compare_recording(with_dead_time, LIBRARY, out=tmp_path).chi2
     assert chi2 is not None
@@ -121,18 +121,18 @@ def test_a_model_is_held_against_another_recording_of_the_motor(clean: Recording
     report = compare_recording(clean, LIBRARY, model=model)
     assert any("fitted to" in note for note in report.notes)
     bare = compare_recording(clean, LIBRARY, model=model.model_copy(update={"effects": ()}))
-    # The other recording has no dead time, and the same motor.
+    # The other recording's inverter loses nothing, and the motor is the same.
     assert bare.chi2 is not None
     assert report.chi2 is not None
     assert bare.chi2 < 2.0 < report.chi2
     refitted = add_effects(clean, [], LIBRARY, model=model, out=tmp_path)
-    assert [r.added for r in refitted.ladder] == [None, "dead_time"]
+    assert [r.added for r in refitted.ladder] == [None, "device_drop"]
     assert refitted.effects[0].parameters["voltage_v"].value == pytest.approx(0.0, abs=0.005)
     assert read_model(tmp_path).baseline == GivenMap(method=f"model of {model.recording}")
 
 
 def test_an_effect_that_is_not_installed_is_named(with_dead_time: Recording, kept: Path) -> None:
-    with pytest.raises(PluginError, match="dead_time: in the model, but not installed"):
+    with pytest.raises(PluginError, match="device_drop: in the model, but not installed"):
         compare_recording(with_dead_time, [VoltageBias()], out=kept)
 
 

@@ -13,9 +13,11 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
+    in_own_forms,
     joint_search,
     log_bayes_factors,
     probabilities,
+    together,
     without_effect,
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
@@ -41,7 +43,7 @@ def library(maker: Fitter) -> tuple[Candidate, ...]:
 
 @pytest.fixture(scope="module")
 def fit(maker: Fitter, library: tuple[Candidate, ...]) -> Fit:
-    return joint_search(maker, free_model(), library)[0]
+    return joint_search(maker, in_own_forms(maker, together(maker, free_model(), library)), library)[0]
 
 
 def test_what_is_there_is_found_and_what_is_not_is_not(fit: Fit) -> None:
@@ -51,14 +53,14 @@ def test_what_is_there_is_found_and_what_is_not_is_not(fit: Fit) -> None:
 
 
 def test_the_order_of_the_library_does_not_matter(maker: Fitter, library: tuple[Candidate, ...], fit: Fit) -> None:
-    again, _ = joint_search(maker, free_model(), library[::-1])
+    again, _ = joint_search(maker, in_own_forms(maker, together(maker, free_model(), library[::-1])), library[::-1])
     assert again.model.names == fit.model.names
     assert again.objective == pytest.approx(fit.objective, rel=1e-3)
 
 
 def test_nothing_is_found_where_nothing_is_hidden(library: tuple[Candidate, ...]) -> None:
     clean = fitter(prepared(plan(sparse=True)))
-    found, rivals = joint_search(clean, free_model(), library)
+    found, rivals = joint_search(clean, in_own_forms(clean, together(clean, free_model(), library)), library)
     assert found.model.names == ()
     assert rivals == {}
 

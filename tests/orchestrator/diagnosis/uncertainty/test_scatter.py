@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -16,10 +17,11 @@ from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared, with_voltage
 
 
-def _campaign() -> list[Plan]:
+@cache
+def _campaign() -> PreparedRecording:
     """A campaign with holds enough to tell a standard deviation."""
     turn = 2.0 * np.pi * np.arange(40) / 40
-    return plan() + [Plan(SegmentStage.RESISTANCE, hold(2.0 * np.cos(t), 2.0 * np.sin(t))) for t in turn]
+    return prepared(plan() + [Plan(SegmentStage.RESISTANCE, hold(2.0 * np.cos(t), 2.0 * np.sin(t))) for t in turn])
 
 
 def _shifted(made: PreparedRecording, phases: Array) -> PreparedRecording:
@@ -32,7 +34,7 @@ def _shifted(made: PreparedRecording, phases: Array) -> PreparedRecording:
 
 
 def test_scatter_is_found_as_large_as_it_is() -> None:
-    made, sigma_a = prepared(_campaign()), 0.003
+    made, sigma_a = _campaign(), 0.003
     offsets = np.random.default_rng(3).normal(0.0, sigma_a, (len(made.pieces), 2))
     maker = fitter(_shifted(made, offsets))
     fit = maker.fit(free_model())
@@ -50,14 +52,14 @@ def test_scatter_is_found_as_large_as_it_is() -> None:
 
 
 def test_no_scatter_is_found_where_there_is_none() -> None:
-    maker = fitter(prepared(_campaign()))
+    maker = fitter(_campaign())
     found = scatter_of(maker, maker.fit(free_model()), [])
     assert not found.noise.scatters
     assert found.log_likelihood == 0.0
 
 
 def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
-    made = prepared(_campaign())
+    made = _campaign()
     maker = fitter(_shifted(made, np.tile([0.02, -0.01], (len(made.pieces), 1))))
     library = scaled_library([CurrentOffset()], made.manifest)
     fit = maker.fit(free_model())
@@ -67,7 +69,7 @@ def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
 
 
 def test_voltages_that_are_off_at_rest_are_told_from_readings_that_are() -> None:
-    made, rng = prepared(_campaign()), np.random.default_rng(4)
+    made, rng = _campaign(), np.random.default_rng(4)
     steps = {p.segment.id: rng.normal(0.0, 0.02, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     maker = fitter(with_voltage(made, steps))
     found = scatter_of(maker, maker.fit(free_model()), [])

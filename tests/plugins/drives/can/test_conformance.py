@@ -15,7 +15,7 @@ from plugins.commands.emulator._can_ports import SerialCanPort
 from plugins.drives.can import CanDrive, CanOptions
 from protocols import Drive, DriveSetup, DriveState, Hold, Limits, Motor
 from tests.plugins.commands.emulator.buses import emulated_on
-from tests.support.emulator import emulator, free_port
+from tests.support.emulator import Emulator, emulator, free_port
 from tests.support.tiny import MOTOR
 
 GROUP = "239.74.163.91"
@@ -58,6 +58,7 @@ class OnABus(DriveConformance):
     capture: ClassVar[Literal["raw", "demodulated"]] = "raw"
     fd: ClassVar[bool] = False
     settings: ClassVar[dict[str, int]]
+    machine: ClassVar[Emulator]
 
     @pytest.fixture(autouse=True, scope="class")
     @classmethod
@@ -65,11 +66,15 @@ class OnABus(DriveConformance):
         cls.settings = {"port": free_port(), "hop_limit": 0}
         given = [word for key, value in cls.settings.items() for word in ("--can-set", f"{key}={value}")]
         bus = (f"udp_multicast:{GROUP}", *(["--fd"] if cls.fd else []), *given)
-        with emulator(tmp_path_factory.mktemp("emulator"), *bus, "--watchdog", "0.6", *cls.words, link="--can"):
+        folder = tmp_path_factory.mktemp("emulator")
+        with emulator(folder, *bus, "--watchdog", "0.6", *cls.words, link="--can") as cls.machine:
             yield
 
     def make_drive(self, setup: DriveSetup) -> Drive:
         return CanDrive(setup)
+
+    def bridge_is_on(self, drive: Drive) -> bool:
+        return self.machine.is_energised()
 
     def setup(self) -> DriveSetup:
         options = CanOptions(

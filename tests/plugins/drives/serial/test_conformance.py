@@ -11,7 +11,7 @@ import pytest
 from orchestrator.testing import DriveConformance
 from plugins.drives.serial import SerialDrive, SerialOptions
 from protocols import Drive, DriveSetup, Motor
-from tests.support.emulator import emulator
+from tests.support.emulator import Emulator, emulator
 from tests.support.tiny import MOTOR
 
 
@@ -22,17 +22,21 @@ class TestSerialDrive(DriveConformance):
     words: ClassVar[tuple[str, ...]] = ("--speed", "max", "--watchdog", "0.6")
     capture: ClassVar[Literal["raw", "demodulated"]] = "raw"
     line: ClassVar[Path]
+    machine: ClassVar[Emulator]
 
     @pytest.fixture(autouse=True, scope="class")
     @classmethod
     def _emulated(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         folder = tmp_path_factory.mktemp("emulator")
-        with emulator(folder, *cls.words):
+        with emulator(folder, *cls.words) as cls.machine:
             cls.line = folder / "line"
             yield
 
     def make_drive(self, setup: DriveSetup) -> Drive:
         return SerialDrive(setup)
+
+    def bridge_is_on(self, drive: Drive) -> bool:
+        return self.machine.is_energised()
 
     def setup(self) -> DriveSetup:
         options = SerialOptions(port=str(self.line), capture=self.capture, telemetry_period_s=0.15)

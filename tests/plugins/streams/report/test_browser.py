@@ -57,6 +57,6 @@ def test_nothing_is_wider_than_the_screen(run: Path, tmp_path: Path, width: int)
 def test_pictures_for_the_documentation_are_made(run: Path, tmp_path: Path) -> None:
     before = sorted(p.name for p in run.rglob("*"))
     names = [picture.name for picture in report_pictures(run, tmp_path)]
-    assert names == ["report.png", "report-diagnosis.png", "report-motor.png", "report-phone.png"]
+    assert names == ["report.png", "report-diagnosis.png", "report-motor.png", "demo.png", "report-phone.png"]
     assert all((tmp_path / name).stat().st_size > 20_000 for name in names)
     assert sorted(p.name for p in run.rglob("*")) == before

@@ -119,6 +119,7 @@ print("closed", flush=True)
 """
 
 
+@pytest.mark.slow
 def test_a_stopped_viewer_does_not_keep_the_process_from_ending(tmp_path: Path) -> None:
     port = free_port()
     run = tmp_path / "run"

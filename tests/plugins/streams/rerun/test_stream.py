@@ -34,7 +34,7 @@ from protocols import (
 )
 from tests.plugins.streams.rerun.example_diagnosis import EFFECTS, a_diagnosis
 from tests.plugins.streams.rerun.reading import entities, rows
-from tests.plugins.streams.rerun.test_ripple import an_injection
+from tests.plugins.streams.test_ripple import an_injection
 from tests.support.close import assert_close
 
 POINTS = 6

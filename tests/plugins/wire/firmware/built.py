@@ -46,6 +46,8 @@ class Board:
     process: subprocess.Popen[bytes]
     port: str
     """As the option of the drive `serial`."""
+    lamp: Path | None = None
+    """A file that says 1 while the gates are on, where there is one."""
 
     def send(self, number: signal.Signals) -> None:
         self.process.send_signal(number)
@@ -55,10 +57,11 @@ class Board:
 def host_board(program: Path, folder: Path, speed: float = 1.0) -> Iterator[Board]:
     """The firmware as a process, at a pseudo-terminal linked at `folder`/line."""
     line = folder / "line"
-    with _running([str(program), str(line), str(speed)]) as process:
+    lamp = folder / "lamp"
+    with _running([str(program), str(line), str(speed), str(lamp)]) as process:
         wait_until(lambda: line.is_symlink() or process.poll() is not None)
         assert process.poll() is None
-        yield Board(process, str(line))
+        yield Board(process, str(line), lamp)
 
 
 @contextmanager

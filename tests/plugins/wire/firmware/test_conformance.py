@@ -20,7 +20,7 @@ class OnABoard(DriveConformance):
     """A board for all checks."""
 
     capture: ClassVar[Literal["raw", "demodulated"]] = "raw"
-    port: ClassVar[str]
+    running: ClassVar[Board]
 
     @classmethod
     def board(cls, folder: Path) -> AbstractContextManager[Board]:
@@ -29,15 +29,18 @@ class OnABoard(DriveConformance):
     @pytest.fixture(autouse=True, scope="class")
     @classmethod
     def _running(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
-        with cls.board(tmp_path_factory.mktemp("board")) as board:
-            cls.port = board.port
+        with cls.board(tmp_path_factory.mktemp("board")) as cls.running:
             yield
 
     def make_drive(self, setup: DriveSetup) -> Drive:
         return SerialDrive(setup)
 
+    def bridge_is_on(self, drive: Drive) -> bool | None:
+        lamp = self.running.lamp
+        return None if lamp is None else lamp.read_text() == "1"
+
     def setup(self) -> DriveSetup:
-        options = SerialOptions(port=self.port, capture=self.capture, telemetry_period_s=0.15)
+        options = SerialOptions(port=self.running.port, capture=self.capture, telemetry_period_s=0.15)
         return DriveSetup(motor=Motor(**MOTOR), options=options, seed=1)
 
 

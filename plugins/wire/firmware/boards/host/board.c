@@ -1,8 +1,10 @@
-/* The firmware as a process: a motor in place of the bridge, a pseudo-terminal in place of the UART.
+/* The firmware as a process: a motor in place of the bridge, a pseudo-terminal in place of the UART, or of an adapter on a
+   CAN bus (slcan.c).
 
-       ./fluxbench-host LINK [SPEED]
+       ./fluxbench-host LINK [SPEED [LAMP]]
 
-   LINK becomes a symbolic link to the terminal; SPEED is the simulated seconds a second, 1 by default. */
+   LINK becomes a symbolic link to the terminal; SPEED is the simulated seconds a second, 1 by default. The first octet of
+   the file LAMP is 1 while the gates are on. */
 
 #ifndef _GNU_SOURCE
 #define _GNU_SOURCE
@@ -19,7 +21,9 @@
 #include <unistd.h>
 
 #include "fb_board.h"
+#include "fb_config.h"
 #include "motor.h"
+#include "terminal.h"
 
 #define SAMPLING_HZ 10000.0f
 #define FORGIVEN_S 0.25 /* what a process that was stopped missed is caught up with as far as this */
@@ -49,6 +53,7 @@ const struct fb_facts fb_facts = {
 
 static struct motor motor;
 static int master = -1;
+static int lamp = -1;
 static bool is_connected;
 static volatile sig_atomic_t is_ending;
 
@@ -92,6 +97,11 @@ void fb_board_duties(float a, float b, float c)
 
 void fb_board_gates(bool on)
 {
+    const char shown = on ? '1' : '0';
+
+    if (on != motor.gates && lamp >= 0) {
+        (void)!pwrite(lamp, &shown, 1u, 0);
+    }
     motor.gates = on;
 }
 
@@ -124,7 +134,7 @@ static void look(int timeout_ms)
     }
 }
 
-size_t fb_board_receive(uint8_t *octets, size_t most)
+size_t terminal_receive(uint8_t *octets, size_t most)
 {
     unsigned char bytes[MOST_OCTETS];
     const ssize_t count = read(master, bytes, most < sizeof(bytes) ? most : sizeof(bytes));
@@ -135,7 +145,7 @@ size_t fb_board_receive(uint8_t *octets, size_t most)
     return count > 0 ? (size_t)count : 0u;
 }
 
-size_t fb_board_send(const uint8_t *octets, size_t count)
+size_t terminal_send(const uint8_t *octets, size_t count)
 {
     unsigned char bytes[MOST_OCTETS];
     const size_t size = count < sizeof(bytes) ? count : sizeof(bytes);
@@ -147,6 +157,18 @@ size_t fb_board_send(const uint8_t *octets, size_t count)
     sent = is_connected ? write(master, bytes, size) : (ssize_t)size; /* nobody is there: a line loses it */
     return sent > 0 ? (size_t)sent : 0u;
 }
+
+#if !FB_LINK_CAN
+size_t fb_board_receive(uint8_t *octets, size_t most)
+{
+    return terminal_receive(octets, most);
+}
+
+size_t fb_board_send(const uint8_t *octets, size_t count)
+{
+    return terminal_send(octets, count);
+}
+#endif
 
 static bool open_terminal(const char *path)
 {
@@ -199,8 +221,12 @@ int main(int argc, char **argv)
     double due_s;
 
     if (argc < 2 || !(speed > 0.0)) {
-        (void)fprintf(stderr, "usage: %s LINK [SPEED]\n", argv[0]);
+        (void)fprintf(stderr, "usage: %s LINK [SPEED [LAMP]]\n", argv[0]);
         return 2;
+    }
+    if (argc > 3) {
+        lamp = open(argv[3], O_RDWR | O_CREAT | O_TRUNC, 0600);
+        (void)!pwrite(lamp, "0", 1u, 0);
     }
     if (!open_terminal(argv[1])) {
         (void)fprintf(stderr, "%s: cannot be made a terminal\n", argv[1]);

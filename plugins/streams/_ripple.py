@@ -14,7 +14,6 @@ from functools import lru_cache
 import numpy as np
 
 from orchestrator.numerics.frames import to_dq
-from plugins.streams.rerun._detail import DETAIL
 from protocols import Capture, RealArray
 
 DELAYS = (0, 1, 2)
@@ -43,10 +42,12 @@ class RippleFit:
     mean_a: RealArray
 
 
-def fit_ripple(capture: Capture, angle_rad: float, resistance_ohm: float) -> RippleFit | None:
+def fit_ripple(
+    capture: Capture, angle_rad: float, resistance_ohm: float, rows: int = 3000, least_rows: int = 64
+) -> RippleFit | None:
     """Fit the last samples of an injection capture; None where they hold no ripple that spans the plane."""
-    n = min(DETAIL.ripple_rows, len(capture))
-    if n < DETAIL.least_ripple_rows:
+    n = min(rows, len(capture))
+    if n < least_rows:
         return None
     step_s = 1.0 / capture.sampling_frequency_hz
     current = to_dq(capture.i_ab[-n:], angle_rad).T

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from plugins.streams.rerun._ripple import FluxTree, fit_ripple
+from plugins.streams._ripple import FluxTree, fit_ripple
 from protocols import Capture
 from tests.support.close import assert_close
 

@@ -1,0 +1,206 @@
+"""Which injection tells most about the flux map in a second of motor time: I-optimal, one point after another.
+
+The energy is linear in its modes, so what a point will do to the map's covariance is known before it is measured
+(V. V. Fedorov, "Theory of Optimal Experiments", Academic Press 1972). With S the covariance of the modes, A what they
+do to a point's inductances, in standard deviations, and N what they do to the flux at the nodes of a plane of currents,
+
+    S' = S - S A' (1 + A S A')^-1 A S,        gain = sum_n w_n tr N_n (S - S') N_n' / seconds,
+
+each node weighted by its own variance: what is least known counts most. A longer capture is a point of less noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+
+from orchestrator.analysis._each_capture import each_capture
+from orchestrator.analysis._energy_fit import EnergyFit, EnergyProblem, energy_rows, finished, pose
+from orchestrator.analysis._energy_search import behind_dead_time
+from orchestrator.analysis._integration import Inductances, invert
+from orchestrator.analysis._ripple import Ripple, demodulate
+from orchestrator.numerics.types import Array
+from protocols import Capture, NotMeasuredError, RecordingReader, Segment
+
+_NORMAL_95 = 1.96
+_CELLS = (8, 8)
+"""Of the spline while measuring: as fine as a band needs, and quick."""
+_RINGS = 5
+"""Of the nodes of a plane."""
+_LEAST_POINTS = 6
+"""Fewer tell nothing of how smooth the energy is."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """An injection that might be next.
+
+    Attributes
+    ----------
+    current_a : (float, float)
+        (i_d, i_q).
+    capture_s, seconds : float
+        Of the capture alone, and of motor time, settling included.
+    """
+
+    current_a: tuple[float, float]
+    capture_s: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class KnownMap:
+    """What the injections so far tell of the map.
+
+    Attributes
+    ----------
+    fit : EnergyFit
+    root : array, shape (k, r)
+        Of the covariance of the energy's modes and of the measurements' own.
+    problem : EnergyProblem
+        With the errors as large as they turned out to be.
+    noise : array, shape (n, 7, 7)
+        Covariance of each point's inductances and slopes, times its capture's length.
+    reach : array, shape (m, 2, k)
+        What each mode does to the flux at the nodes of the plane that matters.
+    """
+
+    fit: EnergyFit
+    root: Array
+    problem: EnergyProblem
+    noise: Array
+    reach: Array
+
+    @property
+    def band_wb(self) -> tuple[float, float]:
+        """95 % band of the flux over the plane, half of it, as a vector's length: root mean square, and at worst."""
+        variance = _variance(self.reach @ self.root)
+        return _NORMAL_95 * float(np.sqrt(variance.mean())), _NORMAL_95 * float(np.sqrt(variance.max()))
+
+    def flux_wb(self, current_a: tuple[float, float]) -> float:
+        """Length of psi(i) - psi(0)."""
+        return float(np.linalg.norm(self.fit.flux(np.array([current_a]))[0]))
+
+    def best(self, candidates: Sequence[Candidate], count: int) -> list[Candidate]:
+        """So many candidates, each the best when those before it are measured; the first of equals."""
+        return [candidates[index] for index, _ in islice(self._greedy(candidates), count)]
+
+    def seconds_to(self, target_wb: float, candidates: Sequence[Candidate], most_s: float) -> float:
+        """Motor time until the band is nowhere above a target, if what is expected comes; `most_s` at most."""
+        spent = 0.0
+        for index, worst_wb in self._greedy(candidates):
+            spent += candidates[index].seconds
+            if worst_wb <= target_wb or spent >= most_s:
+                break
+        return min(spent, most_s)
+
+    def _greedy(self, candidates: Sequence[Candidate]) -> Iterator[tuple[int, float]]:
+        """Without end: the best candidate, and the band at worst when it is measured."""
+        rows, root = self._rows(candidates), self.root
+        seconds = np.array([one.seconds for one in candidates])
+        while True:
+            best = int(np.argmax(_gains(rows @ root, self.reach @ root) / seconds))
+            root = _after(root, rows[best])
+            yield best, _NORMAL_95 * float(np.sqrt(_variance(self.reach @ root).max()))
+
+    def _rows(self, candidates: Sequence[Candidate]) -> Array:
+        """What each mode would do to what the candidates measure, in its standard deviations, shape (c, 7, k)."""
+        assert self.problem.points is not None
+        at = np.array([one.current_a for one in candidates])
+        away = np.linalg.norm(at[:, None] - self.problem.points.current, axis=2)
+        capture_s = np.array([one.capture_s for one in candidates])
+        noise = self.noise[np.argmin(away, axis=1)] / capture_s[:, None, None]
+        matrix = self.fit.inductance(at)[0][:, _PAIRS]
+        third = energy_rows(self.fit.spline, at, self.fit.angle_rad, 3) @ self.fit.coefficients
+        expected = Inductances(at, matrix, third[:, _TRIPLES], noise)
+        errors = replace(self.problem.errors, points=None, paths=None)
+        posed = replace(self.problem, points=expected, errors=errors, rotor_angle_rad=self.problem.rotor_angle_rad)
+        return posed.inductances()[0]
+
+
+_PAIRS = np.array([[0, 1], [1, 2]])
+_TRIPLES = np.array([[[0, 1], [1, 2]], [[1, 2], [2, 3]]])
+
+
+def injected_points(
+    recording: RecordingReader, segments: Sequence[Segment], *, voltage_delay_samples: float
+) -> tuple[Inductances, Array]:
+    """Inductances at the points that were injected at, and how long each was captured [s].
+
+    Raises
+    ------
+    NotMeasuredError
+        Where hardly any of the segments shows an injection's ripple.
+    """
+
+    def ripple(segment: Segment, capture: Capture) -> tuple[Ripple, float] | None:
+        delay, angle = voltage_delay_samples, segment.rotor_angle_rad
+        try:
+            found = demodulate(capture, angle, voltage_delay_samples=delay, where=segment.id)
+        except NotMeasuredError:
+            return None
+        return found, len(capture) / capture.sampling_frequency_hz
+
+    told = [one for one in each_capture(recording, segments, ripple) if one is not None]
+    if len(told) < _LEAST_POINTS:
+        problem = f"{len(told)} of {len(segments)} points show an injection's ripple, {_LEAST_POINTS} are needed"
+        raise NotMeasuredError(recording.manifest.name, "segments", problem)
+    return invert([found for found, _ in told]), np.array([seconds for _, seconds in told])
+
+
+def known_map(points: Inductances, capture_s: Array, rotor_angle_rad: float, reach_a: float) -> KnownMap:
+    """Fit the energy to what was injected so far.
+
+    Parameters
+    ----------
+    points : Inductances
+    capture_s : array, shape (n,)
+        How long each was captured.
+    rotor_angle_rad : float
+        Of the believed d axis from phase a's.
+    reach_a : float
+        The plane that matters: currents up to this length.
+    """
+    problem, solution = behind_dead_time(pose(points, (), rotor_angle_rad, _CELLS))
+    fit = finished(problem, solution)
+    # Its covariance is wider than the solution's where neighbours err alike.
+    widened = np.trace(fit.covariance) / max(float(np.square(problem.modes @ solution.root).sum()), 1e-300)
+    zero, nodes = (energy_rows(problem.spline, at, 0.0, 1) for at in (np.zeros((1, 2)), _plane(reach_a)))
+    return KnownMap(
+        fit=fit,
+        root=np.sqrt(widened) * solution.root,
+        problem=problem,
+        noise=points.covariance * capture_s[:, None, None],
+        reach=np.asarray((nodes - zero) @ problem.modes),
+    )
+
+
+def _plane(reach_a: float) -> Array:
+    """Nodes of the half of a disc of currents where i_q is positive, about equally dense, shape (m, 2) [A]."""
+    out = []
+    for ring in range(1, _RINGS + 1):
+        angle = np.pi * (np.arange(3 * ring) + 0.5) / (3 * ring)
+        out.append(reach_a * ring / _RINGS * np.stack([np.cos(angle), np.sin(angle)], axis=1))
+    return np.concatenate(out)
+
+
+def _variance(reach: Array) -> Array:
+    """Of the flux's vector at each node; what modes do there times a root, shape (m, 2, r)."""
+    return np.asarray(np.square(reach).sum(axis=(1, 2)))
+
+
+def _gains(rows: Array, reach: Array) -> Array:
+    """By how much each candidate lowers the weighted variance at the nodes, shape (c,); both times a root."""
+    flat = (np.sqrt(_variance(reach))[:, None, None] * reach).reshape(-1, reach.shape[2])
+    known = flat @ rows.transpose(0, 2, 1)
+    seen = np.eye(rows.shape[1]) + rows @ rows.transpose(0, 2, 1)
+    return np.asarray((known * (known @ np.linalg.inv(seen))).sum(axis=(1, 2)))
+
+
+def _after(root: Array, rows: Array) -> Array:
+    """The covariance's root when these rows have been measured: along each of them by 1 / sqrt(1 + its information)."""
+    _, size, along = np.linalg.svd(rows @ root, full_matrices=False)
+    return np.asarray(root - (root @ along.T) * (1.0 - 1.0 / np.sqrt(1.0 + size**2)) @ along)

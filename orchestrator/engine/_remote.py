@@ -1,0 +1,97 @@
+"""A person at the other end of a pipe: answers and stops come as lines of JSON, and silence ends the run.
+
+Each line is one object: ``{"answer": "yes", "question": PROMPT}``, ``{"stop": REASON}``, or ``{}``, which says that
+somebody is there. Who sees neither the end of the pipe nor a line for `silence_s` has nobody left who could stop the
+run: it then stops by itself, as a run does whose terminal goes away.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import queue
+import select
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+from orchestrator.engine._interrupts import Interrupts
+from orchestrator.presentation.sentences import shown
+
+LONGEST_LINE = 1 << 16
+LOOK_S = 0.2
+
+
+class RemoteOperator:
+    """Asks whoever is at the other end of a pipe; `listening` has to be at work meanwhile.
+
+    Parameters
+    ----------
+    through : str
+        What the person sits at ("page"); kept in the journal with each answer.
+    descriptor : int
+        Of the pipe's reading end.
+    silence_s : float
+        Without a line for so long nobody is taken to be there.
+    """
+
+    def __init__(self, through: str, descriptor: int = 0, silence_s: float = 10.0) -> None:
+        self.through = through
+        self._descriptor, self._silence_s = descriptor, silence_s
+        self._answers: queue.SimpleQueue[tuple[str, str]] = queue.SimpleQueue()
+        self._done = threading.Event()
+
+    def confirm(self, prompt: str, interrupts: Interrupts) -> bool:
+        """Wait for an answer to this question; those to others are passed over."""
+        while True:
+            interrupts.check()
+            try:
+                question, answer = self._answers.get(timeout=LOOK_S)
+            except queue.Empty:
+                continue
+            if question == prompt and answer in ("yes", "no"):
+                return answer == "yes"
+
+    @contextmanager
+    def listening(self, interrupts: Interrupts) -> Iterator[None]:
+        """Read the pipe, on a thread of its own, while the block lasts."""
+        thread = threading.Thread(target=self._listen, args=(interrupts,), name="operator's line", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            self._done.set()
+            thread.join()
+
+    def _listen(self, interrupts: Interrupts) -> None:
+        heard_s, kept = time.monotonic(), b""
+        while not self._done.is_set():
+            if not select.select([self._descriptor], [], [], LOOK_S)[0]:
+                if time.monotonic() - heard_s > self._silence_s:
+                    return interrupts.stop(f"the operator's {self.through} has been silent for {self._silence_s:g} s")
+                continue
+            data = os.read(self._descriptor, 4096)
+            if not data:
+                return interrupts.stop(f"the operator's {self.through} is gone")
+            *lines, kept = (kept + data).split(b"\n")
+            for line in lines:
+                self._take(_object(line), interrupts)
+            heard_s, kept = time.monotonic(), kept[-LONGEST_LINE:]
+        return None
+
+    def _take(self, told: dict[str, Any], interrupts: Interrupts) -> None:
+        if "stop" in told:
+            interrupts.stop(shown(f"{told['stop']}"))
+        elif "answer" in told:
+            self._answers.put((str(told.get("question")), str(told["answer"])))
+
+
+def _object(line: bytes) -> dict[str, Any]:
+    """A line's object; an empty one where it is none."""
+    try:
+        told = json.loads(line)
+    except (ValueError, RecursionError):
+        return {}
+    return told if isinstance(told, dict) else {}

@@ -1,0 +1,144 @@
+"""The page's addresses: what is read by GET, what changes something by POST."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import AsyncIterator, Awaitable, Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import ValidationError
+from starlette.applications import Starlette
+from starlette.concurrency import run_in_threadpool
+from starlette.middleware import Middleware
+from starlette.requests import Request
+from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response, StreamingResponse
+from starlette.routing import Route
+
+from orchestrator._validation import first_problem
+from plugins.commands.serve._choices import REPORT, choices, run_folder
+from plugins.commands.serve._guard import Guard
+from plugins.commands.serve._run import NotNowError, RunOfThePage, checked
+from plugins.commands.serve._wanted import Answer, RunNamed, Wanted
+from protocols import FluxbenchError, InputError, Strict
+
+T = TypeVar("T", bound=Strict)
+Endpoint = Callable[[Request], Awaitable[Response]]
+
+ASSETS = {
+    "": ("index.html", "text/html"),
+    "page.css": ("page.css", "text/css"),
+    "page.js": ("page.js", "text/javascript"),
+}
+LARGEST_BODY = 1 << 16
+REPORT_POLICY = "sandbox; default-src 'none'; style-src 'unsafe-inline'; img-src data:"
+"""A report holds texts from outside: nothing in it is run."""
+
+
+def page_app(run: RunOfThePage, folder: Path, token: str) -> Starlette:
+    """The application for one folder, behind its guard."""
+    page = _Page(run, folder)
+    read = {"choices": page.choices, "events": page.events, "report/{run}": page.report}
+    changing = (page.check, page.start, page.resume, page.answer, page.stop)
+    routes = [
+        *(Route(f"/{path}", _asset(*asset), methods=["GET"]) for path, asset in ASSETS.items()),
+        *(Route(f"/{path}", _in_words(call), methods=["GET"]) for path, call in read.items()),
+        *(Route(f"/{call.__name__}", _in_words(call), methods=["POST"]) for call in changing),
+    ]
+    return Starlette(routes=routes, middleware=[Middleware(Guard, token=token)])
+
+
+class _Page:
+    """What is done at each address, by the address' name."""
+
+    def __init__(self, run: RunOfThePage, folder: Path) -> None:
+        self._run, self._folder = run, folder
+
+    async def choices(self, request: Request) -> Response:
+        return JSONResponse(await run_in_threadpool(choices, self._folder))
+
+    async def events(self, request: Request) -> Response:
+        async def lines() -> AsyncIterator[str]:
+            async for view in self._run.views():
+                yield f"data: {json.dumps(view)}\n\n"
+
+        return StreamingResponse(lines(), media_type="text/event-stream")
+
+    async def report(self, request: Request) -> Response:
+        file = run_folder(self._folder, request.path_params["run"]) / REPORT
+        if not file.is_file():
+            return PlainTextResponse("this run has no report\n", 404)
+        return FileResponse(file, media_type="text/html", headers={"Content-Security-Policy": REPORT_POLICY})
+
+    async def check(self, request: Request) -> Response:
+        code, out, err = await checked((await _body(request, Wanted)).checking(self._folder), self._folder)
+        if code:
+            return _problem(err.removeprefix("fluxbench: ") or f"ended with {code}", 400)
+        return Response(out, media_type="application/json")
+
+    async def start(self, request: Request) -> Response:
+        await self._run.start((await _body(request, Wanted)).running(self._folder))
+        return JSONResponse({})
+
+    async def resume(self, request: Request) -> Response:
+        named = await _body(request, RunNamed)
+        await self._run.start(["resume", str(run_folder(self._folder, named.run))])
+        return JSONResponse({})
+
+    async def answer(self, request: Request) -> Response:
+        given = await _body(request, Answer)
+        await self._run.answer(given.question, given.answer)
+        return JSONResponse({})
+
+    async def stop(self, request: Request) -> Response:
+        await self._run.stop("stopped by a person at the page")
+        return JSONResponse({})
+
+
+def _asset(name: str, media_type: str) -> Endpoint:
+    content = files("plugins.commands.serve").joinpath("page", name).read_bytes()
+
+    async def asset(request: Request) -> Response:
+        return Response(content, media_type=media_type)
+
+    return asset
+
+
+def _in_words(call: Endpoint) -> Endpoint:
+    """What is wrong with a request is one line, and a status."""
+
+    async def answered(request: Request) -> Response:
+        try:
+            return await call(request)
+        except NotNowError as error:
+            return _problem(str(error), 409)
+        except FluxbenchError as error:
+            return _problem(str(error), 400)
+
+    return answered
+
+
+def _problem(told: str, status: int) -> Response:
+    return JSONResponse({"problem": told}, status)
+
+
+async def _body(request: Request, model: type[T]) -> T:
+    """What a request asks for; raises `InputError`."""
+    raw = b""
+    async for part in request.stream():
+        raw += part
+        if len(raw) > LARGEST_BODY:
+            raise InputError("request", "", f"longer than {LARGEST_BODY} bytes")
+    try:
+        return model.model_validate_json(raw, strict=True)
+    except ValidationError as error:
+        problem = first_problem(error, model, _parsed(raw))
+        raise InputError("request", problem.field, problem.text) from None
+
+
+def _parsed(raw: bytes) -> Any:
+    try:
+        return json.loads(raw)
+    except (ValueError, RecursionError):
+        return None

@@ -1,0 +1,107 @@
+"""What the page offers to choose from: procedures, motors, drives, runs. Reads, and starts nothing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from orchestrator.config import load_motor, load_procedure
+from orchestrator.presentation.sentences import shown
+from orchestrator.registry import PluginKind, installed
+from orchestrator.runs import run_rows
+from protocols import FluxbenchError, InputError, shipped_procedures
+
+RUNS = "runs"
+REPORT = "report.html"
+
+
+def choices(folder: Path) -> dict[str, Any]:
+    """All of it, for the page; what a file is wrong in is said beside its name."""
+    return {
+        "folder": shown(str(folder)),
+        "procedures": [*_procedures(folder)],
+        "motors": [*_motors(folder)],
+        "drives": sorted(info.name for info in installed(PluginKind.DRIVES)),
+        "runs": _runs(folder),
+    }
+
+
+def procedure_word(folder: Path, name: str) -> str:
+    """A procedure of the list as `run` takes it; raises `InputError` where it is none of them."""
+    if name in shipped_procedures():
+        return name
+    return _file_word(folder, name, "procedure", _has_stages)
+
+
+def motor_word(folder: Path, name: str) -> str:
+    """A motor file of the list as ``--motor`` takes it; raises `InputError` where it is none of them."""
+    return _file_word(folder, name, "motor", lambda text: not _has_stages(text))
+
+
+def run_folder(folder: Path, name: str) -> Path:
+    """A run of the list; raises `InputError` where it is none of them."""
+    place = folder / RUNS / name
+    if name in ("", ".", "..") or Path(name).name != name or not (place / "run.json").is_file():
+        raise InputError("runs", "", "no such run")
+    return place
+
+
+def _procedures(folder: Path) -> Iterator[dict[str, str]]:
+    for name, text in _files(folder):
+        if _has_stages(text):
+            yield {"name": name, **_read(folder / name)}
+    for name in shipped_procedures():
+        yield {"name": name, "summary": shown(load_procedure(name).summary or ""), "problem": ""}
+
+
+def _read(file: Path) -> dict[str, str]:
+    try:
+        return {"summary": shown(load_procedure(str(file)).summary or ""), "problem": ""}
+    except FluxbenchError as error:
+        return {"summary": "", "problem": shown(str(error))}
+
+
+def _motors(folder: Path) -> Iterator[dict[str, str]]:
+    for name, text in _files(folder):
+        if _has_stages(text) or not re.search(r"^motor:", text, re.MULTILINE):
+            continue
+        try:
+            yield {"name": name, "summary": shown(load_motor(folder / name).name), "problem": ""}
+        except FluxbenchError as error:
+            yield {"name": name, "summary": "", "problem": shown(str(error))}
+
+
+def _runs(folder: Path, most: int = 30) -> list[dict[str, Any]]:
+    """The newest first."""
+    if not (folder / RUNS).is_dir():
+        return []
+    rows = sorted(run_rows(folder / RUNS, lambda _: None), key=lambda row: row["created"], reverse=True)
+    below = [row | {"run": Path(row["run"]).name} for row in rows if Path(row["run"]).parent == folder / RUNS]
+    shortened: list[dict[str, Any]] = [{key: shown(value) for key, value in row.items()} for row in below[:most]]
+    for row in shortened:
+        row["has_report"] = (folder / RUNS / row["run"] / REPORT).is_file()
+    return shortened
+
+
+def _files(folder: Path, largest: int = 1 << 20) -> Iterator[tuple[str, str]]:
+    """Name and text of each YAML file in the folder, and in folders in it but the runs'."""
+    for file in sorted([*folder.glob("*.y*ml"), *folder.glob("[!.]*/*.y*ml")]):
+        name = file.relative_to(folder)
+        if name.parts[0] == RUNS or not file.is_file() or file.stat().st_size > largest:
+            continue
+        try:
+            yield str(name), file.read_text(encoding="utf-8")
+        except (OSError, UnicodeDecodeError):
+            continue
+
+
+def _file_word(folder: Path, name: str, what: str, is_one: Any) -> str:
+    if not any(known == name and is_one(text) for known, text in _files(folder)):
+        raise InputError(what, "", f"none of this folder's has the name {shown(repr(name))}")
+    return f"./{name}"
+
+
+def _has_stages(text: str) -> bool:
+    return re.search(r"^stages:", text, re.MULTILINE) is not None

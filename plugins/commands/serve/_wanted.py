@@ -1,0 +1,58 @@
+"""What the page asks for, as it may come from a browser, and as words of the command line."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from plugins.commands.serve._choices import motor_word, procedure_word
+from protocols import Strict
+
+Line = Annotated[str, Field(max_length=2000)]
+
+
+class Wanted(Strict):
+    """A procedure, and what goes over it."""
+
+    procedure: Line
+    motor: Line = ""
+    drive: Line = ""
+    settings: tuple[Line, ...] = Field((), max_length=100)
+    serial: Line = ""
+    operator: Line = ""
+    ambient_c: float | None = None
+    tags: tuple[Line, ...] = Field((), max_length=100)
+    note: Line = ""
+
+    def checking(self, folder: Path) -> list[str]:
+        """The words of `fluxbench check`."""
+        words = ["check", procedure_word(folder, self.procedure), "--json"]
+        if self.motor:
+            words.append(f"--motor={motor_word(folder, self.motor)}")
+        if self.drive:
+            words.append(f"--drive={self.drive}")
+        return words + [f"--set={setting}" for setting in self.settings if setting.strip()]
+
+    def running(self, folder: Path) -> list[str]:
+        """The words of `fluxbench run`, as far as they are the page's to say."""
+        _, procedure, _, *laid_over = self.checking(folder)
+        about = {"serial": self.serial, "operator": self.operator, "note": self.note}
+        told = [f"--{name}={value}" for name, value in about.items() if value.strip()]
+        told += [f"--tag={tag}" for tag in self.tags if tag.strip()]
+        told += [] if self.ambient_c is None else [f"--ambient={self.ambient_c}"]
+        return ["run", procedure, *laid_over, *told]
+
+
+class Answer(Strict):
+    """A person's answer to the question with this number."""
+
+    question: int
+    answer: Literal["yes", "no"]
+
+
+class RunNamed(Strict):
+    """One of the folder's runs."""
+
+    run: Line

@@ -1,0 +1,279 @@
+"""The conversation with an ECU by pyxcp, the XCP master: reading, writing, and the rows of one DAQ list."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import socket
+import sys
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from contextlib import suppress
+from types import SimpleNamespace
+from typing import Any, TypeVar
+
+import numpy as np
+
+from plugins.drives.xcp._ecu import Layout, Rows
+from plugins.link import AttentiveClock
+from protocols import DriveFault, DriveRefused, FaultCause, PluginError
+
+T = TypeVar("T")
+DAQ_LIST, ODT = 0, 0
+IDENTIFICATION = {
+    "IDF_ABS_ODT_NUMBER": 1,
+    "IDF_REL_ODT_NUMBER_ABS_DAQ_LIST_NUMBER_BYTE": 2,
+    "IDF_REL_ODT_NUMBER_ABS_DAQ_LIST_NUMBER_WORD": 3,
+    "IDF_REL_ODT_NUMBER_ABS_DAQ_LIST_NUMBER_WORD_ALIGNED": 4,
+}
+TIMESTAMP = {"NO_TIME_STAMP": 0, "S1": 1, "S2": 2, "S4": 4}
+KEPT_ROWS = 200_000
+"""Rows that wait to be taken: a host that is later than so many sees a gap."""
+SOCKET_BYTES = 4_000_000
+"""What the system is asked to keep for a host that is busy."""
+
+
+def library() -> Any:
+    """pyxcp, imported when a drive is connected and no sooner; raises `PluginError` where it is not installed.
+
+    Its import takes over how Python shows values and errors at a terminal; that is put back. What it logs is told as
+    the drive's fault as well.
+    """
+    shown = sys.excepthook, sys.displayhook
+    its_own = logging.getLogger("pyxcp")
+    its_own.propagate = False
+    if not its_own.handlers:
+        its_own.addHandler(logging.NullHandler())
+    try:
+        return SimpleNamespace(
+            Master=importlib.import_module("pyxcp.master").Master,
+            config=importlib.import_module("pyxcp.config"),
+            timeout=importlib.import_module("pyxcp.types").XcpTimeoutError,
+            daq=importlib.import_module("pyxcp.transport.transport_ext").FrameCategory.DAQ,
+        )
+    except ImportError as error:
+        problem = f"needs the XCP master pyxcp: pip install 'fluxbench[xcp]' ({error})"
+        raise PluginError("drive", "xcp", problem) from error
+    finally:
+        sys.excepthook, sys.displayhook = shown
+
+
+class Arrivals:
+    """Frames of the DAQ list as they come; what pyxcp calls a policy. Fed by its thread, emptied by another."""
+
+    def __init__(self, daq: Any) -> None:
+        self._daq = daq
+        self._frames: deque[bytes] = deque(maxlen=KEPT_ROWS)
+        self._newest: tuple[float, bytes] = (0.0, b"")
+        self.xcp_master: Any = None
+
+    def feed(self, category: Any, counter: int, timestamp: int, payload: bytes) -> None:
+        """Keep a frame."""
+        if category == self._daq:
+            frame = bytes(payload)
+            self._newest = (time.monotonic(), frame)
+            self._frames.append(frame)
+
+    def finalize(self) -> None:
+        """Nothing: there is no file."""
+
+    @property
+    def newest(self) -> tuple[float, bytes]:
+        """When the last one came, by the monotonic clock, and what it was."""
+        return self._newest
+
+    def clear(self) -> None:
+        """Forget those that wait."""
+        self._frames.clear()
+
+    def take(self) -> bytes:
+        """All that wait, one after the other; emptied."""
+        taken = []
+        with suppress(IndexError):
+            while True:
+                taken.append(self._frames.popleft())
+        return b"".join(taken)
+
+
+class Link:
+    """An ECU at the other end; errors become `DriveFault` (link_lost), and a link that is lost stays so.
+
+    Parameters
+    ----------
+    host, port, protocol : str, int, str
+        Where it listens; "udp" or "tcp".
+    address, extension : int
+        Of the variable `fluxbench`.
+    timeout_s : float
+        For an answer, and for the next row.
+    """
+
+    def __init__(self, host: str, port: int, protocol: str, address: int, extension: int, timeout_s: float) -> None:
+        pyxcp = library()
+        self.where = f"XCP at {host}:{port}"
+        self._at, self._extension = address, extension
+        self._timeout_s, self._timeout = timeout_s, pyxcp.timeout
+        self._talk = threading.Lock()
+        self.lost: DriveFault | None = None
+        transport = pyxcp.config.Transport(create_daq_timestamps=False)
+        transport.eth.host, transport.eth.port, transport.eth.protocol = host, port, protocol.upper()
+        transport.eth.tcp_nodelay = True
+        general = pyxcp.config.General(disable_error_handling=True)
+        self._rows = Arrivals(pyxcp.daq)
+        try:
+            self._master = pyxcp.Master("eth", SimpleNamespace(general=general, transport=transport), self._rows)
+        except Exception as error:  # pyxcp raises what its parts do: there is no common base
+            raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {_first_line(error)}") from error
+        self._master.transport.get = self._answer
+        self._master.transport._record_pdu = lambda *pdu: None  # for diagnostics: most of what a row costs
+        self.layout = Layout("<")
+        self._head, self._quiet = 0, AttentiveClock()
+
+    def open(self, event: int) -> None:
+        """Connect and let the DAQ list run at the event; raises `DriveRefused` where the ECU has no room for it."""
+        self._say(self._connect)
+        is_intel = str(self._master.slaveProperties.byteOrder) == "INTEL"
+        self.layout = Layout("<" if is_intel else ">")
+        if self._master.slaveProperties.bytesPerElement != 1:
+            raise DriveRefused(f"{self.where}: addresses count words, expected octets")
+        if not self._master.slaveProperties.supportsDaq:
+            raise DriveRefused(f"{self.where}: has no DAQ")
+        self._say(lambda: self._measure(event))
+
+    def _connect(self) -> None:
+        self._master.transport.sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, SOCKET_BYTES)
+        self._master.transport.connect()
+        self._master.connect()
+
+    def _measure(self, event: int) -> None:
+        m, row = self._master, self.layout.row
+        processor, resolution = m.getDaqProcessorInfo(), m.getDaqResolutionInfo()
+        head = IDENTIFICATION[str(processor.daqKeyByte.Identification_Field)]
+        stamp = TIMESTAMP[str(resolution.timestampMode.size)] if resolution.timestampMode.fixed else 0
+        self._head = head + stamp
+        if self._head + row.itemsize > m.slaveProperties.maxDto:
+            told = f"a row takes {self._head + row.itemsize} octets, one message has {m.slaveProperties.maxDto}"
+            raise DriveRefused(f"{self.where}: {told}")
+        m.freeDaq()
+        m.allocDaq(1)
+        m.allocOdt(DAQ_LIST, 1)
+        words = row.itemsize // self.layout.word.itemsize
+        m.allocOdtEntry(DAQ_LIST, ODT, words)
+        m.setDaqPtr(DAQ_LIST, ODT, 0)
+        for word in range(words):
+            m.writeDaq(0xFF, 4, self._extension, self._at + self.layout.row_at + 4 * word)
+        m.setDaqListMode(0, DAQ_LIST, event, 1, 0)
+        m.startStopDaqList(1, DAQ_LIST)
+
+    def close(self) -> None:
+        """Stop measuring, say goodbye, and let go of the socket and its threads."""
+        if self.lost is None:
+            with suppress(DriveFault):
+                self._say(lambda: self._master.startStopSynch(0))
+                self._say(self._master.disconnect)
+        self._master.close()
+
+    # The variable
+
+    def read(self, offset: int, octets: int) -> bytes:
+        """What stands in the variable."""
+        m = self._master
+
+        def said() -> bytes:
+            m.setMta(self._at + offset, self._extension)
+            return bytes(m.fetch(octets))
+
+        return self._say(said)
+
+    def write(self, offset: int, data: bytes) -> None:
+        """Put something into the variable."""
+        m, most = self._master, self._master.slaveProperties.maxCto - 2
+
+        def said() -> None:
+            m.setMta(self._at + offset, self._extension)
+            for first in range(0, len(data), most):
+                m.download(data[first : first + most])
+
+        self._say(said)
+
+    # Rows
+
+    def clear(self) -> None:
+        """Forget the rows that wait."""
+        self._rows.clear()
+        self._quiet = AttentiveClock()
+
+    def take(self) -> Rows:
+        """The rows that have come since, as `Layout.row`; raises `DriveFault` where none has for too long."""
+        self.check()
+        framed = np.dtype([("head", "V", self._head), ("row", self.layout.row)])
+        octets = self._rows.take()
+        if len(octets) % framed.itemsize:
+            raise self._lose("rows of a length that was not asked for")
+        if octets:
+            self._quiet = AttentiveClock()
+        elif self._quiet() > self._timeout_s:
+            raise self._lose(f"no row for {self._timeout_s:g} s")
+        taken: Rows = np.frombuffer(octets, framed)["row"]
+        return taken
+
+    def newest(self) -> np.void:
+        """A row that comes from now on; raises `DriveFault` where none does in time."""
+        asked_s, waited_s = time.monotonic(), AttentiveClock()
+        while self._rows.newest[0] <= asked_s:
+            self.check()
+            if waited_s() > self._timeout_s:
+                raise self._lose(f"no row for {self._timeout_s:g} s")
+            time.sleep(0.001)
+        row: np.void = np.frombuffer(self._rows.newest[1][self._head :], self.layout.row)[0]
+        return row
+
+    def check(self) -> None:
+        """Raises `DriveFault` where the link is lost."""
+        if self.lost is not None:
+            raise self.lost
+
+    def _say(self, talk: Callable[[], T]) -> T:
+        """Have one conversation to its end; where a command or its answer was lost, in step with the ECU, once more."""
+        self.check()
+        with self._talk:
+            try:
+                with suppress(self._timeout):
+                    return talk()
+                self._synchronise()
+                return talk()
+            except DriveRefused:
+                raise
+            except Exception as error:  # as in `__init__`
+                raise self._lose(_first_line(error)) from error
+
+    def _synchronise(self) -> None:
+        """Pass over late answers: to SYNCH, which is answered by error 0, the ECU answers last."""
+        answer = self._master.synch()
+        while bytes(answer) != b"\0":
+            answer = self._answer()[1:]
+
+    def _answer(self) -> Any:
+        """The next answer, for pyxcp's own wait.
+
+        That one lets each row that comes prolong it, so that a lost answer is waited for for ever, and counts time in
+        which this process was kept from listening.
+        """
+        transport, waited_s = self._master.transport, AttentiveClock()
+        with transport.resQueue_condition:
+            while not transport.resQueue:
+                if waited_s() > self._timeout_s:
+                    raise self._timeout("no answer")
+                transport.resQueue_condition.wait(0.02)
+            return transport.resQueue.popleft()
+
+    def _lose(self, why: str) -> DriveFault:
+        fault = DriveFault(FaultCause.LINK_LOST, f"{self.where}: {why}")
+        self.lost = self.lost or fault
+        return fault
+
+
+def _first_line(error: BaseException) -> str:
+    return (str(error) or type(error).__name__).splitlines()[0]

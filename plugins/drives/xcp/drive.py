@@ -1,0 +1,329 @@
+"""The drive `xcp`: an ECU in whose fast routine fluxbench's C file runs, by XCP on Ethernet.
+
+Excitations are calibration parameters, rows one DAQ list at the PWM event. docs/xcp.md says what the ECU has to do.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Annotated, Any, ClassVar, Literal
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from orchestrator.driving import DriveShell, sign_of_life
+from plugins.drives.xcp._ecu import MAGIC, VERSION, Order, Rows, State, Status, Stream, fault_of
+from plugins.drives.xcp._link import Link
+from plugins.drives.xcp._program import Planner
+from plugins.link import AttentiveClock
+from protocols import (
+    Capabilities,
+    Capture,
+    CurrentControl,
+    DriveFault,
+    DriveRefused,
+    DriveSetup,
+    Excitation,
+    ExcitationKind,
+    FaultCause,
+    GatesOff,
+    Limits,
+    Positive,
+    Strict,
+    Telemetry,
+)
+
+KINDS: frozenset[ExcitationKind] = frozenset({"gates_off", "hold", "trapezoid", "injection"})
+POLL_S = 0.01
+SHORTEST_S, LONGEST_S = 0.1, 0.25
+"""Of a block; signs of life come as seldom as the longest."""
+PATIENCE_S = 2.0
+"""For rows that do not come, beyond what a program takes."""
+
+
+class XcpOptions(Strict):
+    """Options of the drive `xcp`."""
+
+    host: Annotated[str, Field(min_length=1)] = "127.0.0.1"
+    port: Annotated[int, Field(ge=1, le=65535)] = 5555
+    protocol: Literal["udp", "tcp"] = "udp"
+    address: Annotated[int, Field(ge=0, lt=2**32)]
+    """Of the variable `fluxbench`: ECU_ADDRESS in the A2L, or the linker's map."""
+    address_extension: Annotated[int, Field(ge=0, le=255)] = 0
+    event: Annotated[int, Field(ge=0, le=65535)] = 0
+    """Number of the DAQ event behind the fast routine."""
+    timeout_s: Positive = 2.0
+    """For an answer of the ECU, and for the next row."""
+    clear_fault: bool = False
+    """Forget the fault that the ECU has latched, on connecting: after somebody has seen to its cause."""
+
+
+class XcpDrive(DriveShell):
+    """An ECU as a drive; implements `Drive`, and `ResumableDrive` for its clock.
+
+    Parameters
+    ----------
+    setup : DriveSetup
+        With `XcpOptions`.
+    """
+
+    name: ClassVar[str] = "xcp"
+    Options: ClassVar[type[BaseModel]] = XcpOptions
+
+    def __init__(self, setup: DriveSetup) -> None:
+        super().__init__(setup)
+        self._options: XcpOptions = setup.options
+        self._link: Link | None = None
+        self._number, self._beat = 0, 0
+        self._tick: int | None = None
+        self._origin_s, self._rotor_angle_rad = 0.0, 0.0
+        self._control = CurrentControl()
+
+    # Link
+
+    def open(self) -> Capabilities:
+        """Find the variable `fluxbench` in the ECU and let its rows stream. Nothing is energised.
+
+        Raises
+        ------
+        PluginError
+            pyxcp is not installed.
+        DriveFault
+            Nobody answers, or somebody else does.
+        DriveRefused
+            Somebody else drives it, or its XCP lacks what is needed.
+        InputError
+            The nameplate lacks what current control is tuned by.
+        """
+        o = self._options
+        self._link = link = Link(o.host, o.port, o.protocol, o.address, o.address_extension, o.timeout_s)
+        link.open(o.event)
+        facts = np.frombuffer(link.read(0, link.layout.facts.itemsize), link.layout.facts)[0]
+        if (facts["magic"], facts["version"]) != (MAGIC, VERSION):
+            told = f"{link.where}: no variable `fluxbench` {VERSION} at {o.address:#x}"
+            raise DriveFault(FaultCause.WRONG_DATA, told)
+        own = self._capabilities(facts)
+        Planner(self.setup.motor, own.sampling_frequency_hz, own.max_current_a, own.max_voltage_v).to_zero(0.0)
+        word = link.layout.word
+        self._beat = int(np.frombuffer(link.read(link.layout.beat_at, word.itemsize), word)[0])
+        self._number = Status.of(int(self._fresh_row()["status"])).number
+        self._take_up(own)
+        self._origin_s = self._count() / own.sampling_frequency_hz
+        return own
+
+    def _capabilities(self, facts: np.void) -> Capabilities:
+        fs, watchdog_ticks = float(facts["sampling_hz"]), int(facts["watchdog_ticks"])
+        try:
+            return Capabilities(
+                name="xcp",
+                sampling_frequency_hz=fs,
+                pwm_frequency_hz=float(facts["pwm_hz"]),
+                pwm_frequencies_hz=(float(facts["pwm_hz"]),),
+                dc_bus_voltage_v=float(facts["dc_bus_v"]),
+                voltage_delay_samples=float(facts["delay_samples"]),
+                max_current_a=float(facts["max_current_a"]),
+                max_voltage_v=float(facts["max_voltage_v"]),
+                excitations=KINDS,
+                watchdog_s=watchdog_ticks / fs if watchdog_ticks else None,
+                watchdog_covers=KINDS if watchdog_ticks else frozenset(),
+            )
+        except (ValueError, ZeroDivisionError) as error:
+            told = f"the ECU says impossible things of itself: {str(error).splitlines()[0]}"
+            raise DriveFault(FaultCause.WRONG_DATA, told) from None
+
+    def _take_up(self, own: Capabilities) -> None:
+        """Find the ECU off; a lost heartbeat is over, for its host is gone, and another fault stays unless seen to."""
+        status = Status.of(int(self._fresh_row()["status"]))
+        if status.state == State.ON:
+            raise DriveRefused("the ECU's power stage is on: somebody else drives it")
+        if status.state == State.FAULTED:
+            fault = fault_of(status)
+            if fault.cause is FaultCause.HEARTBEAT_LOST or self._options.clear_fault:
+                self._tell(Order.CLEAR)
+            else:
+                self.latch(fault)
+
+    def release(self) -> None:
+        """Let go of the link."""
+        link, self._link = self._link, None
+        if link is not None:
+            link.close()
+
+    def heartbeat(self) -> None:
+        """Write the next beat; a link that does not take it is lost, which whoever asks next is told."""
+        link = self._link
+        if link is None or link.lost is not None or self._own is None:
+            return
+        self._beat = (self._beat + 1) % 2**32
+        try:
+            link.write(link.layout.beat_at, np.array(self._beat, link.layout.word).tobytes())
+        except DriveFault:
+            return  # the link remembers
+
+    # Power stage
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
+
+    def attend(self) -> None:
+        """Raises `DriveFault` where the link is lost or the ECU has tripped."""
+        if not self.latched:
+            self._require_sound(Status.of(int(self._fresh_row()["status"])))
+
+    def energise(self, limits: Limits) -> None:
+        """Hand over the limits, read them back, and switch on at zero current."""
+        self.heartbeat()
+        self._order(Order.SWITCH_ON, self._planner(limits).to_zero(self._rotor_angle_rad))
+
+    def start(self, excitation: Excitation) -> Iterator[Capture]:
+        """Write the program, read it back, let it run, and hand out its rows."""
+        assert self.limits is not None
+        planner = self._planner(self.limits)
+        program = planner.program(excitation)
+        if isinstance(excitation, GatesOff):
+            self.ramp()
+        number = self._order(Order.RUN, program)
+        self._rotor_angle_rad, self._control = excitation.rotor_angle_rad, excitation.control
+        return self._captures(excitation, number)
+
+    def ramp(self) -> None:
+        """Current to zero under control, and wait for it."""
+        assert self.limits is not None
+        planner = self._planner(self.limits)
+        self._order(Order.RUN, planner.to_zero(self._rotor_angle_rad, self._control))
+        time.sleep(planner.ramp_s(self._control))
+
+    def switch_off(self) -> None:
+        """Gates off; raises `DriveFault` (still_armed) where they are not."""
+        self._tell(Order.SWITCH_OFF)
+        status = Status.of(int(self._fresh_row()["status"]))
+        if status.state == State.ON:
+            raise DriveFault(FaultCause.STILL_ARMED, "the ECU does not switch off when it is told to")
+        if status.state == State.FAULTED:
+            self.latch(fault_of(status))
+
+    def forget_fault(self) -> None:
+        """Clear the ECU's fault; its gates stay off."""
+        self._tell(Order.CLEAR)
+
+    def telemetry(self) -> Telemetry:
+        """The newest row."""
+        row = self._fresh_row()
+        status = Status.of(int(row["status"]))
+        if status.state == State.FAULTED and not self.latched:
+            self.trip(fault_of(status))
+        i = complex(*row["i"]) * np.exp(-1j * self._rotor_angle_rad)
+        return Telemetry(
+            state=self.state,
+            time_s=self._count(row) / self.own.sampling_frequency_hz - self._origin_s,
+            i_d_a=i.real,
+            i_q_a=i.imag,
+            v_dc_v=float(row["v_dc"]),
+            pwm_frequency_hz=self.own.pwm_frequency_hz,
+            faults=self.faults,
+        )
+
+    # Clock
+
+    def checkpoint(self, point_id: str) -> None:
+        """Nothing to keep: the motor remembers by itself."""
+
+    def restore(self, point_id: str, start_s: float) -> None:
+        """Let the experiment's clock go on from `start_s`."""
+        self._origin_s = self._count() / self.own.sampling_frequency_hz - start_s
+
+    def _count(self, row: np.void | None = None) -> int:
+        """Ticks since the link was opened, those of a counter that begins anew counted on."""
+        tick = int((self._fresh_row() if row is None else row)["tick"])
+        self._tick = tick if self._tick is None else self._tick + _ahead(tick, self._tick)
+        return self._tick
+
+    # Programs
+
+    def _captures(self, excitation: Excitation, number: int) -> Iterator[Capture]:
+        """Blocks of the rows that it captures; raises `DriveFault` for a trip, a gap, or rows that stay away."""
+        link, fs = self._connected(), self.own.sampling_frequency_hz
+        wanted, longest = excitation.rows(fs), round(LONGEST_S * fs)
+        stream, waiting = Stream(number), np.zeros(0, link.layout.row)
+        told_s, waited_s = time.monotonic(), AttentiveClock()
+        most_s = PATIENCE_S + 1.5 * (excitation.settling_s + excitation.captured_s)
+        while wanted:
+            waiting = np.concatenate([waiting, self._next_rows(stream)])
+            while len(waiting) >= min(wanted, SHORTEST_S * fs) and wanted:
+                yield self._capture(waiting[:longest])
+                wanted, waiting = wanted - len(waiting[:longest]), waiting[longest:]
+                told_s = time.monotonic()
+            if time.monotonic() - told_s > LONGEST_S:
+                told_s = time.monotonic()
+                yield sign_of_life(self._count() / fs - self._origin_s, fs)
+            if waited_s() > most_s:
+                raise self.trip(DriveFault(FaultCause.PROGRAM_TOO_LONG, f"{excitation.kind}: its rows do not come"))
+
+    def _next_rows(self, stream: Stream) -> Rows:
+        """What has been captured since; raises `DriveFault` where the ECU has tripped or rows are missing."""
+        time.sleep(POLL_S)
+        try:
+            return stream.captured(self._connected().take())
+        except DriveFault as fault:
+            raise self.trip(fault) from None
+
+    def _capture(self, rows: Rows) -> Capture:
+        fs = self.own.sampling_frequency_hz
+        i, v, v_dc = (rows[name].astype(np.float32) for name in ("i", "v", "v_dc"))
+        start_s = self._count(rows[0]) / fs - self._origin_s
+        return Capture(start_s=start_s, sampling_frequency_hz=fs, i_ab=i, v_ab=v, v_dc=v_dc)
+
+    def _order(self, order: Order, program: dict[str, Any]) -> int:
+        """Write a program, read it back, and give the order; raises `DriveRefused` where the ECU does not take it."""
+        link = self._connected()
+        written = np.zeros((), link.layout.program)
+        for name, value in program.items():
+            written[name] = value
+        link.write(link.layout.program_at, written.tobytes())
+        held = np.frombuffer(link.read(link.layout.program_at, written.nbytes), written.dtype)[0]
+        for name in program:
+            if not np.array_equal(held[name], written[name]):
+                told = f"{name} is {held[name]} in the ECU after {written[name]} was written"
+                raise self.trip(DriveFault(FaultCause.WRONG_DATA, told))
+        return self._tell(order)
+
+    def _tell(self, order: Order) -> int:
+        """Give an order and wait until the routine has seen it; returns its number."""
+        link = self._connected()
+        self._number = number = self._number % 0xFFFF + 1
+        link.clear()
+        link.write(link.layout.order_at, np.array(number << 16 | order, link.layout.word).tobytes())
+        waited_s = AttentiveClock()
+        while (status := Status.of(int(self._fresh_row()["status"]))).number != number:
+            if waited_s() > self._options.timeout_s:
+                raise DriveFault(FaultCause.NO_ANSWER, f"the ECU's routine does not see the order {order.name.lower()}")
+        if status.refused:
+            self._require_sound(status)
+            raise DriveRefused(f"the ECU's routine refuses to {order.name.lower().replace('_', ' ')}")
+        return number
+
+    # What they share
+
+    def _require_sound(self, status: Status) -> None:
+        """Raises `DriveFault` where the ECU has tripped."""
+        if status.state == State.FAULTED:
+            raise self.trip(fault_of(status))
+
+    def _planner(self, limits: Limits) -> Planner:
+        return Planner(self.setup.motor, self.own.sampling_frequency_hz, limits.current_a, limits.voltage_v)
+
+    def _fresh_row(self) -> np.void:
+        return self._connected().newest()
+
+    def _connected(self) -> Link:
+        if self._link is None:
+            raise DriveRefused("not connected")
+        self._link.check()
+        return self._link
+
+
+def _ahead(tick: int, before: int) -> int:
+    """Ticks from one to the other, either way, of counters of 32 bits."""
+    return (tick - before + 2**31) % 2**32 - 2**31

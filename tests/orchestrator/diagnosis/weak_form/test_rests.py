@@ -1,0 +1,45 @@
+"""Where currents rest: a hold all through, a trapezoid's ends and not its ramps, whatever the noise."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.weak_form.rests import rests
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.pieces import NOISE_A, R_S, Array, Plan, hold, piece, ripple, sweep
+
+
+def _made(stage: SegmentStage, v_dq: Array, noise_a: float = NOISE_A) -> SegmentSignals:
+    noise = np.random.default_rng(1).normal(0.0, noise_a, v_dq.shape)
+    return piece(Plan(stage, v_dq, settings={"frequency_hz": 500.0, "rotation_hz": 4.0}), noise=noise)
+
+
+def _trapezoid(up: int, rest: int) -> Array:
+    """Voltage of a current that ramps to 2.5 A, rests, ramps down, rests."""
+    ramp = np.linspace(-2.5, 2.5, up)
+    i_q = np.concatenate([ramp, np.full(rest, 2.5), ramp[::-1], np.full(rest, -2.5)])
+    return np.stack([np.zeros(len(i_q)), R_S * i_q], axis=1)
+
+
+def test_a_hold_rests_all_through() -> None:
+    assert rests(_made(SegmentStage.RESISTANCE, hold(2.0, 0.0))) == (slice(0, 600),)
+
+
+@pytest.mark.parametrize("noise_a", [0.1 * NOISE_A, NOISE_A])
+def test_a_trapezoid_rests_at_its_ends(noise_a: float) -> None:
+    up, rest = 4000, 3000
+    made = _made(SegmentStage.CLASSICAL, _trapezoid(up, rest), noise_a)
+    found, window = rests(made), made.windows.step
+    assert len(found) == 2
+    for stretch, start in zip(found, (up, 2 * up + rest), strict=True):
+        # The current follows the voltage some time constants later: within a rest all of it has settled.
+        assert start - window <= stretch.start <= start + 800
+        assert abs(stretch.stop - (start + rest)) <= 2 * window
+
+
+def test_what_moves_all_the_time_does_not_rest() -> None:
+    assert rests(_made(SegmentStage.CLASSICAL, sweep(1, 2.5, 0.0))) == ()
+    assert rests(_made(SegmentStage.INJECTION, ripple(1.0, 0.0, 40.0))) == ()
+    assert rests(_made(SegmentStage.GATES_OFF, np.zeros((600, 2)))) == ()

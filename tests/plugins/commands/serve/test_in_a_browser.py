@@ -1,0 +1,111 @@
+"""The page in a real browser, at the width of a desk and of a phone: what a person sees and presses."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+import yaml
+
+from protocols import OperatorAnswered, RunEnded
+from tests.pictures.report import browser
+from tests.plugins.commands.serve.served import serving
+from tests.plugins.commands.serve.test_serving import ASKING
+from tests.support.chromium import Chromium, Tab, with_chromium
+from tests.support.tiny import messages_of, tiny_document
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(browser() is None, reason="needs Chromium"),
+]
+
+
+@pytest.fixture
+def chromium() -> Iterator[Chromium]:
+    with with_chromium() as chromium:
+        yield chromium
+        assert chromium.complaints == []
+
+
+def press(tab: Tab, name: str) -> None:
+    """A button that can be seen, and that nothing lies over."""
+    covered = (
+        f"(() => {{ const b = document.getElementById('{name}'); b.scrollIntoView({{block: 'center'}});"
+        " const r = b.getBoundingClientRect();"
+        " const top = document.elementFromPoint(r.x + r.width / 2, r.y + r.height / 2);"
+        " if (top !== b || b.disabled) return 'covered'; b.click(); return 'pressed'; })()"
+    )
+    assert tab.value(covered) == "pressed", name
+
+
+def is_seen(name: str) -> str:
+    return f"document.getElementById('{name}').checkVisibility()"
+
+
+def fits_its_width(tab: Tab) -> bool:
+    return bool(tab.value("document.documentElement.scrollWidth <= document.documentElement.clientWidth"))
+
+
+def test_a_person_starts_answers_on_the_phone_watches_and_stops(tmp_path: Path, chromium: Chromium) -> None:
+    document = tiny_document(stages=ASKING, drive={"realtime_factor": 1.0, "watchdog_s": 60.0})
+    (tmp_path / "asking.yaml").write_text(yaml.safe_dump(document))
+    with serving(tmp_path) as served:
+        desk, phone = chromium.open(served.address), chromium.open(served.address)
+        desk.resize(1200, 900)
+        phone.resize(360, 740, phone=True)
+        desk.until("document.querySelectorAll('[name=procedure] option').length > 1")
+        assert served.token not in desk.value("location.href")
+        assert served.token not in desk.value("document.cookie + document.documentElement.outerHTML")
+        assert fits_its_width(phone)
+
+        desk.value("document.querySelector('[name=serial]').value = 'SN-7'")
+        press(desk, "check")
+        desk.until("document.querySelector('#plan table') !== null")
+        press(desk, "start")
+        phone.until(is_seen("question"))
+        assert phone.value("document.getElementById('prompt').textContent") == "Is the brake engaged?"
+        assert fits_its_width(phone)
+        press(phone, "yes")
+
+        desk.until("document.getElementById('state').textContent.includes('energised')")
+        desk.until("document.querySelectorAll('#plane .dot').length > 2 && document.querySelector('#wave .d') !== null")
+        assert fits_its_width(phone)
+        assert not desk.value(is_seen("question"))
+        press(phone, "stop")
+        desk.until(
+            "document.getElementById('stopbar').hidden && document.getElementById('state').textContent === 'aborted'"
+        )
+        desk.until(is_seen("report"))
+        assert "stopped by a person at the page" in desk.value("document.getElementById('outcome').textContent")
+
+        run = tmp_path / "runs" / desk.value("document.querySelector('#rows td div').textContent")
+        messages = messages_of(run)
+        assert isinstance(messages[-1], RunEnded)
+        assert [m.through for m in messages if isinstance(m, OperatorAnswered)] == ["page"]
+        desk.call("Page.navigate", url=f"{served.origin}/report/{run.name}")
+        desk.until("document.title.length > 0 && document.body.textContent.includes('SN-7')")
+
+
+def test_a_page_of_another_origin_can_neither_read_nor_start(tmp_path: Path, chromium: Chromium) -> None:
+    with serving(tmp_path) as served:
+        own = chromium.open(served.address)
+        own.until("document.querySelectorAll('[name=procedure] option').length > 1")
+        foreign = chromium.open("data:text/html,<title>elsewhere</title>")
+        foreign.until("document.title === 'elsewhere'")
+        for method in ("GET", "POST"):
+            address = f"{served.origin}/{'choices' if method == 'GET' else 'start'}"
+            asked = f"fetch('{address}', {{method: '{method}', credentials: 'include'}})"
+            assert foreign.value(f"{asked}.then(() => 'read', () => 'refused')") == "refused"
+        assert own.value("fetch('/choices').then((answer) => answer.status)") == 200
+        chromium.complaints.clear()  # of the foreign page's
+
+
+def test_the_page_says_when_its_server_is_gone(tmp_path: Path, chromium: Chromium) -> None:
+    with serving(tmp_path) as served:
+        tab = chromium.open(served.address)
+        tab.until("document.getElementById('state').textContent === 'nothing is going'")
+        served.process.kill()
+        tab.until(is_seen("gone"))
+        assert "disarmed" in tab.value("document.getElementById('gone').textContent")
+        chromium.complaints.clear()  # it looks for the server again and again
