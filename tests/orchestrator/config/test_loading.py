@@ -106,8 +106,8 @@ stages = st.one_of(
 )
 
 
-# PyYAML writes YAML 1.1, where 0E0 is a word and U+0085 ends a line; what it quotes too little is left out.
-words = st.text(st.characters(exclude_categories=["Cc", "Cs", "Zl", "Zp"])).filter(lambda text: not text[:1].isdigit())
+# PyYAML writes YAML 1.1, where 0E0 is a word; what it quotes too little is left out.
+words = st.text(st.characters(exclude_categories=["Cs"])).filter(lambda text: not text[:1].isdigit())
 
 
 @settings(max_examples=60, deadline=None)
@@ -118,7 +118,7 @@ def test_any_procedure_survives_being_written_as_yaml(
     raw = yaml.safe_load(TEXT) | {"stages": written, "seed": seed, "summary": summary}
     procedure = Procedure.model_validate_json(json.dumps(raw))
     path = tmp_path_factory.getbasetemp() / "round-trip.yaml"
-    path.write_text(yaml.safe_dump(procedure.model_dump(mode="json"), allow_unicode=True), encoding="utf-8")
+    path.write_text(yaml.safe_dump(procedure.model_dump(mode="json")), encoding="utf-8")
     assert load_procedure(str(path)) == procedure
 
 
