@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.types import Array
 
 
@@ -47,9 +48,10 @@ def _rotated(x: NDArray[np.floating[Any]], angle: Array) -> Array:
     # A C-contiguous (n, 2) array of doubles is an (n,) array of complex numbers, whose rotation is one product.
     vectors = np.ascontiguousarray(x, dtype=np.float64).view(np.complex128)[:, 0]
     if angle.size > 1 and (angle == angle[0]).all():
-        # A locked rotor stands still, and one exponential serves all samples.
-        angle = angle[0]
-    turned: Array = (vectors * np.exp(1j * angle)).view(np.float64).reshape(-1, 2)
+        # A locked rotor stands still, and one angle serves all samples.
+        angle = angle[:1]
+    turns = unit_vectors(np.atleast_1d(angle)).view(np.complex128)[:, 0]
+    turned: Array = (vectors * turns).view(np.float64).reshape(-1, 2)
     return turned
 
 

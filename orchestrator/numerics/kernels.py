@@ -9,6 +9,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.numerics.types import Array
+
 Samples = NDArray[np.floating[Any]]
 
 
@@ -40,3 +42,29 @@ def vector_of(a: float, b: float, c: float) -> tuple[float, float]:
 def dq_of(alpha: float, beta: float, cos: float, sin: float) -> tuple[float, float]:
     """One vector as (d, q) in the frame at the angle of this cosine and sine, as `frames.to_dq`."""
     return cos * alpha + sin * beta, cos * beta - sin * alpha
+
+
+_NEAR_RAD = 0.25
+"""Within this of a known angle a few terms of the series are a cosine and a sine to rounding."""
+
+
+@njit(cache=True, nogil=True)
+def unit_vectors(angle_rad: Array) -> Array:
+    """Cosine and sine (n, 2) of angles (n,); at once where they hardly move, as of a rotor whose brake gives way."""
+    n = angle_rad.shape[0]
+    out = np.empty((n, 2))
+    first, furthest = angle_rad[0], 0.0
+    c, s = math.cos(first), math.sin(first)
+    for k in range(n):
+        a = angle_rad[k] - first
+        furthest = max(furthest, abs(a))
+        x = a * a
+        cos = 1 + x * (-1 / 2 + x * (1 / 24 + x * (-1 / 720 + x * (1 / 40320 + x * (-1 / 3628800 + x / 479001600)))))
+        sin = a * (1 + x * (-1 / 6 + x * (1 / 120 + x * (-1 / 5040 + x * (1 / 362880 - x / 39916800)))))
+        out[k, 0] = c * cos - s * sin
+        out[k, 1] = s * cos + c * sin
+    if not furthest < _NEAR_RAD:
+        for k in range(n):
+            out[k, 0] = math.cos(angle_rad[k])
+            out[k, 1] = math.sin(angle_rad[k])
+    return out

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.frames import to_ab, to_dq
+from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import held_lag, lagged_steps
 from protocols import (
@@ -176,8 +177,8 @@ class MagnetHeating:
             part = np.interp(now, signals.losses.time_s, warm / max(float(warm[-1]), 1e-12))
         inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
         slide = p.flux_change_wb / inductance * part
-        axis = np.stack([np.cos(signals.theta_rad), np.sin(signals.theta_rad)], axis=1)
-        return Correction(i_m_ab=signals.i_m_ab + slide[:, None] * axis)
+        theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
+        return Correction(i_m_ab=signals.i_m_ab + slide[:, None] * unit_vectors(theta_rad))
 
 
 class SlotHarmonics:
@@ -201,15 +202,33 @@ class SlotHarmonics:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the change of this flux from the voltage of each interval."""
-        psi = p.relative * _inductance(signals) * _crossed(signals, p.fading_per_a2)
-        induced = np.diff(psi, axis=0, append=psi[-1:]) * signals.sampling_frequency_hz
-        return Correction(v_ab=signals.v_ab - induced)
+        strength = p.relative * _inductance(signals) * signals.sampling_frequency_hz
+        v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+        i_m_ab = np.ascontiguousarray(signals.i_m_ab, dtype=np.float64)
+        axis = unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
+        return Correction(v_ab=_without_crossed(v_ab, i_m_ab, axis, strength, p.fading_per_a2))
 
 
-def _crossed(signals: Signals, fading: float) -> Array:
-    """Gradient of i_d i_q / (1 + f |i|^2) in the stator frame, shape (n, 2)."""
-    d, q = to_dq(signals.i_m_ab, signals.theta_rad).T
-    left = 1.0 / np.maximum(1.0 + fading * (d * d + q * q), 0.1)
-    bend = 2.0 * fading * d * q * left * left
-    psi_d, psi_q = q * left - bend * d, d * left - bend * q
-    return to_ab(np.stack([psi_d, psi_q], axis=1), signals.theta_rad)
+@njit(cache=True, nogil=True)
+def _without_crossed(v_ab: Array, i_ab: Array, axis: Array, strength: float, fading: float) -> Array:
+    """The voltage without `strength` times the steps of the gradient of i_d i_q / (1 + f |i|^2), shapes (n, 2).
+
+    Parameters
+    ----------
+    axis : array, shape (n, 2)
+        Cosine and sine of the d axis' angle.
+    """
+    out = v_ab.copy()
+    old_alpha, old_beta = 0.0, 0.0
+    for k in range(v_ab.shape[0]):
+        cos, sin = axis[k, 0], axis[k, 1]
+        d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
+        left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
+        bend = 2.0 * fading * d * q * left * left
+        psi_d, psi_q = q * left - bend * d, d * left - bend * q
+        alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
+        if k > 0:
+            out[k - 1, 0] -= strength * (alpha - old_alpha)
+            out[k - 1, 1] -= strength * (beta - old_beta)
+        old_alpha, old_beta = alpha, beta
+    return out

@@ -10,8 +10,10 @@ from collections.abc import Sequence
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
 from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
+from orchestrator.numerics.kernels import phases_of
 from orchestrator.numerics.types import Array
 from orchestrator.numerics.zero_sequence import gains_of
 from protocols import (
@@ -166,8 +168,23 @@ class CurrentNonlinearity:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Solve m = i + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
-        k = p.cubic_per_a2
-        read = to_phases(signals.i_ab)
-        square = read * read
-        near = read * (1.0 - k * square / (1.0 + 3.0 * abs(k) * square))
-        return Correction(i_ab=signals.i_ab - _vectors(k * near * near * near, signals.clarke_of_three is True))
+        clarke = _vectors(np.eye(3), signals.clarke_of_three is True)
+        return Correction(
+            i_ab=_straightened(np.ascontiguousarray(signals.i_ab, dtype=np.float64), p.cubic_per_a2, clarke)
+        )
+
+
+@njit(cache=True, nogil=True)
+def _straightened(i_ab: Array, cubic: float, clarke: Array) -> Array:
+    """Vectors (n, 2) without the cubes of the phase currents, of which `clarke` (3, 2) makes vectors."""
+    out = i_ab.copy()
+    for k in range(i_ab.shape[0]):
+        phases = phases_of(i_ab[k, 0], i_ab[k, 1])
+        for x in range(3):
+            read = phases[x]
+            square = read * read
+            near = read * (1.0 - cubic * square / (1.0 + 3.0 * abs(cubic) * square))
+            cube = cubic * near * near * near
+            out[k, 0] -= cube * clarke[x, 0]
+            out[k, 1] -= cube * clarke[x, 1]
+    return out

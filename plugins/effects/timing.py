@@ -6,8 +6,22 @@ import math
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 
+from orchestrator.numerics.types import Array
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
+
+
+@njit(cache=True, nogil=True)
+def _acting(v_ab: Array, whole: int, part: float) -> Array:
+    """Vectors (n, 2) so many and a part of a sample late; the first and the last stand for those beyond them."""
+    last = v_ab.shape[0] - 1
+    out = np.empty_like(v_ab)
+    for k in range(last + 1):
+        near, far = min(max(k - whole, 0), last), min(max(k - whole - 1, 0), last)
+        out[k, 0] = (1.0 - part) * v_ab[near, 0] + part * v_ab[far, 0]
+        out[k, 1] = (1.0 - part) * v_ab[near, 1] + part * v_ab[far, 1]
+    return out
 
 
 class VoltageDelay:
@@ -31,11 +45,7 @@ class VoltageDelay:
         """The mean voltage of each interval."""
         late = p.delay_s * signals.sampling_frequency_hz
         whole = math.floor(late)
-        part = late - whole
-        index = np.arange(len(signals.v_ab))
-        near = np.clip(index - whole, 0, len(index) - 1)
-        far = np.clip(index - whole - 1, 0, len(index) - 1)
-        return Correction(v_ab=(1.0 - part) * signals.v_ab[near] + part * signals.v_ab[far])
+        return Correction(v_ab=_acting(np.ascontiguousarray(signals.v_ab, dtype=np.float64), whole, late - whole))
 
 
 class CurrentFilter:
@@ -58,11 +68,26 @@ class CurrentFilter:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The current before the lag."""
-        i = signals.i_ab
-        if signals.i_smooth_ab is not None:
-            # A slope with the reading's own noise in it would be taken for signal by a fit. Where a model on trial
-            # leads the smooth current far away, the reading leads it back.
-            span = np.ptp(i, axis=0)
-            i = np.clip(signals.i_smooth_ab, i - span, i + span)
-        part = p.time_constant_s * signals.sampling_frequency_hz
-        return Correction(i_ab=signals.i_ab + part * np.diff(i, axis=0, prepend=i[:1]))
+        read = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        # A slope with the reading's own noise in it would be taken for signal by a fit.
+        smooth = read if signals.i_smooth_ab is None else signals.i_smooth_ab
+        samples = p.time_constant_s * signals.sampling_frequency_hz
+        return Correction(i_ab=_led(read, np.ascontiguousarray(smooth, dtype=np.float64), samples))
+
+
+@njit(cache=True, nogil=True)
+def _led(i_ab: Array, smooth_ab: Array, samples: float) -> Array:
+    """Vectors (n, 2) and so many samples of a smoother course's slope.
+
+    Where a model on trial leads the smooth current further away than the reading's own span, the reading leads it back.
+    """
+    out = np.empty_like(i_ab)
+    for axis in range(2):
+        span = np.max(i_ab[:, axis]) - np.min(i_ab[:, axis])
+        before = 0.0
+        for k in range(i_ab.shape[0]):
+            read = i_ab[k, axis]
+            near = min(max(smooth_ab[k, axis], read - span), read + span)
+            out[k, axis] = read + (samples * (near - before) if k > 0 else 0.0)
+            before = near
+    return out

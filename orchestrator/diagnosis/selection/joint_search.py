@@ -106,8 +106,13 @@ def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
 
 
 def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit with those effects in their second form that do better so; no descent from the first leads there."""
+    """The fit with those effects in their second form that do better so; no descent from the first leads there.
+
+    It is as it was where the first forms leave nothing.
+    """
     limits = fit.criteria.selection
+    if fit.chi2_per_dof <= limits.detected_chi2:
+        return fit
     for one in fit.model.active:
         other = one.in_other_form()
         if other is None or set(other.free) != set(one.free):

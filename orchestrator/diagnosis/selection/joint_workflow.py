@@ -63,8 +63,12 @@ def formed_together(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate
         before = doubting
         if _formless(fit) or before is not setup:
             doubting = doubting_zeros(setup, setup.coarse_fitter, fit, library)
-        if turn and as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
-            break
+        if turn:
+            if as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
+                break
+            fit = doubting.coarse_fitter.evaluate(fit.model, doubting.coarse_fitter.frame(fit.model))
+            if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
+                break
         fit = in_own_forms(doubting.coarse_fitter, fit)
     return doubting, fit
 

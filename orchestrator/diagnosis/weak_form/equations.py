@@ -20,6 +20,7 @@ from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.frames import to_ab, to_dq
+from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import CARDINAL
 from orchestrator.numerics.types import Array
 from protocols import Signals
@@ -54,7 +55,7 @@ def local_map(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> 
     """Evaluate the magnetics where the (corrected) signals of a piece are."""
     i_dq, delta = true_frame(piece, signals)
     psi, inductance = magnetics.flux_and_inductance(i_dq)
-    return LocalMap(i_dq, delta, np.stack([np.cos(delta), np.sin(delta)], axis=1), psi, inductance)
+    return LocalMap(i_dq, delta, unit_vectors(delta) if delta.size else np.zeros((0, 2)), psi, inductance)
 
 
 def true_frame(piece: SegmentSignals, signals: Signals) -> tuple[Array, Array]:

@@ -2,9 +2,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from orchestrator.numerics.frames import from_phases, to_dq, to_phases
-from orchestrator.numerics.kernels import dq_of, for_kernels, phases_of, vector_of
+from orchestrator.numerics.kernels import dq_of, for_kernels, phases_of, unit_vectors, vector_of
 from orchestrator.numerics.types import Array
 
 VECTORS = np.random.default_rng(1).normal(size=(20, 2)) * 30.0
@@ -27,3 +29,16 @@ def test_one_precision_for_all_and_no_copy_of_what_fits() -> None:
     assert for_kernels(double)[0] is double
     assert [x.dtype for x in for_kernels(single, double)] == [np.float64, np.float64]
     assert all(x.flags.c_contiguous for x in for_kernels(double[:, ::-1], double.T))
+
+
+@given(
+    st.floats(-1e3, 1e3),
+    st.lists(st.one_of(st.floats(-0.2, 0.2), st.floats(-10.0, 10.0)), min_size=1, max_size=20),
+)
+def test_unit_vectors_are_cosine_and_sine_near_the_first_angle_and_far_from_it(
+    first: float, steps: list[float]
+) -> None:
+    angle = first + np.array([0.0, *steps])
+    # An angle of a thousand radians is itself known to one part in 2^53 of it.
+    exact = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    np.testing.assert_allclose(unit_vectors(angle), exact, atol=4.0 * np.finfo(float).eps * max(1.0, abs(first)))
