@@ -272,13 +272,25 @@ def refuse_excitation(excitation: Excitation, limits: Limits, own: Capabilities,
         raise DriveRefused(f"current {current_a:.4g} A is above the limit of {limits.current_a:g} A")
     if isinstance(excitation, VoltageSteps) and excitation.voltage_v > limits.voltage_v * SINGLE:
         raise DriveRefused(f"steps of {excitation.voltage_v:.4g} V are above the limit of {limits.voltage_v:g} V")
-    if isinstance(excitation, Injection):  # on open loop: current control saturates by itself
+    if isinstance(excitation, Injection):
+        _refuse_injection(excitation, own)
+        # on open loop: current control saturates by itself
         voltage_v = excitation.amplitude_v + resistance_ohm * current_a
         if voltage_v > limits.voltage_v * SINGLE:
             raise DriveRefused(
                 f"injection of {excitation.amplitude_v:g} V at {current_a:.4g} A needs {voltage_v:.4g} V, "
                 f"above the limit of {limits.voltage_v:g} V"
             )
+
+
+def _refuse_injection(e: Injection, own: Capabilities) -> None:
+    if e.waveform not in own.injection_waveforms:
+        raise DriveRefused(f"this drive injects no {e.waveform} wave")
+    if own.injects_at_zero_only and e.longest_current_a > 0.0:
+        raise DriveRefused("this drive injects at zero current only")
+    whole_s, longest_s = e.discard_s + e.captured_s, own.longest_injection_s
+    if longest_s is not None and whole_s > longest_s * SINGLE:
+        raise DriveRefused(f"an injection of {whole_s:g} s is longer than the drive's {longest_s:g} s")
 
 
 def in_blocks(capture: Capture, longest_s: float = 0.25, rows: int | None = None) -> Iterator[Capture]:

@@ -119,6 +119,7 @@ from protocols._excitations import (
     Spin,
     Trapezoid,
     VoltageSteps,
+    Waveform,
 )
 from protocols._model import (
     Baseline,
@@ -364,6 +365,7 @@ __all__ = [
     "Vectors",
     "Verdict",
     "VoltageSteps",
+    "Waveform",
     "WorstSegment",
     "amplitude",
     "refinement",

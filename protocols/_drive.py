@@ -17,7 +17,7 @@ from typing import Any, ClassVar, Protocol, runtime_checkable
 from pydantic import BaseModel, ConfigDict
 
 from protocols._base import Strict
-from protocols._excitations import Excitation, ExcitationKind, NonNegative
+from protocols._excitations import Excitation, ExcitationKind, NonNegative, Waveform
 from protocols._motor import Motor, Positive
 from protocols._recording import Capture
 
@@ -53,6 +53,12 @@ class Capabilities(Strict):
     """Settling and capture together, where a table is played; None: the drive makes it up as it goes."""
     frequency_step_hz: Positive | None = None
     """Injections are at whole multiples of it; None: at any frequency that fits the rows."""
+    injection_waveforms: frozenset[Waveform] = frozenset(("square", "sine"))
+    """Those that it can play."""
+    injects_at_zero_only: bool = False
+    """Whether its injection goes together with no current but zero."""
+    longest_injection_s: Positive | None = None
+    """From where an injection begins to the capture's end, what is discarded included; None: as other captures."""
     rotation_step_hz: Positive | None = None
     """Their direction rotates at whole multiples of it; None: at any frequency."""
     heeds_bandwidth: bool = True

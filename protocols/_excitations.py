@@ -12,6 +12,7 @@ from protocols._base import Strict
 from protocols._motor import Positive
 
 NonNegative = Annotated[float, Field(ge=0)]
+Waveform = Literal["square", "sine"]
 
 
 class CurrentControl(Strict):
@@ -146,7 +147,7 @@ class Injection(_Excitation):
     amplitude_v: Positive
     frequency_hz: Positive
     rotation_hz: NonNegative
-    waveform: Literal["square", "sine"] = "square"
+    waveform: Waveform = "square"
 
     @property
     def captured_s(self) -> float:

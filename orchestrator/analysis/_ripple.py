@@ -162,8 +162,8 @@ def _demodulated(
     from orchestrator.analysis._ripple_moments import ripple_moments
 
     rate = capture.sampling_frequency_hz
-    width = _window(rate / frequency)
     first = max(skip, math.ceil(delay))
+    width = _window(rate / frequency, len(capture) - first)
     if len(capture) - first < width:
         problem = (
             f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {len(capture) - first} are there"
@@ -211,11 +211,12 @@ def _demodulated(
     )
 
 
-def _window(period: float, fewest: int = 4) -> int:
+def _window(period: float, most: int, fewest: int = 4) -> int:
     """Samples of the shortest window of at least four periods that holds a whole number of them, or nearly so.
 
-    In four a ramp is nearly orthogonal to the ripple.
+    In four a ramp is nearly orthogonal to the ripple. Of those with at most `most` samples, where there are such.
     """
-    periods = np.arange(fewest, 10 * fewest + 1)
+    longest = min(10 * fewest, math.floor(most / period))
+    periods = np.arange(fewest, max(longest, fewest) + 1)
     off = np.abs(periods * period - np.round(periods * period)) / periods
     return round(float(periods[int(np.argmax(off <= max(1e-3, off.min())))] * period))

@@ -41,7 +41,7 @@ class Fitting:
         if not drive.heeds_bandwidth and not isinstance(excitation, GatesOff):
             self._note(f"{drive.name} has a current control of its own: no control.bandwidth_hz is heeded")
         if isinstance(excitation, Injection):
-            excitation = self._on_the_grid(excitation, drive, where)
+            excitation = self._on_the_grid(self._of_a_wave(excitation, drive, where), drive, where)
         longest_s = longest_capture_s(excitation, drive)
         if longest_s is None or longest_s <= 0.0 or excitation.captured_s <= longest_s:
             return [excitation]
@@ -53,6 +53,13 @@ class Fitting:
             return self._in_parts(excitation, longest_s, drive, where)
         self._note(f"{where}: {excitation.captured_s:g} s become {longest_s:g} s, the drive's longest capture")
         return [excitation.model_copy(update={"duration_s": longest_s})]
+
+    def _of_a_wave(self, e: Injection, drive: Capabilities, where: str) -> Injection:
+        if e.waveform in drive.injection_waveforms or len(drive.injection_waveforms) != 1:
+            return e
+        (only,) = drive.injection_waveforms
+        self._note(f"{where}: waveform {e.waveform} becomes {only}, all that the drive plays")
+        return e.model_copy(update={"waveform": only})
 
     def _on_the_grid(self, e: Injection, drive: Capabilities, where: str) -> Injection:
         update: dict[str, float] = {}
@@ -111,6 +118,8 @@ def longest_capture_s(excitation: Excitation, drive: Capabilities) -> float | No
     limits = [drive.longest_capture_s]
     if drive.longest_excitation_s is not None:
         limits.append(drive.longest_excitation_s - excitation.settling_s)
+    if drive.longest_injection_s is not None and isinstance(excitation, Injection):
+        limits.append(drive.longest_injection_s - excitation.discard_s)
     return min((limit for limit in limits if limit is not None), default=None)
 
 

@@ -164,6 +164,9 @@ class Requirements:
             longest = f"the drive's longest capture{settles} is {max(longest_s, 0.0):g} s"
             raise self._at(point, field, f"captures {point.captured_s:g} s; {longest}")
         if isinstance(e, Injection):
+            if drive.injects_at_zero_only and e.longest_current_a > 0.0:
+                problem = f"at ({e.target_d_a:g}, {e.target_q_a:g}) A; the drive {drive.name!r} injects at zero only"
+                raise self._at(point, "points_a", problem)
             for name, step in (("frequency_hz", drive.frequency_step_hz), ("rotation_hz", drive.rotation_step_hz)):
                 if not on_grid(getattr(e, name), step):
                     problem = (

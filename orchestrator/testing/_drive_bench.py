@@ -32,10 +32,13 @@ from protocols import (
     Spin,
     Trapezoid,
     VoltageSteps,
+    Waveform,
 )
 
 SAMPLES_PER_PERIOD = 20
 """Rows in one injection period: a whole number, so that the kit's spectra have no leakage."""
+LATE_PERIODS = 10
+"""Injection periods that the kit discards where it wants a ripple that has settled."""
 FEWEST_PERIODS = 5
 """Injection periods in one turn of the injected vector, also on a drive that samples slowly."""
 
@@ -51,6 +54,9 @@ class Sizes:
     duration_s: float
     period_s: float
     injection_s: float
+    injected_at_a: float
+    late_s: float
+    waveform: Waveform
     amplitude_v: float
     step_v: float
     frequency_hz: float
@@ -67,8 +73,9 @@ class Sizes:
         if motor.d_inductance_h is not None:
             amplitude = injection_voltage_v(rated, motor.d_inductance_h, frequency)
         periods = max(FEWEST_PERIODS, int(0.5 * frequency))
-        if capabilities.longest_capture_s is not None:
-            periods = max(1, min(periods, int(capabilities.longest_capture_s * frequency)))
+        room_s = min(longest, (capabilities.longest_injection_s or math.inf) - LATE_PERIODS / frequency)
+        if room_s < math.inf:
+            periods = max(1, min(periods, int(room_s * frequency * (1.0 + 1e-9))))
         injection_s = periods / frequency
         return cls(
             limits=Limits(current_a=min(capabilities.max_current_a, 1.5 * rated), voltage_v=capabilities.max_voltage_v),
@@ -78,6 +85,9 @@ class Sizes:
             duration_s=min(max(0.4, 4.0 * row_s), longest),
             period_s=min(0.6, longest / 2.0),
             injection_s=injection_s,
+            injected_at_a=0.0 if capabilities.injects_at_zero_only else 0.2 * rated,
+            late_s=min(0.2, (capabilities.longest_injection_s or math.inf) - injection_s),
+            waveform="square" if "square" in capabilities.injection_waveforms else "sine",
             amplitude_v=min(amplitude, 0.4 * capabilities.max_voltage_v),
             step_v=min(max(amplitude, 1.2 * rated * (motor.stator_resistance_ohm or 0.0)), capabilities.max_voltage_v),
             frequency_hz=frequency,
@@ -114,16 +124,17 @@ class Sizes:
         )
 
     def injection(self, **changed: Any) -> Injection:
-        """One turn of the injected vector at (1/2, 1/2) times the kit's current."""
+        """One turn of the injected vector at (1/2, 1/2) times the kit's current, or at zero where that is all."""
         return Injection(
             **{
-                "target_d_a": 0.5 * self.current_a,
-                "target_q_a": 0.5 * self.current_a,
+                "target_d_a": self.injected_at_a,
+                "target_q_a": self.injected_at_a,
                 "settle_s": self.settle_s,
                 "duration_s": self.injection_s,
                 "amplitude_v": self.amplitude_v,
                 "frequency_hz": self.frequency_hz,
                 "rotation_hz": self.rotation_hz,
+                "waveform": self.waveform,
                 **changed,
             }
         )

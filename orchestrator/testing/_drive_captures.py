@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.testing._drive_bench import SAMPLES_PER_PERIOD, DriveBench, Session
+from orchestrator.testing._drive_bench import LATE_PERIODS, SAMPLES_PER_PERIOD, DriveBench, Session
 from orchestrator.testing._kit import bounded
 from orchestrator.testing._waveforms import (
     angle_between,
@@ -100,7 +100,9 @@ class DriveCaptureChecks(DriveBench):
     def test_injection_is_found_in_the_captured_voltage(self, tmp_path: Path, waveform: str) -> None:
         with self.armed(tmp_path) as session:
             session.requires("injection")
-            late_s = 10.0 / session.sizes.frequency_hz
+            if waveform not in session.capabilities.injection_waveforms:
+                pytest.skip(f"this drive claims no {waveform} wave")
+            late_s = LATE_PERIODS / session.sizes.frequency_hz
             excitation = session.sizes.injection(waveform=waveform, rotor_angle_rad=SIXTY_DEGREES, discard_s=late_s)
             measured = session.measure(excitation)
             found = find_injection(
@@ -124,11 +126,12 @@ class DriveCaptureChecks(DriveBench):
     def test_injection_ripples_about_its_target(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
             session.requires("injection")
-            excitation = session.sizes.injection(discard_s=session.sizes.settle_s)
+            excitation = session.sizes.injection(discard_s=session.sizes.late_s)
             measured = session.measure(excitation)
             target = complex(excitation.target_d_a, excitation.target_q_a)
             reached = complex_dq(measured.i_ab, 0.0).mean()
-            assert abs(reached - target) < 0.5 * abs(target), f"ripples about {reached:.3f} A instead of {target:.3f} A"
+            allowed = 0.5 * abs(target) or 2.0 * self.near(session)
+            assert abs(reached - target) < allowed, f"ripples about {reached:.3f} A instead of {target:.3f} A"
             follows = ripple_follows_flux(measured.v_ab, measured.i_ab, SAMPLES_PER_PERIOD)
             assert follows > 0.5, f"the ripple current follows the integral of the voltage with {follows:.2f} only"
 

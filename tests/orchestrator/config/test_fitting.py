@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from orchestrator.config import Plan, check_plan, make_plan
-from protocols import Injection, Trapezoid
+from protocols import CapabilityError, Injection, Trapezoid
 from tests.orchestrator.testing.example_drive import ExampleDrive
 from tests.support.benches import Bench
 
@@ -75,6 +75,26 @@ def test_an_injection_keeps_whole_turns_on_the_drives_grid(
     assert point.settings["frequency_hz"] == pytest.approx(frequency)
     assert point.settings["rotation_hz"] == pytest.approx(rotation)
     assert any("stages.0 (injection)" in note for note in plan.notes) == (found != (500.0, 2.0, 1.0))
+
+
+def test_a_wave_that_is_not_played_becomes_the_one_that_is(pm400: Bench) -> None:
+    plan = fitted(pm400, INJECTION, injection_waveforms=frozenset({"sine"}))
+    (point,) = plan.points
+    assert isinstance(point.excitation, Injection)
+    assert point.excitation.waveform == "sine"
+    assert any("waveform square becomes sine" in note for note in plan.notes)
+
+
+def test_what_an_injection_discards_counts_where_its_memory_begins_with_it(pm400: Bench) -> None:
+    (point,) = fitted(pm400, {**INJECTION, "discard_s": 0.25}, longest_injection_s=0.75).points
+    assert point.captured_s == pytest.approx(0.5)
+
+
+def test_an_injection_elsewhere_than_at_zero_is_refused_beforehand_where_the_drive_has_none(pm400: Bench) -> None:
+    with pytest.raises(CapabilityError, match="injects at zero only"):
+        fitted(pm400, INJECTION, injects_at_zero_only=True)
+    (point,) = fitted(pm400, {**INJECTION, "points_a": [[0.0, 0.0]]}, injects_at_zero_only=True).points
+    assert point.excitation.longest_current_a == 0.0
 
 
 def test_a_bandwidth_that_is_not_heeded_is_said_once_and_not_held_against_the_sampling(pm400: Bench) -> None:

@@ -1,0 +1,182 @@
+"""The conversation with a VESC: who it is, its settings, readings, a held current, a tone, sampled rows.
+
+Commands are those of a stock firmware from 6.06 on: the terminal's `rotor_lock_openloop`, LispBM's console, and
+COMM_SAMPLE_PRINT. docs/vesc.md says where each was read.
+"""
+
+from __future__ import annotations
+
+import struct
+import time
+from dataclasses import dataclass
+from typing import Any
+
+from plugins.drives.vesc._link import Link
+from plugins.drives.vesc._packets import Command, Sampling, Values, numbers_in, rows_of
+from protocols import DriveFault, DriveRefused, FaultCause
+
+ANSWER_S = 1.0
+CONSOLE_S = 0.55
+"""Between two lines to the Lisp console: what comes within half a second after a line is passed over without a word."""
+RELEASE_S = 1.1
+"""After a tone was begun the bridge stays on for a second, whatever is asked for."""
+FOC = 2
+WITH_INJECTION_OF_ITS_OWN = range(3, 9)
+"""Sensor modes FOC_SENSOR_MODE_HFI to HFI_V5."""
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What has to be known of the board's configuration; the first five are changed for a run and put back."""
+
+    max_scale: float
+    min_scale: float
+    abs_current_a: float
+    timeout_ms: float
+    current_max_a: float
+    current_min_a: float
+    max_duty: float
+    zero_vectors_hz: float
+    proportional: float
+    integral: float
+    motor_type: int
+    sensor_mode: int
+    inverted: int
+
+    @property
+    def own_limit_a(self) -> float:
+        return self.current_max_a * self.max_scale
+
+
+class Board:
+    """A board at the other end of a link.
+
+    Parameters
+    ----------
+    link : Link
+    """
+
+    def __init__(self, link: Link) -> None:
+        self._link = link
+        self._said_s, self.released_s = time.monotonic(), 0.0  # whoever was here before may just have said something
+
+    def version(self) -> tuple[int, int, str]:
+        """Firmware's version, and the board's name."""
+        answer = self._link.ask(bytes([Command.FW_VERSION]), Command.FW_VERSION, ANSWER_S)
+        if len(answer) < 4:
+            raise DriveFault(FaultCause.WRONG_DATA, f"{self._link.where}: a version of {len(answer)} octets")
+        return answer[1], answer[2], answer[3:].split(b"\0")[0].decode("latin1")
+
+    def settings(self) -> Settings:
+        """Read the configuration that is at work."""
+        limits = self._numbers(
+            _asked(
+                "l-current-max-scale",
+                "l-current-min-scale",
+                "l-abs-current-max",
+                "timeout-msec",
+                "l-current-max",
+                "l-current-min",
+                "l-max-duty",
+            ),
+            7,
+        )
+        # Six digits behind the point are few for the proportional gain of a small winding.
+        kinds = _asked("foc-current-ki", "motor-type", "foc-sensor-mode", "m-invert-direction")
+        rest = self._numbers(f"(conf-get 'foc-f-zv) (* 1000.0 (conf-get 'foc-current-kp)) {kinds}", 6)
+        values: list[Any] = [*limits, rest[0], rest[1] / 1000.0, rest[2], *map(int, rest[3:])]
+        return Settings(*values)
+
+    def apply(self, max_scale: float, min_scale: float, abs_current_a: float, timeout_ms: float) -> None:
+        """Set these in the board's memory, not for good; raises `DriveFault` where they are not held afterwards."""
+        wanted = {
+            "l-current-max-scale": f"{max_scale:.6f}",
+            "l-current-min-scale": f"{min_scale:.6f}",
+            "l-abs-current-max": f"{abs_current_a:.6f}",
+            "timeout-msec": f"{timeout_ms:.0f}",
+        }
+        told = " ".join(f"(conf-set '{name} {value})" for name, value in wanted.items())
+        held = self._numbers(_asked(*wanted), len(wanted), before=told)
+        for (name, value), now in zip(wanted.items(), held, strict=True):
+            if abs(now - float(value)) > 1e-4 * abs(float(value)) + 1e-6:
+                raise DriveFault(FaultCause.WRONG_DATA, f"{name} is {now:g} after {value} was written")
+
+    def values(self) -> Values:
+        """A reading, of all that has been since the one before."""
+        return Values.of(self._link.ask(Values.question(), Command.GET_VALUES_SELECTIVE, ANSWER_S))
+
+    def alive(self) -> None:
+        """What the board's own timeout hears."""
+        self._link.send(bytes([Command.ALIVE]))
+
+    def hold(self, current_a: float, degrees: float) -> None:
+        """Hold a current along an angle; a current of zero lets go."""
+        text = f"rotor_lock_openloop {current_a:.6g} 0 {degrees % 360.0:.6f}"
+        self._link.forget(Command.PRINT)
+        self._link.send(bytes([Command.TERMINAL_CMD]) + text.encode() + b"\0")
+        told = ""
+        while not told.endswith("OK\n"):
+            answer = self._link.take(Command.PRINT, ANSWER_S)
+            if answer is None:
+                raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: {text!r} has no answer; {told.strip()!r}")
+            told += answer[1:].rstrip(b"\0").decode("latin1")
+            if "must be" in told or "requires" in told:
+                raise DriveRefused(f"{self._link.where}: {told.splitlines()[-1]}")
+            if "Fault occured" in told:
+                raise DriveFault(FaultCause.INTERNAL, f"{self._link.where}: {told.splitlines()[-1]}")
+
+    def sample(self, mode: Sampling, rows: int) -> None:
+        """Have so many rows sampled, every period; they come by `row`."""
+        self._link.forget(Command.SAMPLE_PRINT)
+        self._link.send(struct.pack(">BBHBB", Command.SAMPLE_PRINT, mode, rows, 1, 0))
+
+    def row(self, timeout_s: float) -> bytes | None:
+        """The next row that has come; None where none does in time."""
+        return self._link.take(Command.SAMPLE_PRINT, timeout_s)
+
+    def row_rate_hz(self) -> float:
+        """What the board's rows say of their rate, to 10 Hz below."""
+        self.sample(Sampling.NOW, 1)
+        row = self.row(ANSWER_S)
+        if row is None:
+            raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: samples no rows")
+        return float(rows_of([row])["rate"][0])
+
+    def tone(self, frequency_hz: float, amplitude_v: float, turns_hz: float, lasts_s: float) -> None:
+        """Start a sine along q of a frame without a current that turns; it ends by itself.
+
+        The tone switches the bridge on and begins with its first period. The frame turns some time later.
+        """
+        self._say(
+            f"(progn (foc-play-stop) (foc-play-tone 0 {frequency_hz:.6f} {amplitude_v:.6f}) "
+            f"(foc-openloop 0.0 {60.0 * turns_hz:.6f}) (sleep {lasts_s:.3f}) (foc-play-stop))"
+        )
+        self.released_s = time.monotonic() + RELEASE_S
+
+    # The console
+
+    def _numbers(self, asked: str, count: int, before: str = "") -> list[float]:
+        """Values of expressions; what the console prints has room for 128 letters."""
+        expression = f"(progn {before} (list {asked}))"
+        self._link.forget(Command.LISP_PRINT)
+        self._say(expression)
+        deadline, told = time.monotonic() + ANSWER_S, ""
+        while (left := deadline - time.monotonic()) > 0.0:
+            answer = self._link.take(Command.LISP_PRINT, left)
+            if answer is None:
+                break
+            told = answer[1:].rstrip(b"\0").decode("latin1")
+            if told.startswith("> ("):
+                found = numbers_in(told)
+                if len(found) == count:
+                    return found
+        raise DriveFault(FaultCause.NO_ANSWER, f"{self._link.where}: no answer to {expression!r}; {told!r}")
+
+    def _say(self, expression: str) -> None:
+        time.sleep(max(0.0, self._said_s + CONSOLE_S - time.monotonic()))
+        self._link.send(bytes([Command.LISP_REPL_CMD]) + expression.encode() + b"\0")
+        self._said_s = time.monotonic()
+
+
+def _asked(*names: str) -> str:
+    return " ".join(f"(conf-get '{name})" for name in names)

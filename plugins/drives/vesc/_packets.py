@@ -1,0 +1,145 @@
+"""What goes over a VESC's line: frames (comm/packet.c), commands (datatypes.h) and their numbers. Talks to nobody."""
+
+from __future__ import annotations
+
+import re
+import struct
+from binascii import crc_hqx
+from dataclasses import dataclass
+from enum import IntEnum
+
+import numpy as np
+
+from protocols import DriveFault, FaultCause
+
+LONGEST = 512
+"""Octets of a payload (PACKET_MAX_PL_LEN)."""
+SHORT, LONG, END = 2, 3, 3
+
+
+class Command(IntEnum):
+    """Of COMM_PACKET_ID those that are used."""
+
+    FW_VERSION = 0
+    SAMPLE_PRINT = 19
+    TERMINAL_CMD = 20
+    PRINT = 21
+    ALIVE = 30
+    GET_VALUES_SELECTIVE = 50
+    LISP_PRINT = 135
+    LISP_REPL_CMD = 138
+
+
+class Sampling(IntEnum):
+    """When rows are taken (debug_sampling_mode)."""
+
+    NOW = 1
+    START = 2
+    """From the first period in which the motor runs."""
+
+
+ROW = np.dtype(
+    [
+        ("command", "u1"),
+        ("index", ">i2"),
+        ("i", ">f4", 3),
+        ("v", ">f4", 3),
+        ("zero", ">f4"),
+        ("filtered", ">f4"),
+        ("rate", ">f4"),
+        ("status", "u1"),
+        ("phase", "u1"),
+        ("again", ">i4"),
+    ]
+)
+"""A sampled row, as `send_sample_block` in motor/mc_interface.c writes it."""
+
+
+def framed(payload: bytes) -> bytes:
+    """A payload of 1 to 512 octets as a frame."""
+    n = len(payload)
+    head = struct.pack(">BB", SHORT, n) if n < 256 else struct.pack(">BH", LONG, n)
+    return head + payload + struct.pack(">HB", crc_hqx(payload, 0), END)
+
+
+class Decoder:
+    """Payloads out of octets as they come; what is damaged is passed over, octet by octet."""
+
+    def __init__(self) -> None:
+        self._waiting = b""
+
+    def feed(self, octets: bytes) -> list[bytes]:
+        """The payloads that are whole now."""
+        data, at, found = self._waiting + octets, 0, []
+        while at < len(data):
+            payload, used = _first(data, at)
+            if payload is not None:
+                found.append(payload)
+            elif used == 0:
+                break
+            at += used
+        self._waiting = data[at:]
+        return found
+
+
+def _first(data: bytes, at: int) -> tuple[bytes | None, int]:
+    """What begins here and its octets; none and 1 for what is no frame, none and 0 for one that is not whole."""
+    start = data[at]
+    if start not in (SHORT, LONG):
+        return None, 1
+    if len(data) - at < start:
+        return None, 0
+    n = int.from_bytes(data[at + 1 : at + start])
+    if not (1 if start == SHORT else 255) <= n <= LONGEST:
+        return None, 1
+    begin, end = at + start, at + start + n
+    if len(data) < end + 3:
+        return None, 0
+    payload = data[begin:end]
+    if data[end + 2] != END or int.from_bytes(data[end : end + 2]) != crc_hqx(payload, 0):
+        return None, 1
+    return payload, start + n + 3
+
+
+@dataclass(frozen=True)
+class Values:
+    """A reading; currents and voltages are means since the reading before, in the frame of the control."""
+
+    i: complex
+    bus_v: float
+    fault: int
+    v: complex
+    timed_out: bool
+
+    MASK = 1 << 4 | 1 << 5 | 1 << 8 | 1 << 15 | 1 << 19 | 1 << 20 | 1 << 21
+
+    @classmethod
+    def question(cls) -> bytes:
+        """What asks for it."""
+        return struct.pack(">BI", Command.GET_VALUES_SELECTIVE, cls.MASK)
+
+    @classmethod
+    def of(cls, payload: bytes) -> Values:
+        """Raises `DriveFault` where it is something else."""
+        layout = struct.Struct(">BIiihBiiB")
+        if len(payload) != layout.size:
+            raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {len(payload)} octets, expected {layout.size}")
+        _, mask, d, q, bus, fault, vd, vq, status = layout.unpack(payload)
+        if mask != cls.MASK:
+            raise DriveFault(FaultCause.WRONG_DATA, f"a reading of {mask:#x}, {cls.MASK:#x} was asked for")
+        return cls(complex(d, q) / 100.0, bus / 10.0, fault, complex(vd, vq) / 1000.0, bool(status & 1))
+
+
+def rows_of(payloads: list[bytes]) -> np.ndarray:
+    """Sampled rows in their order; raises `DriveFault` where one is missing or of another length."""
+    if any(len(payload) != ROW.itemsize for payload in payloads):
+        raise DriveFault(FaultCause.WRONG_DATA, f"a sampled row is not of {ROW.itemsize} octets")
+    rows = np.frombuffer(b"".join(payloads), ROW)
+    if not np.array_equal(rows["index"], np.arange(len(rows))):
+        raise DriveFault(FaultCause.WRONG_DATA, "sampled rows are missing, or of two captures")
+    return rows
+
+
+def numbers_in(text: str) -> list[float]:
+    """The numbers of an answer of the board's Lisp: `> (60.000000f32 1000)`."""
+    return [float(one) for one in re.findall(r"-?\d+(?:\.\d+)?", re.sub(r"f32|u32|i32", "", text))]

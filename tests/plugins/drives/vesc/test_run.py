@@ -1,0 +1,68 @@
+"""The procedure of docs/vesc.md on an emulated board: resistance, inductances, and what a killed host leaves."""
+
+from __future__ import annotations
+
+import json
+import re
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import yaml
+
+from orchestrator.analysis import demodulate, invert
+from orchestrator.config import load_procedure
+from orchestrator.engine import WORDS, AbsentOperator, Crew, Interrupts, start_run
+from orchestrator.recording import open_recording
+from protocols import SegmentStage
+from tests.plugins.drives.vesc.emulator import on_a_line, on_tcp
+from tests.support.processes import start_fluxbench, wait_until
+
+PAGE = Path(__file__).parents[4] / "docs" / "vesc.md"
+SAFE = ("--quiet", "--unattended", "I have made the bench safe")
+
+
+def procedure_at(port: str, folder: Path) -> Path:
+    found = re.search(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
+    assert found is not None, f"{PAGE} shows no procedure"
+    document: dict[str, Any] = yaml.safe_load(found[1])
+    document["drive"]["port"] = port
+    file = folder / "procedure.yaml"
+    file.write_text(yaml.safe_dump(document), encoding="utf-8")
+    return file
+
+
+@pytest.mark.slow
+def test_the_pages_procedure_finds_resistance_and_inductances(tmp_path: Path) -> None:
+    with on_tcp() as (firmware, port):
+        procedure = load_procedure(str(procedure_at(port, tmp_path)))
+        result = start_run(procedure, tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
+        assert not firmware.running
+        motor, angle = firmware.motor, 0.7
+    assert result.outcome.ending == "finished", result.outcome.reason
+    found = json.loads((tmp_path / "run" / "results" / "estimates.json").read_text())
+    assert found["resistance"]["value_ohm"] == pytest.approx(motor.resistance_ohm, rel=0.01)
+    recording = open_recording(tmp_path / "run")
+    ripples = [
+        demodulate(recording.load(segment), segment.rotor_angle_rad, voltage_delay_samples=0.5)
+        for segment in recording.segments(SegmentStage.INJECTION)
+    ]
+    believed = recording.segments(SegmentStage.INJECTION)[0].rotor_angle_rad
+    mean = invert(ripples).matrix.mean(axis=0)
+    off = np.exp(1j * (angle - believed))
+    turn = np.array([[off.real, -off.imag], [off.imag, off.real]])
+    true = turn @ np.diag([motor.ld_h, motor.lq_h]) @ turn.T
+    print(found["resistance"]["value_ohm"], mean, true)
+    assert mean == pytest.approx(true, rel=0.02, abs=0.02 * motor.ld_h)
+
+
+@pytest.mark.slow
+def test_a_host_that_is_killed_leaves_the_bridge_off(tmp_path: Path) -> None:
+    with on_a_line() as (firmware, port):
+        process = start_fluxbench("run", procedure_at(port, tmp_path), "--out", tmp_path / "run", *SAFE)
+        wait_until(lambda: firmware.running)
+        process.send_signal(signal.SIGKILL)
+        process.communicate()
+        wait_until(lambda: not firmware.running, 1.5)
