@@ -386,6 +386,8 @@ class ConventionCriteria(Strict):
     """Part of the whole answer to a step of voltage that is none."""
     answer: float = _is(0.3, "1", "simulated")
     """Part of it that is one: half a sample's delay leaves a half in either."""
+    part_of_a_sample: float = _is(0.3, "sample", "practice")
+    """Further off whole samples than this, a sine's phase is turned by something else, iron loss or a filter."""
     nameplate: float = _is(0.2, "1", "practice")
     """Relative difference to the nameplate's R and L that tolerance, temperature and saturation make."""
     least_scale: float = _is(1.35, "1", "practice")

@@ -43,7 +43,7 @@ def _csv_blocks(path: Path, wanted: Wanted, layout: CsvLayout) -> Iterator[Block
     # One thread: with more, pyarrow does not say the row of what it cannot read.
     read = csv.ReadOptions(
         use_threads=False,
-        block_size=4 << 20,  # bytes in memory at once
+        block_size=1 << 20,  # bytes; some of these are read ahead
         skip_rows=layout.skip_rows,
         skip_rows_after_names=layout.skip_rows_after_names,
         column_names=layout.names,

@@ -146,7 +146,7 @@ class _Import:
             rate, parts = self._clock.rate_hz, stretch.parts()
             made = segment_of(piece, parts[0], rate, self._findings)
             self._checks.judge(made.waveforms)
-            samples = len(made.capture) if len(parts) == 1 else stretch.rows.size
+            samples = len(made.capture) if len(parts) == 1 else len(stretch.rows)
             segment_id, start_s = self._placing.place(piece, stretch, samples, rate)
             with SegmentWriter(self._directory, segment_id) as writer:
                 writer.append(made.capture.model_copy(update={"start_s": start_s}))

@@ -179,7 +179,12 @@ class ImportMapping(Strict):
 
     def number_columns(self) -> list[str]:
         """The columns that are read as numbers, each once, in the order of the mapping."""
-        return list(dict.fromkeys(self._all_number_columns()))
+        stamps = [] if self.time is None or self.time.unit == "iso" else [self.time.column]
+        return list(dict.fromkeys((*stamps, *self.signal_columns())))
+
+    def signal_columns(self) -> list[str]:
+        """Those of them that are more than time stamps."""
+        return list(dict.fromkeys(self._all_signal_columns()))
 
     def units(self) -> dict[str, str]:
         """The unit that the mapping gives each column, where the column is in that unit as it stands."""
@@ -193,9 +198,7 @@ class ImportMapping(Strict):
             found[self.time.column] = self.time.unit
         return found | {a.column: a.unit for a in self._angles() if a.column is not None and a.as_it_stands}
 
-    def _all_number_columns(self) -> Iterator[str]:
-        if self.time is not None and self.time.unit != "iso":
-            yield self.time.column
+    def _all_signal_columns(self) -> Iterator[str]:
         yield from self.current.columns.values()
         yield from self.voltage.columns.values()
         if self.phase_currents is not None:

@@ -51,7 +51,7 @@ def segment_of(piece: Piece, stretch: Stretch, rate_hz: float, findings: Finding
             f"expected a switching state from 0 to 7, got {columns[name][wrong]:g} in {at(piece, stretch.rows[wrong])}"
         )
         raise InputError(str(piece.path), name, said)
-    dc_v = _bus(mapping, columns, stretch.rows.size)
+    dc_v = _bus(mapping, columns, len(stretch.rows))
     i_abc = _phase_currents(mapping, columns)
     signals: dict[str, Numbers | None] = {
         "i_ab": vectors(mapping.current, columns, theta_rad, pole_pairs, dc_v),

@@ -32,7 +32,7 @@ class Piece:
     first_row: int
     """Counted from 0."""
     columns: Mapping[str, Numbers]
-    """As the file has them; NaN where a sample is missing."""
+    """Those that make signals, as the file has them; NaN where a sample is missing."""
     time_s: Numbers
     """Time stamps; where there are none, since the file's first row."""
 
@@ -45,24 +45,53 @@ class Leftover:
     first: str = ""
 
 
+class _Growing:
+    """A column that grows by rows, without ever being there twice."""
+
+    LEAST, MOST = 1 << 14, 1 << 22
+    """Rows of a part: each as large as all before, up to a size that the system takes back as soon as it is let go."""
+
+    def __init__(self) -> None:
+        self._parts: list[Numbers] = []
+        self._filled = self._rows = 0
+
+    def add(self, values: Numbers) -> None:
+        # Copied: a view would keep the whole block that it is of.
+        while values.size:
+            if not self._parts or self._filled == self._parts[-1].size:
+                self._parts.append(np.empty(min(max(self.LEAST, self._rows), self.MOST)))
+                self._filled = 0
+            now = min(self._parts[-1].size - self._filled, values.size)
+            self._parts[-1][self._filled : self._filled + now] = values[:now]
+            values, self._filled, self._rows = values[now:], self._filled + now, self._rows + now
+
+    def whole(self) -> Numbers:
+        """All rows; the parts are let go."""
+        out, start = np.empty(self._rows), 0
+        while self._parts:
+            part = self._parts.pop(0)[: self._rows - start]
+            out[start : start + part.size] = part
+            start += part.size
+        return out
+
+
 @dataclass
 class _Open:
     """A piece that may go on in the next block."""
 
     key: tuple[int, str]
     first_row: int
-    columns: dict[str, list[Numbers]] = field(default_factory=dict)
-    times: list[Numbers] = field(default_factory=list)
+    columns: dict[str, _Growing] = field(default_factory=dict)
+    time: _Growing = field(default_factory=_Growing)
 
     def add(self, columns: Mapping[str, Numbers], time_s: Numbers, rows: slice) -> None:
         for name, values in columns.items():
-            self.columns.setdefault(name, []).append(values[rows])
-        self.times.append(time_s[rows])
+            self.columns.setdefault(name, _Growing()).add(values[rows])
+        self.time.add(time_s[rows])
 
     def close(self, path: Path, mapping: ImportMapping) -> Piece:
-        # One after another: the parts of a column are let go before the next is made.
-        columns = {name: np.concatenate(self.columns.pop(name)) for name in list(self.columns)}
-        return Piece(path, mapping, self.key[0], self.first_row, columns, np.concatenate(self.times))
+        columns = {name: column.whole() for name, column in self.columns.items()}
+        return Piece(path, mapping, self.key[0], self.first_row, columns, self.time.whole())
 
 
 class Splitter:
@@ -85,7 +114,7 @@ class Splitter:
 
     def pieces(self, path: Path, mapping: ImportMapping, blocks: Iterator[Block]) -> Iterator[Piece]:
         """The pieces of one file, as its mapping describes it."""
-        rules = self._rules_for(path)
+        rules, signals = self._rules_for(path), mapping.signal_columns()
         self._stamps.next_file()
         opened: _Open | None = None
         row = 0
@@ -103,7 +132,7 @@ class Splitter:
                     continue
                 self._used.add(key[0])
                 opened = opened or _Open(key, row + start)
-                opened.add(block.numbers, time_s, slice(start, end))
+                opened.add({name: block.numbers[name] for name in signals}, time_s, slice(start, end))
             row += len(block)
             self.rows += len(block)
         if opened is not None:

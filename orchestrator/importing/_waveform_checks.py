@@ -19,7 +19,7 @@ from orchestrator.importing._signals import Scaling
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK
-from orchestrator.numerics.alignment import alignment_of
+from orchestrator.numerics.alignment import Alignment, alignment_of
 from orchestrator.numerics.frames import from_phases
 from orchestrator.plausibility import DOUBTED, HEXAGON, apart_rad, is_reversed, rms, slow_part, within
 from protocols import SegmentStage
@@ -57,7 +57,7 @@ class WaveformChecks:
         self._current_names = self._voltage_names = ""
         self._largest_current_a = self._largest_rms_a = self._largest_modulation = 0.0
         self._power_w = self._square_a2 = 0.0
-        self._lags: list[float] = []
+        self._lags: list[Alignment] = []
 
     def judge(self, w: Waveforms) -> None:
         """Look at one segment; raises `InputError` for what the mapping does not accept."""
@@ -79,8 +79,8 @@ class WaveformChecks:
         if w.stage is not SegmentStage.SPIN:  # a machine that turns may give power
             self._polarity(w)
         if w.stage is SegmentStage.INJECTION:
-            found = alignment_of(w.i_ab, w.v_ab)
-            self._lags += [] if found is None else [found.lag_rows]
+            found = alignment_of(w.i_ab, w.v_ab, ohm=self._mapping.motor.stator_resistance_ohm)
+            self._lags += [] if found is None else [found]
 
     def conclude(self, file: str) -> None:
         """Look at all that was seen; `file` is named where the recording as a whole looks wrong."""
@@ -270,13 +270,18 @@ class WaveformChecks:
     def _lag(self) -> None:
         if not self._lags:
             return
-        lag, given = float(np.median(self._lags)), self._mapping.drive.voltage_delay_samples or 0.0
-        # A quarter of a sample is what the ripple's own shape may look like.
-        if abs(lag - given) > 0.25:
+        lag, given = (
+            float(np.median([x.lag_rows for x in self._lags])),
+            self._mapping.drive.voltage_delay_samples or 0.0,
+        )
+        by_edges = any(x.by_edges for x in self._lags)
+        # A quarter of a sample is what the ripple's own shape may look like; iron loss turns a sine by half a sample.
+        if abs(lag - given) > (0.25 if by_edges else 0.6):
+            how = "" if by_edges else f", by the phase of a sine at {self._mapping.motor.stator_resistance_ohm:g} ohm"
             self._findings.note(
                 "lag",
                 f"the current follows the commanded voltage by {lag:.1f} samples (median of {len(self._lags)} "
-                f"injection segments), drive.voltage_delay_samples is {given:g}: {lag:.1f} would fit",
+                f"injection segments{how}), drive.voltage_delay_samples is {given:g}: {lag:.1f} would fit",
             )
 
 

@@ -1,7 +1,8 @@
 """Do the rows of voltage and current belong together? A winding's own equation says by how many rows they do not.
 
-No value of the motor is needed: of a winding of any inductance and resistance the current's step from one row to the
-next is what the voltage of one row, or of two, has made of it.
+Where the voltage has edges no value of the motor is needed: of a winding of any inductance and resistance the current's
+step from one row to the next is what the voltage of one row, or of two, has made of it. Of a sine the resistance has to
+be known.
 """
 
 from __future__ import annotations
@@ -23,6 +24,8 @@ class Alignment:
     """The n of "v[k] acts from t_k + n Ts"."""
     explained: float
     """Share of the current's steps that the voltage at this place explains; the rest is noise, or not of its row."""
+    by_edges: bool = True
+    """False: by the phase of a sine, which iron loss turns as well."""
 
 
 def alignment_of(
@@ -33,10 +36,11 @@ def alignment_of(
     latest: int = 6,
     most_samples: int = 8_000,
     explained: float = 0.5,
+    ohm: float | None = None,
 ) -> Alignment | None:
     """Where the voltage explains the current best; None where nothing can be told.
 
-    The voltage has to have edges, as a square wave has: what a sine is late by, a resistance explains as well.
+    What a sine is late by, a resistance explains as well: of a voltage without edges it has to be given.
 
     ``i[k+1] - i[k] = g ((1-f) v[k-m] + f v[k-m-1]) - r i[k]``, with n = m + f. For each m, g, f and r follow by least
     squares; the m counts that leaves least and has f in [0, 1].
@@ -51,10 +55,15 @@ def alignment_of(
         That are looked at: some hundred periods of an injection.
     explained : float
         Share of the current's steps that has to be explained.
+    ohm : float, optional
+        The winding's resistance: r is then g R_s for a sine.
     """
     i, v = (_centred(x[:most_samples]) for x in (i_ab, v_ab))
     inner = slice(latest + 1, i.size + earliest - 1)
     if inner.stop - inner.start < 100:
+        return None
+    sine = _is_sine(v)
+    if sine and ohm is None:
         return None
     places = np.arange(inner.start, inner.stop)
     steps = i[places + 1] - i[places]
@@ -62,13 +71,25 @@ def alignment_of(
     best = None
     for late in range(earliest, latest + 1):
         parts = np.stack([v[places - late], v[places - late - 1], i[places]])
+        if sine:
+            parts = parts[:2] - (ohm or 0.0) * parts[2]
         gram, along = (parts @ parts.conj().T).real, (parts @ steps.conj()).real
         gains = np.linalg.lstsq(gram, along, rcond=1e-12)[0]
         share = float(gains @ along) / power if power > 0.0 else 0.0
         if share > explained and gains[0] > 0.0 and gains[1] > -0.05 * gains[0]:
             second, explained = max(float(gains[1]), 0.0), share
-            best = Alignment(late + second / (float(gains[0]) + second), share)
+            best = Alignment(late + second / (float(gains[0]) + second), share, not sine)
     return best
+
+
+def _is_sine(v: NDArray[np.complex128], pure: float = 1e-3) -> bool:
+    """Whether each row follows from the two before it: v[k+1] + v[k-1] = 2 cos(w) v[k] leaves so little."""
+    ahead, sides = v[1:-1], v[2:] + v[:-2]
+    power = float(np.vdot(ahead, ahead).real)
+    if power == 0.0:
+        return False
+    left = sides - float(np.vdot(ahead, sides).real) / power * ahead
+    return float(np.vdot(left, left).real) < pure * power
 
 
 def _centred(x: Numbers) -> NDArray[np.complex128]:

@@ -62,21 +62,26 @@ class Recording:
             a sample are not what they should be.
         """
         path = capture_path(self.path, segment.id)
-        content = _read(path)
-        if segment.sha256 is not None and hashlib.sha256(content).hexdigest() != segment.sha256:
-            raise RecordingError(str(path), "sha256", f"does not fit the one in {MANIFEST_NAME}: the file was changed")
-        columns = _decode(path, content, segment)
-        phases = [columns[name] for name in PHASE_CURRENT if name in columns]
+        columns = _decode(path, _unchanged(path, segment), segment)
+        # Columns are let go as they become vectors: of long segments that is half the memory.
+        phases = [columns.pop(name) for name in PHASE_CURRENT if name in columns]
         return Capture(
             start_s=segment.start_s,
             sampling_frequency_hz=self._manifest.drive.sampling_frequency_hz,
-            i_ab=_side_by_side([columns[name] for name in CURRENT]),
-            v_ab=_side_by_side([columns[name] for name in VOLTAGE]),
+            i_ab=_side_by_side([columns.pop(name) for name in CURRENT]),
+            v_ab=_side_by_side([columns.pop(name) for name in VOLTAGE]),
             v_dc=columns[BUS],
             i_abc=_side_by_side(phases) if len(phases) == len(PHASE_CURRENT) else None,
             temperature_c=columns.get(TEMPERATURE),
             theta_rad=columns.get(THETA),
         )
+
+
+def _unchanged(path: Path, segment: Segment) -> bytes:
+    content = _read(path)
+    if segment.sha256 is not None and hashlib.sha256(content).hexdigest() != segment.sha256:
+        raise RecordingError(str(path), "sha256", f"does not fit the one in {MANIFEST_NAME}: the file was changed")
+    return content
 
 
 def open_recording(path: Path, *, make_manifest: Callable[[Path], object] | None = None) -> Recording:

@@ -36,6 +36,8 @@ class Campaign:
     classical: bool = True
     injection: bool = True
     second_amplitude: bool = True
+    sine: bool = False
+    """Instead of a square wave."""
     anchors: bool = True
     dwells: bool = True
     excited: bool = True
@@ -140,10 +142,13 @@ def _plan(machine: Machine, campaign: Campaign) -> Iterator[_Ask]:
         turn = 1.0 / campaign.injection_s
         settings = {
             "target_d_a": point[0], "target_q_a": point[1], "amplitude_v": amplitude,
-            "frequency_hz": machine.injection_hz, "rotation_hz": turn, "waveform": "square", **more,
+            "frequency_hz": machine.injection_hz, "rotation_hz": turn,
+            "waveform": "sine" if campaign.sine else "square", **more,
         }  # fmt: skip
         t = np.arange(seconds(campaign.injection_s)) / rate
-        sign = np.where(np.floor(2 * machine.injection_hz * t + 1e-6) % 2 == 0, 1.0, -1.0)
+        cycles = machine.injection_hz * t
+        square = np.where(np.floor(2 * cycles + 1e-6) % 2 == 0, 1.0, -1.0)
+        sign = np.sin(2 * np.pi * cycles) if campaign.sine else square
         angle = 2 * np.pi * turn * t
         wave = amplitude * sign[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return _Ask("injection", settings, point, wave_v=wave)

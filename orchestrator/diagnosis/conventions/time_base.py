@@ -8,7 +8,8 @@ from collections.abc import Iterable
 import numpy as np
 
 from orchestrator.diagnosis.conventions.responses import Responses
-from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors
+from orchestrator.diagnosis.conventions.survey import Sighting, Survey, Vectors, parts
+from orchestrator.numerics.alignment import alignment_of
 from protocols import Convention, ManifestCorrection, SegmentStage
 
 FACTORS = (2.0, 10.0, 4.0, 5.0, 8.0, 16.0, 20.0, 100.0, 1000.0)
@@ -100,17 +101,10 @@ def _line_per_sample(u: Vectors) -> float | None:
 
 def delay(seen: Responses) -> Convention | None:
     """A voltage that acts whole samples earlier or later than the manifest says."""
-    limits, found = seen.survey.criteria, seen.answer
-    if found is None or found.deviations.max() > limits.no_answer * abs(found.weights.sum()) / 4.0:
+    told = _by_edges(seen) or _by_phase(seen)
+    if told is None:
         return None
-    weights = found.weights / found.weights.sum()
-    answered = np.flatnonzero(weights > limits.answer)
-    if not len(answered):
-        return None
-    first = int(answered[0])
-    if np.any(np.abs(weights[:first]) > limits.no_answer) or found.lags[first] == 0.0:
-        return None
-    off = int(found.lags[first])
+    off, evidence = told
     declared = seen.survey.manifest.drive.voltage_delay_samples or 0.0
     samples, way = f"{abs(off)} sample{'s' if abs(off) > 1 else ''}", "later" if off > 0 else "earlier"
     text = f"set drive.voltage_delay_samples to {declared + off:g}"
@@ -121,6 +115,36 @@ def delay(seen: Responses) -> Convention | None:
     return Convention(
         kind="delay",
         what=f"the voltage acts {samples} {way} than voltage_delay_samples = {declared:g}",
-        evidence=f"{100 * weights[first]:.0f} % of the current's answer to injected edges is there, none before",
+        evidence=evidence,
         correction=correction,
     )
+
+
+def _by_edges(seen: Responses) -> tuple[int, str] | None:
+    """Whole samples, and what speaks for them."""
+    limits, found = seen.survey.criteria, seen.answer
+    if found is None or found.deviations.max() > limits.no_answer * abs(found.weights.sum()) / 4.0:
+        return None
+    weights = found.weights / found.weights.sum()
+    answered = np.flatnonzero(weights > limits.answer)
+    if not len(answered):
+        return None
+    first = int(answered[0])
+    if np.any(np.abs(weights[:first]) > limits.no_answer) or found.lags[first] == 0.0:
+        return None
+    share = f"{100 * weights[first]:.0f} % of the current's answer to injected edges"
+    return int(found.lags[first]), f"{share} is there, none before"
+
+
+def _by_phase(seen: Responses) -> tuple[int, str] | None:
+    """The same of sines, which have no edges: by their phase, with the resistance known."""
+    ohm = seen.resistance_ohm or seen.survey.manifest.motor.stator_resistance_ohm
+    told = [alignment_of(parts(s.i), parts(s.v), ohm=ohm) for s in seen.survey.injections]
+    lags = [found.lag_rows for found in told if found is not None and not found.by_edges]
+    if not lags or ohm is None:
+        return None
+    late = float(np.median(lags)) - (seen.survey.manifest.drive.voltage_delay_samples or 0.0)
+    off = round(late)
+    if off == 0 or abs(late - off) > seen.survey.criteria.part_of_a_sample:
+        return None
+    return off, f"with {ohm:.3g} ohm the phase of the injected sines fits {late:+.1f} samples"

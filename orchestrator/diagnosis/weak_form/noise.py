@@ -128,8 +128,14 @@ def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -
 
 
 def _quietest(scatters: Sequence[Scatter]) -> list[Scatter]:
-    """The one that scatters least: how the iron bends a fast current adds to it, and nothing takes away from it."""
-    return sorted(scatters, key=lambda s: float(np.trace(s.covariance)))[:1]
+    """The one that scatters least: how the iron bends a fast current adds to it, and nothing takes away from it.
+
+    Where the current across the stepped axis was not logged but written as zero, it does not scatter at all: that says
+    nothing of the sensors.
+    """
+    whole = [s for s in scatters if np.linalg.eigvalsh(s.covariance)[0] > 1e-6 * float(np.trace(s.covariance))]
+    even = [replace(s, covariance=float(np.trace(s.covariance)) * np.eye(2)) for s in scatters]
+    return sorted(whole or even, key=lambda s: float(np.trace(s.covariance)))[:1]
 
 
 def _typical(scatters: Sequence[Scatter]) -> Array:

@@ -26,12 +26,12 @@ def complaint(bench: Bench) -> str:
     return line.removeprefix(f"{bench.folder}/")
 
 
-def injection(n: int = 4000, late: float = 0.0, seed: int = 0) -> tuple[Numbers, Numbers]:
-    """Current and commanded voltage of a rotating square injection into a salient winding, the voltage acting late."""
+def injection(n: int = 4000, late: float = 0.0, seed: int = 0, sine: bool = False) -> tuple[Numbers, Numbers]:
+    """Current and commanded voltage of a rotating injection into a salient winding, the voltage acting late."""
     fine = 20
     t = np.arange(n * fine) / (RATE * fine)
     k = np.arange(n)
-    f = np.where((k // 10) % 2 == 0, 1.0, -1.0)
+    f = np.sin(np.pi / 10 * k) if sine else np.where((k // 10) % 2 == 0, 1.0, -1.0)
     turn = 2.0 * np.pi * 2.0 * k / RATE
     v = 40.0 * f[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]) + np.array([8.0, 3.0])
     shift = round(late * fine)
@@ -335,8 +335,8 @@ def test_exchanged_phases_are_found(bench: Bench) -> None:
     assert "phases are exchanged" in said
 
 
-def as_injection(bench: Bench, late: float) -> None:
-    bench.columns, _ = phase_log(*injection(late=late))
+def as_injection(bench: Bench, late: float, sine: bool = False) -> None:
+    bench.columns, _ = phase_log(*injection(late=late, sine=sine))
     bench.mapping["segments"] = [{"stage": "injection"}]
 
 
@@ -354,6 +354,17 @@ def test_a_voltage_that_acts_late_is_noted_with_the_lag(bench: Bench, late: floa
     said = re.search(r"voltage_delay_samples is 0: (-?[0-9.]+) would fit", note)
     assert said is not None
     assert float(said[1]) == pytest.approx(late, abs=0.1)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["R known", "R not known"])
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_a_sines_lag_is_noted_where_the_nameplate_has_the_resistance(bench: Bench, late: float, known: bool) -> None:
+    as_injection(bench, late, sine=True)
+    if not known:
+        bench.mapping["motor"]["stator_resistance_ohm"] = None
+    notes = bench.run().notes
+    assert len(notes) == (late > 0.0 and known)
+    assert all("by the phase of a sine at 4.25 ohm" in note and "1.0 would fit" in note for note in notes)
 
 
 @pytest.mark.parametrize("late", [0.0, 1.0, 1.5])

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -255,6 +257,27 @@ def test_memory_holds_one_segment_not_the_file(bench: Bench) -> None:
     tracemalloc.stop()
     assert report.segments == 50
     assert peak < 25e6
+
+
+@pytest.mark.slow
+def test_ten_million_rows_of_text_take_twenty_seconds_and_a_gigabyte(bench: Bench) -> None:
+    """As one segment, the worst that can come."""
+    import pyarrow as pa
+    import pyarrow.csv
+
+    n, path = 250_000, bench.folder / "log.csv"
+    columns, _ = phase_log(*(np.round(x, 4) for x in held_current(n)))
+    with pa.csv.CSVWriter(path, pa.table(columns).schema) as writer:
+        for k in range(40):
+            writer.write(pa.table(columns | {"t": np.round(columns["t"] + k * n / 1e4, 4)}))
+    program = "from orchestrator.cli import main; main()"
+    command = [sys.executable, "-c", program, "import", str(bench.write_mapping()), str(path), "--out", "out"]
+    with subprocess.Popen(command, cwd=bench.folder) as process:
+        _, status, used = os.wait4(process.pid, 0)
+        process.returncode = status
+    assert status == 0
+    assert used.ru_utime + used.ru_stime < 20.0
+    assert used.ru_maxrss * 1024 < 1e9
 
 
 def test_errors_are_the_project_s_own_and_one_line(bench: Bench) -> None:

@@ -2,26 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from orchestrator.numerics.frames import to_dq
 from protocols import InputError
+from tests.orchestrator.importing.shapes import (
+    CURRENT,
+    TIME,
+    VOLTAGE,
+    Shape,
+    a_file_a_stage,
+    counts,
+    dates,
+    duties,
+    epoch,
+    line_to_line,
+    matlab_struct,
+    scope_channels,
+    shaft,
+    ticks,
+    two_loggers,
+)
 from tests.orchestrator.importing.strangers import Desk, log_of
 
 LOG = log_of()
-STAGES = """segment_column: what
-split_at_gaps: true
-segments: [{label: resistance, stage: resistance}, {label: classical, stage: classical},
-  {label: injection, stage: injection}]
-"""
-CURRENT = "current: {frame: abc, columns: {a: ia, b: ib, c: ic}, unit: A}\n"
-VOLTAGE = "voltage: {frame: abc, columns: {a: va, b: vb, c: vc}, unit: V}\n"
-TIME = "time: {column: t, unit: s}\n"
 
 
 @pytest.fixture
@@ -29,103 +35,14 @@ def desk(tmp_path: Path) -> Desk:
     return Desk(tmp_path)
 
 
-def duties(desk: Desk) -> None:
-    common = 0.1 * np.sin(40.0 * LOG.t) + 0.5
-    legs = {f"d{x[1]}": 100.0 * (common + volts / LOG.dc) for x, volts in LOG.volts.items()}
-    desk.write("log.csv", {"t": LOG.t, **LOG.phases, **legs, "udc": LOG.dc, "what": LOG.stage})
-    desk.mapping = TIME + CURRENT + "bus: {column: udc, unit: V}\n" + STAGES
-    desk.mapping += "voltage: {frame: abc, columns: {a: da, b: db, c: dc}, unit: duty_percent}\n"
-
-
-def line_to_line(desk: Desk) -> None:
-    va, vb, vc = LOG.volts.values()
-    desk.write("log.csv", {"t": LOG.t, **LOG.phases, "uab": va - vb, "ubc": vb - vc, "what": LOG.stage})
-    desk.mapping = TIME + CURRENT + STAGES
-    desk.mapping += "voltage: {frame: line_to_line, columns: {ab: uab, bc: ubc}, unit: V}\n"
-
-
-def counts(desk: Desk) -> None:
-    # A converter of 16 bits for +-20 A, whose middles differ.
-    raw = {
-        x: np.rint(amps / 20.0 * 32768 + middle)
-        for (x, amps), middle in zip(LOG.phases.items(), (7, -12, 3), strict=True)
-    }
-    desk.write("log.csv", {"t": LOG.t, **raw, **LOG.volts, "what": LOG.stage})
-    desk.mapping = TIME + VOLTAGE + STAGES
-    desk.mapping += (
-        "current: {frame: abc, columns: {a: ia, b: ib, c: ic}, unit: mA, factor: 0.6103515625,\n"
-        "  offset: {a: 7, b: -12, c: 3}}\n"
-    )
-
-
-def ticks(desk: Desk) -> None:
-    # A counter of 24 bits, at one megahertz: it wraps within the sweep, and more than once in the pauses.
-    desk.write(
-        "log.csv", {"n": (np.rint(1e6 * LOG.t) + 5_000_000) % 2**24, **LOG.phases, **LOG.volts, "what": LOG.stage}
-    )
-    desk.mapping = CURRENT + VOLTAGE + STAGES
-    desk.mapping += "time: {column: n, unit: tick, tick_hz: 1000000, wraps_at: 16777216}\n"
-
-
-def epoch(desk: Desk) -> None:
-    stamps = np.rint((1_700_000_000.25 + LOG.t) * 1e6).astype(np.int64)
-    desk.write("log.csv", {"stamp": stamps, **LOG.phases, **LOG.volts, "what": LOG.stage})
-    desk.mapping = "time: {column: stamp, unit: us}\n" + CURRENT + VOLTAGE + STAGES
-
-
-def dates(desk: Desk) -> None:
-    begin = datetime(2026, 11, 23, 6, 45, tzinfo=UTC)
-    stamps = [(begin + timedelta(microseconds=round(1e6 * t))).isoformat(timespec="microseconds") for t in LOG.t]
-    desk.write("log.csv", {"stamp": stamps, **LOG.phases, **LOG.volts, "what": LOG.stage})
-    desk.mapping = "time: {column: stamp, unit: iso}\n" + CURRENT + VOLTAGE + STAGES
-
-
-def shaft(desk: Desk) -> None:
-    # The rotor stands at 0 electrical; the encoder reads 77.5 degrees there, and counts the other way round.
-    encoder = 77.5 + 0.0 * LOG.t
-    theta = -2.0 * np.deg2rad(encoder - 77.5)
-    i, v = to_dq(LOG.i, theta), to_dq(LOG.v, theta)
-    columns = {"t": LOG.t, "id": i[:, 0], "iq": i[:, 1], "ud": v[:, 0], "uq": v[:, 1], "enc": encoder}
-    desk.write("log.csv", {**columns, "what": LOG.stage})
-    desk.mapping = TIME + STAGES
-    desk.mapping += "current: {frame: dq, columns: {d: id, q: iq}, unit: A, scaling: amplitude_invariant}\n"
-    desk.mapping += "voltage: {frame: dq, columns: {d: ud, q: uq}, unit: V, scaling: amplitude_invariant}\n"
-    desk.mapping += "rotor_angle: {column: enc, unit: deg, offset: 77.5, factor: -1, mechanical: true}\n"
-
-
-def a_file_a_segment(desk: Desk) -> None:
-    # Each of another logger: other names, other units, another layout.
-    stages = np.array(LOG.stage)
-    for name, stage, current in (("rest", "resistance", "ia"), ("ramp", "classical", "I_a"), ("hf", "injection", "ia")):
-        log = LOG.rows(slice(int(np.argmax(stages == stage)), LOG.t.size - int(np.argmax(stages[::-1] == stage))))
-        size = 1e3 if name == "hf" else 1.0
-        phases = {x.replace("ia", current): size * amps for x, amps in log.phases.items()}
-        desk.write(f"{name}_1.csv", {"t": log.t, **phases, **log.volts})
-    desk.mapping = TIME + CURRENT + VOLTAGE + "split_at_gaps: true\n"
-    desk.mapping += "files: [{file: ramp*, columns: {ia: I_a}}, {file: hf*, current: {unit: mA}}]\n"
-    desk.mapping += (
-        "segments: [{file: rest*, stage: resistance}, {file: ramp*, stage: classical}, {file: hf*, stage: injection}]\n"
-    )
-
-
-def scope_channels(desk: Desk) -> None:
-    # A file a channel, all with the same names in it, as some scopes write them.
-    for number, values in enumerate([*LOG.phases.values(), *LOG.volts.values()], start=1):
-        desk.write(f"C{number}--00000.csv", {"Time": LOG.t, "Ampl": values, "what": LOG.stage})
-    named = zip(("ib", "ic", "va", "vb", "vc"), range(2, 7), strict=True)
-    beside = [f"{{file: C{k}*, beside: C1*, columns: {{{name}: Ampl}}}}" for name, k in named]
-    desk.mapping = "time: {column: Time, unit: s}\n" + CURRENT + VOLTAGE + STAGES
-    desk.mapping += f"files: [{{file: C1*, columns: {{ia: Ampl}}}},\n  {', '.join(beside)}]\n"
-
-
-SHAPES: list[Callable[[Desk], None]] = [
-    duties, line_to_line, counts, ticks, epoch, dates, shaft, a_file_a_segment, scope_channels,
+SHAPES: list[Shape] = [
+    duties, line_to_line, counts, ticks, epoch, dates, shaft, a_file_a_stage, scope_channels, matlab_struct,
 ]  # fmt: skip
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_shape_is_imported_with_at_most_ten_lines(desk: Desk, shape: Callable[[Desk], None]) -> None:
-    shape(desk)
+def test_a_shape_is_imported_with_at_most_ten_lines(desk: Desk, shape: Shape) -> None:
+    shape(desk, LOG)
     assert len(desk.mapping.splitlines()) <= 10
     report = desk.run()
     found = desk.segments()
@@ -195,26 +112,12 @@ def test_an_epoch_in_any_order_begins_at_zero(desk: Desk) -> None:
     assert starts == pytest.approx([0.0, LOG.t[1500] - LOG.t[0]], abs=1e-5)
 
 
-def two_loggers(desk: Desk, offset_s: float, ppm: float, rate: float = 12_500.0) -> None:
-    """Currents by one logger; voltages by another, of another rate, with a clock of its own."""
-    log = log_of(("injection-012", "injection-013"))
-    desk.write("amps.csv", {"t": log.t, **log.phases})
-    fine = np.arange(log.t[0], log.t[-1], 1.0 / rate)
-    row = np.clip(np.searchsorted(log.t, fine + 1e-9, side="right") - 1, 0, None)
-    quiet = fine - log.t[row] > 1.5e-4
-    volts = {x: np.where(quiet, 0.0, u[row]) for x, u in log.volts.items()}
-    desk.write("volts.csv", {"time_ms": 1e3 * (fine * (1.0 + 1e-6 * ppm) + offset_s), **volts})
-    desk.mapping = TIME + CURRENT + VOLTAGE + "split_at_gaps: true\nsegments: [{stage: injection}]\n"
-    desk.mapping += "files: [{file: volts*, beside: amps*, columns: [va, vb, vc], align: edges, "
-    desk.mapping += "time: {column: time_ms, unit: ms}}]\n"
-
-
 @pytest.mark.parametrize(("offset_s", "ppm"), [(0.0, 0.0), (-37.25, 40.0), (1234.5, -80.0)])
 def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm: float) -> None:
-    two_loggers(desk, offset_s, ppm, 1e5)
+    log = log_of(("injection-012", "injection-013"))
+    two_loggers(desk, log, offset_s, ppm)
     report = desk.run()
     assert any("by its edges" in note for note in report.notes)
-    log = log_of(("injection-012", "injection-013"))
     found = desk.segments()
     v = np.concatenate([c.v_ab for _, c in found])
     at = np.searchsorted(log.t, np.concatenate([s.start_s + np.arange(s.samples) / 1e4 for s, _ in found]) - 1e-6)
@@ -251,7 +154,7 @@ def test_edges_that_repeat_leave_the_offset_open(desk: Desk) -> None:
     ],
 )
 def test_what_is_wrong_with_two_loggers_is_one_line(desk: Desk, change: tuple[str, str], said: str) -> None:
-    two_loggers(desk, 0.0, 0.0)
+    two_loggers(desk, log_of(("injection-012",)), 0.0, 0.0, rate_hz=12_500.0)
     before = desk.mapping
     desk.mapping = before.replace(*change)
     assert desk.mapping != before

@@ -8,6 +8,7 @@ import pytest
 
 from orchestrator.diagnosis.conventions import CorrectedRecording, find_convention
 from orchestrator.recording import open_recording
+from tests.blind.campaign import Campaign, record
 from tests.blind.hidden import draw_case
 from tests.blind.stepping import record_steps, usual
 from tests.support.rewriting import Rewritten
@@ -19,6 +20,23 @@ def stepped(tmp_path_factory: pytest.TempPathFactory) -> Rewritten:
     bench = dataclasses.replace(draw_case("clean", 1, 7).bench, drive_delay_samples=0.0)
     folder = tmp_path_factory.mktemp("stepped") / "steps"
     return Rewritten.of(open_recording(record_steps(bench, usual(bench, 130.0, 0.03), folder)))
+
+
+@pytest.fixture(scope="module")
+def sines(tmp_path_factory: pytest.TempPathFactory) -> Rewritten:
+    """Injection of a sine, on a plant with eddy currents: they turn its phase as well."""
+    bench = dataclasses.replace(draw_case("clean", 1, 7).bench, drive_delay_samples=0.0)
+    bench = dataclasses.replace(bench, plant=bench.plant._replace(eddy_ohm=1500.0, substeps=10))
+    short = Campaign(
+        second_pwm=False, second_amplitude=False, classical=False, sine=True, injection_s=0.1, dwell_s=0.05
+    )
+    return Rewritten.of(open_recording(record(bench, short, tmp_path_factory.mktemp("sines"))))
+
+
+@pytest.mark.parametrize("rows", [-2, -1, 0, 1])
+def test_the_phase_of_a_sine_tells_its_lag(sines: Rewritten, rows: int) -> None:
+    found = find_convention(sines.late(rows))
+    assert (found is None) if rows == 0 else (found is not None and found.correction.add == -rows)
 
 
 @pytest.mark.parametrize("factor", [2.0, 10.0, 0.5, 0.1])

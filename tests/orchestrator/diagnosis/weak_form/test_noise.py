@@ -7,7 +7,15 @@ import pytest
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.equations import flux_terms, local_map, voltage_and_resistance
-from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance, sensor_noise
+from orchestrator.diagnosis.weak_form.noise import (
+    SensorNoise,
+    Slopes,
+    Whitener,
+    _quietest,
+    banded_covariance,
+    sensor_noise,
+)
+from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_between
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     FS,
@@ -128,3 +136,14 @@ def test_ripple_does_not_pass_for_noise() -> None:
     pieces = [piece(plan, noise=rng.normal(0.0, NOISE_A, plan.v_dq.shape)) for plan in (HOLD, RIPPLE)]
     found = sensor_noise(pieces, WeakFormCriteria())
     assert np.trace(found.ripple) == pytest.approx(2.0 * NOISE_A**2, rel=0.15)
+
+
+def test_a_current_that_was_written_as_zero_says_nothing_of_the_sensors() -> None:
+    """Where the current across the stepped axis was not logged."""
+    noise = np.random.default_rng(1).normal(size=(4000, 2))
+    whole, cleaned = 3e-3 * noise, 2e-3 * noise * [1.0, 0.0]
+    v = np.repeat(np.tile([[40.0, 0.0], [-40.0, 0.0]], (100, 1)), 20, axis=0)
+    scatters = [scatter_between(i, v) for i in (cleaned, whole)]
+    assert float(np.sqrt(np.diag(_quietest(scatters)[0].covariance)).min()) == pytest.approx(3e-3, rel=0.1)
+    alone = _quietest(scatters[:1])[0].covariance
+    assert np.sqrt(np.diag(alone)) == pytest.approx([2e-3, 2e-3], rel=0.1)
