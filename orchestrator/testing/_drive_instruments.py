@@ -81,13 +81,14 @@ class DriveInstrumentChecks(DriveBench):
     def test_voltage_and_current_are_of_the_same_row(self, tmp_path: Path) -> None:
         with self.armed(tmp_path) as session:
             session.requires("injection")
-            if session.sizes.waveform != "square":
-                pytest.skip("a sine has no edges that would tell one row from the next")
+            ohm = self.setup().motor.stator_resistance_ohm
+            if session.sizes.waveform != "square" and ohm is None:
+                pytest.skip("a sine tells one row from the next with the nameplate's resistance only")
             excitation = session.sizes.injection(discard_s=LATE_PERIODS / session.sizes.frequency_hz)
             measured = session.measure(excitation)
             turn = excitation.rotation_hz / session.capabilities.sampling_frequency_hz
             i_ab, v_ab = (folded(x, turn, SAMPLES_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
-            found = alignment_of(i_ab, v_ab)
+            found = alignment_of(i_ab, v_ab, ohm=ohm)
             assert found is not None, "the steps of the current are explained by the voltage of no row near to them"
             assert found.explained >= EXPLAINED, (
                 f"after an edge of the voltage the current's slope takes several rows to change ({found.explained:.0%} "

@@ -24,11 +24,11 @@ PAGE = Path(__file__).parents[4] / "docs" / "vesc.md"
 SAFE = ("--quiet", "--unattended", "I have made the bench safe")
 
 
-def procedure_at(port: str, folder: Path) -> Path:
+def procedure_at(port: str, folder: Path, watchdog_s: float) -> Path:
     found = re.search(r"```yaml\n(.*?)```", PAGE.read_text(encoding="utf-8"), re.DOTALL)
     assert found is not None, f"{PAGE} shows no procedure"
     document: dict[str, Any] = yaml.safe_load(found[1])
-    document["drive"]["port"] = port
+    document["drive"].update(port=port, watchdog_s=watchdog_s)
     file = folder / "procedure.yaml"
     file.write_text(yaml.safe_dump(document), encoding="utf-8")
     return file
@@ -37,7 +37,7 @@ def procedure_at(port: str, folder: Path) -> Path:
 @pytest.mark.slow
 def test_the_pages_procedure_finds_resistance_and_inductances(tmp_path: Path) -> None:
     with on_tcp() as (firmware, port):
-        procedure = load_procedure(str(procedure_at(port, tmp_path)))
+        procedure = load_procedure(str(procedure_at(port, tmp_path, 10.0)))
         result = start_run(procedure, tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
         assert not firmware.running
         motor, angle = firmware.motor, 0.7
@@ -61,8 +61,8 @@ def test_the_pages_procedure_finds_resistance_and_inductances(tmp_path: Path) ->
 @pytest.mark.slow
 def test_a_host_that_is_killed_leaves_the_bridge_off(tmp_path: Path) -> None:
     with on_a_line() as (firmware, port):
-        process = start_fluxbench("run", procedure_at(port, tmp_path), "--out", tmp_path / "run", *SAFE)
+        process = start_fluxbench("run", procedure_at(port, tmp_path, 1.0), "--out", tmp_path / "run", *SAFE)
         wait_until(lambda: firmware.running)
         process.send_signal(signal.SIGKILL)
         process.communicate()
-        wait_until(lambda: not firmware.running, 1.5)
+        wait_until(lambda: not firmware.running, 2.5)

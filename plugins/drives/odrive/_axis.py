@@ -1,0 +1,201 @@
+"""One axis of an ODrive: its configuration, a current at an angle, readings. Property names are firmware 0.5.6's own.
+
+In torque control the board holds a current along q of the frame that its encoder gives. The encoder's phase offset
+turns that frame against the rotor, so that the current points where it is wanted (encoder.cpp, motor.cpp):
+
+    theta = direction 2 pi p / cpr (counts - offset),      i_q = direction torque / K_t.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from plugins.drives.odrive._line import Line
+from protocols import DriveFault, DriveRefused, FaultCause
+
+IDLE, CLOSED_LOOP = 1, 8
+HIGH_CURRENT, TORQUE_CONTROL, PASSTHROUGH = 0, 1, 1
+STATE_S, TURN_S = 1.0, 0.3
+MARGIN = 0.5
+"""Of the run's current beyond which the board trips."""
+OFF_RAD = 0.05
+"""How far the frame may be from the angle asked for: an encoder's count, and what the rotor gives."""
+PARTS = ("", ".motor", ".encoder", ".controller")
+CHANGED = (
+    "config.enable_watchdog",
+    "config.watchdog_timeout",
+    "motor.config.current_lim",
+    "motor.config.current_lim_margin",
+    "controller.config.control_mode",
+    "controller.config.input_mode",
+    "encoder.config.phase_offset_float",
+)
+"""What is set for a run, and put back in this order: a watchdog at work does not outlive a timeout of zero."""
+FACTS = (
+    "motor.config.motor_type",
+    "motor.is_calibrated",
+    "encoder.is_ready",
+    "motor.config.pole_pairs",
+    "encoder.config.cpr",
+    "encoder.config.direction",
+    "motor.config.torque_constant",
+    "controller.config.vel_limit",
+)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Latched errors of the axis and its parts; zero is none."""
+
+    axis: int
+    motor: int
+    encoder: int
+    controller: int
+
+    WATCHDOG = 1 << 11
+
+    def __bool__(self) -> bool:
+        return bool(self.axis or self.motor or self.encoder or self.controller)
+
+    def __str__(self) -> str:
+        return f"axis {self.axis:#x}, motor {self.motor:#x}, encoder {self.encoder:#x}, controller {self.controller:#x}"
+
+
+class Axis:
+    """An axis at the other end of a line.
+
+    Parameters
+    ----------
+    line : Line
+    number : int
+        0 or 1.
+    """
+
+    def __init__(self, line: Line, number: int) -> None:
+        self._line, self._number, self._name = line, number, f"axis{number}"
+        self._own: dict[str, float] = {}
+        self._facts: dict[str, float] = {}
+
+    def learn(self) -> None:
+        """Read the configuration; raises `DriveRefused` where it does not fit."""
+        self._own = self._read(CHANGED)
+        self._facts = facts = self._read(FACTS)
+        where = f"{self._line.where}, {self._name}"
+        if facts["motor.config.motor_type"] != HIGH_CURRENT:
+            raise DriveRefused(f"{where}: motor_type is not HIGH_CURRENT")
+        if not facts["motor.is_calibrated"]:
+            raise DriveRefused(f"{where}: the motor is not calibrated")
+        if not facts["encoder.is_ready"] or facts["encoder.config.direction"] not in (-1.0, 1.0):
+            raise DriveRefused(f"{where}: the encoder is not calibrated; its phase is what a current is held at")
+        if not facts["motor.config.torque_constant"] > 0.0:
+            raise DriveRefused(f"{where}: no torque_constant, which turns torque into current")
+
+    @property
+    def pole_pairs(self) -> int:
+        return int(self._facts["motor.config.pole_pairs"])
+
+    @property
+    def own_limit_a(self) -> float:
+        return self._own["motor.config.current_lim"]
+
+    def bus_v(self) -> float:
+        """The bus [V]."""
+        return self._line.read(["vbus_voltage"])[0]
+
+    def state(self) -> int:
+        """What the axis does."""
+        return int(self._line.read([f"{self._name}.current_state"])[0])
+
+    def errors(self) -> Errors:
+        """Those that are latched."""
+        return Errors(*map(int, self._line.read([f"{self._name}{part}.error" for part in PARTS])))
+
+    def clear(self) -> None:
+        """Forget them, and the other axis' with them."""
+        self._line.send("sc")
+
+    def feed(self) -> None:
+        """What the watchdog hears."""
+        self._line.send(f"u {self._number}")
+
+    # Power stage
+
+    def switch_on(self, current_a: float, watchdog_s: float) -> None:
+        """Within a current, under the watchdog, at no torque."""
+        self._write(
+            {
+                "motor.config.current_lim": current_a,
+                "motor.config.current_lim_margin": MARGIN * current_a,
+                "config.watchdog_timeout": watchdog_s,
+                "controller.config.control_mode": TORQUE_CONTROL,
+                "controller.config.input_mode": PASSTHROUGH,
+            }
+        )
+        self._torque(0.0)
+        self.feed()
+        self._write({"config.enable_watchdog": 1})
+        self._enter(CLOSED_LOOP)
+
+    def switch_off(self) -> None:
+        """Idle, and everything as it was."""
+        self._torque(0.0)
+        self._enter(IDLE)
+        self._write({name: _as_it_is(name, value) for name, value in self._own.items()})
+
+    def hold(self, current_a: float, angle_rad: float) -> None:
+        """A current along a stator angle: zero, then the frame, then the current."""
+        self._torque(0.0)
+        wanted = angle_rad - 0.5 * math.pi
+        deadline = time.monotonic() + TURN_S
+        while (off := self._off(wanted)) is not None:
+            if time.monotonic() > deadline:
+                raise DriveFault(FaultCause.WRONG_DATA, f"the encoder's frame is off its angle by {off:.3f} rad")
+            self._turn(off)
+        direction, constant = self._facts["encoder.config.direction"], self._facts["motor.config.torque_constant"]
+        self._torque(direction * constant * current_a)
+
+    def reading(self) -> np.ndarray:
+        """i_alpha, i_beta [A], v_alpha, v_beta, v_dc [V], each of its own instant."""
+        control = f"{self._name}.motor.current_control"
+        names = ("Ialpha_measured", "Ibeta_measured", "final_v_alpha", "final_v_beta")
+        return np.array(self._line.read([*(f"{control}.{name}" for name in names), "vbus_voltage"]))
+
+    def _off(self, wanted: float) -> float | None:
+        """How far the frame is from its angle; None where it is there."""
+        (phase,) = self._line.read([f"{self._name}.motor.current_control.phase"])
+        off = math.remainder(wanted - phase, 2.0 * math.pi)
+        return None if abs(off) <= OFF_RAD else off
+
+    def _turn(self, by_rad: float) -> None:
+        name = "encoder.config.phase_offset_float"
+        facts = self._facts
+        counts = facts["encoder.config.cpr"] / (2.0 * math.pi * facts["motor.config.pole_pairs"])
+        (now,) = self._read([name]).values()
+        self._write({name: now - facts["encoder.config.direction"] * by_rad * counts})
+
+    def _torque(self, torque_nm: float) -> None:
+        self._line.send(f"c {self._number} {torque_nm:.7f}")
+
+    def _enter(self, state: int) -> None:
+        self._line.send(f"w {self._name}.requested_state {state}")
+        deadline = time.monotonic() + STATE_S
+        while (now := self.state()) != state:
+            if time.monotonic() > deadline:
+                told = f"{self._name} is in state {now}, not {state} ({self.errors()})"
+                raise DriveFault(FaultCause.NO_ANSWER, f"{self._line.where}: {told}")
+
+    def _read(self, names: Any) -> dict[str, float]:
+        return dict(zip(names, self._line.read([f"{self._name}.{name}" for name in names]), strict=True))
+
+    def _write(self, values: dict[str, float]) -> None:
+        self._line.write({f"{self._name}.{name}": value for name, value in values.items()})
+
+
+def _as_it_is(name: str, value: float) -> float:
+    """Switches and modes are whole numbers there."""
+    return int(value) if name.rpartition(".")[2] in ("enable_watchdog", "control_mode", "input_mode") else value

@@ -1,0 +1,318 @@
+"""The drive `odrive`: holds direct currents under the board's own current control, and reads them slowly.
+
+It claims `hold` alone. docs/odrive.md says what keeps it from the rest.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+import time
+from collections.abc import Generator, Iterator, Mapping
+from typing import Annotated, ClassVar
+
+import numpy as np
+from pydantic import BaseModel, Field
+
+from orchestrator.driving import DriveShell, in_blocks, sign_of_life
+from plugins.drives.odrive._axis import CLOSED_LOOP, IDLE, Axis, Errors
+from plugins.drives.odrive._line import Line
+from protocols import (
+    Capabilities,
+    Capture,
+    DriveFault,
+    DriveRefused,
+    DriveSetup,
+    Excitation,
+    ExcitationKind,
+    FaultCause,
+    Hold,
+    Limits,
+    Strict,
+    Telemetry,
+)
+
+VERSION = (0, 5)
+ALIVE_S, RAMP_S, TRIES, LATE_S = 0.2, 0.5, 10, 0.05
+OVER_LIMIT, ZERO, ASTRAY, MODULATION = 1.1, 0.05, 0.3, 0.8
+"""Parts: of the run's limits, what trips and what is no current; of a current, how far it may be off; of the bus, what
+the board modulates."""
+
+
+class OdriveOptions(Strict):
+    """Options of the drive `odrive`."""
+
+    port: Annotated[str, Field(min_length=1)]
+    """Serial device, or ``socket://host:port``."""
+    baud_rate: Annotated[int, Field(ge=1)] = 115200
+    """Of a UART; USB does not care."""
+    axis: Annotated[int, Field(ge=0, le=1)] = 0
+    sampling_frequency_hz: Annotated[float, Field(ge=1.0, le=200.0)] = 40.0
+    """Readings a second while capturing."""
+    watchdog_s: Annotated[float, Field(ge=0.1, le=10.0)] = 0.5
+    """The axis' watchdog is set to it for the run."""
+    clear_fault: bool = False
+    """Forget the errors that the board has latched, on connecting: after somebody has seen to their cause."""
+
+
+class OdriveDrive(DriveShell):
+    """An axis of an ODrive as a drive; implements `Drive`, and `ResumableDrive` for its clock.
+
+    Parameters
+    ----------
+    setup : DriveSetup
+        With `OdriveOptions`.
+    """
+
+    name: ClassVar[str] = "odrive"
+    Options: ClassVar[type[BaseModel]] = OdriveOptions
+    why_not: ClassVar[Mapping[ExcitationKind, str]] = {
+        "gates_off": "it measures no current while it is idle",
+        "trapezoid": "it is read a few dozen times a second, with voltages that are not of the same instant",
+        "injection": "it is read a few dozen times a second, and its stock oscilloscope has no source",
+        "steps": "no command of it turns a voltage where a current is met",
+        "spin": "it is held to a rotor that is locked",
+    }
+
+    def __init__(self, setup: DriveSetup) -> None:
+        super().__init__(setup)
+        self._options: OdriveOptions = setup.options
+        self._line: Line | None = None
+        self._axis: Axis | None = None
+        self._target, self._rotor_angle_rad, self._origin_s = 0j, 0.0, 0.0
+
+    # Link
+
+    def open(self) -> Capabilities:
+        """Ask the board who it is and how it is configured. Nothing is energised.
+
+        Raises
+        ------
+        DriveFault
+            Nobody answers, or what is answered cannot be used.
+        DriveRefused
+            Firmware, configuration or nameplate do not fit, or somebody else drives it.
+        """
+        o = self._options
+        self._line = line = Line(o.port, o.baud_rate)
+        version = tuple(map(int, line.read(["fw_version_major", "fw_version_minor", "fw_version_revision"])))
+        if version[:2] != VERSION:
+            raise DriveRefused(f"{line.where}: firmware {'.'.join(map(str, version))}, 0.5 is needed")
+        self._axis = axis = Axis(line, o.axis)
+        axis.learn()
+        if axis.pole_pairs != self.setup.motor.pole_pairs:
+            told = f"motor.config.pole_pairs is {axis.pole_pairs}, the nameplate's {self.setup.motor.pole_pairs}"
+            raise DriveRefused(f"{line.where}: {told}")
+        if axis.state() != IDLE:
+            raise DriveRefused(f"{line.where}: axis {o.axis} is not idle: somebody else drives it")
+        self._take_up(axis)
+        bus_v = axis.bus_v()
+        if bus_v <= 0.0:
+            raise DriveFault(FaultCause.BUS_VOLTAGE, f"{line.where}: reads a bus of {bus_v:g} V")
+        self._origin_s = time.monotonic()
+        return Capabilities(
+            name="odrive",
+            sampling_frequency_hz=o.sampling_frequency_hz,
+            pwm_frequency_hz=24_000.0,
+            pwm_frequencies_hz=(24_000.0,),
+            dc_bus_voltage_v=bus_v,
+            max_current_a=axis.own_limit_a,
+            max_voltage_v=MODULATION * bus_v / math.sqrt(3.0),
+            heeds_bandwidth=False,
+            excitations=frozenset(("hold",)),
+            watchdog_s=o.watchdog_s,
+            watchdog_covers=frozenset(("hold",)),
+            notes=(f"firmware {'.'.join(map(str, version))}; held currents alone (docs/odrive.md)",),
+        )
+
+    def _take_up(self, axis: Axis) -> None:
+        """A watchdog that has run out is over, for its host is gone; other errors stay unless seen to."""
+        errors = axis.errors()
+        if not errors:
+            return
+        if self._options.clear_fault or errors == Errors(Errors.WATCHDOG, 0, 0, 0):
+            axis.clear()
+        else:
+            self.latch(_fault(errors, self._options.watchdog_s))
+
+    def release(self) -> None:
+        """Let go of the line."""
+        line, self._line, self._axis = self._line, None, None
+        if line is not None:
+            line.close()
+
+    def heartbeat(self) -> None:
+        """Feed the watchdog, where there is a power stage to watch."""
+        axis = self._axis
+        if axis is None or self.limits is None:
+            return
+        try:
+            axis.feed()
+        except DriveFault:
+            return  # the line keeps it
+
+    # Power stage
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        return tuple(f"{fault.cause.value}: {fault.detail}" for fault in self.latched)
+
+    def attend(self) -> None:
+        """Raises `DriveFault` where the line is lost or the axis has tripped."""
+        axis = self._connected()
+        if self.limits is not None and not self.latched:
+            self._require_sound(axis)
+
+    def energise(self, limits: Limits) -> None:
+        """The board's own current limit and watchdog, then closed loop at no torque."""
+        axis = self._connected()
+        try:
+            axis.switch_on(min(limits.current_a, axis.own_limit_a), self._options.watchdog_s)
+        except DriveFault as fault:
+            raise self.trip(fault) from None
+
+    def start(self, excitation: Excitation) -> Iterator[Capture]:
+        """Hold; refuses what needs more voltage than the limit, by the nameplate's resistance."""
+        assert isinstance(excitation, Hold)
+        assert self.limits is not None
+        needed_v = excitation.longest_current_a * (self.setup.motor.stator_resistance_ohm or 0.0)
+        if needed_v > self.limits.voltage_v:
+            raise DriveRefused(f"needs {needed_v:.3g} V by the nameplate's resistance, above the limit")
+        return self._held(excitation, self.limits)
+
+    def _held(self, hold: Hold, limits: Limits) -> Generator[Capture]:
+        axis, fs = self._connected(), self.own.sampling_frequency_hz
+        self._rotor_angle_rad = hold.rotor_angle_rad
+        self._target = complex(*hold.start_dq_a) * cmath.exp(1j * hold.rotor_angle_rad)
+        try:
+            axis.hold(*cmath.polar(self._target))
+            until_s = time.monotonic() + hold.settle_s
+            while (left_s := until_s - time.monotonic()) > 0.0:
+                time.sleep(min(left_s, ALIVE_S))
+                yield self._alive()
+            rows, start_s = yield from self._rows(axis, hold.rows(fs), limits)
+        except DriveFault as fault:
+            raise self.trip(fault) from None
+        rows = rows.astype(np.float32)
+        yield from in_blocks(
+            Capture(
+                start_s=start_s - self._origin_s,
+                sampling_frequency_hz=fs,
+                i_ab=rows[:, :2],
+                v_ab=rows[:, 2:4],
+                v_dc=rows[:, 4],
+            )
+        )
+
+    def _rows(self, axis: Axis, count: int, limits: Limits) -> Generator[Capture, None, tuple[np.ndarray, float]]:
+        """Readings, one each period; all anew where one comes later than a direct current bears."""
+        fs = self.own.sampling_frequency_hz
+        for _ in range(TRIES):
+            rows, start_s = list[np.ndarray](), time.monotonic()
+            told_s = start_s
+            while len(rows) < count:
+                time.sleep(max(0.0, start_s + len(rows) / fs - time.monotonic()))
+                rows.append(axis.reading())
+                self._watch(axis, rows[-1], limits)
+                if time.monotonic() > start_s + len(rows) / fs + LATE_S:
+                    break
+                if time.monotonic() - told_s > ALIVE_S:
+                    told_s = time.monotonic()
+                    yield self._alive()
+            else:
+                time.sleep(max(0.0, start_s + count / fs - time.monotonic()))  # the last row has a period as well
+                self._require_sound(axis)
+                return np.array(rows), start_s
+            yield self._alive()
+        told = f"readings come late at {fs:g} Hz; choose a lower sampling_frequency_hz"
+        raise DriveFault(FaultCause.NO_ANSWER, told)
+
+    def _watch(self, axis: Axis, row: np.ndarray, limits: Limits) -> None:
+        i, v = math.hypot(row[0], row[1]), math.hypot(row[2], row[3])
+        if i > OVER_LIMIT * limits.current_a:
+            raise DriveFault(FaultCause.OVERCURRENT, f"{i:.3g} A flow, the limit is {limits.current_a:g} A")
+        if v > OVER_LIMIT * limits.voltage_v:
+            raise DriveFault(FaultCause.INTERNAL, f"{v:.3g} V are commanded, the limit is {limits.voltage_v:g} V")
+        off = abs(complex(row[0], row[1]) - self._target)
+        if off > max(ASTRAY * abs(self._target), ZERO * limits.current_a):
+            self._require_sound(axis)
+            told = f"{i:.3g} A flow, {off:.3g} A off the {abs(self._target):.3g} A asked for"
+            raise DriveFault(FaultCause.INTERNAL, f"{told}: the board limits it, or the rotor has turned")
+
+    def telemetry(self) -> Telemetry:
+        """A reading, now; while the axis is idle no current is measured, and none is told."""
+        axis = self._connected()
+        if self.limits is not None and not self.latched and (fault := self._fault(axis)) is not None:
+            self.trip(fault)
+        alpha, beta, _, _, bus_v = axis.reading()
+        flowing = axis.state() == CLOSED_LOOP
+        i = complex(alpha, beta) * cmath.exp(-1j * self._rotor_angle_rad) if flowing else 0j
+        return Telemetry(
+            state=self.state,
+            time_s=time.monotonic() - self._origin_s,
+            i_d_a=i.real,
+            i_q_a=i.imag,
+            v_dc_v=bus_v,
+            faults=self.faults,
+        )
+
+    def ramp(self) -> None:
+        """No torque, and wait until the current is gone."""
+        axis = self._connected()
+        if self.limits is None:
+            return
+        axis.hold(0.0, cmath.phase(self._target))
+        self._target, deadline = 0j, time.monotonic() + RAMP_S
+        while axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO * self.limits.current_a:
+            if time.monotonic() > deadline:
+                raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {RAMP_S:g} s of ramping down")
+
+    def switch_off(self) -> None:
+        """Idle, and the board's settings as they were."""
+        axis = self._connected()
+        if axis.state() == CLOSED_LOOP:
+            self.ramp()
+        axis.switch_off()
+
+    def forget_fault(self) -> None:
+        """Clear the board's own errors; the axis stays idle."""
+        self._connected().clear()
+
+    def _fault(self, axis: Axis) -> DriveFault | None:
+        errors = axis.errors()
+        if errors:
+            return _fault(errors, self._options.watchdog_s)
+        if axis.state() != CLOSED_LOOP:
+            return DriveFault(FaultCause.INTERNAL, "the axis has left closed loop: somebody else drives it")
+        return None
+
+    def _require_sound(self, axis: Axis) -> None:
+        fault = self._fault(axis)
+        if fault is not None:
+            raise self.trip(fault)
+
+    # Clock
+
+    def checkpoint(self, point_id: str) -> None:
+        """Nothing to keep: the motor remembers by itself."""
+
+    def restore(self, point_id: str, start_s: float) -> None:
+        """Let the experiment's clock go on from `start_s`."""
+        self._origin_s = time.monotonic() - start_s
+
+    # What the methods share
+
+    def _alive(self) -> Capture:
+        return sign_of_life(time.monotonic() - self._origin_s, self.own.sampling_frequency_hz)
+
+    def _connected(self) -> Axis:
+        if self._line is None or self._axis is None:
+            raise DriveRefused("not connected")
+        self._line.check()
+        return self._axis
+
+
+def _fault(errors: Errors, watchdog_s: float) -> DriveFault:
+    if errors.axis & Errors.WATCHDOG:
+        return DriveFault(FaultCause.HEARTBEAT_LOST, f"no beat for {watchdog_s:g} s")
+    return DriveFault(FaultCause.INTERNAL, f"ODrive errors: {errors}")
