@@ -148,7 +148,8 @@ class Drive(Protocol):
     def arm(self, limits: Limits) -> None:
         """Hand over the limits and enable the power stage.
 
-        Raises `DriveRefused` where a limit is above the drive's own or a fault is latched.
+        Raises `DriveRefused` where a limit is above the drive's own, a fault is latched, or an interlock that the
+        drive reads by itself is open (named).
         """
         ...
 
@@ -164,7 +165,8 @@ class Drive(Protocol):
         block the drive goes on holding the operating point (gates off after `GatesOff`). Leaving
         the iterator early leaves the drive energised: `ramp_down` follows.
 
-        An interlock that opens meanwhile is the drive's to trip on; the engine asks for it between excitations only.
+        An interlock that opens meanwhile is the drive's to trip on, and to name; the engine asks for it between
+        excitations only.
 
         Raises `DriveRefused` before moving anything, `DriveFault` when the drive trips.
         """

@@ -5,10 +5,13 @@ from __future__ import annotations
 from orchestrator.testing._drive_captures import DriveCaptureChecks
 from orchestrator.testing._drive_contract import DriveContractChecks
 from orchestrator.testing._drive_instruments import DriveInstrumentChecks
+from orchestrator.testing._drive_interlocks import DriveInterlockChecks
 from orchestrator.testing._drive_safety import DriveSafetyChecks
 
 
-class DriveConformance(DriveContractChecks, DriveCaptureChecks, DriveInstrumentChecks, DriveSafetyChecks):
+class DriveConformance(
+    DriveContractChecks, DriveCaptureChecks, DriveInstrumentChecks, DriveInterlockChecks, DriveSafetyChecks
+):
     """Says whether a drive plugin keeps the contract of `protocols.Drive`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give two methods:
@@ -21,5 +24,6 @@ class DriveConformance(DriveContractChecks, DriveCaptureChecks, DriveInstrumentC
     it, and a minute. The class attributes ending in ``_tolerance`` may be widened up to the bound
     that each names, for drives that measure coarsely; `prepare` is the place for what has to be
     done after connecting (the kit engages the brake, where there is one); where an instrument shows
-    whether the bridge is on, `bridge_is_on` reads it.
+    whether the bridge is on, `bridge_is_on` reads it, and where interlock inputs can be opened,
+    `open_interlocks` opens them.
     """

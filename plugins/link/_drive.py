@@ -13,7 +13,7 @@ from dataclasses import replace
 from orchestrator.driving import DriveShell
 from plugins.link._claims import ENERGISED, require_memory, require_sound
 from plugins.link._errors import link_errors
-from plugins.link._host import Host, fault_names, known_fault, require_held, words
+from plugins.link._host import Host, fault_names, known_fault, refused, require_held, words
 from plugins.link._link import Link
 from plugins.link._machine import Machine, longest_capture, row_format
 from plugins.link._options import LinkOptions
@@ -35,8 +35,10 @@ from plugins.wire import (
     capabilities_of,
     encode,
     facts_of,
+    interlock_told,
     limit_registers,
     motor_registers,
+    open_interlocks,
 )
 from protocols import (
     Capabilities,
@@ -76,8 +78,9 @@ class LinkDrive(DriveShell):
     def open(self) -> Capabilities:
         """Open the link, identify the drive, and read what it can do. Nothing is energised.
 
-        A watchdog's fault is cleared: its host is gone, and somebody has started this one. Other
-        faults stay, unless the option `clear_fault` says that they have been seen to.
+        A watchdog's fault is cleared: its host is gone, and somebody has started this one. So is an
+        interlock's, which forbids arming for as long as it is open. Other faults stay, unless the
+        option `clear_fault` says that they have been seen to.
 
         Raises
         ------
@@ -92,6 +95,7 @@ class LinkDrive(DriveShell):
         self._host = host = Host(self._link, self._options.answer_timeout_s)
         host.identify(self._options.connect_timeout_s)
         self._machine = self._learned(host)
+        host.interlocks = self._machine.capabilities.interlocks
         self._clear_what_is_over(host)
         host.write({"telemetry_period_s": self._options.telemetry_period_s}, anew=True)
         self._origin_s = 0.0
@@ -119,7 +123,7 @@ class LinkDrive(DriveShell):
 
     def _clear_what_is_over(self, host: Host) -> None:
         cause = known_fault(host.read("fault_cause"))
-        if cause is Fault.WATCHDOG or (cause is not Fault.NONE and self._options.clear_fault):
+        if cause in (Fault.WATCHDOG, Fault.INTERLOCK) or (cause is not Fault.NONE and self._options.clear_fault):
             self.forget_fault()
         else:
             host.fault_told = cause is not Fault.NONE
@@ -170,7 +174,11 @@ class LinkDrive(DriveShell):
         host.write(motor_registers(self.setup.motor) | values, anew=True)
         for name, value in values.items():
             require_held(name, value, host.read(name))
-        ack = host.do(Op.ARM)
+        ack = host.command(Op.ARM)
+        if ack.status is AckStatus.INTERLOCK_OPEN:
+            raise DriveRefused(interlock_told(ack.value, host.interlocks))
+        if ack.status is not AckStatus.OK:
+            raise refused(ack)
         host.conversation.armed(ack)
         self.heartbeat()
         self._await(host, (*ENERGISED, PowerState.FAULTED), PATIENCE.settle_s)
@@ -208,6 +216,7 @@ class LinkDrive(DriveShell):
             temperature_c=None if status.temperature == NO_TEMPERATURE_C else float(status.temperature),
             pwm_frequency_hz=self._pwm_frequency_hz(host, machine.capabilities),
             faults=fault_names(status),
+            open_interlocks=open_interlocks(measurement.open_interlocks, machine.capabilities.interlocks),
         )
 
     @staticmethod

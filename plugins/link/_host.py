@@ -53,6 +53,8 @@ class Host:
         self._answer_s = answer_s
         self.fault_told = False
         """Whether the latched fault has been raised, or was there before this host."""
+        self.interlocks: tuple[str, ...] = ()
+        """Names of the drive's interlock inputs, once they are known."""
         self._held: dict[str, float] = {}
 
     # Requests
@@ -89,7 +91,7 @@ class Host:
         """A command that must be done; raises `DriveRefused` with the drive's reason."""
         ack = self.command(op, arg)
         if ack.status is not AckStatus.OK:
-            raise DriveRefused(f"the drive refuses to {words(op)}: {words(ack.status)}")
+            raise refused(ack)
         return ack
 
     def shout(self, *ops: Op) -> None:
@@ -180,7 +182,12 @@ class Host:
         """The drive's latched fault as the project's error."""
         self.fault_told = True
         cause, value, limit, bits = (self.read(name) for name in _FAULT_REGISTERS)
-        return drive_fault(known_fault(cause), value, limit, int(bits))
+        return drive_fault(known_fault(cause), value, limit, int(bits), self.interlocks)
+
+
+def refused(ack: Ack) -> DriveRefused:
+    """What an acknowledgement other than ok says of its command."""
+    return DriveRefused(f"the drive refuses to {words(ack.op)}: {words(ack.status)}")
 
 
 def require_held(name: str, wanted: float, held: float) -> None:

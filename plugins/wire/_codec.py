@@ -9,7 +9,7 @@ from functools import cache
 from typing import NamedTuple, get_type_hints
 
 from plugins.wire._dbc import MessageLayout, SignalLayout, layouts
-from plugins.wire._messages import MESSAGES, EStop, Message
+from plugins.wire._messages import LEAST_BYTES, MESSAGES, EStop, Message
 from protocols import InputError
 
 
@@ -48,13 +48,13 @@ def decode(frame_id: int, payload: bytes) -> Message | None:
     """The message of a frame; None where the identifier, the length or an enumeration's value is not known.
 
     An emergency stop is one whatever its payload. Bytes after a message's own are passed over: a
-    later minor version may have added some.
+    later minor version may have added some. Those that it added and an earlier one lacks are zero.
     """
     codec = _by_id().get(frame_id)
     if codec is None:
         return None
     unknown = EStop() if codec.make is EStop else None
-    if len(payload) < codec.layout.length:
+    if len(payload) < LEAST_BYTES.get(codec.layout.name, codec.layout.length):
         return unknown
     bits = int.from_bytes(payload[: codec.layout.length], "little")
     try:

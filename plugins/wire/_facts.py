@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pydantic import ValidationError
 
 from plugins.wire._codec import single
+from plugins.wire._interlocks import interlocks_of
 from plugins.wire._messages import PROTOCOL_MAJOR, PROTOCOL_MINOR, Capability
 from plugins.wire._program import KINDS, Registers
 from plugins.wire._registers import registers
@@ -77,6 +78,7 @@ def capabilities_of(
     _require_sound(values)
     values = {name: shortest_decimal(value) for name, value in values.items()}
     own = values["pwm_frequency_hz"]
+    bits = Capability(int(values["capability_bits"]))
     choices = {values[f"pwm_choice_{k}"] for k in range(PWM_CHOICES)} - {0.0} | {own}
     try:
         return Capabilities(
@@ -92,7 +94,8 @@ def capabilities_of(
             excitations=_kinds(values["excitations"]),
             watchdog_s=values["watchdog_s"] or None,
             watchdog_covers=_kinds(values["watchdog_covers"]),
-            has_brake=bool(Capability(int(values["capability_bits"])) & Capability.BRAKE),
+            has_brake=bool(bits & Capability.BRAKE),
+            interlocks=interlocks_of(description) if bits & Capability.INTERLOCKS else (),
             motor_name=description.get("motor"),
         )
     except ValidationError as error:

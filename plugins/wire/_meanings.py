@@ -32,6 +32,7 @@ FAULTS = {
     "encoder": "The rotor turns where it must not, or its sensor fails.",
     "gate_driver": "The gate driver reports a fault.",
     "internal": "The firmware's own checks.",
+    "interlock": "An interlock input opened while the power stage was on; fault_value has the bits of the open ones.",
 }
 
 OPS = {
@@ -67,6 +68,7 @@ ACK_STATUSES = {
     "overwritten": "The ring has gone over these rows.",
     "no_memory": "More rows than the memory holds.",
     "too_long": "A longer program than longest_program_s.",
+    "interlock_open": "An interlock input forbids arming; the Ack's value has the bits of those that are open.",
 }
 
 PHASES = {

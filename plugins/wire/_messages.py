@@ -8,7 +8,7 @@ from __future__ import annotations
 from enum import IntEnum, IntFlag
 from typing import NamedTuple
 
-PROTOCOL_MAJOR, PROTOCOL_MINOR = 1, 0
+PROTOCOL_MAJOR, PROTOCOL_MINOR = 1, 1
 
 HEARTBEAT_S = 0.05
 """Period of the heartbeat [s]."""
@@ -16,6 +16,8 @@ TELEMETRY_S = 0.05
 """Period of Status and Measurement unless the register telemetry_period_s says otherwise [s]."""
 NO_TEMPERATURE_C = -128
 """Of a Status whose temperature is not measured."""
+LEAST_BYTES = {"Measurement": 7}
+"""Length of a message in version 1.0, where a later one added bytes: those that are missing are zero."""
 STALE_PERIODS = 3
 """Telemetry that is older than this many periods is stale, and means stop."""
 
@@ -57,6 +59,7 @@ class AckStatus(IntEnum):
     OVERWRITTEN = 13
     NO_MEMORY = 14
     TOO_LONG = 15
+    INTERLOCK_OPEN = 16
 
 
 class PowerState(IntEnum):
@@ -85,6 +88,7 @@ class Fault(IntEnum):
     ENCODER = 10
     GATE_DRIVER = 11
     INTERNAL = 12
+    INTERLOCK = 13
 
 
 class Phase(IntEnum):
@@ -123,6 +127,7 @@ class Capability(IntFlag):
     SETPOINTS = 16
     BRAKE = 32
     TEMPERATURE = 64
+    INTERLOCKS = 128
 
 
 class EStop(NamedTuple):
@@ -225,12 +230,13 @@ class Tick(NamedTuple):
 
 
 class Measurement(NamedTuple):
-    """Low-passed readings: currents in counts, `v_dc` in V."""
+    """Low-passed readings: currents in counts, `v_dc` in V; `open_interlocks` has a bit for each input."""
 
     seq: int
     i_d: int
     i_q: int
     v_dc: float
+    open_interlocks: int = 0
 
 
 class Progress(NamedTuple):

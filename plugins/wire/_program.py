@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
+from plugins.wire._interlocks import interlock_told
 from plugins.wire._messages import Fault
 from plugins.wire._rows import CaptureFormat, Channel
 from protocols import (
@@ -41,6 +42,7 @@ _CAUSES = {
     Fault.LIMIT: FaultCause.PROGRAM_TOO_LONG,
     Fault.ENCODER: FaultCause.WRONG_DATA,
     Fault.EMERGENCY_STOP: FaultCause.EMERGENCY_STOP,
+    Fault.INTERLOCK: FaultCause.EMERGENCY_STOP,
 }
 _WORDS = {
     Fault.OVERCURRENT: ("overcurrent", "A"),
@@ -188,10 +190,17 @@ def capture_registers(
     }
 
 
-def drive_fault(cause: Fault, value: float = 0.0, limit: float = 0.0, faults: int = 0) -> DriveFault:
-    """The project's error for a drive's fault: the first cause in words, then what followed from it."""
+def drive_fault(
+    cause: Fault, value: float = 0.0, limit: float = 0.0, faults: int = 0, interlocks: Sequence[str] = ()
+) -> DriveFault:
+    """The project's error for a drive's fault: the first cause in words, then what followed from it.
+
+    `interlocks` are the names of the drive's inputs.
+    """
     words, unit = _WORDS.get(cause, (cause.name.lower().replace("_", " "), ""))
     detail = f"{words}: {value:.4g} {unit} against {limit:.4g} {unit}".replace("  ", " ").rstrip() if unit else words
+    if cause is Fault.INTERLOCK:
+        detail = interlock_told(int(value), interlocks)
     others = [fault.name.lower() for fault in Fault if fault not in (Fault.NONE, cause) and faults >> fault & 1]
     if others:
         detail += f" (then {', '.join(others)})"

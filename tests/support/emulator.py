@@ -41,6 +41,11 @@ class Emulator:
         os.kill(self.process.pid, number)
 
 
+def with_interlocks(switches: Path) -> tuple[str, ...]:
+    """Words for two inputs, of which those are open whose names stand in this file."""
+    return ("--set", "interlocks=[door, cover]", "--open-interlocks", str(switches))
+
+
 def free_port() -> int:
     """A UDP port that nobody has, for a multicast bus of one's own."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:

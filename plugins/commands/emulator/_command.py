@@ -64,6 +64,12 @@ def emulate(
     speed: Annotated[str, typer.Option(help="Simulated seconds a second, or max.")] = "1",
     log: Annotated[Path | None, typer.Option(help="Write what happens here, a JSON object a line.")] = None,
     state: Annotated[Path | None, typer.Option(help="Keep the plant's state in this directory.")] = None,
+    open_interlocks: Annotated[
+        Path | None,
+        typer.Option(
+            help="The inputs of --set 'interlocks=[door]' that this file names, one a line, are open.", metavar="FILE"
+        ),
+    ] = None,
     priority: Annotated[
         bool, typer.Option(help="Ask for real-time priority: the watchdog is as punctual as the machine lets it be.")
     ] = True,
@@ -86,7 +92,12 @@ def emulate(
     pace = _speed(speed)
     journal = no_log if log is None else JsonLines(log)
     own = DeviceSettings(
-        memory_rows=memory_rows, ring=ring, longest_program_s=longest_program, speed=pace, directory=state
+        memory_rows=memory_rows,
+        ring=ring,
+        longest_program_s=longest_program,
+        speed=pace,
+        directory=state,
+        interlocks=open_interlocks,
     )
     port = _port(serial, can, node, fd, bitrate, data_bitrate, can_settings or ())
     device = Device(options, nameplate, seed, port.layout, own, journal)

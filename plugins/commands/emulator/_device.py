@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 
 from plugins.commands.emulator._bounds import BOUNDS
+from plugins.commands.emulator._inputs import Inputs
 from plugins.commands.emulator._log import Log, no_log
 from plugins.commands.emulator._memory import Capture
 from plugins.commands.emulator._power import PowerStage
@@ -47,6 +48,7 @@ from plugins.wire import (
     decode,
     encode,
     frame_id,
+    interlocks_line,
     limits_of,
     register_name,
     single,
@@ -91,12 +93,14 @@ class Device:
         self.rig.warm_up()
         if self._settings.directory is not None:
             self.rig.load(self._settings.directory)
-        self.power = PowerStage(self.rig, clock, self._settings.speed, log, self._settings.directory)
-        text = _describe(self.rig.capabilities.motor_name or motor.name, seed)
+        own = self.rig.capabilities
+        inputs = Inputs(own.interlocks, self._settings.interlocks)
+        self.power = PowerStage(self.rig, clock, self._settings.speed, log, self._settings.directory, inputs.read)
+        text = _describe(own.motor_name or motor.name, seed, own.interlocks)
         self._description = CaptureSource.complete_with(DESCRIPTION, text.encode())
         self._layout = layout(self._settings.block_bytes)
         self._facts = facts_of_rig(self.rig, self._settings, text)
-        self._file = RegisterFile(capability_registers(self.rig.capabilities, self._facts))
+        self._file = RegisterFile(capability_registers(own, self._facts))
         self._tell_temperature()
         self._file["brake"] = float(self.rig.braked)
         self._programs = Programs(self.rig, self._file, self._facts, self._settings)
@@ -146,7 +150,8 @@ class Device:
         yield from self._telemetry.status(
             now_s, power.state, power.cause, power.faults, power.last_beat, shown[2], warmth
         )
-        yield from self._telemetry.periodic(now_s, period_s, shown, self._facts.scales.current_a, self.rig.ticks)
+        scale_a, inputs = self._facts.scales.current_a, power.open_interlocks
+        yield from self._telemetry.periodic(now_s, period_s, shown, scale_a, self.rig.ticks, inputs)
         rows = power.capture.done if power.capture else 0
         number = power.capture.number if power.capture else 0
         busy = power.state is PowerState.RUNNING
@@ -258,6 +263,8 @@ class Device:
             return AckStatus.OUT_OF_RANGE, 0
         if any(self._file[name] > self._file[own] for name, own in _LIMIT_OF.items()):
             return AckStatus.PAST_LIMIT, 0
+        if self.power.open_interlocks:
+            return AckStatus.INTERLOCK_OPEN, self.power.open_interlocks
         self._believe_nameplate()
         self.power.arm(limits)
         session = self._ledger.issue()
@@ -381,6 +388,7 @@ class Device:
         return self.power.capture.source(number) if self.power.capture is not None else None
 
 
-def _describe(motor: str, seed: int) -> str:
+def _describe(motor: str, seed: int, interlocks: tuple[str, ...]) -> str:
     lines = {"name": "fluxbench emulator", "motor": motor, "serial": str(seed), "clock": "simulated"}
-    return "\n".join(f"{key}: {' '.join(value.split())}" for key, value in lines.items())
+    text = "\n".join(f"{key}: {' '.join(value.split())}" for key, value in lines.items())
+    return f"{text}\n{interlocks_line(interlocks)}" if interlocks else text

@@ -36,12 +36,23 @@ class PowerStage:
     log : Log
     directory : Path, optional
         Where the plant's state is kept whenever the gates go off.
+    read_interlocks : callable
+        Bits of the interlock inputs that are open now.
     """
 
     def __init__(
-        self, rig: Rig, clock: Callable[[], float], speed: float | None, log: Log, directory: Path | None
+        self,
+        rig: Rig,
+        clock: Callable[[], float],
+        speed: float | None,
+        log: Log,
+        directory: Path | None,
+        read_interlocks: Callable[[], int],
     ) -> None:
         self.rig, self.speed, self.log = rig, speed, log
+        self._read_interlocks = read_interlocks
+        self.open_interlocks = 0
+        """Bits of the inputs that were open when `guard` looked last."""
         self._clock, self._directory = clock, directory
         self._fs = rig.options.sampling_frequency_hz
         limit_s = rig.options.watchdog_s
@@ -145,7 +156,10 @@ class PowerStage:
     # Protections
 
     def guard(self, now_s: float) -> None:
-        """The dead man: to be called before the link is read, so that nothing late can wake him."""
+        """Dead man and interlocks: to be called before the link is read, so that nothing late can wake or arm."""
+        self.open_interlocks = self._read_interlocks()
+        if self.energised and self.open_interlocks:
+            self.trip(Fault.INTERLOCK, float(self.open_interlocks))
         if self.energised and self._watchdog is not None and self._watchdog.expired(now_s):
             self.trip(Fault.WATCHDOG, now_s - self._fed_s, self._watchdog.limit_s, since_s=self._fed_s)
         if self.state is PowerState.FAULTED and self._pwm and now_s - self._tripped_s > BOUNDS.safe_within_s:

@@ -43,6 +43,8 @@ class DeviceSettings:
     ahead of the link would overwrite them)."""
     directory: Path | None = None
     """Where the plant's state is kept."""
+    interlocks: Path | None = None
+    """A file that names the interlock inputs that are open."""
 
 
 def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
@@ -55,6 +57,8 @@ def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
         bits |= Capability.BRAKE
     if rig.temperature_c is not None:
         bits |= Capability.TEMPERATURE
+    if own.interlocks:
+        bits |= Capability.INTERLOCKS
     return DriveFacts(
         bits=bits,
         channels=CHANNELS,

@@ -31,14 +31,20 @@ class Telemetry:
         yield Status(state, cause, beat, faults, _volts(v_dc), warmth_c, self._status)
 
     def periodic(
-        self, now_s: float, period_s: float, shown: tuple[float, float, float], scale_a: float, ticks: int
+        self,
+        now_s: float,
+        period_s: float,
+        shown: tuple[float, float, float],
+        scale_a: float,
+        ticks: int,
+        open_interlocks: int,
     ) -> Iterator[Message]:
         """Measurement and clock, when they are due; `status` goes before."""
         if now_s >= self._due_s:
             self._due_s = now_s + period_s if now_s - self._due_s > period_s else self._due_s + period_s
             self._measurement = (self._measurement + 1) % 256
             i_d, i_q = (max(-32768, min(32767, round(i / scale_a))) for i in shown[:2])
-            yield Measurement(self._measurement, i_d, i_q, _volts(shown[2]))
+            yield Measurement(self._measurement, i_d, i_q, _volts(shown[2]), open_interlocks)
         if now_s >= self._tick_due_s:
             self._tick_due_s = now_s + BOUNDS.tick_s
             yield self.tick(now_s, ticks)

@@ -27,8 +27,9 @@ struct fb_facts {
     bool has_third_sensor;       /* else i_c of a reading is not looked at */
     bool has_thermometer;
     bool has_brake;
+    bool has_interlocks;         /* named in the description's line `interlocks: door, cover`, at most eight */
     float resistance_ohm, l_d_h, l_q_h, rated_a; /* tune the control until a host tells better */
-    const char *description;     /* lines `name: ...`, `motor: ...`, `firmware: ...`, `serial: ...` */
+    const char *description;     /* lines `name: ...`, `motor: ...`, `firmware: ...`, `serial: ...`, `interlocks: ...` */
 };
 extern const struct fb_facts fb_facts;
 
@@ -52,6 +53,7 @@ void fb_board_unlock(void);
 /* In the main loop. */
 float fb_board_temperature_c(void); /* where has_thermometer */
 void fb_board_brake(bool engaged);  /* where has_brake */
+uint8_t fb_board_interlocks(void);  /* where has_interlocks: a bit for each that is open, the first name's the lowest */
 
 #if FB_LINK_CAN
 struct fb_frame;

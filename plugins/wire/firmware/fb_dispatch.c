@@ -70,6 +70,10 @@ static struct answer arm(void)
     if (answer.status == FLUXBENCH_ACK_OK) {
         fb_beat_start();
         answer.value = fb_session_issue();
+    } else if (answer.status == FLUXBENCH_ACK_INTERLOCK_OPEN) {
+        answer.value = fb_power_news().open_interlocks;
+    } else {
+        /* why not is all there is to say */
     }
     return answer;
 }

@@ -54,6 +54,7 @@ static struct {
     uint32_t tick, armed_at, begun_at, due;
     uint32_t fed_us, watchdog_us;
     uint32_t rows_left;
+    uint8_t open_interlocks;
 } power;
 
 static struct fb_plan next_plan; /* made in the main loop, copied in one go */
@@ -89,6 +90,7 @@ struct fb_news fb_power_news(void)
     news.phase = power.phase;
     news.cause = power.cause;
     news.faults = power.faults;
+    news.open_interlocks = power.open_interlocks;
     news.fault_value = power.fault_value;
     news.fault_limit = power.fault_limit;
     news.shown = power.shown;
@@ -497,6 +499,8 @@ static uint8_t refused_to_arm(void)
     } else if (!(fb_register(FLUXBENCH_REG_LIMIT_CURRENT_A) > 0.0f) ||
                !(fb_register(FLUXBENCH_REG_LIMIT_VOLTAGE_V) > 0.0f)) {
         status = FLUXBENCH_ACK_OUT_OF_RANGE;
+    } else if (power.open_interlocks != 0u) {
+        status = FLUXBENCH_ACK_INTERLOCK_OPEN;
     } else {
         status = FLUXBENCH_ACK_OK;
     }
@@ -709,9 +713,15 @@ void fb_power_trip(uint8_t fault, float value, float limit)
 
 void fb_power_guard(void)
 {
+    const uint8_t open = fb_facts.has_interlocks ? fb_board_interlocks() : (uint8_t)0u;
+
     fb_board_lock();
+    power.open_interlocks = open;
     if (fb_power_is_energised(power.state)) {
         ask_watchdog();
+        if (open != 0u) {
+            trip(FLUXBENCH_FAULT_INTERLOCK, (float)open, 0.0f, false);
+        }
     }
     fb_board_unlock();
     if (fb_facts.has_thermometer) {

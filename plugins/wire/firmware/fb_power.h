@@ -13,6 +13,7 @@
 struct fb_news {
     uint8_t state, phase, cause;
     uint16_t faults;
+    uint8_t open_interlocks;
     float fault_value, fault_limit;
     struct fb_vector shown; /* low-passed current, believed frame [A] */
     struct fb_vector base;  /* frozen voltage of the latest injection [V] */
@@ -37,7 +38,7 @@ void fb_power_stop(void);
 void fb_power_feed(void); /* a heartbeat was taken */
 void fb_power_trip(uint8_t fault, float value, float limit);
 
-/* The watchdog, and the temperature: before the link is read. */
+/* The watchdog, the interlocks and the temperature: before the link is read. */
 void fb_power_guard(void);
 
 #endif

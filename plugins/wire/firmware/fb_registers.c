@@ -36,6 +36,7 @@ static void describe_drive(void)
 
     can |= own->has_brake ? (uint32_t)FLUXBENCH_CAN_BRAKE : 0u;
     can |= own->has_thermometer ? (uint32_t)FLUXBENCH_CAN_TEMPERATURE : 0u;
+    can |= own->has_interlocks ? (uint32_t)FLUXBENCH_CAN_INTERLOCKS : 0u;
     fb_register_set(FLUXBENCH_REG_PROTOCOL_MAJOR, FLUXBENCH_PROTOCOL_MAJOR);
     fb_register_set(FLUXBENCH_REG_PROTOCOL_MINOR, FLUXBENCH_PROTOCOL_MINOR);
     fb_register_set(FLUXBENCH_REG_CAPABILITY_BITS, (float)can);

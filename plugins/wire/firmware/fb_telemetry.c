@@ -85,7 +85,8 @@ static void say_measurement(const struct fb_news *news)
 {
     const float per_a = 1.0f / fb_register(FLUXBENCH_REG_CURRENT_SCALE_A);
     const struct fluxbench_measurement_t measurement = {
-        told.measurement_seq, fb_counts(news->shown.x, per_a), fb_counts(news->shown.y, per_a), volts(news->v_dc)};
+        told.measurement_seq, fb_counts(news->shown.x, per_a), fb_counts(news->shown.y, per_a), volts(news->v_dc),
+        news->open_interlocks};
     uint8_t data[OCTETS] = {0u};
 
     (void)fluxbench_measurement_pack(data, &measurement, OCTETS);

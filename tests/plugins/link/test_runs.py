@@ -13,9 +13,9 @@ import xarray as xr
 from orchestrator.engine import WORDS
 from orchestrator.recording import open_recording
 from protocols import RunEnded
-from tests.support.emulator import emulator, free_port
-from tests.support.processes import start_fluxbench
-from tests.support.tiny import STAGES, messages_of, run_tiny
+from tests.support.emulator import emulator, free_port, with_interlocks
+from tests.support.processes import start_fluxbench, wait_until
+from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_file
 
 MEASURING = [stage for stage in STAGES if stage["kind"] != "estimate"]
 RATED_A, RATED_V = 2.35, 113.0
@@ -134,3 +134,33 @@ def test_the_demo_over_a_link_gives_the_same_maps(
     ended = messages_of(run)[-1]
     assert isinstance(ended, RunEnded)
     require_same_maps(run, demo_in_process, flux, inductance)
+
+
+def test_a_door_that_is_open_ends_a_run_before_anything_is_energised(tmp_path: Path) -> None:
+    switches = tmp_path / "switches"
+    switches.write_text("door")
+    with emulator(tmp_path, "--speed", "max", *with_interlocks(switches)) as machine:
+        result = run_tiny(tmp_path, drive={"name": "serial", "port": str(tmp_path / "line")}, stages=MEASURING)
+        assert machine.events("armed") == []
+    assert result.outcome.ending == "faulted"
+    assert "interlock open: door; close it, and resume" in result.outcome.reason
+
+
+@pytest.mark.slow
+def test_a_door_that_opens_ends_a_run_with_its_name_and_closed_again_the_run_goes_on(tmp_path: Path) -> None:
+    switches, run = tmp_path / "switches", tmp_path / "run"
+    drive = {"name": "serial", "port": str(tmp_path / "line"), "telemetry_period_s": 0.15}
+    procedure = tiny_file(tmp_path, drive=drive, stages=MEASURING)
+    safe = ("--quiet", "--unattended", WORDS)
+    with emulator(tmp_path, "--speed", "1", "--watchdog", "2", *with_interlocks(switches)) as machine:
+        process = start_fluxbench("run", procedure, "--out", run, *safe)
+        wait_until(lambda: list((run / "captures").glob("resistance*")) != [])
+        switches.write_text("cover")
+        _, told = process.communicate()
+        assert process.returncode == 3, told
+        assert sum("interlock open: cover; close it, and resume" in line for line in told.splitlines()) == 1, told
+        assert machine.events("safe")[-1]["cause"] == "interlock"
+        switches.write_text("")
+        resumed = start_fluxbench("resume", run, *safe)
+        _, told = resumed.communicate()
+        assert resumed.returncode == 0, told

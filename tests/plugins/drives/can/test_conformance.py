@@ -15,7 +15,7 @@ from plugins.commands.emulator._can_ports import SerialCanPort
 from plugins.drives.can import CanDrive, CanOptions
 from protocols import Drive, DriveSetup, DriveState, Hold, Limits, Motor
 from tests.plugins.commands.emulator.buses import emulated_on
-from tests.support.emulator import Emulator, emulator, free_port
+from tests.support.emulator import Emulator, emulator, free_port, with_interlocks
 from tests.support.tiny import MOTOR
 
 GROUP = "239.74.163.91"
@@ -58,6 +58,7 @@ class OnABus(DriveConformance):
     capture: ClassVar[Literal["raw", "demodulated"]] = "raw"
     fd: ClassVar[bool] = False
     settings: ClassVar[dict[str, int]]
+    switches: ClassVar[Path]
     machine: ClassVar[Emulator]
 
     @pytest.fixture(autouse=True, scope="class")
@@ -67,7 +68,9 @@ class OnABus(DriveConformance):
         given = [word for key, value in cls.settings.items() for word in ("--can-set", f"{key}={value}")]
         bus = (f"udp_multicast:{GROUP}", *(["--fd"] if cls.fd else []), *given)
         folder = tmp_path_factory.mktemp("emulator")
-        with emulator(folder, *bus, "--watchdog", "0.6", *cls.words, link="--can") as cls.machine:
+        cls.switches = folder / "switches"
+        words = (*bus, "--watchdog", "0.6", *cls.words, *with_interlocks(cls.switches))
+        with emulator(folder, *words, link="--can") as cls.machine:
             yield
 
     def make_drive(self, setup: DriveSetup) -> Drive:
@@ -75,6 +78,10 @@ class OnABus(DriveConformance):
 
     def bridge_is_on(self, drive: Drive) -> bool:
         return self.machine.is_energised()
+
+    def open_interlocks(self, drive: Drive, names: tuple[str, ...]) -> bool:
+        self.switches.write_text("\n".join(names))
+        return True
 
     def setup(self) -> DriveSetup:
         options = CanOptions(

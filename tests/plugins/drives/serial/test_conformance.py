@@ -11,7 +11,7 @@ import pytest
 from orchestrator.testing import DriveConformance
 from plugins.drives.serial import SerialDrive, SerialOptions
 from protocols import Drive, DriveSetup, Motor
-from tests.support.emulator import Emulator, emulator
+from tests.support.emulator import Emulator, emulator, with_interlocks
 from tests.support.tiny import MOTOR
 
 
@@ -20,6 +20,7 @@ class TestSerialDrive(DriveConformance):
 
     # Both ends share a machine with everything else that runs: three times the patience that a bench needs.
     words: ClassVar[tuple[str, ...]] = ("--speed", "max", "--watchdog", "0.6")
+    switches: ClassVar[Path]
     capture: ClassVar[Literal["raw", "demodulated"]] = "raw"
     line: ClassVar[Path]
     machine: ClassVar[Emulator]
@@ -28,7 +29,8 @@ class TestSerialDrive(DriveConformance):
     @classmethod
     def _emulated(cls, tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         folder = tmp_path_factory.mktemp("emulator")
-        with emulator(folder, *cls.words) as cls.machine:
+        cls.switches = folder / "switches"
+        with emulator(folder, *cls.words, *with_interlocks(cls.switches)) as cls.machine:
             cls.line = folder / "line"
             yield
 
@@ -37,6 +39,10 @@ class TestSerialDrive(DriveConformance):
 
     def bridge_is_on(self, drive: Drive) -> bool:
         return self.machine.is_energised()
+
+    def open_interlocks(self, drive: Drive, names: tuple[str, ...]) -> bool:
+        self.switches.write_text("\n".join(names))
+        return True
 
     def setup(self) -> DriveSetup:
         options = SerialOptions(port=str(self.line), capture=self.capture, telemetry_period_s=0.15)

@@ -18,6 +18,8 @@ from plugins.wire._firmware import write_firmware
 from tests.support.emulator import free_port
 from tests.support.processes import wait_until
 
+INTERLOCKS = ("door", "cover")
+"""Of boards that are built with FB_HAS_INTERLOCKS."""
 PATIENT = "-DFB_WATCHDOG_S=0.6f"
 """Both ends share a machine with everything else that runs: three times the patience that a bench needs."""
 
@@ -48,6 +50,19 @@ class Board:
     """As the option of the drive `serial`."""
     lamp: Path | None = None
     """A file that says 1 while the gates are on, where there is one."""
+    switches: Path | None = None
+    """A file, or a socket, for the digit whose bits are the interlock inputs that are open."""
+
+    def open_interlocks(self, names: tuple[str, ...]) -> None:
+        """Open these inputs, and close all others."""
+        assert self.switches is not None
+        digit = str(sum(1 << INTERLOCKS.index(name) for name in names))
+        if not self.switches.is_socket():
+            self.switches.write_text(digit)
+            return
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            line.connect(str(self.switches))
+            line.sendall(digit.encode())
 
     def send(self, number: signal.Signals) -> None:
         self.process.send_signal(number)
@@ -57,23 +72,24 @@ class Board:
 def host_board(program: Path, folder: Path, speed: float = 1.0) -> Iterator[Board]:
     """The firmware as a process, at a pseudo-terminal linked at `folder`/line."""
     line = folder / "line"
-    lamp = folder / "lamp"
-    with _running([str(program), str(line), str(speed), str(lamp)]) as process:
+    lamp, switches = folder / "lamp", folder / "switches"
+    with _running([str(program), str(line), str(speed), str(lamp), str(switches)]) as process:
         wait_until(lambda: line.is_symlink() or process.poll() is not None)
         assert process.poll() is None
-        yield Board(process, str(line), lamp)
+        yield Board(process, str(line), lamp, switches)
 
 
 @contextmanager
-def cortex_m4(program: Path) -> Iterator[Board]:
-    """The firmware on QEMU's mps2-an386, its UART behind a socket."""
+def cortex_m4(program: Path, folder: Path) -> Iterator[Board]:
+    """The firmware on QEMU's mps2-an386, its UART behind a socket, and its switches behind another one."""
     port = free_port()
     machine = [tool("qemu-system-arm"), "-M", "mps2-an386", "-nographic", "-monitor", "none"]
-    serial = ["-serial", f"tcp:127.0.0.1:{port},server=on,wait=off"]
+    switches = folder / "switches"
+    serial = ["-serial", f"tcp:127.0.0.1:{port},server=on,wait=off", "-serial", f"unix:{switches},server=on,wait=off"]
     with _running([*machine, *serial, "-kernel", str(program)]) as process:
         wait_until(lambda: _listens(port) or process.poll() is not None)
         assert process.poll() is None
-        yield Board(process, f"socket://127.0.0.1:{port}")
+        yield Board(process, f"socket://127.0.0.1:{port}", switches=switches)
 
 
 def _listens(port: int) -> bool:

@@ -12,8 +12,10 @@ import pytest
 from orchestrator.testing import DriveConformance
 from plugins.drives.serial import SerialDrive, SerialOptions
 from protocols import Drive, DriveSetup, Motor
-from tests.plugins.wire.firmware.built import Board, build, cortex_m4, host_board
+from tests.plugins.wire.firmware.built import PATIENT, Board, build, cortex_m4, host_board
 from tests.support.tiny import MOTOR
+
+WITH_INTERLOCKS = f"{PATIENT} -DFB_HAS_INTERLOCKS=1"
 
 
 class OnABoard(DriveConformance):
@@ -39,6 +41,10 @@ class OnABoard(DriveConformance):
         lamp = self.running.lamp
         return None if lamp is None else lamp.read_text() == "1"
 
+    def open_interlocks(self, drive: Drive, names: tuple[str, ...]) -> bool:
+        self.running.open_interlocks(names)
+        return True
+
     def setup(self) -> DriveSetup:
         options = SerialOptions(port=self.running.port, capture=self.capture, telemetry_period_s=0.15)
         return DriveSetup(motor=Motor(**MOTOR), options=options, seed=1)
@@ -52,7 +58,7 @@ class TestOnTheHost(OnABoard):
 
     @classmethod
     def board(cls, folder: Path) -> AbstractContextManager[Board]:
-        return host_board(build(folder, "host"), folder, cls.speed)
+        return host_board(build(folder, "host", WITH_INTERLOCKS), folder, cls.speed)
 
 
 class TestInRealTime(TestOnTheHost):
@@ -74,4 +80,4 @@ class TestOnACortexM4(OnABoard):
 
     @classmethod
     def board(cls, folder: Path) -> AbstractContextManager[Board]:
-        return cortex_m4(build(folder, "mps2_an386"))
+        return cortex_m4(build(folder, "mps2_an386", WITH_INTERLOCKS), folder)

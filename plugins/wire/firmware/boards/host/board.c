@@ -1,10 +1,11 @@
 /* The firmware as a process: a motor in place of the bridge, a pseudo-terminal in place of the UART, or of an adapter on a
    CAN bus (slcan.c).
 
-       ./fluxbench-host LINK [SPEED [LAMP]]
+       ./fluxbench-host LINK [SPEED [LAMP [SWITCHES]]]
 
    LINK becomes a symbolic link to the terminal; SPEED is the simulated seconds a second, 1 by default. The first octet of
-   the file LAMP is 1 while the gates are on. */
+   the file LAMP is 1 while the gates are on. The first octet of the file SWITCHES is the digit whose bits are the interlock
+   inputs that are open: 1 the door, 2 the cover; built with EXTRA=-DFB_HAS_INTERLOCKS=1. */
 
 #ifndef _GNU_SOURCE
 #define _GNU_SOURCE
@@ -48,12 +49,14 @@ const struct fb_facts fb_facts = {
     .l_q_h = 0.06905f,
     .rated_a = 2.35f,
     .description = "name: fluxbench firmware on the host\nmotor: 400 W test PMSM\nfirmware: reference\n"
-                   "serial: 1\nclock: simulated",
+                   "serial: 1\nclock: simulated" FB_INTERLOCKS_LINE,
+    .has_interlocks = FB_HAS_INTERLOCKS != 0,
 };
 
 static struct motor motor;
 static int master = -1;
 static int lamp = -1;
+static int switches = -1;
 static bool is_connected;
 static volatile sig_atomic_t is_ending;
 
@@ -118,6 +121,13 @@ float fb_board_temperature_c(void)
 void fb_board_brake(bool engaged)
 {
     (void)engaged;
+}
+
+uint8_t fb_board_interlocks(void)
+{
+    char digit = '0';
+
+    return switches >= 0 && pread(switches, &digit, 1u, 0) == 1 && digit >= '0' ? (uint8_t)((digit - '0') & 3) : (uint8_t)0u;
 }
 
 /* The terminal */
@@ -221,12 +231,15 @@ int main(int argc, char **argv)
     double due_s;
 
     if (argc < 2 || !(speed > 0.0)) {
-        (void)fprintf(stderr, "usage: %s LINK [SPEED [LAMP]]\n", argv[0]);
+        (void)fprintf(stderr, "usage: %s LINK [SPEED [LAMP [SWITCHES]]]\n", argv[0]);
         return 2;
     }
     if (argc > 3) {
         lamp = open(argv[3], O_RDWR | O_CREAT | O_TRUNC, 0600);
         (void)!pwrite(lamp, "0", 1u, 0);
+    }
+    if (argc > 4) {
+        switches = open(argv[4], O_RDWR | O_CREAT, 0600);
     }
     if (!open_terminal(argv[1])) {
         (void)fprintf(stderr, "%s: cannot be made a terminal\n", argv[1]);

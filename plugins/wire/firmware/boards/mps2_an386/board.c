@@ -2,7 +2,9 @@
    interrupt, and a motor in software stands where the bridge would be.
 
        qemu-system-arm -M mps2-an386 -nographic -monitor none -serial tcp:127.0.0.1:5025,server=on,wait=off \
-           -kernel fluxbench-mps2_an386.elf                                                                          */
+           -kernel fluxbench-mps2_an386.elf
+
+   A second -serial, built with EXTRA=-DFB_HAS_INTERLOCKS=1, sets two interlock inputs: the digit that came last. */
 
 #include "fb_board.h"
 #include "motor.h"
@@ -20,6 +22,11 @@
 #define UART_STATE REGISTER(0x40004004u)
 #define UART_CTRL REGISTER(0x40004008u)
 #define UART_BAUDDIV REGISTER(0x40004010u)
+#define SWITCHES_DATA REGISTER(0x40005000u) /* UART1 */
+#define SWITCHES_STATE REGISTER(0x40005004u)
+#define SWITCHES_CTRL REGISTER(0x40005008u)
+#define SWITCHES_BAUDDIV REGISTER(0x40005010u)
+#define UART_INWARDS 2u
 #define UART_BOTH_WAYS 3u
 #define UART_RX_INTERRUPT 8u
 #define UART_INTSTATUS REGISTER(0x4000400Cu)
@@ -55,7 +62,8 @@ const struct fb_facts fb_facts = {
     .l_q_h = 0.06905f,
     .rated_a = 2.35f,
     .description = "name: fluxbench firmware on a Cortex-M4\nmotor: 400 W test PMSM\nfirmware: reference\n"
-                   "serial: 1\nclock: simulated",
+                   "serial: 1\nclock: simulated" FB_INTERLOCKS_LINE,
+    .has_interlocks = FB_HAS_INTERLOCKS != 0,
 };
 
 static struct motor motor;
@@ -114,6 +122,16 @@ float fb_board_temperature_c(void)
 void fb_board_brake(bool engaged)
 {
     (void)engaged;
+}
+
+uint8_t fb_board_interlocks(void)
+{
+    static uint8_t open;
+
+    if ((SWITCHES_STATE & UART_RX_FULL) != 0u) {
+        open = (uint8_t)(SWITCHES_DATA & 3u);
+    }
+    return open;
 }
 
 /* The UART keeps one octet: its interrupt takes it away, and wakes the main loop. */
@@ -187,6 +205,8 @@ static void run(void)
     UART_BAUDDIV = 16u;
     UART_CTRL = UART_BOTH_WAYS | UART_RX_INTERRUPT;
     NVIC_ENABLE = 1u << UART_RX_IRQ;
+    SWITCHES_BAUDDIV = 16u;
+    SWITCHES_CTRL = UART_INWARDS;
     motor_init(&motor);
     fb_init();
     sampled_us = COUNTER_US;

@@ -13,5 +13,13 @@
 #ifndef FB_WATCHDOG_S
 #define FB_WATCHDOG_S 0.2f
 #endif
+#ifndef FB_HAS_INTERLOCKS
+#define FB_HAS_INTERLOCKS 0
+#endif
+#if FB_HAS_INTERLOCKS
+#define FB_INTERLOCKS_LINE "\ninterlocks: door, cover"
+#else
+#define FB_INTERLOCKS_LINE ""
+#endif
 
 #endif

@@ -36,6 +36,7 @@ void fb_board_gates(bool on) { motor.gates = on; }
 bool fb_board_gate_fault(void) { return false; }
 float fb_board_temperature_c(void) { return 25.0f; }
 void fb_board_brake(bool engaged) { (void)engaged; }
+uint8_t fb_board_interlocks(void) { return 0u; }
 size_t fb_board_receive(uint8_t *octets, size_t most) { (void)octets; (void)most; return 0u; }
 size_t fb_board_send(const uint8_t *octets, size_t count) { (void)octets; return count; }
 

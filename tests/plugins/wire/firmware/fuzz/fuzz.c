@@ -30,6 +30,7 @@ const struct fb_facts fb_facts = {
     .has_third_sensor = true,
     .has_thermometer = true,
     .has_brake = true,
+    .has_interlocks = true,
     .resistance_ohm = 4.25f,
     .l_d_h = 0.04325f,
     .l_q_h = 0.06905f,
@@ -41,6 +42,7 @@ static uint32_t now_us;
 static struct fb_reading reading;
 static float celsius;
 static bool gates, gate_fault, is_locked;
+static uint8_t interlocks;
 static uint8_t line[LINE];
 static size_t line_size, line_read;
 static size_t taken_each;
@@ -62,6 +64,7 @@ void fb_board_read(struct fb_reading *to) { *to = reading; }
 bool fb_board_gate_fault(void) { return gate_fault; }
 float fb_board_temperature_c(void) { return celsius; }
 void fb_board_brake(bool engaged) { (void)engaged; }
+uint8_t fb_board_interlocks(void) { return interlocks; }
 void fb_board_gates(bool on) { gates = on; }
 
 void fb_board_duties(float a, float b, float c)
@@ -195,6 +198,7 @@ static void require_sound(void)
     require(!is_locked);
     require(!gates || news.state != FLUXBENCH_STATE_DISARMED);
     require((news.faults == 0u) == (news.state != FLUXBENCH_STATE_FAULTED));
+    require(interlocks == 0u || !fb_power_is_energised(news.state)); /* after a turn of the main loop */
     require(news.state <= FLUXBENCH_STATE_FAULTED && news.phase <= FLUXBENCH_PHASE_GIVEN_UP);
 }
 
@@ -277,6 +281,7 @@ static void do_one(struct input *input)
         reading.v_dc = (octet(input) & 3u) != 0u ? 400.0f : number(input);
         gate_fault = octet(input) > 250u;
         celsius = octet(input);
+        interlocks = octet(input) > 200u ? octet(input) : (uint8_t)0u;
         break;
     case 8:
         energise(input);
@@ -311,6 +316,7 @@ int LLVMFuzzerTestOneInput(const uint8_t *data, size_t size)
     reading = (struct fb_reading){0.0f, 0.0f, 0.0f, 400.0f};
     celsius = 25.0f;
     gates = gate_fault = is_locked = false;
+    interlocks = 0u;
     line_size = line_read = 0;
     taken_each = 4096u;
     seq = 0;
