@@ -1,11 +1,13 @@
-"""Injections as ripple rows, demodulated on the drive: seen live, read again with their CRC, turned into waveforms.
+"""Injections as ripple rows, demodulated on the drive: read while they are made, and turned into waveforms.
 
-The waveforms are a model of the samples: what a row averages over is gone from their noise.
+Yielded on trust, vouched for by the CRC over all of them. The waveforms are a model of the samples: what a row averages
+over is gone from their noise.
 """
 
 from __future__ import annotations
 
 import math
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,12 +18,10 @@ from plugins.link._raw import bus_voltage, temperature
 from plugins.link._reading import Reader
 from plugins.wire import (
     RIPPLE,
-    RIPPLE_ROW_BYTES,
+    Capability,
     DriveFacts,
-    RippleD,
     RippleGrid,
     RippleRows,
-    Unwrapped,
     reconstruct,
 )
 from protocols import Capture, DriveFault, DriveRefused, FaultCause, Injection
@@ -67,7 +67,7 @@ class RippleRead:
     """
 
     def __init__(self, host: Host, machine: Machine, number: int, injection: Injection, periods: int) -> None:
-        self._host, self._scales = host, machine.facts.scales
+        self._host, self._scales, self._number = host, machine.facts.scales, number
         self._fs = fs = machine.capabilities.sampling_frequency_hz
         self._samples = injection.rows(fs)
         self._grid = RippleGrid(
@@ -77,52 +77,34 @@ class RippleRead:
             periods,
             round(injection.discard_s * fs),
             machine.capabilities.voltage_delay_samples,
+            bool(machine.facts.bits & Capability.RIPPLE_CURVATURE),
         )
         self._turned = np.exp(1j * injection.rotor_angle_rad)
         rows = self._grid.rows(self._samples)
         announced = int(host.read("ripple_rows"))
         if announced != rows:
             raise DriveFault(FaultCause.WRONG_DATA, f"the drive makes {announced} ripple rows instead of {rows}")
-        self._layout, self._number = machine.layout, number + RIPPLE
-        self._reader: Reader | None = None
-        self._counts = np.zeros((rows, 6), dtype="<i2")
-        self._seen = np.zeros((rows, 2), dtype=np.bool_)
-        self._unwrapped = Unwrapped(16)
+        self._reader = Reader(host, number + RIPPLE, rows * self._grid.row_bytes, machine.layout)
+        self._crc, self._given = 0, 0
         self._base: tuple[float, float] | None = None
-        self._used = 0
         self._finished = False
-        self._waves: tuple[int, NDArray[np.float64], NDArray[np.float64]] | None = None
+        self._counts = np.zeros((0, self._grid.columns), dtype="<i2")
+        self._waves: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
     def turn(self, done_rows: int, complete: bool, wait_s: float) -> bool:
-        """Take live rows; at the end read all, and require that they are what was seen live."""
-        self._take_live()
-        if not complete:
-            self._host.link.wait(lambda: False, wait_s)
-            return False
-        if self._reader is None:  # made no sooner, for it counts the time in which nothing comes
-            self._reader = Reader(self._host, self._number, len(self._counts) * RIPPLE_ROW_BYTES, self._layout)
-        data = self._reader.turn(self._reader.assembly.length, wait_s)
+        """Read on; raises `DriveFault` (wrong_data) where the CRC does not vouch for what was yielded."""
+        assembly, size = self._reader.assembly, self._grid.row_bytes
+        data = self._reader.turn(assembly.length if complete else self._grid.rows(done_rows) * size, wait_s)
         if data is None:
             return False
-        read = np.frombuffer(data, dtype="<i2").reshape(-1, 6)
-        if not np.array_equal(read[: self._used], self._counts[: self._used]):
-            raise DriveFault(FaultCause.WRONG_DATA, "ripple rows read at the end are not those that were seen live")
-        self._counts, self._finished, self._waves = read, True, None
+        if crc32(data[: self._given]) != self._crc:
+            raise DriveFault(FaultCause.WRONG_DATA, f"ripple rows of capture {self._number} were damaged on the way")
+        self._finished, self._waves = True, None
         return True
-
-    def _take_live(self) -> None:
-        for row in self._host.link.ripple():
-            n, axis = self._unwrapped(row.n), 0 if isinstance(row, RippleD) else 1
-            if 0 <= n < len(self._counts):
-                self._counts[n, 3 * axis : 3 * axis + 3] = row.mean, row.ripple, row.v
-                self._seen[n, axis] = True
 
     @property
     def _rows_ready(self) -> int:
-        if self._finished:
-            return len(self._counts)
-        gaps = np.flatnonzero(~self._seen.all(axis=1))[:1]
-        return int(gaps[0]) if len(gaps) else len(self._counts)
+        return max(self._reader.assembly.prefix, self._given) // self._grid.row_bytes
 
     @property
     def ready(self) -> int:
@@ -135,7 +117,6 @@ class RippleRead:
     def block(self, first: int, stop: int, start_s: float) -> Capture:
         """Samples of the waveforms that the rows stand for."""
         i, v = self._waveforms()
-        self._used = max(self._used, self._rows_ready)
         return Capture(
             start_s=start_s,
             sampling_frequency_hz=self._fs,
@@ -155,14 +136,18 @@ class RippleRead:
         return round(share * (stop - first))
 
     def _waveforms(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        rows = self._rows_ready
-        if self._waves is None or self._waves[0] != rows:
+        """Of the rows that are there, which the CRC has to vouch for from now on."""
+        rows, size = self._rows_ready, self._grid.row_bytes
+        if self._waves is None or len(self._counts) != rows:
             if self._base is None:
                 self._base = self._host.read("base_voltage_d_v"), self._host.read("base_voltage_q_v")
-            values = RippleRows.of_counts(self._counts[:rows], self._scales)
-            count = self._samples if self._finished else None
-            self._waves = (rows, *reconstruct(values, self._base, self._grid, count))
-        return self._waves[1:]
+            data = self._reader.assembly.peek(self._given, rows * size)
+            self._crc, self._given = crc32(data, self._crc), rows * size
+            fresh = np.frombuffer(data, dtype="<i2").reshape(-1, self._grid.columns)
+            self._counts = np.concatenate((self._counts, fresh))
+            values = RippleRows.of_counts(self._counts, self._scales)
+            self._waves = reconstruct(values, self._base, self._grid, self._samples if self._finished else None)
+        return self._waves
 
     def _stator(self, dq: NDArray[np.float64]) -> NDArray[np.float32]:
         turned = (dq[:, 0] + 1j * dq[:, 1]) * self._turned

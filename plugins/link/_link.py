@@ -24,8 +24,6 @@ from plugins.wire import (
     Op,
     ParameterValue,
     Progress,
-    RippleD,
-    RippleQ,
     Status,
     TelemetryGate,
     Tick,
@@ -71,7 +69,6 @@ class Link:
         self._status_gate, self._measurement_gate = TelemetryGate(telemetry_s), TelemetryGate(telemetry_s)
         self._progress_gate = TelemetryGate(PROGRESS_S)
         self._replies: deque[Ack | ParameterValue] = deque(maxlen=PATIENCE.most_replies)
-        self._ripple: list[RippleD | RippleQ] = []
         self._bulk: deque[Frame] = deque(maxlen=PATIENCE.most_bulk)
         self._bulk_ids = {frame_id("Bulk"), frame_id("BulkFD"), frame_id("BulkEnd")}
         self._bulk_end, self._has_ended = frame_id("BulkEnd"), False
@@ -174,12 +171,6 @@ class Link:
             self._has_ended = False
         return taken
 
-    def ripple(self) -> Sequence[RippleD | RippleQ]:
-        """The live ripple rows that came since the last call."""
-        with self._changed:
-            taken, self._ripple = self._ripple, []
-        return taken
-
     # The thread
 
     def _listen(self) -> None:
@@ -232,5 +223,3 @@ class Link:
                 news.progress = message
             case Tick():
                 news.tick, news.ticks = message, news.ticks + 1
-            case RippleD() | RippleQ():
-                self._ripple.append(message)

@@ -15,6 +15,7 @@ from plugins.link._patience import PATIENCE
 from plugins.link._raw import RawRead
 from plugins.link._timeline import Timeline
 from plugins.wire import (
+    Capability,
     Channel,
     Op,
     Phase,
@@ -61,11 +62,10 @@ class Program:
         if machine.demodulated and isinstance(excitation, Injection):
             periods = ripple_periods(excitation, machine.facts)
         channels = Channel(0) if periods else machine.channels
-        host.link.ripple()  # rows of the program before
-        host.write(
-            program_registers(excitation, self._fs)
-            | capture_registers(channels, ripple_periods=periods, ripple_live=periods > 0)
-        )
+        values = program_registers(excitation, self._fs) | capture_registers(channels, ripple_periods=periods)
+        if periods and machine.facts.bits & Capability.RIPPLE_CURVATURE:
+            values["ripple_curvature"] = 1.0
+        host.write(values)
         self.number = host.do(Op.RUN_PROGRAM).value
         self._source: Rows
         if periods and isinstance(excitation, Injection):

@@ -65,7 +65,7 @@ from plugins.wire._program import (
     program_registers,
 )
 from plugins.wire._registers import Register, RegisterFile, register_index, register_name, registers
-from plugins.wire._ripple import RIPPLE_ROW_BYTES, RippleGrid, RippleRows, demodulate, reconstruct
+from plugins.wire._ripple import RippleGrid, RippleRows, demodulate, reconstruct
 from plugins.wire._rows import VECTORS, CaptureFormat, Channel, RowFormat, Scales
 from plugins.wire._session import (
     Conversation,
@@ -91,7 +91,6 @@ __all__ = [
     "PROTOCOL_MAJOR",
     "PROTOCOL_MINOR",
     "RIPPLE",
-    "RIPPLE_ROW_BYTES",
     "STALE_PERIODS",
     "TELEMETRY_S",
     "VECTORS",

@@ -128,6 +128,7 @@ class Capability(IntFlag):
     BRAKE = 32
     TEMPERATURE = 64
     INTERLOCKS = 128
+    RIPPLE_CURVATURE = 256
 
 
 class EStop(NamedTuple):

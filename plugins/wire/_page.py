@@ -23,6 +23,7 @@ if TYPE_CHECKING:
 
 _OWN_TABLES = {"op", "status", "state", "cause", "phase", "parameter"}
 """Signals whose values have a table of their own on the page."""
+_RIPPLE_ROW_BYTES = 16
 _POINT_ROWS = 50_000
 """The paper's point: 5 s at 10 kS/s."""
 
@@ -180,10 +181,11 @@ def _link(name: str, bits: str, rate: float, point: int) -> tuple[str, str, str,
     return name, bits, f"{rate / 1e3:.0f}", f"{point / rate:.1f} s"
 
 
-def bus_load(rates_hz: Mapping[int, float], rows_hz: float, *, stuffed: bool) -> float:
-    """Part of a 1 Mbit/s bus that telemetry (frames a second, by length) and live ripple take."""
+def bus_load(rates_hz: Mapping[int, float], rows_hz: float, asked_hz: float, *, stuffed: bool) -> float:
+    """Part of a 1 Mbit/s bus that telemetry (frames a second, by length) and ripple rows take, asked for so often."""
     telemetry = sum(rate * classic_bits(size, stuffed=stuffed) for size, rate in rates_hz.items())
-    return (telemetry + 2 * rows_hz * classic_bits(8, stuffed=stuffed)) / 1e6
+    frames_hz = rows_hz * _RIPPLE_ROW_BYTES / CLASSIC.block + 2.0 * asked_hz
+    return (telemetry + frames_hz * classic_bits(8, stuffed=stuffed)) / 1e6
 
 
 def _live_load(database: Database) -> str:
@@ -191,5 +193,5 @@ def _live_load(database: Database) -> str:
     for message in database.messages:
         if message.cycle_time and not message.name.startswith("Ripple"):
             rates[message.length] = rates.get(message.length, 0.0) + 1e3 / message.cycle_time
-    plain, worst = (100.0 * bus_load(rates, 500.0, stuffed=stuffed) for stuffed in (False, True))
+    plain, worst = (100.0 * bus_load(rates, 500.0, 50.0, stuffed=stuffed) for stuffed in (False, True))
     return f"{plain:.1f} % ({worst:.1f} %)"

@@ -179,14 +179,14 @@ def motor_registers(motor: Motor) -> Registers:
 
 
 def capture_registers(
-    channels: Channel, form: CaptureFormat = CaptureFormat.INT16, *, ripple_periods: int = 0, ripple_live: bool = False
+    channels: Channel, form: CaptureFormat = CaptureFormat.INT16, *, ripple_periods: int = 0
 ) -> Registers:
     """What a program shall capture and demodulate."""
     return {
         "capture_mask": float(channels),
         "capture_format": float(form),
         "ripple_periods": float(ripple_periods),
-        "ripple_live": float(ripple_live),
+        "ripple_live": 0.0,
     }
 
 

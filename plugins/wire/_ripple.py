@@ -1,10 +1,17 @@
 """Ripple demodulated on the drive: what its rows mean, how they are made, how waveforms come back.
 
-Over the samples of `periods` injection periods, least squares of ``i = mean + ripple g(phase)`` and
-``v - base = v f(phase)`` on each axis of the believed dq frame. f is the unit wave of the injection
-(peak 1, a period starts at phase 0); g, the unit ripple, is its integral over the period with zero
-mean and peak 1, at the phase of the voltage that acts: delayed by voltage_delay_samples. With the
-drive's sampling f_s, frequency f and discarded samples k_0, phase(k) = (k_0 + k) f / f_s in periods.
+Over the samples of `periods` injection periods, least squares of
+
+    i = mean + ripple g(phase) + curvature (g(phase)^2 - s)        v - base = v f(phase)
+
+on each axis of the believed dq frame; without the curvature on a drive that makes none. f is the unit
+wave of the injection (peak 1, a period starts at phase 0); g, the unit ripple, is its integral over the
+period with zero mean and peak 1, at the phase of the voltage that acts: delayed by voltage_delay_samples;
+s is the mean of g^2 over a period. With the drive's sampling f_s, frequency f and discarded samples k_0,
+phase(k) = (k_0 + k) f / f_s in periods.
+
+The curvature is what a motor that saturates within the swing adds: with i(psi) and psi = psi_0 + a g,
+i = i(psi_0) + i' a g + i'' a^2 g^2 / 2 + ...
 """
 
 from __future__ import annotations
@@ -22,7 +29,8 @@ Real = NDArray[np.floating[Any]]
 Waveform = Literal["square", "sine"]
 _ROUNDING = 1e-9
 """A phase this close below a corner counts as the corner."""
-RIPPLE_ROW_BYTES = 12
+_LEAST_SHAPE = 0.01
+"""Mean square of what g^2 has beside 1 and g, from which on a row has a curvature: few samples a period show none."""
 
 
 def unit_wave(phase: Real, waveform: Waveform) -> NDArray[np.float64]:
@@ -39,13 +47,18 @@ def unit_ripple(phase: Real, waveform: Waveform) -> NDArray[np.float64]:
     return np.asarray(1.0 - 4.0 * np.abs(_fraction(phase) - 0.5), dtype=np.float64)
 
 
+def mean_square(waveform: Waveform) -> float:
+    """s: the mean of g^2 over a period."""
+    return 0.5 if waveform == "sine" else 1.0 / 3.0
+
+
 def _fraction(phase: Real) -> NDArray[np.float64]:
     return np.asarray(np.maximum(phase - np.floor(phase + _ROUNDING), 0.0), dtype=np.float64)
 
 
 @dataclass(frozen=True)
 class RippleGrid:
-    """Which samples of a capture belong to which ripple row."""
+    """Which samples of a capture belong to which ripple row, and what a row has of them."""
 
     sampling_frequency_hz: float
     frequency_hz: float
@@ -55,6 +68,17 @@ class RippleGrid:
     discarded: int = 0
     """Samples of injection before sample 0 of the capture."""
     delay_samples: float = 0.0
+    is_curved: bool = False
+    """Whether rows have a curvature."""
+
+    @property
+    def columns(self) -> int:
+        """Counts of a row."""
+        return 8 if self.is_curved else 6
+
+    @property
+    def row_bytes(self) -> int:
+        return 2 * self.columns
 
     def phase(self, samples: Real, delay: float = 0.0) -> NDArray[np.float64]:
         """Phase of the injection at sample numbers, in periods."""
@@ -78,27 +102,25 @@ class RippleRows:
     mean: NDArray[np.float64]
     ripple: NDArray[np.float64]
     v: NDArray[np.float64]
+    curvature: NDArray[np.float64] | None = None
 
     def __len__(self) -> int:
         return len(self.mean)
 
     def counts(self, scales: Scales) -> NDArray[np.int16]:
-        """Shape (n, 6): mean, ripple and v of d, then of q, as the wire carries them."""
-        table = np.stack([self.mean / scales.current_a, self.ripple / scales.ripple_a, self.v / scales.voltage_v], -1)
-        return np.clip(np.rint(table), -32768, 32767).astype("<i2").reshape(-1, 6)
+        """Shape (n, 6 or 8): mean, ripple, v (and curvature) of d, then of q, as the wire carries them."""
+        each = [self.mean / scales.current_a, self.ripple / scales.ripple_a, self.v / scales.voltage_v]
+        if self.curvature is not None:
+            each.append(self.curvature / scales.ripple_a)
+        table = np.stack(each, -1)
+        return np.clip(np.rint(table), -32768, 32767).astype("<i2").reshape(-1, 2 * len(each))
 
     @classmethod
     def of_counts(cls, counts: NDArray[np.int16], scales: Scales) -> RippleRows:
         """Back from `counts`."""
-        table = counts.reshape(-1, 2, 3).astype(np.float64)
-        return cls(
-            table[:, :, 0] * scales.current_a, table[:, :, 1] * scales.ripple_a, table[:, :, 2] * scales.voltage_v
-        )
-
-    @classmethod
-    def of_bytes(cls, data: bytes | memoryview, scales: Scales) -> RippleRows:
-        """From the table of rows as it is read from the drive (12 bytes a row)."""
-        return cls.of_counts(np.frombuffer(data, dtype="<i2"), scales)
+        table = counts.reshape(len(counts), 2, counts.shape[1] // 2).astype(np.float64)
+        units = (scales.current_a, scales.ripple_a, scales.voltage_v, scales.ripple_a)
+        return cls(*(table[:, :, k] * units[k] for k in range(table.shape[2])))
 
 
 def demodulate(i_dq: Real, v_dq: Real, base_v_dq: tuple[float, float], grid: RippleGrid) -> RippleRows:
@@ -108,7 +130,7 @@ def demodulate(i_dq: Real, v_dq: Real, base_v_dq: tuple[float, float], grid: Rip
     sizes = np.diff(starts)[:, None]
     if rows == 0:
         empty = np.zeros((0, 2))
-        return RippleRows(empty, empty, empty)
+        return RippleRows(empty, empty, empty, empty if grid.is_curved else None)
     samples = np.arange(float(starts[-1]))
     g = unit_ripple(grid.phase(samples, grid.delay_samples), grid.waveform)[:, None]
     f = unit_wave(grid.phase(samples), grid.waveform)[:, None]
@@ -118,8 +140,19 @@ def demodulate(i_dq: Real, v_dq: Real, base_v_dq: tuple[float, float], grid: Rip
 
     i, v = i_dq[: len(samples)], v_dq[: len(samples)] - np.asarray(base_v_dq)
     sum_g, sum_gg, sum_i, sum_gi = total(g), total(g * g), total(i), total(g * i)
-    ripple = (sizes * sum_gi - sum_g * sum_i) / np.maximum(sizes * sum_gg - sum_g * sum_g, 1e-12)
-    return RippleRows((sum_i - ripple * sum_g) / sizes, ripple, total(f * v) / np.maximum(total(f * f), 1e-12))
+    # One after the other, each made orthogonal to those before: 1, g, g^2.
+    of_g = np.maximum(sum_gg - sum_g * sum_g / sizes, 1e-12)
+    ripple = (sum_gi - sum_g * sum_i / sizes) / of_g
+    amplitude_v = total(f * v) / np.maximum(total(f * f), 1e-12)
+    if not grid.is_curved:
+        return RippleRows((sum_i - ripple * sum_g) / sizes, ripple, amplitude_v)
+    mean_gg, shared = sum_gg / sizes, (total(g**3) - sum_gg * sum_g / sizes) / of_g
+    of_gg = total(g**4) - mean_gg * sum_gg - shared * shared * of_g
+    left = total(g * g * i) - mean_gg * sum_i - shared * (sum_gi - sum_g * sum_i / sizes)
+    curvature = np.where(of_gg >= _LEAST_SHAPE * sizes, left / np.maximum(of_gg, 1e-12), 0.0)
+    ripple -= shared * curvature
+    mean = (sum_i - ripple * sum_g) / sizes + (mean_square(grid.waveform) - mean_gg) * curvature
+    return RippleRows(mean, ripple, amplitude_v, curvature)
 
 
 def reconstruct(
@@ -140,5 +173,8 @@ def reconstruct(
         return np.asarray(np.interp(samples, centres, values[:, axis]), dtype=np.float64)
 
     i = [between(rows.mean, axis) + between(rows.ripple, axis) * g for axis in (0, 1)]
+    if rows.curvature is not None:
+        bent = g * g - mean_square(grid.waveform)
+        i = [i[axis] + between(rows.curvature, axis) * bent for axis in (0, 1)]
     v = [base_v_dq[axis] + between(rows.v, axis) * f for axis in (0, 1)]
     return np.column_stack(i), np.column_stack(v)

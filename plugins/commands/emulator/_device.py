@@ -249,6 +249,7 @@ class Device:
         if self.power.energised and command.session != self._ledger.session:
             return AckStatus.BUSY, version
         self._ledger.open(command)
+        self._file["ripple_curvature"] = 0.0  # a host of version 1.0 does not write it
         self._log("identified", session=command.session)
         return (AckStatus.OK if command.arg == PROTOCOL_MAJOR else AckStatus.WRONG_VERSION), version
 

@@ -13,7 +13,6 @@ from orchestrator.numerics.frames import to_phases
 from plugins.drives.simulated.rig import Step
 from plugins.wire import (
     RIPPLE,
-    RIPPLE_ROW_BYTES,
     CaptureSource,
     Channel,
     Message,
@@ -111,7 +110,7 @@ class RippleMemory:
 
     def __init__(self, number: int, grid: RippleGrid, samples: int, angle_rad: float, scales: Scales) -> None:
         self.rows = grid.rows(samples)
-        self.source = CaptureSource(number + RIPPLE, self.rows * RIPPLE_ROW_BYTES)
+        self.source = CaptureSource(number + RIPPLE, self.rows * grid.row_bytes)
         self.base_v = (0.0, 0.0)
         self._grid, self._scales = grid, scales
         self._starts = grid.starts(self.rows)
@@ -144,8 +143,9 @@ class RippleMemory:
 
 def _live(counts: list[list[int]], first: int) -> Iterator[Message]:
     for n, row in enumerate(counts, first):
+        half = len(row) // 2
         yield RippleD(n % 65536, *row[:3])
-        yield RippleQ(n % 65536, *row[3:])
+        yield RippleQ(n % 65536, *row[half : half + 3])
 
 
 @dataclass(frozen=True)

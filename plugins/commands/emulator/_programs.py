@@ -50,7 +50,7 @@ class DeviceSettings:
 def facts_of_rig(rig: Rig, settings: DeviceSettings, text: str) -> DriveFacts:
     """What the device says of itself beyond its capabilities."""
     own = rig.capabilities
-    bits = Capability.RIPPLE_ON_DRIVE | Capability.RAW_CAPTURE | Capability.F32_CAPTURE
+    bits = Capability.RIPPLE_ON_DRIVE | Capability.RAW_CAPTURE | Capability.F32_CAPTURE | Capability.RIPPLE_CURVATURE
     if settings.ring:
         bits |= Capability.CAPTURE_RING
     if own.has_brake:
@@ -151,7 +151,13 @@ class Programs:
         fs = own.sampling_frequency_hz
         discarded = round(excitation.discard_s * fs)
         grid = RippleGrid(
-            fs, excitation.frequency_hz, excitation.waveform, periods, discarded, own.voltage_delay_samples
+            fs,
+            excitation.frequency_hz,
+            excitation.waveform,
+            periods,
+            discarded,
+            own.voltage_delay_samples,
+            bool(self._file["ripple_curvature"]),
         )
         if grid.rows(rows) > BOUNDS.ripple_rows:
             return AckStatus.NO_MEMORY

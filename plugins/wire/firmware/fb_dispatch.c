@@ -56,6 +56,7 @@ static struct answer identify(const struct fluxbench_command_t *command)
         answer.status = FLUXBENCH_ACK_BUSY;
     } else {
         fb_session_open(command->session, command->seq);
+        fb_register_set(FLUXBENCH_REG_RIPPLE_CURVATURE, 0.0f); /* a host of version 1.0 does not write it */
         if (command->arg != (uint32_t)FLUXBENCH_PROTOCOL_MAJOR) {
             answer.status = FLUXBENCH_ACK_WRONG_VERSION;
         }

@@ -435,6 +435,7 @@ void fb_sample(void)
     if (fb_power_is_energised(power.state)) {
         watch(&reading, square);
     }
+    fb_ripple_settle();
     i = fb_turned_back(i_ab, power.frame);
     v = respond(i, reading.v_dc, &injected);
     v_ab = power.gates ? fb_turned(v, power.frame) : zero;

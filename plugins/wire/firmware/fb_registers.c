@@ -32,7 +32,7 @@ static void describe_drive(void)
 {
     const struct fb_facts *own = &fb_facts;
     uint32_t can = FLUXBENCH_CAN_RIPPLE_ON_DRIVE | FLUXBENCH_CAN_RAW_CAPTURE | FLUXBENCH_CAN_CAPTURE_RING |
-                   FLUXBENCH_CAN_F32_CAPTURE;
+                   FLUXBENCH_CAN_F32_CAPTURE | FLUXBENCH_CAN_RIPPLE_CURVATURE;
 
     can |= own->has_brake ? (uint32_t)FLUXBENCH_CAN_BRAKE : 0u;
     can |= own->has_thermometer ? (uint32_t)FLUXBENCH_CAN_TEMPERATURE : 0u;

@@ -7,29 +7,40 @@
 #include "fb_registers.h"
 #include "fluxbench_registers.h"
 
-#define COUNTS 6u /* of a row: mean, ripple and v of d, then of q */
-#define ROW_OCTETS (2u * COUNTS)
+#define MOST_COUNTS 8u  /* of a row: mean, ripple, v and curvature of d, then of q */
 #define NEARLY 18446744074u /* 1e-9 of a period, in 2^-64 */
 #define WIRE_SLACK 1.000001
+#define LEAST_SHAPE 0.01f /* mean square of what g^2 has beside 1 and g, from which on a row has a curvature */
+#define MEAN_SQUARE_TRIANGLE 0.33333333f
+#define MEAN_SQUARE_COSINE 0.5f
 
-FB_CAPTURE_MEMORY static int16_t memory[FB_RIPPLE_ROWS][COUNTS];
+FB_CAPTURE_MEMORY static int16_t memory[FB_RIPPLE_ROWS * MOST_COUNTS];
 
 /* Sums over the samples of a row. */
 struct axis {
-    float i, gi, fv;
+    float i, gi, ggi, fv;
+};
+
+struct sums {
+    float n, g, gg, ggg, gggg, ff;
+    struct axis axes[2];
 };
 
 static struct {
     uint32_t rows; /* when it is complete; 0: off */
     uint32_t made;
-    uint32_t crc;
+    uint32_t crc;        /* of the rows made */
+    uint32_t crc_so_far; /* with what is there of the next one */
+    uint32_t counts;     /* of a row */
     uint32_t periods;    /* of a row */
     uint64_t cycles;     /* a sample */
     uint64_t phase;      /* since the capture began */
     uint32_t in_row;     /* periods so far */
     struct fb_vector about; /* currents are counted from here, so that sums stay small */
-    float n, g, gg, ff;
-    struct axis d, q;
+    float mean_square;      /* of the unit ripple over a period */
+    struct sums sums;
+    struct sums ended;  /* of the row that ended last */
+    uint32_t axes_left; /* of that row */
     float per_a, per_ripple_a, per_v;
 } state;
 
@@ -37,19 +48,7 @@ void fb_ripple_init(void)
 {
     memset(&state, 0, sizeof(state));
     state.crc = FB_CRC_START;
-}
-
-static void begin_row(void)
-{
-    const struct axis none = {0.0f, 0.0f, 0.0f};
-
-    state.n = 0.0f;
-    state.g = 0.0f;
-    state.gg = 0.0f;
-    state.ff = 0.0f;
-    state.d = none;
-    state.q = none;
-    state.in_row = 0;
+    state.crc_so_far = FB_CRC_START;
 }
 
 static uint8_t rows_of(const struct fb_plan *plan, uint32_t periods, uint32_t *rows)
@@ -83,7 +82,9 @@ uint8_t fb_ripple_allot(const struct fb_plan *plan)
     fb_board_lock();
     fb_ripple_init();
     state.rows = rows;
+    state.counts = fb_register_is_on(FLUXBENCH_REG_RIPPLE_CURVATURE) ? MOST_COUNTS : MOST_COUNTS - 2u;
     state.periods = periods;
+    state.mean_square = plan->wave.square ? MEAN_SQUARE_TRIANGLE : MEAN_SQUARE_COSINE;
     state.cycles = plan->wave.cycles;
     state.phase = NEARLY;
     state.about.x = fb_register(FLUXBENCH_REG_CURRENT_D_A);
@@ -96,56 +97,103 @@ uint8_t fb_ripple_allot(const struct fb_plan *plan)
     return FLUXBENCH_ACK_OK;
 }
 
-static void put(uint32_t column, int16_t counts)
+static void put(uint32_t index, int16_t counts)
 {
     const uint16_t word = (uint16_t)counts;
 
-    memory[state.made][column] = counts;
-    state.crc = fb_crc(fb_crc(state.crc, (uint8_t)(word & 0xFFu)), (uint8_t)(word >> 8));
+    memory[index] = counts;
+    state.crc_so_far = fb_crc(fb_crc(state.crc_so_far, (uint8_t)(word & 0xFFu)), (uint8_t)(word >> 8));
 }
 
-static void put_axis(const struct axis *axis, uint32_t column, float about, float per_determinant, float per_ff)
+static float per(float divisor)
 {
-    const float ripple = (state.n * axis->gi - state.g * axis->i) * per_determinant;
-    const float mean = (axis->i * state.gg - axis->gi * state.g) * per_determinant;
+    return divisor > 1e-9f ? fb_reciprocal(divisor) : 0.0f;
+}
 
-    put(column, fb_counts(about + mean, state.per_a));
-    put(column + 1u, fb_counts(ripple, state.per_ripple_a));
-    put(column + 2u, fb_counts(axis->fv * per_ff, state.per_v));
+/* One after the other, each made orthogonal to those before: 1, g, g^2. */
+static void put_axis(const struct sums *s, uint32_t axis, float about)
+{
+    const struct axis *a = &s->axes[axis];
+    const bool is_curved = state.counts == MOST_COUNTS;
+    const uint32_t index = state.made * state.counts + (axis > 0u ? state.counts / 2u : 0u);
+    const float per_n = per(s->n);
+    const float mean_g = s->g * per_n;
+    const float of_i = a->gi - mean_g * a->i;
+    const float per_of_g = per(s->gg - mean_g * s->g);
+    float ripple = of_i * per_of_g;
+    float curvature = 0.0f;
+    float bent = 0.0f;
+
+    if (is_curved) {
+        const float mean_gg = s->gg * per_n;
+        const float of_g = s->ggg - mean_gg * s->g;
+        const float shared = of_g * per_of_g;
+        const float of_gg = s->gggg - mean_gg * s->gg - shared * of_g;
+
+        if (of_gg >= LEAST_SHAPE * s->n) {
+            curvature = (a->ggi - mean_gg * a->i - shared * of_i) * per(of_gg);
+        }
+        ripple -= shared * curvature;
+        bent = (state.mean_square - mean_gg) * curvature;
+    }
+    put(index, fb_counts(about + a->i * per_n - ripple * mean_g + bent, state.per_a));
+    put(index + 1u, fb_counts(ripple, state.per_ripple_a));
+    put(index + 2u, fb_counts(a->fv * per(s->ff), state.per_v));
+    if (is_curved) {
+        put(index + 3u, fb_counts(curvature, state.per_ripple_a));
+    }
+}
+
+void fb_ripple_settle(void)
+{
+    if (state.axes_left == 2u) {
+        put_axis(&state.ended, 0u, state.about.x);
+        state.axes_left = 1u;
+    } else if (state.axes_left == 1u) {
+        put_axis(&state.ended, 1u, state.about.y);
+        state.axes_left = 0u;
+        state.crc = state.crc_so_far;
+        state.made++;
+    } else {
+        /* nothing is left to do */
+    }
 }
 
 static void end_row(void)
 {
-    const float determinant = state.n * state.gg - state.g * state.g;
-    const float per_determinant = determinant > 1e-9f ? fb_reciprocal(determinant) : 0.0f;
-    const float per_ff = state.ff > 1e-9f ? fb_reciprocal(state.ff) : 0.0f;
-
-    put_axis(&state.d, 0u, state.about.x, per_determinant, per_ff);
-    put_axis(&state.q, 3u, state.about.y, per_determinant, per_ff);
-    state.made++;
-    begin_row();
+    fb_ripple_settle(); /* nothing, but for rows of one sample or two */
+    fb_ripple_settle();
+    state.ended = state.sums;
+    state.axes_left = 2u;
+    memset(&state.sums, 0, sizeof(state.sums));
+    state.in_row = 0;
 }
 
-static void add_axis(struct axis *axis, float i, float v, const struct fb_injected *injected)
+static void add_axis(struct axis *axis, float i, float v, const struct fb_injected *injected, float square)
 {
     axis->i += i;
     axis->gi += injected->ripple * i;
+    axis->ggi += square * i;
     axis->fv += injected->wave * v;
 }
 
 void fb_ripple_take(struct fb_vector i, struct fb_vector v_over_base, const struct fb_injected *injected, bool is_last)
 {
     const uint64_t before = state.phase;
+    const float square = injected->ripple * injected->ripple;
+    struct sums *s = &state.sums;
 
-    if (state.made >= state.rows) {
+    if (state.made + (state.axes_left > 0u ? 1u : 0u) >= state.rows) {
         return;
     }
-    state.n += 1.0f;
-    state.g += injected->ripple;
-    state.gg += injected->ripple * injected->ripple;
-    state.ff += injected->wave * injected->wave;
-    add_axis(&state.d, i.x - state.about.x, v_over_base.x, injected);
-    add_axis(&state.q, i.y - state.about.y, v_over_base.y, injected);
+    s->n += 1.0f;
+    s->g += injected->ripple;
+    s->gg += square;
+    s->ggg += square * injected->ripple;
+    s->gggg += square * square;
+    s->ff += injected->wave * injected->wave;
+    add_axis(&s->axes[0], i.x - state.about.x, v_over_base.x, injected, square);
+    add_axis(&s->axes[1], i.y - state.about.y, v_over_base.y, injected, square);
     state.phase += state.cycles;
     if (state.phase < before) { /* the next sample begins another period */
         state.in_row++;
@@ -161,8 +209,8 @@ struct fb_ripple_made fb_ripple_made(void)
 
     fb_board_lock();
     made.rows = state.made;
-    made.octets = ROW_OCTETS * state.made;
-    made.whole = ROW_OCTETS * state.rows;
+    made.octets = 2u * state.counts * state.made;
+    made.whole = 2u * state.counts * state.rows;
     made.crc = state.crc;
     fb_board_unlock();
     return made;
@@ -170,13 +218,12 @@ struct fb_ripple_made fb_ripple_made(void)
 
 uint8_t fb_ripple_octet(uint32_t offset)
 {
-    const uint32_t column = (offset % ROW_OCTETS) / 2u;
-    const uint16_t word = (uint16_t)memory[offset / ROW_OCTETS][column];
+    const uint16_t word = (uint16_t)memory[offset / 2u];
 
     return (uint8_t)((offset & 1u) != 0u ? word >> 8 : word & 0xFFu);
 }
 
 const int16_t *fb_ripple_counts(uint32_t row, uint32_t axis)
 {
-    return &memory[row][3u * axis];
+    return &memory[row * state.counts + (axis > 0u ? state.counts / 2u : 0u)];
 }

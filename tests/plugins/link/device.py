@@ -47,9 +47,7 @@ from plugins.wire import (
     Progress,
     ReadBlock,
     RegisterFile,
-    RippleD,
     RippleGrid,
-    RippleQ,
     RowFormat,
     Scales,
     SerialDecoder,
@@ -108,7 +106,9 @@ class Script:
     ring_bytes: int | None = None
     speed: float = 10.0
     """Programs run so much faster than real time."""
-    bits: Capability = Capability.RAW_CAPTURE | Capability.CAPTURE_RING | Capability.RIPPLE_ON_DRIVE
+    bits: Capability = (
+        Capability.RAW_CAPTURE | Capability.CAPTURE_RING | Capability.RIPPLE_ON_DRIVE | Capability.RIPPLE_CURVATURE
+    )
     slow_blocks_s: float = 0.0
     """Takes so long to answer a request for blocks of a capture."""
     lie: Callable[[Message], Message] | None = None
@@ -120,8 +120,6 @@ class Script:
     """So many rows of a capture, from the first, stand at the end of the scale."""
     described: str = "\nclock: simulated"
     """More lines of its description."""
-    live_every: int = 1
-    """Sends each n-th live ripple row."""
 
 
 class Device:
@@ -153,7 +151,6 @@ class Device:
         self._program: Excitation | None = None
         self._rows = b""
         self._counts = np.zeros((0, 6), dtype="<i2")
-        self._sent_ripple = 0
         self._begun_s = self._born_s = time.monotonic()
         self._phase = Phase.IDLE
         self._number = 0
@@ -318,7 +315,7 @@ class Device:
                 return AckStatus.PAST_LIMIT, 0
         self._number += 1
         self._program, self._begun_s, self._phase = program, time.monotonic(), Phase.RAMPING
-        self.state, self._sent_ripple = PowerState.RUNNING, 0
+        self.state = PowerState.RUNNING
         rows = program.rows(FS)
         i_dq, v_dq = waveforms(program, rows)
         mask = Channel(int(self.file["capture_mask"]))
@@ -348,10 +345,12 @@ class Device:
                 periods,
                 round(program.discard_s * FS),
                 OWN.voltage_delay_samples,
+                bool(self.file["ripple_curvature"]),
             )
             base = base_voltage(program)
             self._counts = demodulate(i_dq, v_dq, base, grid).counts(self.facts.scales)
             self._counts[: self.script.saturated] = 32767
+            self.ripple = CaptureSource(self._number + RIPPLE, self._counts.nbytes)
             self.file["ripple_rows"] = float(len(self._counts))
             self.file["base_voltage_d_v"], self.file["base_voltage_q_v"] = base
         return AckStatus.OK, self._number
@@ -375,29 +374,18 @@ class Device:
         size = len(self._rows) // rows
         fresh = self._rows[self.capture.captured : done * size]
         self.capture.append(fresh)
-        out = self._live(done, rows)
+        if self.ripple is not None:
+            made = len(self._counts) * done // rows
+            self.ripple.append(self._counts[self.ripple.captured // (2 * self._counts.shape[1]) : made].tobytes())
+        out: list[Frame] = []
         changed, self._phase = phase is not self._phase, phase
         if phase is Phase.COMPLETE:
             self._program, self.state = None, PowerState.HOLDING
             if isinstance(program, Hold):
                 self.i_dq = (program.current_d_a, program.current_q_a)
-            if isinstance(program, Injection) and self.file["ripple_periods"]:
-                self.ripple = CaptureSource.complete_with(self._number + RIPPLE, self._counts.tobytes())
         if not self.script.progress_lost and (changed or now_s >= self._due_s):
             out.append(self._progress(phase, done))
         return out + (self._telemetry() if phase is Phase.COMPLETE else [])
-
-    def _live(self, done: int, rows: int) -> list[Frame]:
-        if not self.file["ripple_live"]:
-            return []
-        out = []
-        until = len(self._counts) * done // rows
-        for n in range(self._sent_ripple, until):
-            if n % self.script.live_every == 0:
-                counts = [int(value) for value in self._counts[n]]
-                out += [encode(RippleD(n % 65536, *counts[:3])), encode(RippleQ(n % 65536, *counts[3:]))]
-        self._sent_ripple = until
-        return out
 
     def _progress(self, phase: Phase, rows: int) -> Frame:
         return encode(Progress(self._next("progress"), phase, self._number, rows))

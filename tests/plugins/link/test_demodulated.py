@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from zlib import crc32
+
 import numpy as np
 import pytest
 
 from plugins.link._demodulated import ripple_periods
-from plugins.wire import Capability, Channel, DriveFacts, RippleD, Scales
+from plugins.wire import Capability, Channel, DriveFacts, Scales
 from protocols import DriveFault, DriveRefused, FaultCause, Hold
 from tests.plugins.link.bench import LINKS, armed, taken
 from tests.plugins.link.device import FS, Script, waveforms
@@ -23,34 +25,40 @@ FACTS = DriveFacts(
 
 
 @pytest.mark.parametrize("link", LINKS)
-@pytest.mark.parametrize("live_every", [1, 7], ids=["all rows live", "live rows with gaps"])
-def test_waveforms_come_back_from_ripple_rows(link: str, live_every: int) -> None:
-    with armed(link, Script(live_every=live_every), capture="demodulated") as b:
+@pytest.mark.parametrize("is_curved", [True, False], ids=["with curvature", "of version 1.0"])
+def test_waveforms_come_back_from_ripple_rows(link: str, is_curved: bool) -> None:
+    bits = Script().bits if is_curved else Script().bits & ~Capability.RIPPLE_CURVATURE
+    with armed(link, Script(bits=bits), capture="demodulated") as b:
         capture = taken(b.drive, INJECTION)
     i_dq, v_dq = waveforms(INJECTION, len(capture))
     assert len(capture) == FS
+    assert b.device.file["ripple_curvature"] == is_curved
     inner = slice(40, -40)
     swing = np.ptp(i_dq[:, 0]) / 2
     np.testing.assert_allclose(capture.i_ab[inner], turned(i_dq, 0.4)[inner], atol=0.03 * swing)
     np.testing.assert_allclose(capture.v_ab[inner], turned(v_dq, 0.4)[inner], atol=0.03 * INJECTION.amplitude_v)
 
 
-def test_live_rows_are_yielded_while_the_drive_injects() -> None:
+def test_rows_are_yielded_while_the_drive_injects() -> None:
     with armed(script=Script(speed=1.0), capture="demodulated") as b:
         for block in b.drive.execute(INJECTION):
             if len(block):
                 break
-        assert b.device.capture is not None
-        assert b.device.ripple is None, "the first rows came only after the end"
+        assert b.device.ripple is not None
+        assert not b.device.ripple.complete, "the first rows came only after the end"
 
 
-def test_live_rows_that_are_not_those_of_the_end_are_a_fault() -> None:
+def test_rows_that_were_yielded_and_do_not_fit_the_crc_of_the_end_are_a_fault() -> None:
     with armed(capture="demodulated", script=Script(speed=1.0)) as b:
         blocks = b.drive.execute(INJECTION)
         while not len(next(blocks)):
             pass
-        b.device._counts = b.device._counts + np.int16(1)
-        with pytest.raises(DriveFault, match="not those that were seen live") as fault:
+        source = b.device.ripple
+        assert source is not None
+        data = bytes(x ^ 1 for x in source._data)
+        source._data, source._crc = bytearray(data), crc32(data)
+        b.device._counts = b.device._counts ^ np.int16(0x0101)
+        with pytest.raises(DriveFault, match="were damaged on the way") as fault:
             list(blocks)
         assert fault.value.cause is FaultCause.WRONG_DATA
 
@@ -59,7 +67,7 @@ def test_other_excitations_are_captured_raw() -> None:
     hold = Hold(current_d_a=1.0, current_q_a=0.0, settle_s=0.1, duration_s=0.5)
     with armed(capture="demodulated") as b:
         assert len(taken(b.drive, hold)) == 0.5 * FS
-        assert not any(isinstance(m, RippleD) for m in b.device.heard)
+        assert b.device.ripple is None
 
 
 def test_the_drives_name_says_that_samples_are_a_model() -> None:

@@ -154,8 +154,8 @@ def test_limits_nameplate_and_capture_settings_are_writable_registers() -> None:
     values = through_a_drive(motor_registers(motor)).values()
     assert values["motor_rated_current_a"] == pytest.approx(motor.rated_current_a)
     assert values["motor_inductance_d_h"] == 0.0
-    held = through_a_drive(capture_registers(VECTORS, ripple_periods=2, ripple_live=True)).values()
-    assert (held["capture_mask"], held["ripple_periods"], held["ripple_live"]) == (15, 2, 1)
+    held = through_a_drive(capture_registers(VECTORS, ripple_periods=2)).values()
+    assert (held["capture_mask"], held["ripple_periods"], held["ripple_live"]) == (15, 2, 0)
 
 
 def test_capabilities_come_back_digit_by_digit() -> None:

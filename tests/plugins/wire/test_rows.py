@@ -20,7 +20,7 @@ from plugins.wire import (
     demodulate,
     reconstruct,
 )
-from plugins.wire._ripple import RIPPLE_ROW_BYTES, Waveform, unit_ripple, unit_wave
+from plugins.wire._ripple import Waveform, mean_square, unit_ripple, unit_wave
 from protocols import DriveFault, InputError
 from tests.support.close import assert_close
 
@@ -114,12 +114,58 @@ def test_a_rotating_injection_is_followed() -> None:
     assert np.abs(v_again - v_dq)[20:-20].max() < 5e-3 * 20.0
 
 
-def test_ripple_rows_are_twelve_bytes_and_come_back_to_half_a_count() -> None:
+@given(
+    st.sampled_from(["square", "sine"]),
+    st.sampled_from([500.0, 333.0, 250.0, 1000.0]),
+    st.integers(1, 3),
+    st.integers(0, 37),
+    st.sampled_from([0.0, 0.5, 1.5]),
+)
+def test_a_ripple_that_is_bent_is_demodulated_and_reconstructed(
+    waveform: Waveform, frequency_hz: float, periods: int, discarded: int, delay: float
+) -> None:
+    grid = RippleGrid(FS, frequency_hz, waveform, periods, discarded, delay, is_curved=True)
+    k = np.arange(3000.0)
+    g = unit_ripple(grid.phase(k, delay), waveform)[:, None]
+    mean, ripple, curvature = np.array([1.5, -0.7]), np.array([0.2, 0.05]), np.array([-0.02, 0.01])
+    i_dq = mean + ripple * g + curvature * (g * g - mean_square(waveform))
+    rows = demodulate(i_dq, np.zeros_like(i_dq), (0.0, 0.0), grid)
+    assert rows.curvature is not None
+    for found, put_in in ((rows.mean, mean), (rows.ripple, ripple), (rows.curvature, curvature)):
+        assert_close(found, np.tile(put_in, (len(rows), 1)), 1e-9)
+    again, _ = reconstruct(rows, (0.0, 0.0), grid)
+    assert_close(again, i_dq[: len(again)], 1e-9)
+
+
+@pytest.mark.parametrize(("waveform", "found"), [("square", 1.0 / 3.0), ("sine", 0.5)])
+def test_the_square_of_the_unit_ripple_has_this_mean(waveform: Waveform, found: float) -> None:
+    g = unit_ripple((np.arange(100_000) + 0.5) / 100_000, waveform)
+    assert mean_square(waveform) == found == pytest.approx(float((g * g).mean()), abs=1e-9)
+
+
+@pytest.mark.parametrize("samples", [2, 3])
+def test_a_period_of_two_or_three_samples_has_no_curvature(samples: int) -> None:
+    grid = RippleGrid(FS, FS / samples, "square", 3, is_curved=True)
+    i_dq = 1.0 + 0.2 * unit_ripple(grid.phase(np.arange(600.0)), "square")[:, None] * np.array([1.0, -0.5])
+    rows = demodulate(i_dq, np.zeros_like(i_dq), (0.0, 0.0), grid)
+    assert rows.curvature is not None
+    assert not rows.curvature.any()
+    assert_close(rows.ripple, np.tile([0.2, -0.1], (len(rows), 1)), 1e-9)
+
+
+@pytest.mark.parametrize(("is_curved", "size"), [(False, 12), (True, 16)])
+def test_ripple_rows_come_back_to_half_a_count(is_curved: bool, size: int) -> None:
     rng = np.random.default_rng(3)
-    rows = RippleRows(rng.normal(size=(9, 2)), 0.1 * rng.normal(size=(9, 2)), 20.0 * rng.normal(size=(9, 2)))
-    data = rows.counts(SCALES).tobytes()
-    assert len(data) == 9 * RIPPLE_ROW_BYTES
-    back = RippleRows.of_bytes(data, SCALES)
+    mean, ripple, v = rng.normal(size=(9, 2)), 0.1 * rng.normal(size=(9, 2)), 20.0 * rng.normal(size=(9, 2))
+    rows = RippleRows(mean, ripple, v, 0.1 * ripple if is_curved else None)
+    counts = rows.counts(SCALES)
+    assert counts.nbytes == 9 * size == 9 * RippleGrid(FS, 500.0, "square", 1, is_curved=is_curved).row_bytes
+    back = RippleRows.of_counts(counts, SCALES)
+    if is_curved:
+        assert back.curvature is not None
+        np.testing.assert_allclose(back.curvature, 0.1 * ripple, atol=0.501 * SCALES.ripple_a)
+    else:
+        assert back.curvature is None
     np.testing.assert_allclose(back.mean, rows.mean, atol=0.501 * SCALES.current_a)
     np.testing.assert_allclose(back.ripple, rows.ripple, atol=0.501 * SCALES.ripple_a)
     np.testing.assert_allclose(back.v, rows.v, atol=0.501 * SCALES.voltage_v)

@@ -171,7 +171,8 @@ class Host:
 
     def run(self, excitation: Excitation, **capture: Any) -> Ack:
         """Start a program; does not wait for its end."""
-        registers = capture_registers(capture.pop("channels", DEFAULT_CHANNELS), **capture)
+        live = float(capture.pop("ripple_live", False))
+        registers = capture_registers(capture.pop("channels", DEFAULT_CHANNELS), **capture) | {"ripple_live": live}
         status = self.write(**program_registers(excitation, FS), **registers)
         assert status is AckStatus.OK, status
         return self.command(Op.RUN_PROGRAM)

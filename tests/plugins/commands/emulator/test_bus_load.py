@@ -1,4 +1,4 @@
-"""What live ripple takes of a classic bus, counted bit by bit by somebody who listens on it."""
+"""What ripple rows take of a classic bus while they are made, counted bit by bit by somebody who listens on it."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def test_bits_are_counted_with_those_that_are_stuffed() -> None:
 
 
 @pytest.mark.slow
-def test_live_ripple_takes_less_than_15_percent_of_a_classic_bus_at_1_mbit_s() -> None:
+def test_rows_read_while_they_are_made_take_less_than_a_fifth_of_a_classic_bus_at_1_mbit_s() -> None:
     heard: list[tuple[float, int, int]] = []
     over = threading.Event()
     with can.Bus(channel="load", interface="virtual", ignore_config=True) as bus, emulated("load", fd=False):
@@ -67,14 +67,17 @@ def test_live_ripple_takes_less_than_15_percent_of_a_classic_bus_at_1_mbit_s() -
         finally:
             over.set()
             listener.join()
-    ripple = [at for at, identifier, _ in heard if identifier == frame_id("RippleD")]
-    first, last = ripple[0], ripple[-1]
+    # The description was read before: a second or more without a block lies between.
+    blocks = [at for at, identifier, _ in heard if identifier == frame_id("Bulk")]
+    begun = max((k for k in range(1, len(blocks)) if blocks[k] - blocks[k - 1] > 0.2), default=0)
+    blocks = blocks[begun:]
+    first, last = blocks[0], blocks[-1]
     load = sum(bits for at, _, bits in heard if first <= at <= last) / (last - first) / BIT_RATE
-    rows_hz = (len(ripple) - 1) / (last - first)
+    rows_hz = (len(blocks) - 1) / (last - first) * 6 / 16
     print(f"{rows_hz:.0f} ripple rows a second with all else take {100 * load:.1f} % of a classic bus")
     assert live > 0
     assert rows_hz == pytest.approx(500.0, rel=0.05)
-    assert load < 0.15
+    assert load < 0.2
 
 
 def capture_live() -> int:

@@ -459,7 +459,7 @@ def test_the_brake_is_a_register() -> None:
 def test_live_ripple_and_telemetry_take_less_than_15_percent_of_a_classic_bus(desk: Desk) -> None:
     desk.arm()
     desk.write(**program_registers(injection(duration_s=2.0), FS))
-    desk.write(**capture_registers(Channel(0), CaptureFormat.INT16, ripple_periods=1, ripple_live=True))
+    desk.write(**capture_registers(Channel(0), CaptureFormat.INT16, ripple_periods=1) | {"ripple_live": 1.0})
     desk.ask(Op.RUN_PROGRAM)
     desk.pass_time(1.0, until=lambda: desk.device.power.phase is Phase.CAPTURING)
     said = desk.pass_time(1.0)

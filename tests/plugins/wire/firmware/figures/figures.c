@@ -135,6 +135,7 @@ void reset(void)
     set(FLUXBENCH_REG_AMPLITUDE_V, 50.0f);
     set(FLUXBENCH_REG_FREQUENCY_HZ, 500.0f);
     set(FLUXBENCH_REG_ROTATION_HZ, 10.0f);
+    set(FLUXBENCH_REG_RIPPLE_CURVATURE, 1.0f);
     run("hold", 1.0f, 31.0f, 0.0f, 0.0f, 0.0f);
     run("trapezoid", 2.0f, 31.0f, 0.0f, 0.0f, 0.0f);
     run("injection", 3.0f, 31.0f, 0.0f, 0.0f, 0.0f);
