@@ -4,8 +4,9 @@ from plugins.link._clock import AttentiveClock
 from plugins.link._drive import LinkDrive
 from plugins.link._errors import link_errors
 from plugins.link._host import Host
+from plugins.link._line import Line
 from plugins.link._link import Link
 from plugins.link._options import LinkOptions
 from plugins.link._port import Port
 
-__all__ = ["AttentiveClock", "Host", "Link", "LinkDrive", "LinkOptions", "Port", "link_errors"]
+__all__ = ["AttentiveClock", "Host", "Line", "Link", "LinkDrive", "LinkOptions", "Port", "link_errors"]

@@ -111,7 +111,7 @@ class CanPort:
             return None
         slow, fast = self._rates
         if not self._fd:
-            return CanPort.for_blocks * layout.block * slow / _CLASSIC_BLOCK_BITS
+            return classic_rate(slow)
         return CanPort.for_blocks * layout.block / (_FD_SLOW_BITS / slow + _FD_FAST_BITS / fast)
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
@@ -172,6 +172,11 @@ class CanPort:
 
     def close(self) -> None:
         self._bus.shutdown()
+
+
+def classic_rate(bitrate: int) -> float:
+    """Bytes of captures a second on a bus of classic frames."""
+    return CanPort.for_blocks * CLASSIC.block * bitrate / _CLASSIC_BLOCK_BITS
 
 
 def _widen_buffer(bus: can.BusABC) -> int | None:

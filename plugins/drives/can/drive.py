@@ -41,9 +41,13 @@ class CanDrive(LinkDrive):
         self._bus: CanOptions = setup.options
 
     def open_port(self) -> Port:
-        from plugins.drives.can._port import CanPort
+        from plugins.drives.can._port import CanPort, classic_rate
+        from plugins.drives.can._slcan import SETTINGS, SlcanPort
 
         bus = self._bus
+        if bus.interface == "slcan" and not bus.fd and bus.settings.keys() <= SETTINGS:
+            rate = classic_rate(bus.bitrate)
+            return SlcanPort(bus.channel, bus.bitrate, rate, node=bus.node, settings=bus.settings)
         return CanPort(
             bus.interface,
             bus.channel,

@@ -1,64 +1,29 @@
-"""A serial line: a device, a pseudo-terminal, or a TCP socket. COBS frames over a file descriptor; no protocol."""
+"""A serial line with COBS frames on it; no protocol."""
 
 from __future__ import annotations
 
-import os
-import select
-import socket
-import time
 from collections.abc import Sequence
-from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar
 
+from plugins.link import Line
 from plugins.wire import BlockLayout, Frame, SerialDecoder, all_to_serial, serial_blocks
-from protocols import InputError
-
-
-class _Handle(Protocol):
-    def fileno(self) -> int: ...
-    def close(self) -> None: ...
 
 
 class SerialPort:
-    """An open serial line.
+    """An open serial line; parameters and errors as those of `Line`."""
 
-    Reading and writing go past pyserial: its `in_waiting` is a bare OSError on a dead line and no
-    more than 1 on a socket, and its write blocks for good where nobody reads.
-
-    Parameters
-    ----------
-    port : str
-        A device, a pseudo-terminal's path, or ``socket://host:port``.
-    baud_rate : int
-        For devices; pseudo-terminals and sockets do not care.
-    dtr : bool
-        Level of the DTR line, set before opening: some boards are reset by a change.
-
-    Raises pyserial's and the system's own errors, and `InputError` for what no port could be.
-    """
-
-    read_bytes: ClassVar[int] = 65536
-    """Bytes read at once."""
     frame_overhead_bytes: ClassVar[int] = 16
     """Identifier, offset, CRC-32, stuffing and the closing zero around a block's data."""
     for_blocks: ClassVar[float] = 0.9
     """Part of the line that is left to blocks by telemetry, requests, and what has to be asked for twice."""
-    connect_s: ClassVar[float] = 2.0
-    """A socket that has not opened after so long does not."""
 
     requests_each = 16
     blocks_each = 64
 
     def __init__(self, port: str, baud_rate: int, *, dtr: bool = True) -> None:
         self.where = port
-        is_line = not port.startswith("socket://")
-        self._handle: _Handle = _open_line(port, baud_rate, dtr) if is_line else _open_socket(port)
-        self._line_rate = baud_rate / 10.0 if is_line and not _is_pseudo_terminal(port) else None
-        self._fd = self._handle.fileno()
-        os.set_blocking(self._fd, False)
-        self._readable, self._writable = select.poll(), select.poll()
-        self._readable.register(self._fd, select.POLLIN)
-        self._writable.register(self._fd, select.POLLOUT)
+        self._line = Line(port, baud_rate, dtr=dtr)
+        self._line_rate = baud_rate / 10.0 if self._line.is_device else None
         self._decoder = SerialDecoder()
         self._before = b"\0"  # ends whatever the other end has of an earlier frame
 
@@ -76,61 +41,18 @@ class SerialPort:
         return SerialPort.for_blocks * self._line_rate * layout.block / (layout.block + SerialPort.frame_overhead_bytes)
 
     def send(self, frames: Sequence[Frame], timeout_s: float) -> bool:
-        data = self._before + all_to_serial(frames)
-        deadline = time.monotonic() + timeout_s
-        while data:
-            try:
-                data = data[os.write(self._fd, data) :]
-            except BlockingIOError:
-                left = deadline - time.monotonic()
-                if left <= 0.0 or not self._writable.poll(1e3 * left):
-                    break
-        self._before = b"\0" if data else b""  # what is cut off here is damaged there, and dropped
-        return not data
+        taken = self._line.write(self._before + all_to_serial(frames), timeout_s)
+        self._before = b"" if taken else b"\0"  # what is cut off here is damaged there, and dropped
+        return taken
 
     def fileno(self) -> int:
-        return self._fd
+        return self._line.fileno()
 
     def as_written(self, frames: Sequence[Frame]) -> bytes:
         return b"\0" + all_to_serial(frames)  # what the other process has begun ends here
 
     def receive(self, timeout_s: float) -> list[Frame]:
-        if not self._readable.poll(1e3 * timeout_s):
-            return []
-        try:
-            data = os.read(self._fd, SerialPort.read_bytes)
-        except BlockingIOError:
-            return []
-        if not data:
-            raise ConnectionResetError("closed by the other end")
-        return self._decoder.feed(data)
+        return self._decoder.feed(self._line.read(timeout_s))
 
     def close(self) -> None:
-        self._handle.close()
-
-
-def _open_line(port: str, baud_rate: int, dtr: bool) -> _Handle:
-    import serial
-
-    try:
-        line: Any = serial.Serial(exclusive=True, baudrate=baud_rate, timeout=0, write_timeout=0)
-        line.dtr = dtr
-        line.port = port
-        line.open()
-    except ValueError as error:
-        raise InputError("the drive's line", port, str(error)) from error
-    handle: _Handle = line
-    return handle
-
-
-def _open_socket(url: str) -> _Handle:
-    host, _, port = url.removeprefix("socket://").rpartition(":")
-    if not port.isdecimal():
-        raise InputError("the drive's line", url, "expected socket://host:port")
-    opened = socket.create_connection((host, int(port)), timeout=SerialPort.connect_s)
-    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return opened
-
-
-def _is_pseudo_terminal(port: str) -> bool:
-    return Path(port).resolve().is_relative_to("/dev/pts")
+        self._line.close()

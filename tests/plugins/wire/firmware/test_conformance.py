@@ -10,6 +10,7 @@ from typing import ClassVar, Literal
 import pytest
 
 from orchestrator.testing import DriveConformance
+from plugins.drives.can import CanDrive, CanOptions
 from plugins.drives.serial import SerialDrive, SerialOptions
 from protocols import Drive, DriveSetup, Motor
 from tests.plugins.wire.firmware.built import PATIENT, Board, build, cortex_m4, host_board
@@ -54,11 +55,12 @@ class OnABoard(DriveConformance):
 class TestOnTheHost(OnABoard):
     """Twenty seconds a second."""
 
-    speed = 20.0
+    speed: ClassVar[float] = 20.0
+    extra: ClassVar[str] = WITH_INTERLOCKS
 
     @classmethod
     def board(cls, folder: Path) -> AbstractContextManager[Board]:
-        return host_board(build(folder, "host", WITH_INTERLOCKS), folder, cls.speed)
+        return host_board(build(folder, "host", cls.extra), folder, cls.speed)
 
 
 class TestInRealTime(TestOnTheHost):
@@ -71,6 +73,29 @@ class TestDemodulated(TestOnTheHost):
     """Injections as ripple rows."""
 
     speed = 1.0
+    capture = "demodulated"
+
+
+@pytest.mark.slow
+class TestOnClassicCan(TestOnTheHost):
+    """Frames in letters, as a serial CAN adapter writes them (`slcan`); in real time."""
+
+    speed = 1.0
+    extra = f"{WITH_INTERLOCKS} -DFB_LINK_CAN=1"
+
+    def make_drive(self, setup: DriveSetup) -> Drive:
+        return CanDrive(setup)
+
+    def setup(self) -> DriveSetup:
+        bus = {"interface": "slcan", "channel": self.running.port, "settings": {"sleep_after_open": 0.0}}
+        options = CanOptions.model_validate({**bus, "capture": self.capture, "telemetry_period_s": 0.15})
+        return DriveSetup(motor=Motor(**MOTOR), options=options, seed=1)
+
+
+@pytest.mark.slow
+class TestOnClassicCanDemodulated(TestOnClassicCan):
+    """Injections as ripple rows, for which classic CAN is fast enough."""
+
     capture = "demodulated"
 
 
