@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import select
+import time
 import tty
 from collections.abc import Iterator
 
@@ -49,9 +50,11 @@ class Adapter:
 
 
 def received(port: SlcanPort, count: int) -> list[Frame]:
+    """So many frames: a terminal hands letters on in pieces, and a piece may have none."""
     found: list[Frame] = []
-    while len(found) < count and (more := port.receive(1.0)):
-        found += more
+    until_s = time.monotonic() + 5.0
+    while len(found) < count and time.monotonic() < until_s:
+        found += port.receive(0.1)
     return found
 
 
