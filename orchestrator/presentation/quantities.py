@@ -16,6 +16,7 @@ if TYPE_CHECKING:  # the command line's help has no time for it
 UNKNOWN = "–"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
+_NEXT_TO = 1e-6
 _GREATEST = {"V": 3, "A": 3, "Ω": 6, "H": 0, "Wb": 0, "s": 0, "W": 6, "J": 6, "Hz": 6, "rad": 0, "Nm": 3}
 """Units that take a prefix, each with the power of ten of the greatest that is in use."""
 
@@ -49,10 +50,14 @@ class Scale:
 
     @classmethod
     def of(cls, value: float, low: float, high: float, unit: str) -> Scale:
-        """The scale for a value and its interval: decimals down to the smaller distance of an end from the value."""
+        """The scale for a value and its interval: decimals down to the smaller distance of an end from the value.
+
+        What is next to nothing beside its interval, or next to an end of it, is there.
+        """
         largest = max(abs(low), abs(high))
-        power, printed = _prefixed(value or largest, unit)
-        least = min(value - low, high - value) if low < value < high else high - low
+        power, printed = _prefixed(value if abs(value) > _NEXT_TO * largest else largest, unit)
+        least = min(value - low, high - value)
+        least = least if least > _NEXT_TO * (high - low) else high - low
         # Beyond a thousandth of a thousandth, digits tell nothing to anybody.
         least = max(least, 1e-6 * max(abs(value), largest))
         digits = borne(least / 10.0**power) if least > 0.0 else 0

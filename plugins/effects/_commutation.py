@@ -5,10 +5,17 @@ as fast as the current i charges the output capacitances of both its devices, to
 i_k = C V_dc / t_d the swing just ends within t_d; below, the other switch cuts it short. In parts of t_d, the mean of
 the edge is late by
 
-    late(x) = 1 where x <= 0,    1 - x/2 up to x = 1,    1 / (2x) beyond,    x = i / i_k
+    late(x) = 1 where x <= 0,    1 - A(x) / x up to x = 1,    1 / (2x) beyond,    x = i / i_k
 
 for the current i out of the leg at a falling edge and into it at a rising one; the leg loses
-V_dt (late(-x_rising) - late(x_falling)).
+V_dt (late(-x_rising) - late(x_falling)). A is the integral of the node's part u of the bus over the part x of the
+charge that has flown. With constant capacitances u = x and A = x^2 / 2. Those of junctions fall as v^-m with the
+voltage v across each, and are largest at both rails:
+
+    x(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
+
+Source: S. M. Sze, K. K. Ng, Physics of Semiconductor Devices, section 2.2.2 (m = 1/2 of an abrupt junction, 1/3 of a
+graded one; more of a compensated one), doi:10.1002/0470068329.
 
 x is not of the mean current. Each leg's edge steps the voltage on the other phases; rises are about a quarter, falls
 about three quarters through a symmetric carrier's period. With the time of its edge, dead time included, known of every
@@ -17,6 +24,8 @@ swing ends. How late one edge is decides how late others are: few passes settle 
 """
 
 from __future__ import annotations
+
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
@@ -29,8 +38,27 @@ SETTLED = 5e-4
 """Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
 
 
+@lru_cache(maxsize=32)
+def swung_early(grading: float, entries: int = 256) -> Array:
+    """Table of A(x) / x over x = 0..1: the part of the dead time that a swing which it cuts short is early."""
+    u = np.linspace(0.0, 1.0, 2049)[1:]
+    left, power = 1.0 - u, 1.0 - grading
+    x = 0.5 * (u**power + 1.0 - left**power)
+    below = 0.5 * (u + (u ** (1.0 + power) + left ** (1.0 + power) - 1.0) / (1.0 + power))
+    early = np.interp(np.linspace(0.0, 1.0, entries + 1), np.append(0.0, x), np.append(0.0, u - below / x))
+    return np.asarray(early, dtype=np.float64)
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _late(knees: float, leg: float, brake: float, before: float) -> float:
+def _early(x: float, table: Array) -> float:
+    """`swung_early` at x = 0..1."""
+    place = x * (table.shape[0] - 1)
+    m = min(int(place), table.shape[0] - 2)
+    return float(table[m] + (place - m) * (table[m + 1] - table[m]))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _late(knees: float, leg: float, brake: float, before: float, early: Array) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
     Parameters
@@ -43,13 +71,17 @@ def _late(knees: float, leg: float, brake: float, before: float) -> float:
         By how much a swing of all the dead time brakes the current that drives it.
     before : float
         The delay as it was believed, which tells how long the swing is.
+    early : array
+        See `swung_early`.
     """
     x = knees * leg
     if x <= 0.0:
         return leg
     swing = min(leg, 2.0 * before)
     braked = 1.0 + brake * swing * swing
-    return leg * (1.0 - 0.5 * x / braked if x < braked else 0.5 * braked / x)
+    if x >= braked:
+        return leg * 0.5 * braked / x
+    return leg * (1.0 - _early(x / braked, early))
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -65,7 +97,7 @@ def _ramp(start: float, width: float) -> float:
 
 @njit(cache=True, nogil=True)
 def lost_at_edges(
-    v_ab: Array, i_ab: Array, volts: Array, legs: Array, knees_per_a: float, pull: Array, cycles: int
+    v_ab: Array, i_ab: Array, volts: Array, legs: Array, knees_per_a: float, pull: Array, cycles: int, early: Array
 ) -> Array:
     """Voltage (n, 2) that dead time takes over each interval.
 
@@ -82,6 +114,8 @@ def lost_at_edges(
         By how many knees a volt on one phase's terminal moves each current over a carrier's period.
     cycles : int
         Carrier periods in an interval.
+    early : array
+        See `swung_early`.
     """
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
@@ -97,7 +131,7 @@ def lost_at_edges(
         for x in range(3):
             lost[x] = 0.0
         for _ in range(cycles):
-            _settle(valley, step, commanded, volts[k], legs, pull, up, down)
+            _settle(valley, step, commanded, volts[k], legs, pull, early, up, down)
             for x in range(3):
                 lost[x] += (up[x] - down[x]) / cycles
                 valley[x] += step[x]
@@ -109,7 +143,15 @@ def lost_at_edges(
 
 @njit(cache=True, nogil=True, inline="always")
 def _settle(
-    valley: Array, step: Array, commanded: Array, volts: float, legs: Array, pull: Array, up: Array, down: Array
+    valley: Array,
+    step: Array,
+    commanded: Array,
+    volts: float,
+    legs: Array,
+    pull: Array,
+    early: Array,
+    up: Array,
+    down: Array,
 ) -> None:
     """How late the three rises and falls of a period are, in parts of the dead time, from what they were before.
 
@@ -135,8 +177,8 @@ def _settle(
                     falling += pull[x, y] * (late - _ramp(volts * falls[y] + ahead, swing_down))
             # The leg's own swing brakes the current that drives it.
             brake = pull[x, x] * volts / 12.0
-            up[x] = _late(-rising, legs[x], brake, rises[x])
-            down[x] = _late(falling, legs[x], brake, falls[x])
+            up[x] = _late(-rising, legs[x], brake, rises[x], early)
+            down[x] = _late(falling, legs[x], brake, falls[x], early)
             moved = max(moved, abs(up[x] - rises[x]), abs(down[x] - falls[x]))
         if moved < SETTLED:
             return

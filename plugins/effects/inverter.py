@@ -12,7 +12,7 @@ from numba import njit
 from orchestrator.numerics.frames import from_two_phases
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from plugins.effects._commutation import lost_at_edges
+from plugins.effects._commutation import lost_at_edges, swung_early
 from plugins.effects._filters import held_lag
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
@@ -118,7 +118,8 @@ class DeadTime:
     In the flexible form the softness is free, half of s is narrower, half wider, by exp(sqrt(`variance`)): the
     capacitances are not constant; and a share `switched` of the voltage is lost as at the edges of a switching leg,
     each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
-    C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing.
+    C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing;
+    `grading` is by which power their capacitances fall with the voltage.
     `leg_a` and `leg_b` are by how much of the mean dead time those legs' own differs; leg c makes up for both.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
@@ -132,8 +133,9 @@ class DeadTime:
 
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
-        threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=1.0)
+        threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=3.0)
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
+        grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
         leg_a: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.5, high=0.5)
         leg_b: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.5, high=0.5)
 
@@ -152,7 +154,9 @@ class DeadTime:
             # Current between samples hardly bends: two carrier periods stand for all of them.
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
             pull = _pull(signals) / p.threshold_a
-            v_ab = v_ab - p.switched * lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles)
+            early = swung_early(p.grading)
+            lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles, early)
+            v_ab = v_ab - p.switched * lost
         return Correction(v_ab=v_ab)
 
 
@@ -194,7 +198,7 @@ class DeviceDrop:
     gauge: ClassVar[str] = "The on-state resistance r_on equals R_s."
 
     class Parameters(Knee):
-        voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=-5.0, high=5.0)
+        voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=5.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
         growth: float = refinement("1", neutral=0.0, prior_width=0.1, low=0.0, high=1.0)
 

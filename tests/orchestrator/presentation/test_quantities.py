@@ -187,3 +187,7 @@ def test_checks_name_the_axes_that_they_were_made_on() -> None:
 
 def test_a_point_is_no_points() -> None:
     assert [plural(n, "point") for n in (0, 1, 2)] == ["0 points", "1 point", "2 points"]
+
+
+def test_what_is_next_to_nothing_beside_its_interval_is_printed_on_the_intervals_scale() -> None:
+    assert value_and_interval(9.9e-11, 0.0, 0.868, "1") == ("0.0", "0.0 to 0.9")

@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
-from plugins.effects._commutation import lost_at_edges
+from plugins.effects._commutation import lost_at_edges, swung_early
 
 BUS, PERIOD, STEP = 540.0, 1e-4, 1e-8
 DEAD = 193
@@ -17,19 +17,31 @@ VOLT = 2.0 * BUS * STEP / PERIOD
 """The voltage that shifts each edge by a step, so that all of them are on the grid."""
 
 
-def _switched(i_abc: Array, steps: Array, capacitance_f: float) -> tuple[Array, Array]:
+def _swing(grading: float) -> tuple[Array, Array]:
+    """Charge that has flown, of a whole swing's, and the node's voltage then, of the bus: C ~ u^-m + (1 - u)^-m."""
+    # The rail, where the capacitance has no end, is left in ever larger steps.
+    low = 0.5 * np.linspace(0.0, 1.0, 2_001) ** 6
+    middle = 0.5 * (low[1:] + low[:-1])
+    charge = np.append(0.0, np.cumsum((middle**-grading + (1.0 - middle) ** -grading) * np.diff(low)))
+    x = 0.5 * charge / charge[-1]
+    return np.append(x, 1.0 - x[-2::-1]), np.append(low, 1.0 - low[-2::-1])
+
+
+def _switched(i_abc: Array, steps: Array, capacitance_f: float, grading: float) -> tuple[Array, Array]:
     """Currents after a period that begins in the valley, and the mean phase voltages in it; each shape (3,).
 
     A node follows its switch, or what the current makes of its capacitance while neither conducts; the d axis of the
     motor is along phase a.
     """
+    swing = _swing(grading)
     n = round(PERIOD / STEP)
     rise, fall = n // 4 - steps, 3 * n // 4 + steps
     node, mean, i = np.zeros(3), np.zeros(3), i_abc.copy()
     admittance = np.array([[2.0, -1.0, -1.0], [-1.0, 0.5, 0.5], [-1.0, 0.5, 0.5]]) / (3.0 * L_D)
     admittance += np.array([[0.0, 0.0, 0.0], [0.0, 0.5, -0.5], [0.0, -0.5, 0.5]]) / L_Q
     for k in range(n):
-        floating = np.clip(node - i * (STEP / capacitance_f), 0.0, BUS)
+        charge = np.interp(node / BUS, swing[1], swing[0]) - i * (STEP / (capacitance_f * BUS))
+        floating = BUS * np.interp(charge, *swing)
         driven = np.where((k >= rise + DEAD) & (k < fall), BUS, 0.0)
         node = np.where((k < rise) | ((k >= rise + DEAD) & (k < fall)) | (k >= fall + DEAD), driven, floating)
         i += STEP * (admittance @ node)
@@ -37,7 +49,7 @@ def _switched(i_abc: Array, steps: Array, capacitance_f: float) -> tuple[Array, 
     return i, mean - mean.mean()
 
 
-@pytest.mark.parametrize("capacitance_f", [64e-12, 128e-12])
+@pytest.mark.parametrize(("capacitance_f", "grading"), [(64e-12, 0.0), (128e-12, 0.0), (128e-12, 0.5), (128e-12, 0.7)])
 @pytest.mark.parametrize(
     ("i_a", "i_b", "steps"),
     [
@@ -50,10 +62,10 @@ def _switched(i_abc: Array, steps: Array, capacitance_f: float) -> tuple[Array, 
     ],
 )
 def test_the_kernel_agrees_with_legs_switched_step_by_step(
-    i_a: float, i_b: float, steps: tuple[int, int, int], capacitance_f: float
+    i_a: float, i_b: float, steps: tuple[int, int, int], capacitance_f: float, grading: float
 ) -> None:
     i_abc = np.array([i_a, i_b, -i_a - i_b])
-    after, mean = _switched(i_abc, np.array(steps), capacitance_f)
+    after, mean = _switched(i_abc, np.array(steps), capacitance_f, grading)
     commanded = VOLT * np.array(steps, dtype=np.float64)
     volts = DEAD * STEP / PERIOD * BUS
     knee = capacitance_f * BUS / (DEAD * STEP)
@@ -61,5 +73,26 @@ def test_the_kernel_agrees_with_legs_switched_step_by_step(
     across = np.sin(2.0 * np.pi / 3.0 * np.arange(3))
     pull = PERIOD / 1.5 * (np.outer(towards_d, towards_d) / L_D + np.outer(across, across) / L_Q)
     i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
-    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, pull / knee, 1))[0]
-    np.testing.assert_allclose(lost, commanded - mean, atol=0.006 * volts)
+    early = swung_early(grading)
+    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, pull / knee, 1, early))[0]
+    # How a swing's own course moves the currents is told as of an even one.
+    np.testing.assert_allclose(lost, commanded - mean, atol=(0.006 if grading == 0.0 else 0.018) * volts)
+
+
+@pytest.mark.parametrize("grading", [0.0, 1.0 / 3.0, 0.5, 0.8])
+def test_a_swing_is_half_the_bus_at_its_end_and_the_earlier_the_evener_its_capacitance(grading: float) -> None:
+    early, even = swung_early(grading), swung_early(0.0)
+    np.testing.assert_allclose(early[-1], 0.5, rtol=1e-6)
+    np.testing.assert_allclose(even, 0.5 * np.linspace(0.0, 1.0, len(even)), atol=2e-4)
+    assert (np.diff(early) >= 0.0).all()
+    assert (early <= even + 2e-4).all()
+
+
+@pytest.mark.parametrize("grading", [0.2, 0.5, 0.75])
+def test_the_part_of_a_swing_that_is_cut_short_is_the_integral_of_the_nodes_voltage(grading: float) -> None:
+    x, u = _swing(grading)
+    area = np.append(0.0, np.cumsum(0.5 * (u[1:] + u[:-1]) * np.diff(x)))
+    place = np.linspace(0.05, 1.0, 20)
+    early = swung_early(grading)
+    told = np.interp(place, np.linspace(0.0, 1.0, len(early)), early)
+    np.testing.assert_allclose(told, np.interp(place, x, area) / place, atol=2e-3)
