@@ -4,8 +4,9 @@
 
 in means over whole turns at a steady current, J being a quarter turn ahead. A voltage that is held over a sample while
 the rotor turns is shorter by sin(x)/x, x = w Ts / 2, and acts where the rotor is in the middle of it. W is even in i_q
-about the true d axis; e is a phase's loss, whose mean over a turn is 4/pi of it along the current. All is told at once,
-R_s and e from several speeds, or by what is known of R_s beforehand; how smooth W is the data say.
+about the true d axis; e is a phase's loss, by the sign of its current as it was measured, ripple and all, with a knee
+that may be anywhere: about 4/pi of it along the current. All is told at once, R_s and e from several speeds, or by what
+is known of R_s beforehand; how smooth W is the data say.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ from functools import cached_property
 import numpy as np
 
 from orchestrator.analysis._energy_fit import EnergyFit, energy_rows
-from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.frames import from_phases, to_dq, to_phases
 from orchestrator.numerics.reml import Solution, most_likely
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -25,9 +26,14 @@ from protocols import Capture, NotMeasuredError, Segment
 CELLS = (6, 6)
 LITTLE = 0.02
 """Part of the largest current below which it is none."""
+KNEES = (0.0, 0.04, 0.15)
+"""Currents (of the largest) at which a phase's loss has its knee: it is a mixture of these."""
 LOSS_SHARE, IRON_SHARE, TURN_RAD = 0.02, 0.2, 0.2
 """Standard deviations of what is believed: a phase's loss (of the largest voltage), the iron's current (of the largest
 one), and a turn of the axis."""
+
+
+_OHM, _IRON, _TURN, _LOSS = range(4)
 
 
 @dataclass(frozen=True)
@@ -40,11 +46,14 @@ class SpunPoints:
         Current [A], and the voltage that acted [V].
     speed : array, shape (n,)
         Electrical [rad/s].
+    lost : array, shape (n, knees, 2)
+        What a loss of one volt in each phase takes of the voltage, by its knee.
     """
 
     i: Array
     v: Array
     speed: Array
+    lost: Array
 
 
 def spun_points(
@@ -86,7 +95,9 @@ def spun_points(
     smooth = np.convolve(speed, np.ones(5) / 5.0, mode="same") if len(speed) > 10 else speed
     smooth[:2], smooth[-2:] = speed[2], speed[-3]
     i, v = to_dq(capture.i_ab, angle), to_dq(capture.v_ab, angle)
+    lost = np.zeros((len(i), len(KNEES), 2))
     if delay is not None:
+        lost = _lost(capture, angle + 0.5 * step * smooth, scale_a)
         v = to_dq(capture.v_ab, angle + smooth * step * (delay + 0.5)) * np.sinc(0.5 * smooth * step / np.pi)[:, None]
     edges = np.searchsorted(np.abs(angle - angle[0]), 2.0 * np.pi * turns * np.arange(count + 1))
     kept = []
@@ -96,11 +107,21 @@ def spun_points(
         mean = (angle[last] - angle[first]) / ((last - first) * step)
         faster = abs(smooth[first:middle].mean() - smooth[middle:last].mean()) / abs(mean)
         if max(moved, faster) < steady:
-            kept.append([*i[first:last].mean(axis=0), *v[first:last].mean(axis=0), mean])
+            kept.append([x[first:last].mean(axis=0) for x in (i, v, lost)] + [mean])
     if not kept:
         raise NotMeasuredError(where, "i_alpha, i_beta", "current and speed are steady over no two turns")
-    rows = np.array(kept)
-    return SpunPoints(rows[:, :2], rows[:, 2:4], rows[:, 4])
+    means_i, means_v, means_lost, speeds = (np.array(x) for x in zip(*kept, strict=True))
+    # A current that is noise has no direction.
+    flows = np.linalg.norm(means_i, axis=1) > LITTLE * scale_a
+    return SpunPoints(means_i, means_v, speeds, means_lost * flows[:, None, None])
+
+
+def _lost(capture: Capture, theta_rad: Array, scale_a: float) -> Array:
+    """T tanh(i_abc / knee) in the rotor's frame, from sample to sample, shape (n, knees, 2)."""
+    i = to_phases(np.asarray(capture.i_ab, dtype=np.float64))
+    middle = 0.5 * (i + np.concatenate([i[1:], i[-1:]]))
+    shapes = [np.tanh(middle / (knee * scale_a)) if knee else np.sign(middle) for knee in KNEES]
+    return np.stack([to_dq(from_phases(shape), theta_rad) for shape in shapes], axis=1)
 
 
 def theta_of(segment: Segment, capture: Capture) -> Array:
@@ -233,6 +254,11 @@ class _System:
         """Modes of the energy that are free; its constant is none."""
         return self.spline.smooth - 1
 
+    @property
+    def own(self) -> slice:
+        """The unknowns that are no modes of the energy."""
+        return slice(self.free, self.free + _LOSS + len(KNEES))
+
     def shape(self, at: Array, order: int = 1) -> Array:
         """Derivatives of the energy's modes at believed currents, shape (n, order + 1, modes)."""
         return np.asarray(energy_rows(self.spline, at, self.angle_rad, order) @ self.spline.modes[:, 1:])
@@ -244,35 +270,35 @@ class _System:
         return np.concatenate([shape[:, :, : self.free], self._own(), shape[:, :, self.free :]], axis=2)
 
     def _own(self) -> Array:
+        """Columns of R_s, of the iron's conductance, of a turn of the axis, and of a phase's loss by its knees."""
         p = self.points
-        out = np.zeros((len(p.i), 2, 4))
+        out = np.zeros((len(p.i), 2, _LOSS + len(KNEES)))
         over = 1.0 / p.speed[:, None]
-        out[:, :, 0] = _behind(p.i) * over
-        length = np.linalg.norm(p.i, axis=1, keepdims=True)
-        # A current that is noise has no direction, and a bridge that is off loses nothing.
-        along = np.where(length > LITTLE * length.max(), p.i / np.maximum(length, 1e-12), 0.0)
-        out[:, :, 1] = 4.0 / np.pi * _behind(along) * over
+        out[:, :, _OHM] = _behind(p.i) * over
+        for number in range(len(KNEES)):
+            out[:, :, _LOSS + number] = _behind(p.lost[:, number]) * over
         if self.flux is not None:
             psi, inductance = self.flux
             matrix = inductance[:, [0, 1, 1, 2]].reshape(-1, 2, 2)
             ahead = -_behind(psi)
-            out[:, :, 2] = -np.einsum("nij,nj->ni", matrix, ahead) * p.speed[:, None]
-            out[:, :, 3] = ahead - np.einsum("nij,nj->ni", matrix, -_behind(p.i))
+            out[:, :, _IRON] = -np.einsum("nij,nj->ni", matrix, ahead) * p.speed[:, None]
+            out[:, :, _TURN] = ahead - np.einsum("nij,nj->ni", matrix, -_behind(p.i))
         return out
 
     @cached_property
     def _std(self) -> Array:
-        """Of what is believed of R_s, a phase's loss, the iron's conductance and a turn of the axis."""
+        """Of what is believed of each of these."""
         p = self.points
         emf = float(np.linalg.norm(p.v, axis=1).max())
-        return np.array([self.known[1], LOSS_SHARE * emf, IRON_SHARE * float(np.abs(p.i).max()) / emf, TURN_RAD])
+        iron = IRON_SHARE * float(np.abs(p.i).max()) / emf
+        return np.array([self.known[1], iron, TURN_RAD, *[LOSS_SHARE * emf] * len(KNEES)])
 
     def solved(self, size: Array) -> Solution:
         """What is most likely where so much is left of each axis, shape (2,)."""
-        own = slice(self.free, self.free + 4)
-        prior = np.zeros((4, self.rows.shape[2]))
+        own = self.own
+        prior = np.zeros((len(self._std), self.rows.shape[2]))
         prior[:, own] = np.diag(1.0 / self._std)
-        expected = np.array([self.known[0], 0.0, 0.0, 0.0]) / self._std
+        expected = np.where(np.arange(len(self._std)) == _OHM, self.known[0], 0.0) / self._std
         target = flux_by_emf(self.points, 0.0)
         rows = (self.rows / size[None, :, None]).reshape(-1, self.rows.shape[2])
         data = np.concatenate([(target / size).ravel(), expected])
@@ -291,16 +317,17 @@ class _System:
 
     def informed(self, solution: Solution) -> _System:
         """The same with the axis where it was found, and the flux there."""
-        modes = np.delete(solution.modes, np.s_[self.free : self.free + 4])
+        modes = np.delete(solution.modes, self.own)
         psi, inductance = self.shape(self.points.i) @ modes, self.shape(self.points.i, 2) @ modes
-        turn = float(solution.modes[self.free + 3])
+        turn = float(solution.modes[self.free + _TURN])
         return _System(self.points, self.known, self.angle_rad + turn, (psi, inductance))
 
     def finished(self, solution: Solution) -> SpinFit:
         """The answer as numbers with their deviations."""
-        own = slice(self.free, self.free + 4)
-        value, std = solution.modes[own].tolist(), np.linalg.norm(solution.root[own], axis=1).tolist()
-        modes, root = (np.delete(x, np.s_[own], axis=0) for x in (solution.modes, solution.root))
+        value, std = solution.modes[self.own].tolist(), np.linalg.norm(solution.root[self.own], axis=1).tolist()
+        losses = slice(self.free + _LOSS, self.own.stop)
+        loss = float(solution.modes[losses].sum()), float(np.linalg.norm(solution.root[losses].sum(axis=0)))
+        modes, root = (np.delete(x, self.own, axis=0) for x in (solution.modes, solution.root))
         axis = np.array([np.cos(self.angle_rad), np.sin(self.angle_rad)])
         at_zero = axis @ self.shape(np.zeros((1, 2)))[0]
         space = self.spline.modes[:, 1:]
@@ -320,10 +347,10 @@ class _System:
         return SpinFit(
             energy=fit,
             magnet_wb=(float(at_zero @ modes), float(np.linalg.norm(at_zero @ root))),
-            resistance_ohm=(value[0], std[0]),
-            loss_v=(value[1], std[1]),
-            conductance_s=(value[2], std[2]),
-            angle_rad=(self.angle_rad + value[3], std[3]),
+            resistance_ohm=(value[_OHM], std[_OHM]),
+            loss_v=loss,
+            conductance_s=(value[_IRON], std[_IRON]),
+            angle_rad=(self.angle_rad + value[_TURN], std[_TURN]),
             left_wb=self.residual(solution),
         )
 

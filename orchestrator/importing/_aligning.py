@@ -2,9 +2,10 @@
 
     i[k+2] - 2 i[k+1] + i[k] = g (v[k+1] - v[k])
 
-First one window of the current is found again in the whole of the voltage; others then tell how far the clocks drift
-apart; and the winding's own equation (`alignment_of`) tells fractions of a sample. Whatever delay the drive has is
-taken for the clocks' difference: it cannot be told from it.
+First windows of the current are found again in the whole of the voltage. Where they fit at several places, as points of
+injection do that follow each other in equal times, the means decide: a winding's current goes with its voltage. Each
+window for itself then tells how far the clocks drift apart; and the winding's own equation (`alignment_of`) tells
+fractions of a sample. Whatever delay the drive has is taken for the clocks' difference: it cannot be told from it.
 """
 
 from __future__ import annotations
@@ -37,6 +38,14 @@ _SURE = 20.0
 """Logarithm of how much likelier the offset has to be than any other: by far more than noise makes it."""
 _EXPLAINED = 0.3
 """Share of the current's bends that the edges have to explain; where there are hardly any edges it is noise."""
+_ALIKE = 0.5
+"""Part of the best place's likelihood from which on another one may be it."""
+_BLOCK = 256
+"""Samples of a mean: several periods of an injection."""
+_MEANS = 1e-2
+"""Share of the means that a winding's resistance leaves open: dead time and moving currents."""
+_CLEARLY = 4.0
+"""So much more has to be left of the means where voltage and current are not of the same time."""
 _CRYSTALS = 3e-4
 """How far two clocks may run apart: thrice what bad crystals do."""
 
@@ -118,14 +127,18 @@ def _vectors(
 def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> tuple[_Clock, Numbers]:
     """From all windows together, then each for itself near where they say; and where they begin [s]."""
     (i_s, i), (v_s, v) = current, voltage
-    bends = np.diff(_complex(resampled(i_s, i, 1.0 / step_s)), 2)
+    i_even = _complex(resampled(i_s, i, 1.0 / step_s))
     grid = v_s[0] + step_s * np.arange(int((v_s[-1] - v_s[0]) / step_s) + 1)
-    edges = np.diff(_complex(held_means(v_s, v, grid)))
+    v_even = _complex(held_means(v_s, v, grid))
+    bends, edges = np.diff(i_even, 2), np.diff(v_even)
     samples = min(_SAMPLES, bends.size)
     starts = _liveliest(bends, samples)
     found = [_left(edges, bends[start : start + samples]) for start in starts]
     reaches = [1 + int(_CRYSTALS * abs(start - np.median(starts))) for start in starts]
-    lag, sureness = _likeliest(found, starts, reaches, samples, edges.size, bends.size)
+    stamped = i_s[0] + step_s * np.arange(i_even.size)
+    pauses = np.diff(i_s, prepend=-np.inf)[np.minimum(np.searchsorted(i_s, stamped), i_s.size - 1)] > 1.5 * step_s
+    i_even[1:][pauses[1:]] = np.nan
+    lag, sureness = _likeliest(found, starts, reaches, samples, i_even, v_even)
     if sureness < _SURE:
         raise InputError(str(other), "align", "the voltage's edges fit the current at more than one offset, or at none")
     places, lags, explained = [], [], []
@@ -139,9 +152,10 @@ def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> 
             lags.append(_sharp(left, place) - (samples - 1) - start)
             explained.append(1.0 - float(left[place]))
     used = np.array(explained) > 0.5 * max(explained)
-    slope, at_zero = _line(np.array(places)[used], np.array(lags)[used])
+    told = np.array(places)[used]
+    slope, at_zero = _line(told, np.array(lags)[used])
     offset_s = i_s[0] - v_s[0] - (1.0 - slope) * at_zero * step_s
-    return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * starts[used]
+    return _Clock(offset_s, -slope, v_s[0]), i_s[0] + step_s * told
 
 
 def _line(x: Numbers, y: Numbers) -> tuple[float, float]:
@@ -199,14 +213,21 @@ def _within(x: Complex, begins: NDArray[np.intp], ends: NDArray[np.intp]) -> Num
 
 
 def _likeliest(
-    found: Sequence[Numbers], starts: NDArray[np.intp], reaches: Sequence[int], samples: int, edges: int, bends: int
+    found: Sequence[Numbers],
+    starts: NDArray[np.intp],
+    reaches: Sequence[int],
+    samples: int,
+    current: Complex,
+    voltage: Complex,
 ) -> tuple[int, float]:
-    """The lag that all windows together find likeliest, and the logarithm of by how much.
+    """The lag that all windows and the means find likeliest, and the logarithm of by how much.
 
     Held against each other sample by sample: where a log was begun and ended says nothing.
     """
     from scipy.ndimage import minimum_filter1d
+    from scipy.signal import find_peaks
 
+    bends, edges = current.size - 2, voltage.size - 1
     said, overlap = np.zeros((2, edges + bends + 2 * samples))
     ends = np.arange(1, edges + samples)
     covered = np.minimum(ends, edges) - np.maximum(ends - samples, 0)
@@ -216,11 +237,30 @@ def _likeliest(
         said[here] += 0.5 * covered * np.log(minimum_filter1d(left, 2 * reach + 1, mode="nearest"))
         overlap[here] += covered
     mean = np.where(overlap > 0.5 * overlap.max(), said / np.maximum(overlap, 1.0), 0.0)
-    place, apart = int(np.argmin(mean)), 3 + max(reaches)
-    rest = np.concatenate([mean[: max(place - apart, 0)], mean[place + apart + 1 :]])
-    explained = max(1.0 - float(np.min(left)) for left in found)
-    sureness = float(np.min(rest) - mean[place]) * overlap[place] if explained > _EXPLAINED else 0.0
-    return place - bends - (samples - 1), sureness
+    best, apart = float(mean.min()), 3 + max(reaches)
+    if max(1.0 - float(np.min(left)) for left in found) < _EXPLAINED:
+        return 0, 0.0
+    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=-_ALIKE * best, distance=apart)
+    lags = [int(place) - 1 - bends - (samples - 1) for place in places]
+    open_ = np.array([_left_by_means(current, voltage, lag) for lag in lags])
+    depths = np.where(open_ <= _CLEARLY * open_.min(), mean[places - 1], 0.0)
+    first = int(np.argmin(depths))
+    others = np.append(np.delete(depths, first), _ALIKE * best)
+    return lags[first], float(others.min() - depths[first]) * float(overlap[places[first] - 1])
+
+
+def _left_by_means(current: Complex, voltage: Complex, lag: int) -> float:
+    """The share of the means of some hundred samples that no resistance explains at a lag; NaN is a pause."""
+    first, end = max(0, -lag), min(current.size, voltage.size - lag)
+    rows = max(end - first, 0) // _BLOCK * _BLOCK
+    i, v = (x[:rows].reshape(-1, _BLOCK).mean(axis=1) for x in (current[first:], voltage[first + lag :]))
+    there = np.isfinite(i)
+    if np.count_nonzero(there) < 3:
+        return 1.0
+    i, v = i[there], v[there]
+    power = float(np.vdot(i, i).real * np.vdot(v, v).real)
+    along = max(float(np.vdot(i, v).real), 0.0)
+    return max(1.0 - along**2 / max(power, 1e-300), _MEANS)
 
 
 def _sharp(left: Numbers, place: int) -> float:

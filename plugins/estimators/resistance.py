@@ -68,6 +68,9 @@ class ResistanceEstimator:
         Of R_s: a reading whose standard deviation is larger tells nothing.
     same_pwm : float
         Relative difference within which PWM frequencies are one.
+    lost_share, lost_v : float
+        Of the bus, and beside it [V]: what each phase may lose where nothing here tells (two microseconds of dead time
+        at 10 kHz, and a device's drop).
     """
 
     settling_share: float = 1.0 / 3.0
@@ -79,6 +82,8 @@ class ResistanceEstimator:
     shape_doubt: float = 2.0
     worthless_share: float = 0.02
     same_pwm: float = 0.01
+    lost_share: float = 0.02
+    lost_v: float = 1.0
 
     name: ClassVar[str] = "resistance"
     summary: ClassVar[str] = "R_s from held direct currents, and its drift over the recording"
@@ -105,18 +110,26 @@ class ResistanceEstimator:
         found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
         found += self._injected(recording, fit, self.strong_share * largest)
         readings = tuple(sorted(found, key=lambda reading: reading.start_s))
-        value, half, beside = _with_known(known, fit)
+        value, low, high, beside = _with_known(known, fit, self._doubt(recording, fit, largest))
         return ResistanceEstimate(
             value_ohm=value,
-            low=value - half,
-            high=value + half,
+            low=low,
+            high=high,
             first_ohm=readings[0].value_ohm,
             last_ohm=readings[-1].value_ohm,
             readings=readings,
             temperature_rise_k=temperature_rise(readings),
             inverter=tuple(fit.losses()),
-            remarks=(*beside, *_remarks(fit, [d for _, d in used], bool(holds), readings)),
+            remarks=(*beside, *_remarks(fit, [d for _, d in used], bool(holds), readings, low)),
         )
+
+    def _doubt(self, recording: RecordingReader, fit: VoltageFit, largest_a: float) -> float:
+        """By how much R_s may be less, where the inverter's share in it is not known [ohm]."""
+        if fit.error_v:
+            return 0.0
+        lost_v = self.lost_share * recording.manifest.drive.dc_bus_voltage_v + self.lost_v
+        # A loss of one volt in each phase is a vector of at most 4/3 V along the current.
+        return 4.0 / 3.0 * lost_v / largest_a
 
     def constant_currents(self, recording: RecordingReader) -> list[Dwell]:
         """The stretches over whose instants `value_ohm` is the mean."""
@@ -230,20 +243,27 @@ def _as_known(known: KnownResistance) -> ResistanceEstimate:
 
 
 def _with_known(
-    known: KnownResistance | None, fit: VoltageFit, doubtful: float = 3.0
-) -> tuple[float, float, list[Remark]]:
-    """R_s of the holds, half its 95 % interval, and remarks; what was measured before counts where both agree."""
+    known: KnownResistance | None, fit: VoltageFit, doubt_ohm: float, doubtful: float = 3.0
+) -> tuple[float, float, float, list[Remark]]:
+    """R_s of the holds, its 95 % interval, and remarks; what was measured before counts where both agree.
+
+    `doubt_ohm` is what the inverter may have in it: R_s is then not less than a nameplate lets it be.
+    """
     half = _student_95(fit.freedom) * fit.std_ohm
     if known is None or not known.is_measured:
-        return fit.resistance_ohm, half, []
-    apart = known.apart(fit.resistance_ohm, half / 1.96)
+        least = 0.0 if known is None else min(fit.resistance_ohm, known.value_ohm - 1.96 * known.std_ohm)
+        low = max(fit.resistance_ohm - doubt_ohm, least)
+        return fit.resistance_ohm, min(low, fit.resistance_ohm) - half, fit.resistance_ohm + half, []
+    std = float(np.hypot(half / 1.96, 0.5 * doubt_ohm))
+    apart = known.apart(fit.resistance_ohm, std)
     if apart > doubtful:
         text = (
             "R_s is {apart:.0f} standard deviations off the {known_ohm:.4g} ohm that were known: is the winding warm?"
         )
-        return fit.resistance_ohm, half, [Remark.of("off_the_known", text, apart=apart, known_ohm=known.value_ohm)]
-    value, std = known.with_measured(fit.resistance_ohm, half / 1.96)
-    return value, 1.96 * std, []
+        remark = Remark.of("off_the_known", text, apart=apart, known_ohm=known.value_ohm)
+        return fit.resistance_ohm, fit.resistance_ohm - half, fit.resistance_ohm + half, [remark]
+    value, std = known.with_measured(fit.resistance_ohm, std)
+    return value, value - 1.96 * std, value + 1.96 * std, []
 
 
 def _rests(recording: RecordingReader) -> list[tuple[Segment, Dwell]]:
@@ -274,14 +294,17 @@ def _student_95(freedom: int) -> float:
 
 
 def _remarks(
-    fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[ResistanceReading, ...]
+    fit: VoltageFit, used: list[Dwell], held: bool, readings: tuple[ResistanceReading, ...], low: float
 ) -> tuple[Remark, ...]:
     remarks = []
     if not held:
         remarks.append(Remark.of("no_holds", "no DC holds: R_s is from the rests of the classical sweeps"))
     if not fit.error_v:
-        text = "too few different currents to tell R_s from the inverter's own voltage drop"
-        remarks.append(Remark.of("few_currents", text))
+        text = (
+            "too few different currents to tell R_s from what the inverter keeps: without that it may be as little as "
+            "{low_ohm:.3g} ohm; hold three currents of different size, or inject"
+        )
+        remarks.append(Remark.of("few_currents", text, low_ohm=low))
     largest = max(float(np.linalg.norm(d.i_ab)) for d in used)
     # Of a loss that is not there something is left as well: within its own error it is not spoken of.
     least = 0.01 * fit.resistance_ohm * largest

@@ -13,7 +13,7 @@ import sys
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
@@ -93,7 +93,7 @@ class Told:
     lines: int
     map_percent: float
     std_percent: float
-    said: tuple[str, ...]
+    said: Sequence[str]
 
 
 class Laboratory:
@@ -186,7 +186,7 @@ def _diagnosed(report: dict[str, Any]) -> Iterator[str]:
         yield f"diagnose: {report['verdict'].replace('_', ' ')}"
 
 
-def section(told: Mapping[tuple[int, str], Told], seed: int) -> str:
+def section(told: Mapping[tuple[str, str], Told], seed: int) -> str:
     """The table, as Markdown."""
     lines = [
         HEADING,
@@ -200,9 +200,9 @@ def section(told: Mapping[tuple[int, str], Told], seed: int) -> str:
         "| log | lines | map off (stated), % | nothing wrong | one sample late | 2 % gain of a | 1 V drop |",
         "| --- | --- | --- | --- | --- | --- | --- |",
     ]
-    for number, brought in enumerate(SHAPES):
-        if (number, "nothing") in told:
-            each = [told[number, fault] for fault in FAULTS]
+    for brought in SHAPES:
+        if (brought.words, "nothing") in told:
+            each = [told[brought.words, fault] for fault in FAULTS]
             cells = ["; ".join(one.said) or "nothing said" for one in each]
             first = each[0]
             lines.append(
@@ -212,21 +212,26 @@ def section(told: Mapping[tuple[int, str], Told], seed: int) -> str:
     return "\n".join(lines)
 
 
-def main(words: Sequence[str] | None = None) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seed", type=int, default=7)
     parser.add_argument("--only", nargs="*", type=int, default=range(len(SHAPES)), help="numbers of shapes")
+    parser.add_argument("--log", type=Path, required=True, help="what was told so far, and is not asked again")
     parser.add_argument("--write", type=Path, help="the page whose section is this table")
-    asked = parser.parse_args(words)
-    told: dict[tuple[int, str], Told] = {}
+    asked = parser.parse_args(arguments)
+    kept = [json.loads(line) for line in asked.log.read_text().splitlines()] if asked.log.exists() else []
+    told = {(words, fault): Told(**one) for words, fault, one in kept}
     with tempfile.TemporaryDirectory(prefix="strangers-") as folder:
         laboratory = Laboratory(asked.seed, Path(folder))
-        for number in asked.only:
+        for brought in (SHAPES[number] for number in asked.only):
             for fault in FAULTS:
-                told[number, fault] = one = laboratory.told(SHAPES[number], fault)
-                print(f"{SHAPES[number].words}, {fault}: {one}", flush=True)
+                if (brought.words, fault) not in told:
+                    told[brought.words, fault] = one = laboratory.told(brought, fault)
+                    with asked.log.open("a") as file:
+                        file.write(json.dumps([brought.words, fault, asdict(one)]) + "\n")
     page = section(told, asked.seed)
+    print(page)
     if asked.write is not None:
         before, _, rest = asked.write.read_text(encoding="utf-8").partition(HEADING)
         _, mark, after = rest.partition("\n## ")

@@ -142,7 +142,7 @@ def one_axis(desk: Desk, log: Log, alone: str = "d") -> None:
     for number, (first, end) in enumerate(zip([0, *ends[:-1]], ends, strict=True)):
         here = slice(int(first), int(end))
         stepped = "".join("dq"[axis] for axis in range(2) if np.abs(v[here, axis]).max() > 1e-6)
-        on = ["dq".index(stepped)] if stepped in alone else [0, 1]
+        on = ["dq".index(stepped)] if len(stepped) == 1 and stepped in alone else [0, 1]
         axes = {f"{x}{'dq'[k]}": y[here, k] for k in on for x, y in (("i", i), ("u", v))}
         desk.write(f"{stepped}_{number}.csv", {"t": log.t[here], **axes})
     full = "{{frame: dq, columns: {{d: {0}d, q: {0}q}}, unit: {1}, scaling: amplitude_invariant}}\n"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 
 import numpy as np
@@ -123,6 +124,17 @@ def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm
     at = np.searchsorted(log.t, np.concatenate([s.start_s + np.arange(s.samples) / 1e4 for s, _ in found]) - 1e-6)
     off = v - log.v[at]
     assert np.sqrt(np.mean(off**2)) < 0.1 * np.sqrt(np.mean(log.v**2))  # a sixth of a sample, with square waves
+
+
+def test_points_that_follow_each_other_in_equal_times_are_told_apart_by_their_means(desk: Desk) -> None:
+    names = tuple(f"injection-{k:03d}" for k in (2, 4, 7, 10, 11, 12))
+    log = log_of(names)
+    ends = np.flatnonzero(np.diff(log.t, append=np.inf) > 1.5e-4) + 1
+    lengths = np.diff(ends, prepend=0)
+    even = np.concatenate([0.55 * k + np.arange(n) / 1e4 for k, n in enumerate(lengths)])
+    two_loggers(desk, dataclasses.replace(log, t=even), 12.5, 40.0, rate_hz=5e4)
+    (note,) = (note for note in desk.run().notes if "by its edges" in note)
+    assert "-12.5" in note
 
 
 def test_edges_that_repeat_leave_the_offset_open(desk: Desk) -> None:

@@ -40,6 +40,28 @@ def test_one_held_current_will_do_where_injection_tells_what_the_inverter_keeps(
     assert not any(remark.code == "few_currents" for remark in found.remarks)
 
 
+@pytest.mark.parametrize("classical", [False, True], ids=["one current", "sweeps between two currents"])
+def test_where_the_inverter_cannot_be_told_the_interval_holds_what_it_may_have_in_it(classical: bool) -> None:
+    recording = behind_dead_time().only(SegmentStage.CLASSICAL if classical else SegmentStage.RESISTANCE)
+    segments = recording.manifest.segments[:1] if classical else recording.manifest.segments[4:5]
+    found = resistance_of(recording.with_segments(segments))
+    assert found.value_ohm > 1.03 * R_S
+    assert found.low < R_S < found.high
+    told = next(remark for remark in found.remarks if remark.code == "few_currents")
+    assert told.values["low_ohm"] == found.low
+
+
+def test_what_was_measured_before_stands_where_the_inverter_cannot_be_told() -> None:
+    recording = behind_dead_time().only(SegmentStage.RESISTANCE)
+    motor = recording.manifest.motor.model_copy(
+        update={"stator_resistance_ohm": 1.005 * R_S, "stator_resistance_std_ohm": 0.01 * R_S}
+    )
+    manifest = recording.manifest.model_copy(update={"motor": motor, "segments": recording.manifest.segments[4:5]})
+    found = resistance_of(MemoryRecording(manifest, recording.captures))
+    assert found.value_ohm == pytest.approx(R_S, rel=0.01)
+    assert found.low < R_S < found.high
+
+
 def test_resistance_drift_is_read_off_the_sweeps() -> None:
     recording = clean().only(SegmentStage.RESISTANCE, SegmentStage.CLASSICAL)
     end = recording.manifest.segments[-1].start_s

@@ -16,7 +16,7 @@ from plugins.drives.simulated.options import SimulatedOptions
 from plugins.drives.simulated.truth import true_flux
 from plugins.stages.spin import SpinStage
 from protocols import Capabilities, CapabilityError, ExcitationKind, RunEnded, Spin, Stage
-from tests.plugins.stages.truth import estimated
+from tests.plugins.stages.truth import errors_percent, estimated, flux_errors
 from tests.support.benches import Bench
 from tests.support.tiny import messages_of, run_tiny, tiny_procedure
 
@@ -126,3 +126,25 @@ def test_no_current_is_held_in_a_frame_that_is_not_the_rotor_s(ratio: float, sai
 def test_the_shipped_procedure_holds_the_turning_map_against_the_one_at_standstill() -> None:
     stages = [entry.kind for entry in load_procedure("spin").stages]
     assert stages.index("steps") < stages.index("spin") < stages.index("estimate")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("volts", "threshold_a"), [(0.3, 0.2), (1.0, 0.1), (3.0, 0.23), (3.0, 0.08)])
+def test_what_is_stated_holds_behind_dead_time(volts: float, threshold_a: float, tmp_path: Path) -> None:
+    """Its ripple in the current turns what each phase loses out of the current's direction."""
+    dead_time = {"voltage_v": volts, "threshold_a": threshold_a}
+    drive = {"plant": {"sensors": {"noise_a": 0.004}, "effects": {"dead_time": dead_time}}}
+    stages = [RELEASE, {"kind": "spin", "speeds_rpm": [1000.0, -500.0], "turns": 4, "settle_s": 0.25}]
+    stages += [{"kind": "estimate"}]
+    result = run_tiny(tmp_path, stages=stages, drive=drive, limits={"current_a": 5.0, "voltage_v": 180.0})
+    assert result.outcome.ending == "finished"
+    run = tmp_path / "run"
+    told = {remark.code: remark.values for remark in estimated(run).remarks}
+    assert told["spin.inverter_loss"]["kept_v"] == pytest.approx(volts, rel=0.02)
+    ohm, std = (told["spin.resistance_by_emf"][name] for name in ("value_ohm", "std_ohm"))
+    assert isinstance(ohm, float)
+    assert isinstance(std, float)
+    assert abs(ohm - 4.25) < 2.0 * std
+    off, stated = flux_errors(run, "spin")
+    assert np.mean(np.abs(off) < 1.96 * stated) > 0.9
+    assert errors_percent(run, "spin") < 0.05
