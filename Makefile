@@ -12,13 +12,17 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/pytest -q -n 2 --dist worksteal
 STAMP := $(VENV)/.installed
 
+# What runs; tests and lint need more, and `make demo` does not wait for it.
+RUNS := $(VENV)/.runs
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+
 # Kernels that have changed are compiled once: two workers that begin together would both do it.
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
 .PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures docs lint lock release audit clean
 
-demo: $(STAMP)
+demo: $(RUNS)
 	$(BIN)/fluxbench run demo
 
 # Lint beside the tests: it has one core, and the workers wait now and then.
@@ -63,7 +67,8 @@ docs: $(VENV)/.docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 $(VENV)/.docs: $(STAMP)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[docs]"
+	@echo "Installing what builds the documentation."
+	$(INSTALL) ".[docs]"
 	touch $@
 
 $(COMPILED): $(STAMP) $(KERNELS)
@@ -103,7 +108,16 @@ audit:
 clean:
 	rm -rf $(VENV) dist runs site .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
+$(RUNS): pyproject.toml constraints.txt
+	@echo "Installing fluxbench into $(VENV): 55 packages, 1.2 GB on disk, most of it the viewer (docs/installing.md)."
+	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
+	@$(PYTHON) -m venv $(VENV)
+	@$(INSTALL) .
+	@touch $@
+
 $(STAMP): pyproject.toml constraints.txt
-	$(PYTHON) -m venv $(VENV)
-	$(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable ".[dev]"
-	touch $@
+	@echo "Installing fluxbench into $(VENV) with what tests and lint need: 94 packages, 1.4 GB on disk (docs/installing.md)."
+	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
+	@$(PYTHON) -m venv $(VENV)
+	@$(INSTALL) ".[dev]"
+	@touch $@

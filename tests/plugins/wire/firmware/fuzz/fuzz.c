@@ -232,6 +232,7 @@ static void energise(struct input *input)
     write_register(FLUXBENCH_REG_AMPLITUDE_V, 50.0f);
     write_register(FLUXBENCH_REG_FREQUENCY_HZ, 500.0f);
     write_register(FLUXBENCH_REG_RIPPLE_PERIODS, 1.0f);
+    write_register(FLUXBENCH_REG_RIPPLE_CURVATURE, (float)(octet(input) & 1u));
     write_register(FLUXBENCH_REG_PERIOD_S, 0.02f);
     write_register(FLUXBENCH_REG_PERIODS, 1.0f);
     write_register(FLUXBENCH_REG_AMPLITUDE_A, 1.0f);
