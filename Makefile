@@ -12,9 +12,10 @@ unexport PYTHONDONTWRITEBYTECODE
 PYTEST := $(BIN)/pytest -q -n 2 --dist worksteal
 STAMP := $(VENV)/.installed
 
-# What runs; tests and lint need more, and `make demo` does not wait for it.
+# What runs; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
+# to compile all of them takes as long as to unpack them, and another 0.2 GB.
 RUNS := $(VENV)/.runs
-INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --constraint constraints.txt --editable
+INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable
 
 # Kernels that have changed are compiled once: two workers that begin together would both do it.
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
@@ -109,7 +110,7 @@ clean:
 	rm -rf $(VENV) dist runs site .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
 $(RUNS): pyproject.toml constraints.txt
-	@echo "Installing fluxbench into $(VENV): 55 packages, 1.2 GB on disk, most of it the viewer (docs/installing.md)."
+	@echo "Installing fluxbench into $(VENV): 55 packages, 1.3 GB on disk, 0.5 of them the viewer (docs/installing.md)."
 	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
 	@$(PYTHON) -m venv $(VENV)
 	@$(INSTALL) .
