@@ -121,4 +121,4 @@ $(STAMP): pyproject.toml constraints.txt
 	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
 	@$(PYTHON) -m venv $(VENV)
 	@$(INSTALL) ".[dev]"
-	@touch $@
+	@touch $@ $(RUNS)
