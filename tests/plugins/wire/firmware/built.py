@@ -50,19 +50,17 @@ class Board:
     """As the option of the drive `serial`."""
     lamp: Path | None = None
     """A file that says 1 while the gates are on, where there is one."""
-    switches: Path | None = None
-    """A file, or a socket, for the digit whose bits are the interlock inputs that are open."""
+    switches: Path | socket.socket | None = None
+    """A file, or a line that stays open, for the digit whose bits are the interlock inputs that are open."""
 
     def open_interlocks(self, names: tuple[str, ...]) -> None:
         """Open these inputs, and close all others."""
         assert self.switches is not None
         digit = str(sum(1 << INTERLOCKS.index(name) for name in names))
-        if not self.switches.is_socket():
+        if isinstance(self.switches, socket.socket):
+            self.switches.sendall(digit.encode())
+        else:
             self.switches.write_text(digit)
-            return
-        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-            line.connect(str(self.switches))
-            line.sendall(digit.encode())
 
     def send(self, number: signal.Signals) -> None:
         self.process.send_signal(number)
@@ -89,7 +87,9 @@ def cortex_m4(program: Path, folder: Path) -> Iterator[Board]:
     with _running([*machine, *serial, "-kernel", str(program)]) as process:
         wait_until(lambda: _listens(port) or process.poll() is not None)
         assert process.poll() is None
-        yield Board(process, f"socket://127.0.0.1:{port}", switches=switches)
+        with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
+            line.connect(str(switches))
+            yield Board(process, f"socket://127.0.0.1:{port}", switches=line)
 
 
 def _listens(port: int) -> bool:
