@@ -32,6 +32,7 @@ def run_in(folder: Path, pieces: list[str], monkeypatch: pytest.MonkeyPatch) -> 
     return shown
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_the_page_s_analysis_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     shutil.copytree(RECORDING, tmp_path / "runs" / "motor")

@@ -13,6 +13,7 @@ from orchestrator.analysis._inductance_errors import GAIN_STD, error_modes
 from tests.orchestrator.analysis.plant import Array, flux_for, rotated, saturated_current, saturated_hessian
 from tests.orchestrator.analysis.test_integration import PLANE, exact
 from tests.orchestrator.analysis.test_sweep import RATED_WB
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 RANDOM = np.random.default_rng(8)
@@ -107,7 +108,7 @@ def test_errors_larger_than_stated_are_noticed() -> None:
     assert np.mean(np.abs(flux_off(fit)) < 1.96 * fit.flux(PLACES)[1]) > 0.7
 
 
-@pytest.mark.parametrize("degrees", [-1.7, 3.0])
+@few("degrees", [-1.7, 3.0], fast=1)
 def test_a_turned_axis_of_symmetry_is_found(degrees: float) -> None:
     angle = np.radians(degrees)
     fit = fit_energy(measured(angle=angle), ())

@@ -24,6 +24,7 @@ from tests.orchestrator.analysis.plant import (
     saturated_current,
     saturated_hessian,
 )
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 POINTS = np.array([[0.0, 0.0], [1.5, 1.5], [-2.0, -3.0]])
@@ -79,8 +80,8 @@ def test_current_is_that_at_the_mean_flux() -> None:
     assert np.abs(ripple.mean_current_dq - at_mean_flux).max() > 3e-3
 
 
-@pytest.mark.parametrize("waveform", ["square", "sine"])
-@pytest.mark.parametrize("frequency", [500.0, 300.0, 437.0])
+@few("waveform", ["square", "sine"], fast=1)
+@few("frequency", [500.0, 300.0, 437.0], fast=2)
 def test_any_waveform_and_frequency_will_do(waveform: str, frequency: float) -> None:
     capture = capture_of(injected(frequency, waveform=waveform), 1)
     ripple = demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)
@@ -88,7 +89,7 @@ def test_any_waveform_and_frequency_will_do(waveform: str, frequency: float) -> 
     assert off_percent(ripple) < 0.3
 
 
-@pytest.mark.parametrize("rotation", [0.0, 1.0, -7.0])
+@few("rotation", [0.0, 1.0, -7.0], fast=2)
 def test_frequency_is_found_whatever_the_rotation(rotation: float) -> None:
     v = injected(rotation=rotation).v_dq[:, 0]
     assert injection_frequency(v, SAMPLING_HZ) == pytest.approx(500.0, rel=1e-3)
@@ -113,7 +114,7 @@ def test_resistance_does_not_enter(resistance: float) -> None:
     assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 4e-4)
 
 
-@pytest.mark.parametrize("resistance", [30.0, 90.0])
+@few("resistance", [30.0, 90.0], fast=1)
 def test_a_ripple_that_decays_within_its_period_is_as_good(resistance: float) -> None:
     run = injected(resistance=resistance)
     assert resistance / L_D > 0.3 * 500.0

@@ -18,6 +18,7 @@ from tests.orchestrator.analysis.plant import (
     integrate_motor,
     saturated_current,
 )
+from tests.support.cases import few
 
 BASE = np.array([[0.0, 0.0], [1.5, 0.0], [0.0, 0.0]])
 SWEPT = np.array([[0.0, 1.0], [0.0, 1.0], [0.5**0.5, 0.5**0.5]])
@@ -49,7 +50,7 @@ def off_percent(path: FluxPath) -> float:
     return 100.0 / RATED_WB * float(np.abs(off).max())
 
 
-@pytest.mark.parametrize("point", range(3))
+@few("point", range(3), fast=1)
 def test_flux_along_a_path_is_right_to_half_a_percent(point: int) -> None:
     sweep = evaluate_sweep(capture_of(swept(), point, noise_a=2e-3), 0.0, resistance_ohm=R_S)
     assert off_percent(sweep.path) < 0.5

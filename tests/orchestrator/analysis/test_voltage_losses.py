@@ -42,6 +42,7 @@ def test_the_inverters_shape_is_found() -> None:
     assert (np.diff(losses.error_v[losses.knots_a < 0.08]) > 0).all()
 
 
+@pytest.mark.slow
 def test_where_there_is_no_inverter_none_is_found() -> None:
     assert np.abs(losses_of(False).error_v).max() < 0.05
 

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.cli._running import run_app
+from tests.support.cases import few
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
 EFFECT = """
@@ -110,6 +111,7 @@ def test_a_model_json_that_is_none_is_said(
     assert told in refused(capsys, 2, "remove", DATA, "dead_time", "--out", kept)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_kept_was_not_added(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "model.json").mkdir()
     assert "model.json was not written" in refused(capsys, 3, "add", DATA, "dead_time", "--out", tmp_path)
@@ -130,8 +132,8 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize(
-    ("body", "told"),
+@few(
+    "body, told",
     [
         ("raise SystemExit(7)", "correct: SystemExit: 7"),
         ("return None", "returned NoneType"),
@@ -141,6 +143,7 @@ def test_an_effect_that_writes_into_the_recording_is_refused(
         ("return Correction(v_ab=signals.v_ab * 1j)", "v_ab is of type complex128"),
         ("return Correction(v_ab=signals.v_ab.tolist())", "v_ab has shape None"),
     ],
+    fast=2,
 )
 def test_an_effect_that_returns_no_correction_is_named(
     body: str, told: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

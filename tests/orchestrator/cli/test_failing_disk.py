@@ -17,6 +17,7 @@ from orchestrator.recording import open_recording
 from orchestrator.runs import is_run
 from plugins.streams.report._collect import collect
 from protocols import PointDone
+from tests.support.cases import few
 from tests.support.forking import ForkedCommand
 from tests.support.processes import called
 from tests.support.tiny import STAGES, messages_of, tiny_file
@@ -78,15 +79,16 @@ def ends_safely_and_resumes(folder: Path, library: Path, call: str, nth: int, er
     return command.returncode
 
 
-@pytest.mark.parametrize(
-    ("call", "nth", "error", "once"),
+@few(
+    "call, nth, error, once",
     [
-        ("fdatasync", 9, errno.EIO, True),  # in the middle of a change of state
         ("write", 25, errno.ENOSPC, False),
+        ("fdatasync", 9, errno.EIO, True),  # in the middle of a change of state
         pytest.param("fdatasync", 6, errno.ENOSPC, False, marks=pytest.mark.slow),
         pytest.param("fsync", 7, errno.EIO, True, marks=pytest.mark.slow),
         pytest.param("rename", 3, errno.EIO, True, marks=pytest.mark.slow),
     ],
+    fast=1,
 )
 def test_a_run_on_a_failing_disk_ends_safely_and_can_be_resumed(
     tmp_path: Path, failing_disk: Path, call: str, nth: int, error: int, once: bool

@@ -77,6 +77,7 @@ def test_ctrl_c_anywhere_else_is_one_line_too() -> None:
     assert (done.returncode, done.stderr) == (130, "fluxbench: interrupted\n")
 
 
+@pytest.mark.slow
 def test_a_signal_while_diagnosing_ends_the_run_and_keeps_the_recording(tmp_path: Path) -> None:
     run = tmp_path / "run"
     others = all_effects_but("dead_time", "voltage_bias")

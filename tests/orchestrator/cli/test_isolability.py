@@ -20,6 +20,7 @@ def test_what_a_plan_will_tell_fits_a_terminal_and_energises_nothing(tmp_path: P
         assert words in told
 
 
+@pytest.mark.slow
 def test_all_of_it_is_in_the_json(tmp_path: Path) -> None:
     report = json.loads(called("check", tiny_file(tmp_path), "--isolability", "--json").stdout)
     names = [effect["name"] for effect in report["effects"]]

@@ -147,6 +147,7 @@ def test_an_estimate_of_a_killed_run_needs_no_resume(tmp_path: Path) -> None:
     assert len(open_recording(run).segments()) == len(RunDirectory.open(run).completed())
 
 
+@pytest.mark.slow
 def test_a_full_disk_ends_the_run_safely_and_keeps_what_was_measured(tmp_path: Path) -> None:
     run = tmp_path / "run"
     procedure = tiny_file(tmp_path, stages=None)

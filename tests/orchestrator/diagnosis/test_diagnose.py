@@ -74,6 +74,7 @@ def diagnosed(
     return diagnose_recording(with_dead_time, LIBRARY, out=tmp_path_factory.mktemp("dead-time"), on_step=steps.append)
 
 
+@pytest.mark.slow
 def test_a_zero_that_wanders_a_little_is_noise_of_a_size_that_is_said(wandering: Recording, tmp_path: Path) -> None:
     diagnosis = diagnose_recording(wandering, LIBRARY, out=tmp_path)
     report = diagnosis.report
@@ -181,6 +182,7 @@ def test_foreign_effect_gets_no_name(drifting: Recording, tmp_path: Path) -> Non
     assert report.unexplained.shape[0].group == "constant"
 
 
+@pytest.mark.slow
 def test_a_drift_that_is_in_the_library_is_named(drifting: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(drifting, [*LIBRARY, CurrentOffsetDrift()], out=tmp_path).report
     assert [e.name for e in report.effects] == ["current_offset_drift"]
@@ -199,6 +201,7 @@ def test_a_third_sensor_that_reads_more_is_named_and_nothing_beside_it(
     assert sum_.values["c_percent"] == pytest.approx(0.667, rel=0.02)
 
 
+@pytest.mark.slow
 def test_gains_that_three_readings_prove_are_not_told_as_a_resistance(
     first_of_three_sensors: Recording, tmp_path: Path
 ) -> None:
@@ -211,6 +214,7 @@ def test_gains_that_three_readings_prove_are_not_told_as_a_resistance(
     assert found == pytest.approx({"current_gain_mismatch": 0.01, "third_current_sensor": -0.005}, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_resistance_that_goes_with_the_logged_temperature_is_named(
     with_thermometer: Recording, tmp_path: Path
 ) -> None:
@@ -225,6 +229,7 @@ def test_what_cannot_show_is_not_looked_for(clean: Recording, tmp_path: Path) ->
     assert [c.name for c in diagnosis.library] == ["dead_time"]
 
 
+@pytest.mark.slow
 def test_effect_taken_out_of_the_library_leaves_something_unknown(misaligned: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(misaligned, LIBRARY, without=["rotor_misalignment"], out=tmp_path).report
     assert report.verdict == "unknown_remains"

@@ -45,6 +45,7 @@ def test_words_say_what_was_not_measured_and_what_no_measurement_shows(one: Diag
     assert words.if_added.endswith("What is lost in proportion to the current is resistance.")
 
 
+@pytest.mark.slow
 def test_with_two_pwm_frequencies_they_are_parted(at_two_pwm_frequencies: Recording, tmp_path: Path) -> None:
     report = diagnosed(at_two_pwm_frequencies, tmp_path).report
     assert [(effect.name, effect.twins) for effect in report.effects] == [("lost_at_edges", ())]

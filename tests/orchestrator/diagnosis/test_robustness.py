@@ -46,6 +46,7 @@ def test_correlated_noise_is_no_effect(correlated: Recording, tmp_path: Path) ->
     assert any("correlated" in note for note in report.notes)
 
 
+@pytest.mark.slow
 def test_jitter_is_no_effect(jittering: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(jittering, LIBRARY, out=tmp_path).report
     assert report.verdict == "clean"
@@ -62,6 +63,7 @@ def test_injection_alone_is_enough_to_be_clean(clean: Recording, tmp_path: Path)
     assert any("no sweep" in note for note in report.notes)
 
 
+@pytest.mark.slow
 def test_dead_time_without_a_sweep_is_named_with_its_twin(with_dead_time: Recording, tmp_path: Path) -> None:
     parts = (SegmentStage.RESISTANCE, SegmentStage.INJECTION)
     report = diagnose_recording(

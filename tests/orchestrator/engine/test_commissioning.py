@@ -28,6 +28,7 @@ from protocols import (
     StateChanged,
     Telemetry,
 )
+from tests.support.cases import few
 from tests.support.tiny import STAGES, messages_of, run_tiny
 
 FIRST_EXCITATIONS = {
@@ -215,7 +216,7 @@ def test_a_drive_that_fails_at_any_stage_is_left_safe_and_its_points_are_kept(
         assert "watchdog makes it safe" in words
 
 
-@pytest.mark.parametrize("state", table_of(installed_stages()).energised)
+@few("state", table_of(installed_stages()).energised, fast=3)
 def test_a_stop_at_any_stage_ramps_down_and_disarms(
     state: str, tmp_path: Path, at_close: list[Telemetry | DriveFault]
 ) -> None:

@@ -34,6 +34,7 @@ from protocols import (
     StateChanged,
 )
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
+from tests.support.cases import few
 from tests.support.tiny import STAGES, all_effects_but, messages_of, run_tiny, tiny_procedure
 
 EXPERIMENT = {
@@ -177,9 +178,7 @@ def samples_of(run: Path) -> dict[str, str | None]:
     return {segment.id: segment.sha256 for segment in open_recording(run).segments()}
 
 
-@pytest.mark.parametrize(
-    ("kind", "count"), [(PointDone, 6), (Diagnosed, 1), (StagesAppended, 1), (PointDone, 7), (PointDone, 8)]
-)
+@few("kind, count", [(PointDone, 6), (Diagnosed, 1), (StagesAppended, 1), (PointDone, 7), (PointDone, 8)], fast=2)
 def test_a_run_stopped_anywhere_in_the_loop_goes_on_exactly_there(
     propose: Propose, kind: type[Message], count: int, whole_loop: dict[str, str | None], tmp_path: Path
 ) -> None:

@@ -14,6 +14,7 @@ from orchestrator.estimation import estimate_recording
 from protocols import EstimationReport
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.estimation.made_up import RECORDING, Mapper, Ripples, Sweeps
+from tests.support.cases import few
 
 
 class Killed(BaseException):
@@ -32,7 +33,7 @@ def test_a_second_pass_replaces_the_first_as_a_whole(tmp_path: Path) -> None:
     assert left == {"flux_map.nc", "estimates.json", "diagnosis.json"}
 
 
-@pytest.mark.parametrize("step", range(7))
+@few("step", range(7), fast=3)
 def test_a_kill_leaves_no_report_beside_maps_of_another_pass(
     step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

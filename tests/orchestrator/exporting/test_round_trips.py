@@ -12,6 +12,7 @@ from orchestrator.exporting import FORMATS, ExportReport, export_map, invert, mt
 from orchestrator.flux_maps import load_map
 from protocols import FluxMap, InputError, Motor, StorageError
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, linear_map, saturated_map, shipped
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 READABLE = {"netcdf": "flux_map.nc", "csv": "flux_map.csv", "syre": "flux_map_syre.mat", "npz": "flux_map.npz"}
@@ -32,13 +33,13 @@ def assert_same(found: FluxMap, expected: FluxMap) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
-@pytest.mark.parametrize("form", READABLE)
+@few("form", READABLE, fast=2)
 def test_a_map_with_holes_comes_back_bit_for_bit(form: str, holed: tuple[Path, FluxMap, ExportReport]) -> None:
     folder, flux_map, _ = holed
     assert_same(load_map(folder / READABLE[form]), flux_map)
 
 
-@pytest.mark.parametrize("form", READABLE)
+@few("form", READABLE, fast=2)
 def test_a_whole_map_comes_back_bit_for_bit(form: str, tmp_path: Path) -> None:
     flux_map = shipped("beckhoff-am8141-800rpm")
     export_map(flux_map, MOTOR, tmp_path, [form])

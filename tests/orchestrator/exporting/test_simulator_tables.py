@@ -13,6 +13,7 @@ from orchestrator.exporting import export_map
 from orchestrator.flux_maps import MapSurface
 from protocols import Motor
 from tests.orchestrator.exporting.machines import MOTOR, Array, saturated_map
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 CURRENTS = np.array([[0.4, -1.1], [-1.9, 0.7], [1.2, 2.1], [0.0, 0.0]])
@@ -81,9 +82,7 @@ def test_every_file_names_the_recording(tmp_path: Path) -> None:
         assert str(held["recording"]) == "bench-7 of tuesday"
 
 
-@pytest.mark.parametrize(
-    ("name", "symbol"), [("400 W test", "motor_400_w_test"), ("AM8141-0J00 Ω", "am8141_0j00"), ("电机", "motor")]
-)
+@few("name, symbol", [("400 W test", "motor_400_w_test"), ("AM8141-0J00 Ω", "am8141_0j00"), ("电机", "motor")], fast=1)
 def test_names_in_c_are_the_motor_s(tmp_path: Path, name: str, symbol: str) -> None:
     motor = Motor(name=name, pole_pairs=2, pm_flux_wb=0.3, stator_resistance_ohm=4.25)
     export_map(saturated_map(nodes=9), motor, tmp_path, ["c"])

@@ -80,6 +80,7 @@ def test_mtpa_of_a_measured_machine_is_what_trying_every_angle_finds() -> None:
     assert curve.interior.all()
 
 
+@pytest.mark.slow
 def test_saturated_mtpv_is_what_trying_every_current_finds() -> None:
     flux_map = saturated_map()
     curve = mtpv(flux_map, POLE_PAIRS, np.array([0.33]))

@@ -237,6 +237,7 @@ def test_a_long_segment_is_one_though_it_is_computed_in_parts(bench: Bench, monk
     np.testing.assert_array_equal(parts.v_ab, whole.v_ab)
 
 
+@pytest.mark.slow
 def test_memory_holds_one_segment_not_the_file(bench: Bench) -> None:
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -36,6 +36,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 def test_the_example_of_the_page_works(folder: Path) -> None:
     done = subprocess.run(
         [sys.executable, "bench.py"],

@@ -27,6 +27,7 @@ from tests.orchestrator.importing.shapes import (
     two_loggers,
 )
 from tests.orchestrator.importing.strangers import Desk, log_of
+from tests.support.cases import few
 
 LOG = log_of()
 
@@ -41,7 +42,7 @@ SHAPES: list[Shape] = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("shape", SHAPES)
+@few("shape", SHAPES, fast=3)
 def test_a_shape_is_imported_with_at_most_ten_lines(desk: Desk, shape: Shape) -> None:
     shape(desk, LOG)
     assert len(desk.mapping.splitlines()) <= 10
@@ -113,7 +114,7 @@ def test_an_epoch_in_any_order_begins_at_zero(desk: Desk) -> None:
     assert starts == pytest.approx([0.0, LOG.t[1500] - LOG.t[0]], abs=1e-5)
 
 
-@pytest.mark.parametrize(("offset_s", "ppm"), [(0.0, 0.0), (-37.25, 40.0), (1234.5, -80.0)])
+@few("offset_s, ppm", [(0.0, 0.0), (-37.25, 40.0), (1234.5, -80.0)], fast=1)
 def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm: float) -> None:
     log = log_of(("injection-012", "injection-013"))
     two_loggers(desk, log, offset_s, ppm)

@@ -86,6 +86,7 @@ def test_page_s_plugins_are_loaded_by_their_names(package: Path) -> None:
     assert done.returncode == 0, done.stderr
 
 
+@pytest.mark.slow
 def test_a_plugin_that_breaks_its_contract_fails_there_too(package: Path, tmp_path: Path) -> None:
     broken = tmp_path / "bench"
     shutil.copytree(package, broken)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
 from plugins.effects._commutation import lost_at_edges, swung_early
+from tests.support.cases import few
 
 BUS, PERIOD, STEP = 540.0, 1e-4, 1e-8
 DEAD = 193
@@ -49,9 +49,9 @@ def _switched(i_abc: Array, steps: Array, capacitance_f: float, grading: float) 
     return i, mean - mean.mean()
 
 
-@pytest.mark.parametrize(("capacitance_f", "grading"), [(64e-12, 0.0), (128e-12, 0.0), (128e-12, 0.5), (128e-12, 0.7)])
-@pytest.mark.parametrize(
-    ("i_a", "i_b", "steps"),
+@few("capacitance_f, grading", [(128e-12, 0.5), (64e-12, 0.0), (128e-12, 0.0), (128e-12, 0.7)])
+@few(
+    "i_a, i_b, steps",
     [
         (0.0003, 2.6, (-3, 206, -203)),
         (0.0002, 0.2165, (-1, 106, -105)),
@@ -60,6 +60,7 @@ def _switched(i_abc: Array, steps: Array, capacitance_f: float, grading: float) 
         (0.25, -0.125, (138, -69, -69)),
         (0.02, 0.5, (-278, 370, -92)),
     ],
+    fast=3,
 )
 def test_the_kernel_agrees_with_legs_switched_step_by_step(
     i_a: float, i_b: float, steps: tuple[int, int, int], capacitance_f: float, grading: float

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from plugins.estimators._maps import InjectedFlux
 from plugins.estimators.injection import InjectionEstimator
@@ -33,6 +34,7 @@ def truth_at(found: FluxMapEstimate) -> Array:
     return flux_for(found.points.i_dq.astype(np.float64), saturated_current)
 
 
+@pytest.mark.slow
 def test_intervals_hold_where_dead_time_spoils_some_of_the_points() -> None:
     found = InjectionEstimator().estimate(behind_a_strong_dead_time(), EstimationContext())
     assert isinstance(found, InjectedFlux)

@@ -7,6 +7,7 @@ import pytest
 
 from plugins.estimators._inverter import fit_voltage, step_ab
 from tests.orchestrator.analysis.plant import Array
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 PHASES = np.array([[1.0, 0.0], [-0.5, 0.75**0.5], [-0.5, -(0.75**0.5)]])
@@ -48,7 +49,7 @@ def rounded(i_ab: Array) -> Array:
     return taken
 
 
-@pytest.mark.parametrize("step", [clipped, rounded])
+@few("step", [clipped, rounded], fast=1)
 def test_a_step_of_another_shape_does_not_bend_the_resistance(step: Callable[[Array], Array]) -> None:
     held = np.concatenate([HELD, HELD * 0.5, HELD * 0.15])
     inside = []
@@ -59,6 +60,7 @@ def test_a_step_of_another_shape_does_not_bend_the_resistance(step: Callable[[Ar
     assert np.mean(inside) > 0.8
 
 
+@pytest.mark.slow
 def test_the_interval_is_that_of_repetitions() -> None:
     fits = []
     voltage = 4.0 * HELD + 0.8 * step_ab(HELD, 0.2)

@@ -91,6 +91,7 @@ def test_a_measured_and_violently_saturated_map_is_right_to_half_a_percent(tmp_p
     assert rms(errors(maps["energy"].map, truth_of(procedure), procedure.motor)[0]) < 0.5
 
 
+@pytest.mark.slow
 def test_resistance_does_not_move_the_injections_map(tmp_path: Path) -> None:
     found = []
     for ohm in (4.25, 5.1):

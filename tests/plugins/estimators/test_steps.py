@@ -17,6 +17,7 @@ from tests.blind.campaign import Bench
 from tests.blind.hidden import draw_case
 from tests.blind.stepping import Steps, record_steps, usual
 from tests.orchestrator.analysis.campaign import MemoryRecording
+from tests.support.cases import few
 
 
 def bench(number: int = 1, **plant: Any) -> Bench:
@@ -58,7 +59,7 @@ def rms(off: np.ndarray) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("off", [0.0, 0.01], ids=["R known", "R off by 1 %"])
+@few("off", [0.0, 0.01], fast=1, ids=["R known", "R off by 1 %"])
 def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off: float, tmp_path: Path) -> None:
     at = bench()
     ohm = at.plant.resistance
@@ -72,9 +73,10 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
     assert resistance.high - resistance.low < 0.04 * ohm
 
 
-@pytest.mark.parametrize(
-    ("wrong_with", "said"),
+@few(
+    "wrong_with, said",
     [({"delay_samples": 2.4}, "steps_lag"), ({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({}, "")],
+    fast=1,
     ids=["lag", "drop", "nothing"],
 )
 def test_what_opens_the_loops_is_told_apart_and_does_not_move_the_map(
@@ -90,6 +92,7 @@ def test_what_opens_the_loops_is_told_apart_and_does_not_move_the_map(
         assert stepped.remarks[0].values["late"] == pytest.approx(late, abs=0.05)
 
 
+@pytest.mark.slow
 def test_an_axis_that_is_not_where_it_is_believed_shows_in_the_evenness(tmp_path: Path) -> None:
     stepped = found(recorded(bench(angle=0.03), tmp_path))
     assert stepped.fit.energy.angle_rad == pytest.approx(0.03, abs=0.002)

@@ -13,6 +13,7 @@ import xarray as xr
 from orchestrator.engine import WORDS
 from orchestrator.recording import open_recording
 from protocols import RunEnded
+from tests.support.cases import few
 from tests.support.emulator import emulator, free_port, with_interlocks
 from tests.support.processes import start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_file
@@ -34,7 +35,7 @@ def means(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-@pytest.mark.parametrize("capture", ["raw", "demodulated"])
+@few("capture", ["raw", "demodulated"], fast=1)
 def test_a_run_over_a_serial_line_measures_what_a_run_in_process_does(capture: str, tmp_path: Path) -> None:
     drive = {"name": "serial", "port": str(tmp_path / "line"), "capture": capture}
     # The same plant as behind the simulated drive without options: no effects, no noise.
@@ -52,7 +53,7 @@ def test_a_run_over_a_serial_line_measures_what_a_run_in_process_does(capture: s
         np.testing.assert_allclose(over_line[name], expected, atol=5e-3, err_msg=name)
 
 
-@pytest.mark.parametrize("capture", ["raw", "demodulated"])
+@few("capture", ["raw", "demodulated"], fast=1)
 def test_the_drives_thermometer_is_in_the_recording(capture: str, tmp_path: Path) -> None:
     drive = {"name": "serial", "port": str(tmp_path / "line"), "capture": capture}
     heating = ("--set", "plant.effects.winding_heating.rise_per_watt=0.05", "--set", "thermometer=true")

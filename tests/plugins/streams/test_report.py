@@ -39,6 +39,7 @@ from protocols import (
     StreamSetup,
 )
 from tests.plugins.streams.example_run import a_map, a_report, a_run_directory
+from tests.support.cases import few
 
 HOSTILE = "<script>alert(1)</script>\"><img src=x onerror=alert(2)> & 'motor' {{ 7*7 }}"
 VOID = {"meta", "img", "br", "hr", "link"}
@@ -228,8 +229,8 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
 
 
 @pytest.mark.usefixtures("without_figures")
-@pytest.mark.parametrize(
-    ("name", "content", "told"),
+@few(
+    "name, content, told",
     [
         ("results/estimates.json", b"{", "estimates.json"),
         ("results/estimates.json", b'{"usable": 1}', "estimates.json"),
@@ -238,6 +239,7 @@ def test_one_method_alone_is_drawn_alone(run: Path) -> None:
         ("recording.json", b"\xff", "recording.json"),
         ("journal.jsonl", b"nonsense\n" * 2, "journal.jsonl"),
     ],
+    fast=2,
 )
 def test_a_damaged_file_is_named_and_the_rest_reported(run: Path, name: str, content: bytes, told: str) -> None:
     (run / name).write_bytes(content)

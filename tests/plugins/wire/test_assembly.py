@@ -32,6 +32,7 @@ from plugins.wire import (
 )
 from protocols import DriveFault, FaultCause, InputError
 from tests.plugins.wire.lossy import Device, Lossy
+from tests.support.cases import few
 
 SERIAL = serial_blocks(1020)
 LAYOUTS = [CLASSIC, CAN_FD, SERIAL]
@@ -52,7 +53,7 @@ def device(data: bytes, layout: BlockLayout, link: Lossy, number: int = 5) -> De
 MIXES = list(itertools.product((0.0, 0.01, 0.05), repeat=3))
 
 
-@pytest.mark.parametrize(("drop", "duplicate", "reorder"), MIXES)
+@few("drop, duplicate, reorder", MIXES, fast=2)
 @pytest.mark.parametrize("layout", [CAN_FD, SERIAL], ids=["fd", "serial"])
 def test_hundred_thousand_rows_arrive_exactly(
     layout: BlockLayout, drop: float, duplicate: float, reorder: float
@@ -61,13 +62,13 @@ def test_hundred_thousand_rows_arrive_exactly(
     assert fetch(device(ROWS, layout, link), len(ROWS)) == ROWS
 
 
-@pytest.mark.parametrize("rate", [0.0, 0.01, 0.05])
+@few("rate", [0.0, 0.01, 0.05], fast=2)
 def test_hundred_thousand_rows_arrive_exactly_on_classic_can(rate: float) -> None:
     link = Lossy(random.Random(1), rate, rate, rate)
     assert fetch(device(ROWS, CLASSIC, link), len(ROWS)) == ROWS
 
 
-@pytest.mark.parametrize("rates", list(itertools.product((0.0, 0.01, 0.05), repeat=4)), ids=str)
+@few("rates", list(itertools.product((0.0, 0.01, 0.05), repeat=4)), fast=4, ids=str)
 def test_on_a_serial_line_damage_is_as_good_as_loss(rates: tuple[float, float, float, float]) -> None:
     rng, damage = random.Random(str(rates)), rates[3]
     mix, decoder = Lossy(rng, *rates[:3]), SerialDecoder()
@@ -86,7 +87,7 @@ def test_on_a_serial_line_damage_is_as_good_as_loss(rates: tuple[float, float, f
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=NAMES)
-@pytest.mark.parametrize("corrupt", [0.0001, 0.01, 0.05])
+@few("corrupt", [0.0001, 0.01, 0.05], fast=1)
 def test_damage_that_no_frame_check_sees_is_never_taken_for_data(layout: BlockLayout, corrupt: float) -> None:
     data = ROWS[:60_000]
     for seed in range(6):

@@ -14,6 +14,7 @@ from orchestrator.recording import open_recording
 from tests.blind.campaign import Campaign, record
 from tests.blind.effects import CATALOGUE
 from tests.blind.hidden import draw_case
+from tests.support.cases import few
 from tests.support.rewriting import Rewritten
 
 SMALL = Campaign(
@@ -37,7 +38,7 @@ def test_settings_are_not_needed(right: Rewritten) -> None:
     assert find_convention(right.asked(lambda _: {"settings": {}})) is None
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
+@few("name", CATALOGUE, fast=3)
 def test_no_effect_at_its_largest_is_a_convention(name: str, tmp_path: Path) -> None:
     size, case = CATALOGUE[name], draw_case("clean", 1, 1)
     largest = size.low if size.inverse else size.high

@@ -9,6 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.conventions import CorrectedRecording, find_convention
 from protocols import Convention
+from tests.support.cases import few
 from tests.support.rewriting import Field, Rewritten, exchanged, gain
 
 SCALES = [2 / 3, 1.5, math.sqrt(2.0), 1 / math.sqrt(2.0), math.sqrt(3.0), 1 / math.sqrt(3.0), 0.5, 2.0, 10.0, 0.1]
@@ -24,7 +25,7 @@ def named(wrong: Rewritten) -> Convention:
 
 
 @pytest.mark.parametrize(("field", "name"), FIELDS)
-@pytest.mark.parametrize("factor", [*SCALES, math.sqrt(1.5), math.sqrt(2 / 3), 1e3, 1e-3])
+@few("factor", [*SCALES, math.sqrt(1.5), math.sqrt(2 / 3), 1e3, 1e-3], fast=3)
 def test_a_scale_is_named_with_the_factor_that_undoes_it(
     right: Rewritten, field: Field, name: str, factor: float
 ) -> None:

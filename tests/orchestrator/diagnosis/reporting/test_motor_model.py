@@ -73,6 +73,7 @@ def test_an_added_effect_grows_the_ladder_from_where_the_model_stands(
     assert [e.name for e in read_model(tmp_path).effects] == ["voltage_bias"]
 
 
+@pytest.mark.slow
 def test_an_effect_without_a_rung_of_its_own_is_taken_out_and_stays_beside_others(
     with_dead_time: Recording, kept: Path, tmp_path: Path
 ) -> None:
@@ -90,6 +91,7 @@ def test_an_effect_without_a_rung_of_its_own_is_taken_out_and_stays_beside_other
     assert [e.name for e in read_model(tmp_path).effects] == ["voltage_bias"]
 
 
+@pytest.mark.slow
 def test_the_map_is_let_go_and_held_again(with_dead_time: Recording, tmp_path: Path) -> None:
     add_effects(with_dead_time, ["device_drop"], LIBRARY, model="linear", out=tmp_path)
     grown = add_effects(with_dead_time, ["saturation"], LIBRARY, out=tmp_path)
@@ -102,6 +104,7 @@ def test_the_map_is_let_go_and_held_again(with_dead_time: Recording, tmp_path: P
     assert back.ladder[-1].chi2 == pytest.approx(chi2[1], rel=0.01)
 
 
+@pytest.mark.slow
 def test_a_map_of_one_s_own_stays_the_baseline(with_dead_time: Recording, kept: Path, tmp_path: Path) -> None:
     own = flux_map_of(read_model(kept)).model_copy(update={"method": "mine"})
     add_effects(with_dead_time, [], LIBRARY, model=own, out=tmp_path)

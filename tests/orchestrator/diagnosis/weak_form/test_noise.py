@@ -32,6 +32,7 @@ from tests.orchestrator.diagnosis.pieces import (
     ripple,
     sweep,
 )
+from tests.support.cases import few
 
 HOLD = Plan(SegmentStage.RESISTANCE, hold(1.0, -0.5))
 SWEEP = Plan(SegmentStage.CLASSICAL, sweep(0, 2.0, 0.5, 1200))
@@ -57,7 +58,7 @@ def _whitener(asked: Plan, slopes: Slopes | None = None) -> Whitener:
     return Whitener(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
 
 
-@pytest.mark.parametrize("asked", [HOLD, SWEEP, RIPPLE])
+@few("asked", [HOLD, SWEEP, RIPPLE], fast=1)
 def test_whitened_noise_has_unit_covariance(asked: Plan) -> None:
     rng, draws = np.random.default_rng(1), 400
     root = np.linalg.cholesky(COVARIANCE)

@@ -48,6 +48,7 @@ from plugins.wire import (
 )
 from protocols import Excitation, Hold, Injection, InputError
 from tests.plugins.commands.emulator.hosts import FS, LIMITS, EmulatorProcess, Host, emulator, host_at
+from tests.support.cases import few
 from tests.support.emulator import free_port
 
 pytestmark = pytest.mark.timeout(60)
@@ -238,7 +239,7 @@ def test_it_is_safe_soon_after_the_last_heartbeat(real: EmulatorProcess, host: H
     assert host.command(Op.CLEAR_FAULT).state is PowerState.DISARMED
 
 
-@pytest.mark.parametrize("number", [signal.SIGSTOP, signal.SIGKILL], ids=["stopped", "killed"])
+@few("number", [signal.SIGSTOP, signal.SIGKILL], fast=1, ids=["stopped", "killed"])
 def test_it_is_safe_when_the_host_is_gone(real: EmulatorProcess, number: signal.Signals) -> None:
     code = "import sys; from tests.plugins.commands.emulator.hosts import main; main(sys.argv[1:])"
     child = subprocess.Popen([sys.executable, "-c", code, str(real.path)], stdout=subprocess.PIPE)

@@ -12,6 +12,7 @@ from plugins.drives.simulated import TrueMagnetics, map_motor, map_names, true_f
 from plugins.drives.simulated._map import load_table
 from protocols import InputError, Motor
 from tests.plugins.drives.simulated.conftest import MOTORS, PM400, options_of
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 
@@ -35,7 +36,7 @@ def test_current_is_a_gradient_and_even_in_q(motor: Motor) -> None:
     check_reciprocity_and_parity(truth, 1.5 * motor.rated_current_a)
 
 
-@pytest.mark.parametrize("name", map_names())
+@few("name", map_names(), fast=1)
 def test_a_shipped_map_is_a_gradient_and_even_in_q(name: str) -> None:
     truth = shipped(name)
     rated = map_motor(name).rated_current_a

@@ -26,6 +26,7 @@ def drive_at(ecu: Ecu) -> dict[str, Any]:
     return {"name": "xcp", **ecu.options.model_dump(exclude_defaults=True)}
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_a_procedure_runs_to_its_map_and_finds_the_motor(tmp_path: Path) -> None:
     with running(build(tmp_path / "built", PATIENT), tmp_path) as ecu:
