@@ -8,8 +8,8 @@ import pytest
 from hypothesis import settings
 
 # A busy machine is no reason to fail: pytest's own timeout bounds a test.
-settings.register_profile("fast", deadline=None, max_examples=40)
-settings.register_profile("thorough", deadline=None, max_examples=100)
+settings.register_profile("fast", deadline=None, max_examples=15)
+settings.register_profile("thorough", deadline=None, max_examples=150)
 settings.load_profile("fast")
 
 

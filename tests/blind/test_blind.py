@@ -5,6 +5,7 @@ The seed is a hash, so that nobody chose it; what is hidden follows from it.
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
 from pathlib import Path
@@ -56,7 +57,8 @@ def test_sizes_stay_in_the_catalogues_ranges() -> None:
 
 def test_a_recording_is_whole_and_tells_nothing(tmp_path: Path) -> None:
     case = draw_case("single", number_of("rotor_misalignment", CATALOGUE), SEED)
-    path = record(case.bench, case.campaign, tmp_path / "blind")
+    campaign = dataclasses.replace(case.campaign, period_s=0.2, injection_s=0.1, dwell_s=0.05)
+    path = record(case.bench, campaign, tmp_path / "blind")
     recording = open_recording(path)
     assert {segment.stage for segment in recording.manifest.segments} == {
         SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION,

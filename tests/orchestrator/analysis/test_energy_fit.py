@@ -145,6 +145,7 @@ def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
     assert both().inverter_step == 0.0
 
 
+@pytest.mark.slow
 def test_noise_is_not_taken_for_a_gain() -> None:
     """A gain that all points have in common cannot be told from the points themselves, however many there are."""
     random = np.random.default_rng(3)

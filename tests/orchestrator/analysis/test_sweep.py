@@ -70,6 +70,7 @@ def test_both_directions_together_are_free_of_the_inverters_error() -> None:
     assert off_percent(sweep.path) < 2.0
 
 
+@pytest.mark.slow
 def test_the_way_to_the_start_of_the_path_is_left_out() -> None:
     sweep = evaluate_sweep(capture_of(swept(from_elsewhere=True), 1), 0.0, resistance_ohm=R_S)
     assert np.abs(sweep.path.current[:, 0] - 1.5).max() < 0.05

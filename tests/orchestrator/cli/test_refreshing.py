@@ -13,6 +13,7 @@ from tests.support.processes import called
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
 
 
+@pytest.mark.slow
 def test_estimating_again_writes_the_report_anew_where_there_is_one(tmp_path: Path) -> None:
     recording = Path(shutil.copytree(DATA, tmp_path / "recording"))
     page = recording / "report.html"

@@ -136,6 +136,7 @@ def test_a_run_that_was_killed_at_twenty_random_instants_is_whole_after_resuming
     killed_run_is_whole(tmp_path, kills=20, seed=2)
 
 
+@pytest.mark.slow
 def test_an_estimate_of_a_killed_run_needs_no_resume(tmp_path: Path) -> None:
     run = tmp_path / "run"
     process = start_fluxbench("run", tiny_file(tmp_path, drive={"realtime_factor": 2.0}), "--out", run)

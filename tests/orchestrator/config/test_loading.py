@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.config import check_plan, load_motor, load_procedure, make_plan, read_procedure
@@ -110,7 +110,6 @@ stages = st.one_of(
 words = st.text(st.characters(exclude_categories=["Cs"])).filter(lambda text: not text[:1].isdigit())
 
 
-@settings(max_examples=60, deadline=None)
 @given(written=st.lists(stages, min_size=1, max_size=4), seed=st.integers(-(2**40), 2**40), summary=words)
 def test_any_procedure_survives_being_written_as_yaml(
     tmp_path_factory: pytest.TempPathFactory, written: list[dict[str, Any]], seed: int, summary: str
@@ -289,13 +288,11 @@ def test_a_wrong_override_is_named_itself(override: str, problem: str) -> None:
     assert problem in found
 
 
-@settings(max_examples=30, deadline=None)
 @given(value=st.floats(min_value=1e-6, max_value=1e6))
 def test_any_number_can_be_set(value: float) -> None:
     assert load_procedure("demo", overrides=[f"limits.current_a={value!r}"]).limits.current_a == value
 
 
-@settings(max_examples=60)
 @given(override=st.text(max_size=20) | st.from_regex(r"(limits|stages|drive)(\.[a-z0-9_]{1,9}){0,3}=[^\n]{0,9}"))
 def test_any_override_gives_a_procedure_or_the_projects_error(override: str) -> None:
     try:
@@ -372,7 +369,6 @@ plain = st.recursive(
 )
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_damaged_yaml_never_gives_anything_but_the_projects_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject
@@ -388,7 +384,6 @@ def test_damaged_yaml_never_gives_anything_but_the_projects_error(
         expect_named(error, str(path))
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data(), value=plain)
 def test_any_value_at_any_key_gives_a_procedure_or_the_projects_error(
     tmp_path_factory: pytest.TempPathFactory, data: st.DataObject, value: object

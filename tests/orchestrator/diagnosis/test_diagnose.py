@@ -189,6 +189,7 @@ def test_a_drift_that_is_in_the_library_is_named(drifting: Recording, tmp_path: 
     assert report.effects[0].parameters["rate_a_a_per_s"].value == pytest.approx(0.004, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_third_sensor_that_reads_more_is_named_and_nothing_beside_it(
     of_three_sensors: Recording, tmp_path: Path
 ) -> None:

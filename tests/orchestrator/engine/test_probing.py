@@ -78,6 +78,7 @@ def test_a_person_is_told_by_how_much(swept: Path) -> None:
     assert "% of the plan" in note
 
 
+@pytest.mark.slow
 def test_a_resumed_stage_keeps_its_strength(swept: Path, tmp_path: Path) -> None:
     class StopAtSecond(Interrupts):
         def check(self) -> None:

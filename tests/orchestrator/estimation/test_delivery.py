@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from orchestrator.estimation import deliver_model, estimate_recording, load_estimates, load_flux_map
 from protocols import Basis, EstimationReport, FluxMap, Remark, ResistanceEstimate
@@ -47,6 +48,7 @@ def test_what_speaks_against_the_model_speaks_against_every_map(tmp_path: Path) 
     assert load_flux_map(tmp_path / "results" / "flux_map_model.nc").method == "model"
 
 
+@pytest.mark.slow
 def test_a_later_model_replaces_an_earlier_one_and_nothing_else(tmp_path: Path) -> None:
     own = estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
     once = deliver(tmp_path, scale=1.5)

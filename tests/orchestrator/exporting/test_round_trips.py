@@ -145,6 +145,7 @@ def test_a_magnet_that_a_locked_rotor_cannot_show_is_said_to_be_missing(tmp_path
     assert not any("magnet" in note for note in export_map(linear_map(), unknown, tmp_path, ["csv"]).notes)
 
 
+@pytest.mark.slow
 def test_a_map_that_is_not_convex_says_so_in_every_file_and_beside_the_inverses_coverage(tmp_path: Path) -> None:
     psi_d = np.array(saturated_map(nodes=15).psi_d)
     psi_d[6:9, 7] += [0.05, -0.05, 0.0]

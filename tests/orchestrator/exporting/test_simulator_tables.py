@@ -58,6 +58,7 @@ def test_plecs_gets_axes_and_tables_of_one_struct(exported: Path) -> None:
     assert "pm400.R_s = 4.25;" in text
 
 
+@pytest.mark.slow
 def test_ltspice_s_sums_of_hats_are_bilinear_tables(exported: Path) -> None:
     text = (exported / "flux_map_ltspice.lib").read_text().replace("\n+ ", "")
     assert ".subckt pm400_dq vd vq we id iq te" in text

@@ -10,6 +10,7 @@ import pytest
 from orchestrator.flux_maps import MapSurface, audit_map, load_map, repair_map
 from protocols import FluxMap, InputError, RealArray
 from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, Array, saturated_map, shipped, shipped_path
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 AXIS = np.linspace(-16.0, 16.0, 17)
@@ -50,7 +51,7 @@ def test_a_flux_that_no_energy_has_is_named_with_its_size() -> None:
     assert "not_reciprocal" in codes(curled)
 
 
-@pytest.mark.parametrize("degrees", [-1.9, 3.7, -90.0, -86.3])
+@few("degrees", [-1.9, 3.7, -90.0, -86.3], fast=2)
 def test_a_turned_frame_is_told_to_a_hundredth_of_a_degree_and_turned_back(degrees: float) -> None:
     flux_map = turned(degrees)
     found = audit_map(flux_map)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
@@ -166,13 +166,11 @@ def survives(suffix: str, content: bytes) -> None:
     assert "\n" not in said
 
 
-@settings(max_examples=60, deadline=None)
 @given(suffix=st.sampled_from([".csv", ".npz", ".mat"]), content=st.binary(max_size=300))
 def test_any_bytes_are_a_map_or_one_line(suffix: str, content: bytes) -> None:
     survives(suffix, content)
 
 
-@settings(max_examples=80, deadline=None)
 @given(
     suffix=st.sampled_from([".csv", ".npz", ".mat"]),
     cut=st.floats(0.0, 1.0),

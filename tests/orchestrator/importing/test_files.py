@@ -12,7 +12,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import scipy.io
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.importing import ImportReport, import_files
@@ -124,7 +124,6 @@ def outcome_of(bench: Bench, path: Path) -> ImportReport | str:
         return str(error)
 
 
-@settings(max_examples=150, deadline=None)
 @given(content=st.binary(max_size=200) | spoilt(as_text(SMALL)))
 def test_any_bytes_are_a_measurement_or_the_project_s_error(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:

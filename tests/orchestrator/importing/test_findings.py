@@ -13,6 +13,7 @@ from orchestrator.importing._waveform_checks import _scaling_hint
 from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.benches import PHASES, RATE, Bench, Numbers, held_current, in_phases, phase_log
+from tests.support.cases import few
 from tests.support.close import assert_close
 
 
@@ -346,7 +347,7 @@ def test_reversed_polarity_is_found_under_an_injection(bench: Bench) -> None:
     assert "180 degrees apart" in complaint(bench)
 
 
-@pytest.mark.parametrize("late", [1.0, 1.5, 2.75, -1.0])
+@few("late", [1.0, 1.5, 2.75, -1.0], fast=2)
 def test_a_voltage_that_acts_late_is_noted_with_the_lag(bench: Bench, late: float) -> None:
     as_injection(bench, late)
     report = bench.run()
@@ -356,7 +357,7 @@ def test_a_voltage_that_acts_late_is_noted_with_the_lag(bench: Bench, late: floa
     assert float(said[1]) == pytest.approx(late, abs=0.1)
 
 
-@pytest.mark.parametrize("known", [True, False], ids=["R known", "R not known"])
+@few("known", [True, False], fast=1, ids=["R known", "R not known"])
 @pytest.mark.parametrize("late", [0.0, 1.0])
 def test_a_sines_lag_is_noted_where_the_nameplate_has_the_resistance(bench: Bench, late: float, known: bool) -> None:
     as_injection(bench, late, sine=True)
@@ -367,7 +368,7 @@ def test_a_sines_lag_is_noted_where_the_nameplate_has_the_resistance(bench: Benc
     assert all("by the phase of a sine at 4.25 ohm" in note and "1.0 would fit" in note for note in notes)
 
 
-@pytest.mark.parametrize("late", [0.0, 1.0, 1.5])
+@few("late", [0.0, 1.0, 1.5], fast=1)
 def test_a_lag_that_the_mapping_knows_of_is_not_said(bench: Bench, late: float) -> None:
     as_injection(bench, late)
     bench.mapping["drive"]["voltage_delay_samples"] = late

@@ -20,6 +20,7 @@ from orchestrator.recording import open_recording
 from protocols import InputError
 from tests.orchestrator.importing.benches import Numbers
 from tests.orchestrator.importing.strangers import PLATE, Log, log_of
+from tests.support.cases import few
 
 LOG = log_of(("gates_off-000", "resistance-000", "resistance-014", "classical-005", "injection-012"))
 SOME = LOG.rows(slice(5000, 15000))
@@ -70,7 +71,7 @@ def tektronix(path: Path) -> Path:
     return text(path, head, [SOME.t, *columns(SOME)])
 
 
-@pytest.mark.parametrize("write", [german, plecs, data_inspector, rigol, keysight, tektronix])
+@few("write", [german, plecs, data_inspector, rigol, keysight, tektronix], fast=3)
 def test_texts_of_common_loggers_are_guessed(tmp_path: Path, write: Any) -> None:
     path = write(tmp_path / "log.csv")
     guessed = guess_mapping(path)

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 import yaml
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.importing import MappingFile, read_mapping
@@ -107,7 +107,6 @@ def outcome_of(path: Path) -> MappingFile | str:
         return str(error)
 
 
-@settings(max_examples=150, deadline=None)
 @given(content=st.binary(max_size=200) | spoilt(VALID))
 def test_any_bytes_are_a_mapping_or_the_project_s_error(content: bytes) -> None:
     with tempfile.TemporaryDirectory() as folder:

@@ -10,7 +10,7 @@ import h5py
 import numpy as np
 import pytest
 import scipy.io
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.importing import import_files
@@ -88,7 +88,6 @@ def write_file(path: Path, columns: dict[str, Numbers]) -> Path:
     return path
 
 
-@settings(max_examples=60, deadline=None)
 @given(data=st.data(), seed=st.integers(0, 2**31), theta=st.floats(-3.0, 3.0), n=st.integers(10, 300))
 def test_waveforms_come_back_from_any_frame_unit_scaling_and_file(
     data: st.DataObject, seed: int, theta: float, n: int

@@ -254,7 +254,7 @@ def test_a_run_that_was_cut_short_says_what_makes_its_manifest(make_recording: M
     assert len(open_recording(directory, make_manifest=make_manifest).segments()) == 2
 
 
-fuzzing = settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+fuzzing = settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
 @fuzzing

@@ -73,7 +73,7 @@ def test_appending_goes_on_where_it_stopped(journal: Journal) -> None:
     assert [record.n for record in journal.read()] == [0, 1, 2]
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(cut=st.integers(0, 400))
 def test_whatever_was_torn_off_the_end_is_dropped_and_the_rest_is_whole(tmp_path: Path, cut: int) -> None:
     journal = Journal(tmp_path / "journal.jsonl")

@@ -68,6 +68,7 @@ def test_page_shows_a_plugin_of_each_kind_and_the_kits() -> None:
     }
 
 
+@pytest.mark.slow
 def test_page_s_plugins_pass_the_kits(package: Path) -> None:
     done = in_package(package, "-m", "pytest", "-q", "-p", "no:cacheprovider", "tests")
     assert done.returncode == 0, done.stdout + done.stderr

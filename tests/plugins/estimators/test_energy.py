@@ -46,6 +46,7 @@ def test_the_energys_map_is_better_than_what_it_is_made_of(inverter: bool) -> No
     assert worst < 0.3
 
 
+@pytest.mark.slow
 def test_its_inductances_are_the_inverse_hessian() -> None:
     found = energy_of(False)
     inductance = np.linalg.inv(saturated_hessian(flux_for(nodes_of(found), saturated_current)))

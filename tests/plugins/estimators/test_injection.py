@@ -57,6 +57,7 @@ def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
     assert str(told["other_injection"].values["by"]).startswith("40 V rms")
 
 
+@pytest.mark.slow
 def test_frequencies_are_kept_apart_as_well() -> None:
     at_500, at_300 = (
         clean().only(SegmentStage.INJECTION),

@@ -41,6 +41,7 @@ from protocols import (
 )
 from tests.plugins.link.bench import LIMITS, LINKS, armed, beating, bench, taken
 from tests.plugins.link.device import FS, Script, waveforms
+from tests.support.cases import few
 
 HOLD = Hold(current_d_a=1.0, current_q_a=0.5, settle_s=0.3, duration_s=1.0, rotor_angle_rad=0.4)
 INJECTION = Injection(
@@ -64,7 +65,7 @@ def turned(dq: np.ndarray, angle_rad: float) -> np.ndarray:
 
 
 @pytest.mark.parametrize("link", LINKS)
-@pytest.mark.parametrize("excitation", [GatesOff(duration_s=0.5), HOLD, TRAPEZOID, INJECTION], ids=lambda e: e.kind)
+@few("excitation", [GatesOff(duration_s=0.5), HOLD, TRAPEZOID, INJECTION], fast=2, ids=lambda e: e.kind)
 def test_what_the_device_captured_is_what_comes(link: str, excitation: Excitation) -> None:
     with armed(link) as b:
         capture = taken(b.drive, excitation)

@@ -221,6 +221,7 @@ def test_a_recording_without_run_or_journal_is_reported(run: Path) -> None:
     assert "69 injection points and 8 classical trajectories" in page.text
 
 
+@pytest.mark.slow
 def test_one_method_alone_is_drawn_alone(run: Path) -> None:
     (run / "results" / "flux_map_classical.nc").unlink()
     page = page_of(run)
@@ -250,6 +251,7 @@ def test_a_damaged_file_is_named_and_the_rest_reported(run: Path, name: str, con
     assert material.problems[0] in page.text
 
 
+@pytest.mark.slow
 def test_a_lost_capture_costs_the_picture_of_the_paths_only(run: Path) -> None:
     (run / "captures" / "classical-003.parquet").unlink()
     page = page_of(run)
@@ -280,6 +282,7 @@ def test_a_run_that_was_stopped_is_reported_without_waiting_for_pictures(run: Pa
     assert any(f"fluxbench report {run}" in word for word in page.words)
 
 
+@pytest.mark.slow
 def test_a_motor_without_saturation_is_drawn() -> None:
     found = a_map("injection")
     flat = found.model_copy(update={"l_dd": np.full_like(found.l_dd, 0.043), "l_dq": np.zeros_like(found.l_dq)})
@@ -338,6 +341,7 @@ def estimated(run: Path, **changes: object) -> Path:
     return run
 
 
+@pytest.mark.slow
 def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path) -> None:
     made = {"polynomial": MapReport(checks=MapChecks(), form=POLYNOMIAL)}
     said = (Remark(code="energy.flux_error", text="energy: known to +-0.1 %"),)
@@ -375,6 +379,7 @@ def test_what_sensorless_control_sees_is_a_section_with_what_it_means(run: Path)
     assert "one map serves both" in render(collect(estimated(run, seen_by_injection=(alike,))), draws=False)
 
 
+@pytest.mark.slow
 def test_what_an_energy_has_by_construction_is_not_shown_as_a_check(run: Path) -> None:
     energy = {"energy": MapReport(basis=Basis.ENERGY, checks=MapChecks())}
     given = {"method": "energy", "parity": None, "reciprocity_percent": None}

@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from plugins.wire import (
@@ -96,7 +96,6 @@ def test_damage_that_no_frame_check_sees_is_never_taken_for_data(layout: BlockLa
             assert fetch(device(data, layout, link), len(data)) == data
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     layout=st.sampled_from(LAYOUTS),
     length=st.integers(0, 9000),
@@ -123,7 +122,6 @@ def test_exact_or_refused_on_any_link(
         assert got == data
 
 
-@settings(max_examples=60, deadline=None)
 @given(
     layout=st.sampled_from(LAYOUTS),
     batches=st.lists(

@@ -45,7 +45,7 @@ def test_exchanged_phases_are_named(right: Rewritten, field: Field, name: str, p
 
 
 @pytest.mark.parametrize(("field", "name"), FIELDS)
-@pytest.mark.parametrize(("phase", "sensors"), [("a", "ab"), ("b", "ab"), ("c", "bc"), ("a", "abc"), ("c", "abc")])
+@few("phase, sensors", [("a", "ab"), ("b", "ab"), ("c", "bc"), ("a", "abc"), ("c", "abc")], fast=2)
 def test_an_inverted_phase_is_named(right: Rewritten, field: Field, name: str, phase: str, sensors: str) -> None:
     found = named(right.phases(field, gain(phase, -1.0), sensors))
     assert found.kind == f"inverted_{name}"

@@ -95,6 +95,7 @@ def test_an_effect_that_is_not_in_the_model_is_told_apart_as_large_as_it_would_b
     assert "pwm_frequencies_hz" in proposal.stage
 
 
+@pytest.mark.slow
 def test_what_no_stage_separates_is_what_both_effects_need(setup: DiagnosisSetup, fit: Fit) -> None:
     def needing(*contrasts: Contrast) -> list[Candidate]:
         class First(CurrentOffset):

@@ -56,6 +56,7 @@ def test_what_errs_at_rest_is_weighed_there_and_all_is_noise_then() -> None:
     assert abs(fit.model.r_s - R_S) < 4.0 * 0.02 / 2.0 / np.sqrt(40.0)
 
 
+@pytest.mark.slow
 def test_what_was_weighed_once_is_weighed_the_same_again() -> None:
     maker = fitter(_bumpy(prepared(_campaign()), 0.02))
     noise, fit = ModelNoise(), maker.fit(free_model())

@@ -58,6 +58,7 @@ def test_no_scatter_is_found_where_there_is_none() -> None:
     assert found.log_likelihood == 0.0
 
 
+@pytest.mark.slow
 def test_one_offset_of_all_segments_is_an_effect_and_no_scatter() -> None:
     made = _campaign()
     maker = fitter(_shifted(made, np.tile([0.02, -0.01], (len(made.pieces), 1))))

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from plugins.commands.emulator._memory import CHANNELS, Capture, RippleMemory
@@ -21,7 +21,6 @@ def pieces(samples: np.ndarray[Any, Any], cuts: list[int]) -> list[np.ndarray[An
     return np.split(samples, sorted({c for c in cuts if 0 < c < len(samples)}))
 
 
-@settings(max_examples=40, deadline=None)
 @given(
     frequency=st.sampled_from([500.0, 333.0, 312.5, 997.3]),
     periods=st.integers(1, 4),

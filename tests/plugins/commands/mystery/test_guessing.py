@@ -5,13 +5,14 @@ from __future__ import annotations
 from contextlib import suppress
 
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.registry import PluginKind, installed
 from plugins.commands.mystery import Guess, judge, read_guess
 from protocols import InputError
 
+KNOWN = {info.name for info in installed(PluginKind.EFFECTS)}
 HIDDEN = {
     "dead_time": {"voltage_v": 2.0, "threshold_a": 0.1},
     "current_offset": {"offset_a_a": 0.01, "offset_b_a": -0.03},
@@ -38,14 +39,12 @@ def test_a_guess_that_cannot_be_read_is_told_in_one_line(words: str, told: str) 
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=40)
 @given(st.text(max_size=40))
 def test_no_words_are_read_as_a_name_that_there_is_not(words: str) -> None:
-    known = {info.name for info in installed(PluginKind.EFFECTS)}
     guesses: tuple[Guess, ...] = ()
     with suppress(InputError):
         guesses = read_guess(words)
-    assert {guess.name for guess in guesses} <= known
+    assert {guess.name for guess in guesses} <= KNOWN
 
 
 def test_a_complete_guess_is_complete() -> None:

@@ -51,6 +51,7 @@ def test_half_a_plane_is_completed_by_evenness(tmp_path: Path) -> None:
     assert_close(plant(file=str(path)).flux(INSIDE_A), plant(name="baldor-5k6").flux(INSIDE_A), 2e-3)
 
 
+@pytest.mark.slow
 def test_corners_without_a_flux_are_left_to_smoothness(tmp_path: Path) -> None:
     table = shipped()
     corners = np.linalg.norm(table.i_dq / np.array([20.0, 26.0]), axis=1) > 1.05
@@ -74,6 +75,7 @@ def test_a_magnet_off_the_axis_is_put_on_it(tmp_path: Path, degrees: float) -> N
     assert_close(plant(file=str(path)).flux(inside_a), truth.flux(inside_a), 5e-3)
 
 
+@pytest.mark.slow
 def test_the_misfit_is_that_of_the_scatter(tmp_path: Path) -> None:
     table = shipped()
     noise = np.random.default_rng(1).normal(scale=2e-3, size=table.psi_dq.shape)

@@ -188,6 +188,7 @@ def test_results_that_were_kept_elsewhere_are_reported(tmp_path: Path) -> None:
     assert "The error ladder" in text
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("undrawn")
 def test_readings_of_the_estimates_are_drawn_without_a_journal(tmp_path: Path) -> None:
     run = a_run_directory(tmp_path / "run")

@@ -66,6 +66,7 @@ def test_the_resistance_at_20_c_needs_to_know_how_warm_the_room_was(material: Ma
     assert lines(warm)["R_s at 20 °C"].startswith(f"{cold:.4g} Ω")
 
 
+@pytest.mark.slow
 def test_a_recorded_temperature_is_drawn_over_time(material: Material) -> None:
     assert "Temperature over the run" not in render(material)
     warm = Paths(temperature_c=np.array([[0.0, 21.0], [60.0, 24.0]]))

@@ -27,6 +27,7 @@ from protocols import PointDone, RecordingError, RunStarted, SamplesCaptured, St
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.rerun.reading import entities, rows
 from tests.plugins.streams.rerun.test_live import listening
+from tests.support.cases import few
 from tests.support.processes import start_afresh, wait_until
 
 RECORDING = Path(__file__).parents[3] / "data" / "pm400-reduced"
@@ -79,6 +80,7 @@ def test_a_view_is_made_where_there_is_none_and_made_anew_where_it_is_torn(tmp_p
     assert len(told) == 2
 
 
+@pytest.mark.slow
 def test_a_view_that_is_older_than_the_results_is_made_anew(tmp_path: Path, example: Path) -> None:
     run = copied(example, tmp_path / "run")
     told: list[str] = []
@@ -90,6 +92,7 @@ def test_a_view_that_is_older_than_the_results_is_made_anew(tmp_path: Path, exam
     assert len(told) == 2
 
 
+@pytest.mark.slow
 def test_a_view_that_is_served_is_due_anew_when_there_are_later_results(tmp_path: Path, example: Path) -> None:
     run = copied(example, tmp_path / "run")
     later = Later(run, whole_view(run, print).file)
@@ -250,7 +253,7 @@ def test_a_file_that_is_none_of_reruns_or_torn_is_one_line(tmp_path: Path, conte
     assert not (tmp_path / "x.png").exists()
 
 
-@pytest.mark.parametrize("is_ours", [True, False])
+@few("is_ours", [True, False], fast=1)
 def test_a_full_disk_is_one_line_and_leaves_no_half_view(
     tmp_path: Path, example: Path, is_ours: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
