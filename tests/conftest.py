@@ -7,6 +7,8 @@ import signal
 import pytest
 from hypothesis import settings
 
+from tests.support.budget import Budget
+
 # A busy machine is no reason to fail: pytest's own timeout bounds a test.
 settings.register_profile("fast", deadline=None, max_examples=15)
 settings.register_profile("thorough", deadline=None, max_examples=150)
@@ -22,6 +24,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
     With the slow tests, more examples are tried too.
     """
+    config.pluginmanager.register(Budget())
     signal.signal(signal.SIGINT, signal.default_int_handler)
     if config.getoption("markexpr") != "not slow":
         settings.load_profile("thorough")

@@ -16,6 +16,7 @@ import pytest
 from orchestrator.cli._new import new
 from orchestrator.scaffolding import KINDS, write_package
 from protocols import InputError, PluginError
+from tests.support.cases import few
 
 ROOT = Path(__file__).parents[3]
 
@@ -43,16 +44,16 @@ def in_package(folder: Path, *command: str, paths: str = "") -> subprocess.Compl
     )
 
 
-def test_a_new_package_passes_its_kit(tmp_path: Path) -> None:
-    """One of each kind, side by side in one program."""
-    for kind in KINDS:
+@few("kinds", [("drive",), tuple(KINDS)], ids=["drive", "side by side"])
+def test_a_new_package_passes_its_kit(kinds: tuple[str, ...], tmp_path: Path) -> None:
+    for kind in kinds:
         write_package(kind, f"my_{kind}", tmp_path / kind)
         installed_as(tmp_path / kind)
-    paths = os.pathsep.join(str(tmp_path / kind) for kind in KINDS)
+    paths = os.pathsep.join(str(tmp_path / kind) for kind in kinds)
     words = ("-v", "--import-mode=importlib", "-p", "no:cacheprovider")
-    done = in_package(tmp_path, "-m", "pytest", *words, *(f"{kind}/tests" for kind in KINDS), paths=paths)
+    done = in_package(tmp_path, "-m", "pytest", *words, *(f"{kind}/tests" for kind in kinds), paths=paths)
     assert done.returncode == 0, done.stdout + done.stderr
-    for kind in KINDS:
+    for kind in kinds:
         assert len(re.findall(rf"test_my_{kind}\.py::.* PASSED", done.stdout)) >= 6, done.stdout
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
