@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from orchestrator.testing import DriveConformance
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions
 from protocols import Drive, DriveSetup, Motor
@@ -30,6 +32,7 @@ class TestSimulatedDrive(DriveConformance):
         return DriveSetup(motor=self.motor, options=SimulatedOptions(), seed=1)
 
 
+@pytest.mark.slow
 class TestSimulatedServo(TestSimulatedDrive):
     """A 48 V servo of another scale, by its nameplate alone."""
 

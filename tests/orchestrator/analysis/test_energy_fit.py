@@ -66,6 +66,7 @@ def test_exact_inductances_give_the_exact_flux() -> None:
     assert np.abs(flux_off(fit_energy(measured(1e-5), ()))).max() < 1e-3 * RATED_WB
 
 
+@pytest.mark.slow
 def test_paths_alone_give_flux_and_inductance() -> None:
     fit = fit_energy(None, paths())
     assert np.abs(flux_off(fit)).max() < 3e-3 * RATED_WB
@@ -100,6 +101,7 @@ def test_intervals_hold_what_they_say() -> None:
     assert 0.88 < np.mean(inside) < 0.995
 
 
+@pytest.mark.slow
 def test_errors_larger_than_stated_are_noticed() -> None:
     points = measured()
     modest = replace(points, covariance=points.covariance / 100.0)

@@ -40,6 +40,7 @@ def test_the_motors_own_coefficients_are_found(injected: bool, swept: bool) -> N
         assert std < 0.1 * abs(TRUE[term])
 
 
+@pytest.mark.slow
 def test_flux_and_inductance_are_the_motors() -> None:
     fit = fitted()
     flux, std = fit.flux(PLACES)

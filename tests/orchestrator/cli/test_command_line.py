@@ -15,6 +15,7 @@ from orchestrator.estimation import save_flux_map
 from orchestrator.recording import open_recording
 from protocols import shipped_procedures
 from tests.orchestrator.exporting.machines import saturated_map
+from tests.support.cases import few
 from tests.support.processes import FLUXBENCH, called, start_fluxbench
 from tests.support.tiny import STAGES, run_tiny, tiny_file
 
@@ -243,8 +244,8 @@ def test_check_numbers_stages_as_a_run_does_and_says_how_they_are_written(tmp_pa
     assert called("check", tiny_file(tmp_path), *settings).returncode == 0
 
 
-@pytest.mark.parametrize(
-    ("unbuffered", "words"),
+@few(
+    "unbuffered, words",
     [
         ("", ("procedures",)),
         ("1", ("procedures",)),
@@ -254,6 +255,7 @@ def test_check_numbers_stages_as_a_run_does_and_says_how_they_are_written(tmp_pa
             for words in (("check", "demo"), ("plugins", "--json"))
         ),
     ],
+    fast=1,
 )
 def test_an_output_that_cannot_be_written_is_one_line(unbuffered: str, words: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as full:

@@ -24,6 +24,7 @@ def test_what_is_designed_is_a_procedure_that_check_takes(tmp_path: Path) -> Non
     assert "gates_off" in checked.stdout
 
 
+@pytest.mark.slow
 def test_what_it_will_tell_is_told_as_json_too(tmp_path: Path) -> None:
     out = tmp_path / "shortest.yaml"
     told = json.loads(called("design", tiny_file(tmp_path), *PAIR, "--out", out, "--json").stdout)

@@ -117,6 +117,7 @@ def test_what_cannot_be_kept_was_not_added(tmp_path: Path, capsys: pytest.Captur
     assert "model.json was not written" in refused(capsys, 3, "add", DATA, "dead_time", "--out", tmp_path)
 
 
+@pytest.mark.slow
 def test_compare_says_where_there_is_no_model_to_take(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["compare", str(DATA), "--out", str(tmp_path)]) == 0
     assert f"no model.json in {tmp_path}" in capsys.readouterr().out

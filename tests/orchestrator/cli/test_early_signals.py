@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.cli._early_signals import STOP_SIGNALS, EarlySignals
+from tests.support.cases import few
 from tests.support.processes import FLUXBENCH, wait_until
 from tests.support.tiny import tiny_file
 
@@ -37,7 +38,7 @@ def field_of(process: subprocess.Popen[str], name: str) -> str:
     return next(line.split(":")[1].strip() for line in lines if line.startswith(name))
 
 
-@pytest.mark.parametrize(("number", "later_s"), [*zip(STOP_SIGNALS, (0.0, 0.05, 0.15, 0.3), strict=True)])
+@few("number, later_s", [*zip(STOP_SIGNALS, (0.0, 0.05, 0.15, 0.3), strict=True)], fast=2)
 def test_a_signal_while_the_program_is_still_loading_ends_it_before_anything_is_energised(
     tmp_path: Path, number: signal.Signals, later_s: float
 ) -> None:

@@ -12,6 +12,7 @@ import pytest
 
 from orchestrator.recording import open_recording
 from protocols import StateChanged
+from tests.support.cases import few
 from tests.support.forking import ForkedCommand
 from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, all_effects_but, messages_of, tiny_file
@@ -57,7 +58,7 @@ def effect_that_takes(seconds: float, folder: Path) -> tuple[Path, Path]:
     return mine, marker
 
 
-@pytest.mark.parametrize(("seconds", "times"), [(0.01, 1), pytest.param(1e6, 1, marks=pytest.mark.slow), (1e6, 2)])
+@few("seconds, times", [(0.01, 1), pytest.param(1e6, 1, marks=pytest.mark.slow), (1e6, 2)], fast=1)
 def test_ctrl_c_ends_a_search_at_once(seconds: float, times: int, tmp_path: Path) -> None:
     mine, marker = effect_that_takes(seconds, tmp_path)
     words: list[str | Path] = ["diagnose", DATA, "--effects", mine, "--out", tmp_path / "out"]

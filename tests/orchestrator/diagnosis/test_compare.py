@@ -50,6 +50,7 @@ def test_what_is_right_is_noise_everywhere(clean: Recording, tmp_path: Path) -> 
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_a_linear_model_s_flux_wanders_from_what_the_sweeps_integrate(clean: Recording) -> None:
     linear, saturated = (compare_recording(clean, model=model).crossings for model in ("linear", "saturated"))
     for axis in ("d_percent", "q_percent"):

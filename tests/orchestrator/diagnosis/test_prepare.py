@@ -13,6 +13,7 @@ from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.recording import Recording, SegmentWriter, open_recording, write_manifest
 from protocols import Capture, NotMeasuredError, Segment, SegmentStage
+from tests.support.cases import few
 
 HOLDS, SWEEPS, INJECTION = SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION
 Change = Callable[[Capture], Capture]
@@ -46,9 +47,7 @@ def _all(segment: Segment) -> bool:
     return True
 
 
-@pytest.mark.parametrize(
-    ("wanted", "samples"),
-    [
+@few("wanted, samples", [
         (_named("resistance-011"), 0),
         (_of(SegmentStage.GATES_OFF), 0),
         (_of(SegmentStage.GATES_OFF, HOLDS), 20),
@@ -58,10 +57,9 @@ def _all(segment: Segment) -> bool:
         (_of(INJECTION), 20),
         (_all, 20),
         (_all, 1),
-    ],
+    ], fast=3,
     ids=["one hold", "gates off", "holds of 2 ms", "half a sweep", "two sweeps", "three points", "a period of each",
-         "2 ms of all", "one sample of all"],
-)  # fmt: skip
+         "2 ms of all", "one sample of all"])  # fmt: skip
 def test_too_little_is_refused_in_one_line(
     wanted: Callable[[Segment], bool], samples: int, clean: Recording, tmp_path: Path
 ) -> None:

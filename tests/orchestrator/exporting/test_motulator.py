@@ -84,6 +84,7 @@ def test_the_exported_script_runs_the_machine_to_its_speed_and_load(motulator: P
     assert torque == pytest.approx(float(told["LOAD_NM"]), rel=1e-2)
 
 
+@pytest.mark.slow
 def test_a_machine_without_a_resistance_has_no_script_and_says_so(tmp_path: Path) -> None:
     bare = MOTOR.model_copy(update={"stator_resistance_ohm": None})
     report = export_map(saturated_map(nodes=9), bare, tmp_path)

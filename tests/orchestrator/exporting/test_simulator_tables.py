@@ -73,6 +73,7 @@ def test_ltspice_s_sums_of_hats_are_bilinear_tables(exported: Path) -> None:
         assert_close(total, CURRENTS[:, column], 0.02)
 
 
+@pytest.mark.slow
 def test_every_file_names_the_recording(tmp_path: Path) -> None:
     report = export_map(saturated_map(nodes=9), MOTOR, tmp_path, recording="bench-7 of tuesday")
     for file in report.files:

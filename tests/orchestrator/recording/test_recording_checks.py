@@ -12,6 +12,7 @@ import pytest
 from orchestrator.numerics.types import Array
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import Capture, DriveRecord, InputError, Manifest, Motor, Segment, SegmentStage
+from tests.support.cases import few
 
 FS = 10_000.0
 
@@ -108,7 +109,7 @@ def test_a_gain_that_is_wrong_by_ten_passes(machine: Machine, gains: dict[str, A
     SoundRecording(recorded(machine).scaled(**gains)).read_through()
 
 
-@pytest.mark.parametrize("machine", [Machine(), SMALL, LARGE])
+@few("machine", [Machine(), SMALL, LARGE], fast=1)
 @pytest.mark.parametrize(
     ("gains", "told"),
     [

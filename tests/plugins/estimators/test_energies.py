@@ -53,6 +53,7 @@ def test_what_other_estimators_found_is_taken_and_each_current_knows_its_segment
     assert found.angles.shape == (len(injected.points.segment),)
 
 
+@pytest.mark.slow
 def test_the_misfit_is_of_each_sweep_less_its_mean() -> None:
     found = energy_measurements(clean(), both())
     misfit = found.misfit(Linear())

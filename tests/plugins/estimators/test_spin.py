@@ -141,6 +141,7 @@ def test_without_an_angle_nothing_is_taken_for_one() -> None:
         found(MemoryRecording(recording.manifest, {"spin-000": blind}))
 
 
+@pytest.mark.slow
 def test_a_constant_speed_in_the_settings_stands_for_the_angle() -> None:
     recording = spun(GRID)
     captures = {name: c.model_copy(update={"theta_rad": None}) for name, c in recording.captures.items()}
@@ -152,6 +153,7 @@ def test_a_constant_speed_in_the_settings_stands_for_the_angle() -> None:
     assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
 
 
+@pytest.mark.slow
 def test_a_point_without_current_says_nothing_of_what_the_inverter_keeps() -> None:
     """A phase's loss turns with the current; a current that is noise has no direction to lose along."""
     lost_v, recording = 0.8, spun([*GRID[::3], *[(0.0, 0.0)] * 4], speeds=(200.0, -100.0))

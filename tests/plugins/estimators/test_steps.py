@@ -75,9 +75,9 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
 
 @few(
     "wrong_with, said",
-    [({"delay_samples": 2.4}, "steps_lag"), ({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({}, "")],
+    [({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({"delay_samples": 2.4}, "steps_lag"), ({}, "")],
     fast=1,
-    ids=["lag", "drop", "nothing"],
+    ids=["drop", "lag", "nothing"],
 )
 def test_what_opens_the_loops_is_told_apart_and_does_not_move_the_map(
     wrong_with: dict[str, float], said: str, tmp_path: Path

@@ -170,6 +170,7 @@ def test_hostile_names_stay_text(tmp_path: Path) -> None:
     assert not [tag for tag, attributes in page.tags if any(name.startswith("on") for name in attributes)]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
 def test_report_goes_where_it_is_asked_to(run: Path, tmp_path: Path) -> None:
     before = sorted(p.relative_to(run) for p in run.rglob("*"))
@@ -259,6 +260,7 @@ def test_a_lost_capture_costs_the_picture_of_the_paths_only(run: Path) -> None:
     assert len(page.all("img")) >= PICTURES - 1
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("without_figures")
 def test_a_run_that_was_killed_is_told_as_not_ended(tmp_path: Path) -> None:
     page = page_of(a_run_directory(tmp_path / "run", ended=False))
@@ -354,6 +356,7 @@ def test_the_polynomials_coefficients_are_a_table_and_no_wall_of_words(run: Path
     assert "−12.5" in page
 
 
+@pytest.mark.slow
 def test_what_sensorless_control_sees_is_a_section_with_what_it_means(run: Path) -> None:
     seen = SeenByInjection(
         method="energy",

@@ -12,10 +12,11 @@ from scipy.signal import lfilter
 from orchestrator.diagnosis.conventions import find_convention
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import Capture, NotMeasuredError
+from tests.support.cases import few
 from tests.support.rewriting import TO_PHASES, Field, Rewritten, gain
 
 
-@pytest.mark.parametrize(("phase", "sensors"), [("a", "ab"), ("b", "ab"), ("c", "ac"), ("a", "abc"), ("c", "abc")])
+@few("phase, sensors", [("a", "ab"), ("b", "ab"), ("c", "ac"), ("a", "abc"), ("c", "abc")], fast=2)
 def test_a_dead_phase_is_named(right: Rewritten, phase: str, sensors: str) -> None:
     found = find_convention(right.phases("i_ab", gain(phase, 0.0), sensors))
     assert found is not None

@@ -36,7 +36,7 @@ def test_a_scale_is_named_with_the_factor_that_undoes_it(
     assert found.correction.factor == pytest.approx(1.0 / factor)
 
 
-@pytest.mark.parametrize(("field", "name"), FIELDS)
+@few("field, name", FIELDS, fast=2)
 @pytest.mark.parametrize("pair", ["ab", "bc", "ac"])
 def test_exchanged_phases_are_named(right: Rewritten, field: Field, name: str, pair: str) -> None:
     found = named(right.phases(field, exchanged(*pair)))

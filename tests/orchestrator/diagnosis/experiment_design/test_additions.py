@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from orchestrator.diagnosis.experiment_design.additions import allowed, longer
 from orchestrator.diagnosis.experiment_design.outlook import outlook
 from tests.orchestrator.diagnosis.experiment_design.plans import (
@@ -18,6 +20,7 @@ from tests.orchestrator.diagnosis.experiment_design.plans import (
 LOOK_ALIKES = effects("dead_time", "device_drop", "current_offset", "voltage_bias")
 
 
+@pytest.mark.slow
 def test_what_is_added_parts_what_was_open() -> None:
     short = plan(HOLDS, SWEEPS)
     before = outlook(short, DRIVE, machine(), LOOK_ALIKES, noise_a=NOISE_A)

@@ -70,6 +70,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     assert any(same)
 
 
+@pytest.mark.slow
 def test_a_wholly_different_model_keeps_no_column_that_moved(maker: Fitter) -> None:
     first = all_effects(maker, 0.1)
     known = maker.evaluate(first, maker.frame(first))

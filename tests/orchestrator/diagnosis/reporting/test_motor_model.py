@@ -58,6 +58,7 @@ def test_a_comparison_fits_nothing(with_dead_time: Recording, kept: Path, tmp_pa
     assert report.chi2 > 10.0 * own.chi2
 
 
+@pytest.mark.slow
 def test_an_added_effect_grows_the_ladder_from_where_the_model_stands(
     with_dead_time: Recording, kept: Path, tmp_path: Path
 ) -> None:
@@ -119,6 +120,7 @@ def test_a_map_of_one_s_own_stays_the_baseline(with_dead_time: Recording, kept: 
     assert chi2 < 1.5
 
 
+@pytest.mark.slow
 def test_a_model_is_held_against_another_recording_of_the_motor(clean: Recording, kept: Path, tmp_path: Path) -> None:
     model = read_model(kept)
     report = compare_recording(clean, LIBRARY, model=model)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -12,6 +11,7 @@ from plugins.effects.inverter import DeadTime
 from protocols import ParameterRole, Signals
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
+from tests.support.cases import few
 
 
 def _machine(flexible: float) -> Fitter:
@@ -35,7 +35,7 @@ def _error(active: Active, signals: Signals) -> Array:
     return error
 
 
-@pytest.mark.parametrize(("flexible", "freed"), [(0.0, False), (3.0, True)])
+@few("flexible, freed", [(0.0, False), (3.0, True)], fast=1)
 def test_the_flexible_form_is_freed_where_the_simple_one_will_not_do(flexible: float, freed: bool) -> None:
     maker = _machine(flexible)
     simple = maker.fit(with_free(free_model(), maker, DeadTime(), voltage_v=0.5))

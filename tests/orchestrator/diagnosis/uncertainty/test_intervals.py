@@ -73,6 +73,7 @@ def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[
     assert 0.98 * DOUBT.ripple_doubt * abs(x) < spread < 2.0 * DOUBT.ripple_doubt * abs(x)
 
 
+@pytest.mark.slow
 def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Recording) -> None:
     fitter, fit = fitted(with_dead_time, DeadTime())
     active, name = fit.model.free[0]

@@ -44,6 +44,7 @@ def test_what_we_export_is_a_plant(tmp_path: Path, format_name: str) -> None:
     assert_close(plant(file=str(file.path)).flux(INSIDE_A), plant(name="baldor-5k6").flux(INSIDE_A), 1e-6)
 
 
+@pytest.mark.slow
 def test_half_a_plane_is_completed_by_evenness(tmp_path: Path) -> None:
     table = shipped()
     half = table.i_dq[:, 1] >= 0.0
