@@ -110,7 +110,7 @@ def test_errors_larger_than_stated_are_noticed() -> None:
     assert np.mean(np.abs(flux_off(fit)) < 1.96 * fit.flux(PLACES)[1]) > 0.7
 
 
-@few("degrees", [-1.7, 3.0], fast=1)
+@few("degrees", [-1.7, 3.0])
 def test_a_turned_axis_of_symmetry_is_found(degrees: float) -> None:
     angle = np.radians(degrees)
     fit = fit_energy(measured(angle=angle), ())

@@ -80,7 +80,7 @@ def test_current_is_that_at_the_mean_flux() -> None:
     assert np.abs(ripple.mean_current_dq - at_mean_flux).max() > 3e-3
 
 
-@few("waveform", ["square", "sine"], fast=1)
+@few("waveform", ["square", "sine"])
 @few("frequency", [500.0, 300.0, 437.0], fast=2)
 def test_any_waveform_and_frequency_will_do(waveform: str, frequency: float) -> None:
     capture = capture_of(injected(frequency, waveform=waveform), 1)
@@ -114,7 +114,7 @@ def test_resistance_does_not_enter(resistance: float) -> None:
     assert_close(ripple.hessian, np.diag([1 / L_D, 1 / L_Q]), 4e-4)
 
 
-@few("resistance", [30.0, 90.0], fast=1)
+@few("resistance", [30.0, 90.0])
 def test_a_ripple_that_decays_within_its_period_is_as_good(resistance: float) -> None:
     run = injected(resistance=resistance)
     assert resistance / L_D > 0.3 * 500.0

@@ -60,7 +60,6 @@ def test_a_belief_that_is_off_does_not_matter() -> None:
         [0.0, QUARTER, 0.0, -QUARTER, 0.0],
         [0.0, QUARTER, QUARTER, QUARTER + np.pi, QUARTER],
     ],
-    fast=1,
     ids=["stays where the torque left it", "springs back", "stays a quarter turn away"],
 )
 @pytest.mark.parametrize(
@@ -74,7 +73,7 @@ def test_a_rotor_that_follows_the_current_is_caught(angles: list[float], current
     assert verdict.confidence < 1e-3
 
 
-@few("slip", [-0.05, 0.03, 0.4], fast=1)
+@few("slip", [-0.05, 0.03, 0.4])
 def test_a_slip_is_measured(slip: float) -> None:
     verdict = judge_lock(captures([0.0, slip, slip, slip, slip]), TOLERANCE)
     assert not verdict.locked
@@ -153,7 +152,7 @@ def test_saturation_that_undoes_the_saliency_does_not_make_a_held_rotor_free() -
     assert "locked" in verdict.summary
 
 
-@few("back", [0.0, QUARTER], fast=1, ids=["springs back", "stays"])
+@few("back", [0.0, QUARTER], ids=["springs back", "stays"])
 def test_such_a_rotor_is_caught_when_it_follows(back: float) -> None:
     angles = [0.0, QUARTER, back, -QUARTER, -back]
     verdict = judge_lock(captures(angles, FOLLOWED, soft_d), TOLERANCE)

@@ -50,7 +50,7 @@ def off_percent(path: FluxPath) -> float:
     return 100.0 / RATED_WB * float(np.abs(off).max())
 
 
-@few("point", range(3), fast=1)
+@few("point", range(3))
 def test_flux_along_a_path_is_right_to_half_a_percent(point: int) -> None:
     sweep = evaluate_sweep(capture_of(swept(), point, noise_a=2e-3), 0.0, resistance_ohm=R_S)
     assert off_percent(sweep.path) < 0.5

@@ -255,7 +255,6 @@ def test_check_numbers_stages_as_a_run_does_and_says_how_they_are_written(tmp_pa
             for words in (("check", "demo"), ("plugins", "--json"))
         ),
     ],
-    fast=1,
 )
 def test_an_output_that_cannot_be_written_is_one_line(unbuffered: str, words: tuple[str, ...]) -> None:
     with Path("/dev/full").open("w") as full:

@@ -88,7 +88,6 @@ def ends_safely_and_resumes(folder: Path, library: Path, call: str, nth: int, er
         pytest.param("fsync", 7, errno.EIO, True, marks=pytest.mark.slow),
         pytest.param("rename", 3, errno.EIO, True, marks=pytest.mark.slow),
     ],
-    fast=1,
 )
 def test_a_run_on_a_failing_disk_ends_safely_and_can_be_resumed(
     tmp_path: Path, failing_disk: Path, call: str, nth: int, error: int, once: bool

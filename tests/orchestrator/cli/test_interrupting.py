@@ -58,7 +58,7 @@ def effect_that_takes(seconds: float, folder: Path) -> tuple[Path, Path]:
     return mine, marker
 
 
-@few("seconds, times", [(0.01, 1), pytest.param(1e6, 1, marks=pytest.mark.slow), (1e6, 2)], fast=1)
+@few("seconds, times", [(0.01, 1), pytest.param(1e6, 1, marks=pytest.mark.slow), (1e6, 2)])
 def test_ctrl_c_ends_a_search_at_once(seconds: float, times: int, tmp_path: Path) -> None:
     mine, marker = effect_that_takes(seconds, tmp_path)
     words: list[str | Path] = ["diagnose", DATA, "--effects", mine, "--out", tmp_path / "out"]

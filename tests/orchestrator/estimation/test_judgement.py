@@ -62,7 +62,7 @@ def test_symmetry_is_told_of_a_map_that_does_not_have_it_by_construction(tmp_pat
     assert judged(tmp_path, OneEnergy()).measured_symmetry is None
 
 
-@few("factor, percent", [(0.95, 5.0), (1.03, 3.0), (0.995, None)], fast=1)
+@few("factor, percent", [(0.95, 5.0), (1.03, 3.0), (0.995, None)])
 def test_a_difference_of_the_methods_is_put_in_words(factor: float, percent: float | None, tmp_path: Path) -> None:
     report = judged(tmp_path, Sweeps(), Ripples(factor=factor))
     assert report.usable

@@ -84,7 +84,7 @@ def test_every_file_names_the_recording(tmp_path: Path) -> None:
         assert str(held["recording"]) == "bench-7 of tuesday"
 
 
-@few("name, symbol", [("400 W test", "motor_400_w_test"), ("AM8141-0J00 Ω", "am8141_0j00"), ("电机", "motor")], fast=1)
+@few("name, symbol", [("400 W test", "motor_400_w_test"), ("AM8141-0J00 Ω", "am8141_0j00"), ("电机", "motor")])
 def test_names_in_c_are_the_motor_s(tmp_path: Path, name: str, symbol: str) -> None:
     motor = Motor(name=name, pole_pairs=2, pm_flux_wb=0.3, stator_resistance_ohm=4.25)
     export_map(saturated_map(nodes=9), motor, tmp_path, ["c"])

@@ -357,7 +357,7 @@ def test_a_voltage_that_acts_late_is_noted_with_the_lag(bench: Bench, late: floa
     assert float(said[1]) == pytest.approx(late, abs=0.1)
 
 
-@few("known", [True, False], fast=1, ids=["R known", "R not known"])
+@few("known", [True, False], ids=["R known", "R not known"])
 @pytest.mark.parametrize("late", [0.0, 1.0])
 def test_a_sines_lag_is_noted_where_the_nameplate_has_the_resistance(bench: Bench, late: float, known: bool) -> None:
     as_injection(bench, late, sine=True)
@@ -368,7 +368,7 @@ def test_a_sines_lag_is_noted_where_the_nameplate_has_the_resistance(bench: Benc
     assert all("by the phase of a sine at 4.25 ohm" in note and "1.0 would fit" in note for note in notes)
 
 
-@few("late", [0.0, 1.0, 1.5], fast=1)
+@few("late", [0.0, 1.0, 1.5])
 def test_a_lag_that_the_mapping_knows_of_is_not_said(bench: Bench, late: float) -> None:
     as_injection(bench, late)
     bench.mapping["drive"]["voltage_delay_samples"] = late

@@ -114,7 +114,7 @@ def test_an_epoch_in_any_order_begins_at_zero(desk: Desk) -> None:
     assert starts == pytest.approx([0.0, LOG.t[1500] - LOG.t[0]], abs=1e-5)
 
 
-@few("offset_s, ppm", [(0.0, 0.0), (-37.25, 40.0), (1234.5, -80.0)], fast=1)
+@few("offset_s, ppm", [(0.0, 0.0), (-37.25, 40.0), (1234.5, -80.0)])
 def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm: float) -> None:
     log = log_of(("injection-012", "injection-013"))
     two_loggers(desk, log, offset_s, ppm)

@@ -109,7 +109,7 @@ def test_a_gain_that_is_wrong_by_ten_passes(machine: Machine, gains: dict[str, A
     SoundRecording(recorded(machine).scaled(**gains)).read_through()
 
 
-@few("machine", [Machine(), SMALL, LARGE], fast=1)
+@few("machine", [Machine(), SMALL, LARGE])
 @pytest.mark.parametrize(
     ("gains", "told"),
     [

@@ -75,7 +75,7 @@ def test_symmetries_hold_by_construction_and_the_misfit_is_the_check() -> None:
     assert 0.01 < checks.crossings.q_percent < 1.0
 
 
-@few("stage", [SegmentStage.INJECTION, SegmentStage.CLASSICAL], fast=1)
+@few("stage", [SegmentStage.INJECTION, SegmentStage.CLASSICAL])
 def test_one_kind_of_measurement_is_enough(stage: SegmentStage) -> None:
     found = EnergyEstimator().estimate(clean().only(stage, SegmentStage.RESISTANCE), EstimationContext())
     assert flux_error_percent(found.map)[0] < 0.2

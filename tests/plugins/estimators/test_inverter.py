@@ -49,7 +49,7 @@ def rounded(i_ab: Array) -> Array:
     return taken
 
 
-@few("step", [clipped, rounded], fast=1)
+@few("step", [clipped, rounded])
 def test_a_step_of_another_shape_does_not_bend_the_resistance(step: Callable[[Array], Array]) -> None:
     held = np.concatenate([HELD, HELD * 0.5, HELD * 0.15])
     inside = []

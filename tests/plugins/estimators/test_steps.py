@@ -59,7 +59,7 @@ def rms(off: np.ndarray) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-@few("off", [0.0, 0.01], fast=1, ids=["R known", "R off by 1 %"])
+@few("off", [0.0, 0.01], ids=["R known", "R off by 1 %"])
 def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off: float, tmp_path: Path) -> None:
     at = bench()
     ohm = at.plant.resistance
@@ -76,7 +76,6 @@ def test_the_map_is_right_to_a_thousandth_and_the_loops_tell_the_resistance(off:
 @few(
     "wrong_with, said",
     [({"drop_v": 1.0, "drop_a": 0.05}, "inverter_loss"), ({"delay_samples": 2.4}, "steps_lag"), ({}, "")],
-    fast=1,
     ids=["drop", "lag", "nothing"],
 )
 def test_what_opens_the_loops_is_told_apart_and_does_not_move_the_map(

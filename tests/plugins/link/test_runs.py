@@ -35,7 +35,7 @@ def means(path: Path) -> dict[str, np.ndarray]:
     return found
 
 
-@few("capture", ["raw", "demodulated"], fast=1)
+@few("capture", ["raw", "demodulated"])
 def test_a_run_over_a_serial_line_measures_what_a_run_in_process_does(capture: str, tmp_path: Path) -> None:
     drive = {"name": "serial", "port": str(tmp_path / "line"), "capture": capture}
     # The same plant as behind the simulated drive without options: no effects, no noise.
@@ -53,7 +53,7 @@ def test_a_run_over_a_serial_line_measures_what_a_run_in_process_does(capture: s
         np.testing.assert_allclose(over_line[name], expected, atol=5e-3, err_msg=name)
 
 
-@few("capture", ["raw", "demodulated"], fast=1)
+@few("capture", ["raw", "demodulated"])
 def test_the_drives_thermometer_is_in_the_recording(capture: str, tmp_path: Path) -> None:
     drive = {"name": "serial", "port": str(tmp_path / "line"), "capture": capture}
     heating = ("--set", "plant.effects.winding_heating.rise_per_watt=0.05", "--set", "thermometer=true")

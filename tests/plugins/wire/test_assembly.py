@@ -87,7 +87,7 @@ def test_on_a_serial_line_damage_is_as_good_as_loss(rates: tuple[float, float, f
 
 
 @pytest.mark.parametrize("layout", LAYOUTS, ids=NAMES)
-@few("corrupt", [0.0001, 0.01, 0.05], fast=1)
+@few("corrupt", [0.0001, 0.01, 0.05])
 def test_damage_that_no_frame_check_sees_is_never_taken_for_data(layout: BlockLayout, corrupt: float) -> None:
     data = ROWS[:60_000]
     for seed in range(6):

@@ -35,7 +35,7 @@ def _error(active: Active, signals: Signals) -> Array:
     return error
 
 
-@few("flexible, freed", [(0.0, False), (3.0, True)], fast=1)
+@few("flexible, freed", [(0.0, False), (3.0, True)])
 def test_the_flexible_form_is_freed_where_the_simple_one_will_not_do(flexible: float, freed: bool) -> None:
     maker = _machine(flexible)
     simple = maker.fit(with_free(free_model(), maker, DeadTime(), voltage_v=0.5))

@@ -58,7 +58,7 @@ def _whitener(asked: Plan, slopes: Slopes | None = None) -> Whitener:
     return Whitener(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
 
 
-@few("asked", [HOLD, SWEEP, RIPPLE], fast=1)
+@few("asked", [HOLD, SWEEP, RIPPLE])
 def test_whitened_noise_has_unit_covariance(asked: Plan) -> None:
     rng, draws = np.random.default_rng(1), 400
     root = np.linalg.cholesky(COVARIANCE)

@@ -239,7 +239,7 @@ def test_it_is_safe_soon_after_the_last_heartbeat(real: EmulatorProcess, host: H
     assert host.command(Op.CLEAR_FAULT).state is PowerState.DISARMED
 
 
-@few("number", [signal.SIGSTOP, signal.SIGKILL], fast=1, ids=["stopped", "killed"])
+@few("number", [signal.SIGSTOP, signal.SIGKILL], ids=["stopped", "killed"])
 def test_it_is_safe_when_the_host_is_gone(real: EmulatorProcess, number: signal.Signals) -> None:
     code = "import sys; from tests.plugins.commands.emulator.hosts import main; main(sys.argv[1:])"
     child = subprocess.Popen([sys.executable, "-c", code, str(real.path)], stdout=subprocess.PIPE)

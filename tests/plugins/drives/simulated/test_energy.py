@@ -36,7 +36,7 @@ def test_current_is_a_gradient_and_even_in_q(motor: Motor) -> None:
     check_reciprocity_and_parity(truth, 1.5 * motor.rated_current_a)
 
 
-@few("name", map_names(), fast=1)
+@few("name", map_names())
 def test_a_shipped_map_is_a_gradient_and_even_in_q(name: str) -> None:
     truth = shipped(name)
     rated = map_motor(name).rated_current_a

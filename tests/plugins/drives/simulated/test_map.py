@@ -37,7 +37,7 @@ def written(path: Path, table: FluxTable) -> Path:
     return path
 
 
-@few("format_name", ["csv", "netcdf", "npz", "syre"], fast=1)
+@few("format_name", ["csv", "netcdf", "npz", "syre"])
 def test_what_we_export_is_a_plant(tmp_path: Path, format_name: str) -> None:
     whole = load_map(written(tmp_path / "whole.csv", shipped()))
     (file,) = export_map(whole, MOTOR, tmp_path / "exported", [format_name]).files
@@ -61,7 +61,7 @@ def test_corners_without_a_flux_are_left_to_smoothness(tmp_path: Path) -> None:
     assert_close(plant(file=str(path)).flux(INSIDE_A), plant(name="baldor-5k6").flux(INSIDE_A), 2e-3)
 
 
-@few("degrees", [4.0, -90.0], fast=1)
+@few("degrees", [4.0, -90.0])
 def test_a_magnet_off_the_axis_is_put_on_it(tmp_path: Path, degrees: float) -> None:
     c, s = np.cos(np.radians(degrees)), np.sin(np.radians(degrees))
     turn = np.array([[c, s], [-s, c]])  # rows times this: by the angle

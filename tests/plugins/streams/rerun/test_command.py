@@ -253,7 +253,7 @@ def test_a_file_that_is_none_of_reruns_or_torn_is_one_line(tmp_path: Path, conte
     assert not (tmp_path / "x.png").exists()
 
 
-@few("is_ours", [True, False], fast=1)
+@few("is_ours", [True, False])
 def test_a_full_disk_is_one_line_and_leaves_no_half_view(
     tmp_path: Path, example: Path, is_ours: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
