@@ -50,7 +50,8 @@ def _rotated(x: NDArray[np.floating[Any]], angle: Array) -> Array:
     if angle.size > 1 and (angle == angle[0]).all():
         # A locked rotor stands still, and one angle serves all samples.
         angle = angle[:1]
-    turns = unit_vectors(np.atleast_1d(angle)).view(np.complex128)[:, 0]
+    # Stages turn the vectors of a locked rotor while the drive is armed, when no kernel may be loaded.
+    turns = unit_vectors(angle).view(np.complex128)[:, 0] if angle.size > 1 else np.exp(1j * angle)
     turned: Array = (vectors * turns).view(np.float64).reshape(-1, 2)
     return turned
 

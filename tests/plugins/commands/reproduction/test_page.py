@@ -44,6 +44,7 @@ def test_one_energy_is_nearer_to_the_truth_than_the_classical_map(material: Mate
     assert material.error_percent("energy")[0] < material.error_percent("classical")[0] < 3.0
 
 
+@pytest.mark.slow
 def test_every_figure_of_the_page_is_there(material: Material, tmp_path: Path) -> None:
     page = write_page(material, tmp_path / "page")
     shown = re.findall(r"\]\((\w+\.png)\)", page.read_text())
