@@ -4,8 +4,8 @@
 
 First windows of the current are found again in the whole of the voltage. Where they fit at several places, as points of
 injection do that follow each other in equal times, the means decide: a winding's current goes with its voltage. Each
-window for itself then tells how far the clocks drift apart; and the winding's own equation (`alignment_of`) tells
-fractions of a sample. Whatever delay the drive has is taken for the clocks' difference: it cannot be told from it.
+window for itself then tells how far the clocks drift apart, and the winding's own equation fractions of a sample.
+Whatever delay the drive has is taken for the clocks' difference: it cannot be told from it.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from orchestrator.importing._signals import CurrentSignal, VoltageSignal
 from orchestrator.importing._source import Numbers
 from orchestrator.importing._timing import held_means, resampled
 from orchestrator.importing._vectors import vectors
-from orchestrator.numerics.alignment import alignment_of
 from protocols import InputError
 
 Complex = NDArray[np.complex128]
@@ -174,15 +173,39 @@ def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> t
     told = []
     for begin in begins_s:
         grid = np.arange(begin, min(begin + _SAMPLES * step_s, i_s[-1]), step_s)
-        there = np.column_stack([np.interp(grid[:-1], i_s, x) for x in i.T])
-        found = alignment_of(there, held_means(v_s, v, grid)) if grid.size > 1 else None
-        told += [] if found is None else [(0.5 * (grid[0] + grid[-1]), found.lag_rows * step_s)]
+        first, end = np.searchsorted(v_s, [grid[0] - 3.0 * step_s, grid[-1] + 3.0 * step_s])
+        if grid.size > 2 and end - first > 2:
+            there = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
+            told.append((0.5 * (grid[0] + grid[-1]), _shift(there, grid, v_s[first:end], v[first:end], step_s)))
     if not told:
         return 0.0, 0.0, 0.0
     times, late_s = np.array(told).T
     middle = float(np.mean(times))
     slope, at_middle = _line(times - middle, late_s)
     return at_middle, slope, middle
+
+
+def _shift(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, step_s: float) -> float:
+    """By how much later the voltage acts [s], to a part of a sample: where it explains the current's steps best.
+
+    Its volt-seconds are taken anew for each shift: means over samples that an edge lies in tell no fraction.
+    """
+    steps, now = np.diff(i), i[:-1] - i[:-1].mean()
+    steps = steps - steps.mean()
+
+    def left(late_s: float) -> float:
+        u = _complex(held_means(v_s + late_s, v, grid))
+        columns = np.stack([u - u.mean(), now])
+        gram, along = (columns @ columns.conj().T).real, (columns @ steps.conj()).real
+        return -float(np.linalg.lstsq(gram, along, rcond=1e-12)[0] @ along)
+
+    middle = 0.0
+    for width in (1.0, 0.25):
+        tried = middle + width * np.linspace(-1.0, 1.0, 9)
+        unexplained = np.array([left(x * step_s) for x in tried])
+        place = _sharp(unexplained, int(np.argmin(unexplained)))
+        middle = float(tried[0] + place * (tried[1] - tried[0]))
+    return middle * step_s
 
 
 def _liveliest(bends: Complex, samples: int) -> NDArray[np.intp]:
