@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,8 @@ class Columns:
     names: list[str]
     units: dict[str, str] = field(default_factory=dict)
     layout: TextLayout | None = None
+    called: dict[str, str] = field(default_factory=dict)
+    """What is in a column by the file's own word, where its name is a place only (dSPACE)."""
 
 
 def columns_of(path: Path) -> Columns:
@@ -37,7 +39,8 @@ def columns_of(path: Path) -> Columns:
 
             return _with_units(list(pq.read_schema(path).names), {})
         if ending in (".h5", ".hdf5", ".hdf", ".mat"):
-            return _with_units(_of_hdf5_or_mat(path), {})
+            called = _of_hdf5_or_mat(path)
+            return replace(_with_units(list(called), {}), called={n: said for n, said in called.items() if said != n})
         if ending == ".tdms":
             return _of_tdms(path)
     except InputError:
@@ -53,30 +56,41 @@ def _with_units(names: list[str], units: dict[str, str], layout: TextLayout | No
     return Columns(names, in_names | {name: unit for name, unit in units.items() if unit}, layout)
 
 
-def _of_hdf5_or_mat(path: Path) -> list[str]:
+def _of_hdf5_or_mat(path: Path) -> dict[str, str]:
+    """Names, and what the file says is there."""
     import h5py
 
     if h5py.is_hdf5(path):
         with h5py.File(path, "r") as file:
             names = [name for name in list_datasets(file) if not name.startswith("#")]
-        return names if path.suffix.lower() != ".mat" else [name.replace("/", ".") for name in names]
+        names = names if path.suffix.lower() != ".mat" else [name.replace("/", ".") for name in names]
+        return {name: name for name in names}
     from scipy.io import loadmat
 
     variables = loadmat(path)
-    return [name for key, value in variables.items() if not key.startswith("__") for name in _in_matlab(key, value)]
+    return dict(pair for key, value in variables.items() if not key.startswith("__") for pair in _in_matlab(key, value))
 
 
-def _in_matlab(name: str, value: Any) -> Iterator[str]:
+def _in_matlab(name: str, value: Any) -> Iterator[tuple[str, str]]:
     if not isinstance(value, np.ndarray):
         return
-    if value.dtype.names and value.size == 1:
-        for part in value.dtype.names:
-            yield from _in_matlab(f"{name}.{part}", value[part].item())
+    fields = value.dtype.names or ()
+    if "Data" in fields and (value.size > 1 or "Name" in fields):
+        # ControlDesk of dSPACE: X.Data is the time, Y(k).Data a signal called Y(k).Name.
+        for k, one in enumerate(value.reshape(-1, order="F"), start=1):
+            place = f"{name}({k}).Data" if value.size > 1 else f"{name}.Data"
+            yield place, "".join(map(str, np.ravel(one["Name"]))) if "Name" in fields else place
+    elif fields and value.size == 1:
+        for part in fields:
+            if part == "X" and "Y" in fields and "Data" in (value[part].item().dtype.names or ()):
+                yield f"{name}.X.Data", "time"
+            else:
+                yield from _in_matlab(f"{name}.{part}", value[part].item())
     elif value.dtype.kind in "fiu" and value.size > 1:
         if max(value.shape) == value.size:
-            yield name
+            yield name, name
         elif value.ndim == 2:
-            yield from (f"{name}(:,{k + 1})" for k in range(value.shape[1]))
+            yield from ((f"{name}(:,{k + 1})",) * 2 for k in range(value.shape[1]))
 
 
 def _of_tdms(path: Path) -> Columns:

@@ -84,7 +84,7 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
     """
     check_file(path)
     columns = columns_of(path)
-    roles = roles_of(columns.names)
+    roles = roles_of(columns.names, columns.called)
     current, voltage = _both(path, columns, roles)
     lines = _Lines()
     lines.say("format", "fluxbench-import", f"guessed from {path.name}")
@@ -111,7 +111,10 @@ def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
     for what, found in (("currents", roles.current), ("voltages", roles.voltage)):
         if found is None:
             said = f"cannot tell which columns are the {what} by their names; the file has {len(columns.names)}:"
-            raise InputError(str(path), "", said, columns.names)
+            named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in columns.names]
+            if columns.names == ["Time", "Ampl"]:
+                said = "a file a channel (LeCroy): lay the others beside it by an entry of files with beside; it has"
+            raise InputError(str(path), "", said, named)
     assert roles.current is not None
     assert roles.voltage is not None
     return roles.current, roles.voltage

@@ -52,9 +52,9 @@ class Roles:
     """time, bus, angle, temperature and label."""
 
 
-def roles_of(names: Sequence[str]) -> Roles:
-    """The roles of columns by their names."""
-    plain = {name: _plain(name) for name in names}
+def roles_of(names: Sequence[str], called: Mapping[str, str]) -> Roles:
+    """The roles of columns by their names, or by what the file calls them."""
+    plain = {name: _plain(called.get(name, name)) for name in names}
     one: dict[str, str] = {}
     for role, pattern in _ONE.items():
         found = next((name for name in names if re.fullmatch(pattern, plain[name]) and name not in one.values()), None)

@@ -111,12 +111,16 @@ def a_file_a_stage(desk: Desk, log: Log) -> None:
 
 
 def scope_channels(desk: Desk, log: Log) -> None:
-    # A file a channel, all with the same names in it, as some scopes write them.
+    # A file a channel, all with the same names in it below four lines of preamble, as LeCroy's write them.
+    preamble = f"LECROYWaveRunner\xff,20113,Waveform\nSegments,1,SegmentSize,{log.t.size}\n"
+    preamble += "Segment,TrigTime,TimeSinceSegment1\n#1,14-May-2019 13:29:30,0                 \n"
     for number, values in enumerate([*log.phases.values(), *log.volts.values()], start=1):
-        desk.write(f"C{number}--00000.csv", {"Time": log.t, "Ampl": values, "what": log.stage})
+        path = desk.write(f"C{number}--00000.csv", {"Time": log.t, "Ampl": values, "what": log.stage})
+        path.write_bytes(preamble.encode("latin-1") + path.read_bytes())
     named = zip(("ib", "ic", "va", "vb", "vc"), range(2, 7), strict=True)
     beside = [f"{{file: C{k}*, beside: C1*, columns: {{{name}: Ampl}}}}" for name, k in named]
     desk.mapping = "time: {column: Time, unit: s}\n" + CURRENT + VOLTAGE + stages(log)
+    desk.mapping += "csv: {skip_rows: 4, encoding: latin-1}\n"
     desk.mapping += f"files: [{{file: C1*, columns: {{ia: Ampl}}}},\n  {', '.join(beside)}]\n"
 
 

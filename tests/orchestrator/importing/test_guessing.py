@@ -102,7 +102,18 @@ def parquet(path: Path) -> None:
     pq.write_table(pa.table({"t": LOG.t, **LOG.phases, **LOG.volts, "point": points}), path)
 
 
-@pytest.mark.parametrize(("name", "write"), [("log.h5", hdf5), ("log.mat", matlab), ("log.parquet", parquet)])
+def dspace(path: Path) -> None:
+    """As ControlDesk writes a recording: the time in X, each signal in Y with its name."""
+    signals = {**LOG.phases, **LOG.volts, "u_dc": LOG.dc, "Counter": np.arange(LOG.t.size, dtype=float)}
+    held = np.empty((1, len(signals)), dtype=[(x, object) for x in ("Name", "Type", "Data", "Unit", "XIndex")])
+    for k, (name, x) in enumerate(signals.items()):
+        held[0, k] = (f"Model Root/{name}", 4.0, x, "", 1.0)
+    scipy.io.savemat(path, {"rec_001": {"X": {"Name": "", "Data": LOG.t}, "Y": held, "Description": {"x": 1.0}}})
+
+
+@pytest.mark.parametrize(
+    ("name", "write"), [("log.h5", hdf5), ("log.mat", matlab), ("rec.mat", dspace), ("log.parquet", parquet)]
+)
 def test_stages_are_told_from_the_waveforms(tmp_path: Path, name: str, write: Any) -> None:
     write(tmp_path / name)
     guessed = guess_mapping(tmp_path / name)
@@ -126,6 +137,12 @@ def spoilt_text(tmp_path: Path, names: str, rows: Sequence[Numbers]) -> Path:
 @pytest.mark.parametrize(
     ("names", "rows", "said"),
     [
+        (
+            "LECROYWaveRunner\u00ff,20113,Waveform\nSegments,1,SegmentSize,10000\nSegment,TrigTime,TimeSinceSegment1\n"
+            "#1,14-May-2019 13:29:30,0                 \nTime,Ampl",
+            [SOME.t, columns(SOME)[0]],
+            "a file a channel (LeCroy): lay the others beside it",
+        ),
         ("TIME,CH1,CH2,CH3", [SOME.t, *columns(SOME)[:3]], "cannot tell which columns are the currents by their names"),
         ("t,ia,ib,ic", [SOME.t, *columns(SOME)[:3]], "cannot tell which columns are the voltages by their names"),
         ("ia,ib,ic,va,vb,vc", columns(SOME), "no column of time, and nothing that says the sampling frequency"),
