@@ -157,8 +157,8 @@ class SpinEstimator:
             told.append(Remark.of("iron_loss", text, loss_ohm=1.0 / conductance))
         volts, std = fit.loss_v
         if abs(volts) > self.sure * std:
-            text = "the inverter keeps {kept_v:.2f} V from each phase; taken out"
-            told.append(Remark.of("inverter_loss", text, kept_v=volts))
+            text = "the inverter keeps {kept_v:.2f} V (+-{std_v:.1g}) from each phase; taken out"
+            told.append(Remark.of("inverter_loss", text, kept_v=volts, std_v=std))
         return told
 
 

@@ -45,6 +45,10 @@ class Paths:
     """One trajectory a segment, shape (n, 2)."""
     injection: RealArray = field(default_factory=lambda: np.empty((0, 2)))
     """One mean current a segment, shape (n, 2)."""
+    steps: tuple[RealArray, ...] = ()
+    """Of voltage steps: the currents of one segment each, shape (n, 2)."""
+    spin: RealArray = field(default_factory=lambda: np.empty((0, 2)))
+    """Mean currents in the frame of a rotor that turns, one a segment, shape (n, 2)."""
     temperature_c: RealArray = field(default_factory=lambda: np.empty((0, 2)))
     """Time [s] and mean temperature of each segment of direct current that has one, shape (n, 2)."""
 
@@ -160,28 +164,38 @@ def _paths(
     budget: int = 6_000_000,
     path_points: int = 200,
 ) -> Paths:
-    """Trajectories of the classical segments, and the mean current of each injection segment.
+    """Trajectories of sweeps and voltage steps, and the mean current of each segment of injection or a turning rotor.
 
     No more than `budget` rows of waveforms are read, some seconds' worth.
     """
-    trajectories, means, left_out = [], [], 0
-    for segment in recording.segments(SegmentStage.INJECTION, SegmentStage.CLASSICAL):
+    trajectories: dict[SegmentStage, list[RealArray]] = {SegmentStage.CLASSICAL: [], SegmentStage.STEPS: []}
+    means: dict[SegmentStage, list[tuple[float, float]]] = {SegmentStage.INJECTION: [], SegmentStage.SPIN: []}
+    left_out = 0
+    for segment in recording.segments(*trajectories, *means):
         if segment.stage is SegmentStage.INJECTION and segment.id in achieved:
-            means.append(achieved[segment.id])
+            means[segment.stage].append(achieved[segment.id])
             continue
         budget -= segment.samples
         if budget < 0:
             left_out += 1
             continue
         i_dq = _current(recording, segment)
-        if segment.stage is SegmentStage.CLASSICAL:
-            trajectories.append(i_dq[:: max(1, len(i_dq) // path_points)])
+        if segment.stage is SegmentStage.STEPS:
+            # Some swings whole: of all of them every so many-th point is a tangle.
+            trajectories[segment.stage].append(i_dq[: 3 * path_points])
+        elif segment.stage is SegmentStage.CLASSICAL:
+            trajectories[segment.stage].append(i_dq[:: max(1, len(i_dq) // path_points)])
         else:
-            means.append((float(i_dq[:, 0].mean()), float(i_dq[:, 1].mean())))
+            means[segment.stage].append((float(i_dq[:, 0].mean()), float(i_dq[:, 1].mean())))
     if left_out:
         problems.append(f"the current paths are drawn without {left_out} segments, to keep the reading short")
+    points = {stage: np.array(found, dtype=np.float64).reshape(-1, 2) for stage, found in means.items()}
     return Paths(
-        tuple(trajectories), np.array(means, dtype=np.float64).reshape(-1, 2), _temperatures(recording, budget)
+        classical=tuple(trajectories[SegmentStage.CLASSICAL]),
+        injection=points[SegmentStage.INJECTION],
+        temperature_c=_temperatures(recording, budget),
+        steps=tuple(trajectories[SegmentStage.STEPS]),
+        spin=points[SegmentStage.SPIN],
     )
 
 
@@ -206,4 +220,5 @@ def _current(recording: Recording, segment: Segment) -> RealArray:
     rows = len(capture)
     if segment.stage is SegmentStage.CLASSICAL and isinstance(period, int | float) and period > 0:
         rows = min(rows, round(period * capture.sampling_frequency_hz))
-    return to_dq(capture.i_ab[-rows:], segment.rotor_angle_rad)
+    theta = capture.theta_rad if segment.stage is SegmentStage.SPIN else None
+    return to_dq(capture.i_ab[-rows:], segment.rotor_angle_rad if theta is None else theta[-rows:])

@@ -44,6 +44,11 @@ def paths_figure(paths: Paths) -> str:
     if len(paths.injection):
         i_d, i_q = paths.injection.T
         axes.plot(i_d, i_q, ".", color=METHODS[Basis.INJECTION], ms=5, label="injection, mean")
+    for k, path in enumerate(paths.steps):
+        axes.plot(path[:, 0], path[:, 1], "-", color=SKY, lw=0.5, zorder=1, label="voltage steps" if k == 0 else None)
+    if len(paths.spin):
+        i_d, i_q = paths.spin.T
+        axes.plot(i_d, i_q, "x", color=VERMILION, ms=4, label="turning, mean")
     current_plane(axes)
     legend_above(axes, 2)
     return uri(figure)

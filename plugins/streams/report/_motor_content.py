@@ -15,7 +15,7 @@ from orchestrator.presentation.quantities import number, quantity, vector
 from orchestrator.presentation.results import resistance, resistance_course
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, motor_of
-from protocols import FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
+from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
 COPPER_PER_K = 0.00393
 """Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
@@ -30,7 +30,16 @@ def motor_lines(material: Material) -> Iterator[Line]:
         yield Line("R_s over the run", resistance_course(found.resistance))
     shown = material.maps.get(found.method) if found is not None and found.method is not None else None
     if shown is not None and motor is not None:
-        yield from _of_map(shown, motor)
+        yield from _of_map(shown, motor, _magnet_by_emf(found))
+
+
+def _magnet_by_emf(found: EstimationReport | None) -> tuple[float, float] | None:
+    """psi_M and its standard deviation [Wb], where a rotor has turned."""
+    for remark in found.remarks if found is not None else ():
+        flux, std = remark.values.get("flux_wb"), remark.values.get("std_wb")
+        if remark.code == "spin.magnet_flux" and isinstance(flux, float) and isinstance(std, float):
+            return flux, std
+    return None
 
 
 def _ambient_c(material: Material) -> float | None:
@@ -45,11 +54,15 @@ def _at_20_c(found: ResistanceEstimate, ambient_c: float | None) -> str:
     return f"{quantity(cold, 'ohm', 4)}, if the winding was as warm as the room, {ambient_c:g} °C, when the run began"
 
 
-def _of_map(found: FluxMap, motor: Motor) -> Iterator[Line]:
+def _of_map(found: FluxMap, motor: Motor, magnet: tuple[float, float] | None) -> Iterator[Line]:
     l_d, l_q = (_at(found, getattr(found, name), 0.0, 0.0) for name in ("l_dd", "l_qq"))
     if l_d is not None and l_q is not None:
         yield Line("L_d, L_q unsaturated", f"{quantity(l_d, 'H', 4)}, {quantity(l_q, 'H', 4)}")
-    if motor.pm_flux_wb is not None:
+    if magnet is not None:
+        said = f"{quantity(magnet[0], 'Wb', 4)} ± {quantity(1.96 * magnet[1], 'Wb', 1)} (95 %), by the back-EMF"
+        nameplate = "" if motor.pm_flux_wb is None else f"; nameplate {quantity(motor.pm_flux_wb, 'Wb', 4)}"
+        yield Line("ψ of the magnet", said + nameplate)
+    elif motor.pm_flux_wb is not None:
         why = "nameplate: a locked rotor does not show it"
         yield Line("ψ of the magnet", f"{quantity(motor.pm_flux_wb, 'Wb', 4)} ({why})")
     rated_a = motor.rated_current_a

@@ -180,10 +180,15 @@ def _plane_pictures(main: FluxMap, motor: Motor | None) -> Iterator[Picture]:
 
 def _paths_picture(material: Material) -> Picture:
     title, paths = "Currents that were reached", material.paths
-    if not paths.classical and not len(paths.injection):
-        return Picture(title, "Not drawn: neither a classical nor an injection sweep is in the recording.")
-    told = [f"{len(paths.injection)} injection points"] if len(paths.injection) else []
-    told += [f"{len(paths.classical)} classical trajectories"] if paths.classical else []
+    counts = {
+        "injection points": len(paths.injection),
+        "classical trajectories": len(paths.classical),
+        "captures of voltage steps": len(paths.steps),
+        "points of a rotor that turns": len(paths.spin),
+    }
+    told = [f"{count} {what}" for what, count in counts.items() if count]
+    if not told:
+        return Picture(title, "Not drawn: neither sweeps, steps nor points of injection are in the recording.")
     return Picture(title, f"{' and '.join(told)}, as measured.", figures.paths_figure(paths))
 
 

@@ -195,7 +195,7 @@ def section(told: Mapping[tuple[str, str], Told], seed: int) -> str:
         "`estimate` and `diagnose`: how far the map is off (rms, of the flux at the rated current; beside it what it",
         "states), and what is said where the voltage acts one sample late, sensor a reads 2 % too much, or each phase",
         "loses 1 V. Lines of mapping are beside the five of head, motor and drive.",
-        f"`python -m tests.orchestrator.importing.bring --seed {seed}`, {datetime.now(UTC):%Y-%m-%d}.",
+        f"`python -m tests.orchestrator.importing.bring --seed {seed} --log FILE`, {datetime.now(UTC):%Y-%m-%d}.",
         "",
         "| log | lines | map off (stated), % | nothing wrong | one sample late | 2 % gain of a | 1 V drop |",
         "| --- | --- | --- | --- | --- | --- | --- |",

@@ -48,16 +48,12 @@ def line_to_line(desk: Desk, log: Log) -> None:
 
 
 def counts(desk: Desk, log: Log) -> None:
-    # A converter of 16 bits for +-20 A, whose middles differ.
-    raw = {
-        x: np.rint(amps / 20.0 * 32768 + middle)
-        for (x, amps), middle in zip(log.phases.items(), (7, -12, 3), strict=True)
-    }
+    # Two converters of 16 bits for +-20 A, whose middles differ.
+    raw = {x: np.rint(log.phases[x] / 20.0 * 32768 + middle) for x, middle in zip(("ia", "ib"), (7, -12), strict=True)}
     desk.write("log.csv", {"t": log.t, **raw, **log.volts, "what": log.stage})
     desk.mapping = TIME + VOLTAGE + stages(log)
     desk.mapping += (
-        "current: {frame: abc, columns: {a: ia, b: ib, c: ic}, unit: mA, factor: 0.6103515625,\n"
-        "  offset: {a: 7, b: -12, c: 3}}\n"
+        "current: {frame: abc, columns: {a: ia, b: ib}, unit: mA, factor: 0.6103515625, offset: {a: 7, b: -12}}\n"
     )
 
 

@@ -12,7 +12,7 @@ from orchestrator.runs import RunDirectory
 from plugins.streams.report._collect import Material, Paths, collect
 from plugins.streams.report._motor_content import COPPER_PER_K, motor_lines
 from plugins.streams.report._page import render
-from protocols import About
+from protocols import About, Remark
 from tests.plugins.streams.example_run import a_run_directory
 
 
@@ -71,3 +71,19 @@ def test_a_recorded_temperature_is_drawn_over_time(material: Material) -> None:
     assert "Temperature over the run" not in render(material)
     warm = Paths(temperature_c=np.array([[0.0, 21.0], [60.0, 24.0]]))
     assert "Temperature over the run" in render(Material(**{**vars(material), "paths": warm}))
+
+
+def test_a_rotor_that_turned_says_its_magnet(material: Material) -> None:
+    assert material.estimates is not None
+    assert "a locked rotor does not show it" in lines(material)["ψ of the magnet"]
+    said = Remark.of("spin.magnet_flux", "psi_M = {flux_wb} Wb (+-{std_wb})", flux_wb=0.2876, std_wb=0.0001)
+    turned = material.estimates.model_copy(update={"remarks": (*material.estimates.remarks, said)})
+    told = lines(Material(**{**vars(material), "estimates": turned}))["ψ of the magnet"]
+    assert told.startswith("287.6 mWb ± 196 µWb (95 %), by the back-EMF; nameplate 300 mWb")
+
+
+def test_voltage_steps_and_a_turning_rotor_are_drawn_where_their_currents_were(material: Material) -> None:
+    paths = Paths(steps=(np.array([[0.0, 0.0], [1.0, 0.5]]),) * 3, spin=np.array([[-1.0, 1.0], [0.0, 1.0]]))
+    page = render(Material(**{**vars(material), "paths": paths}))
+    assert "3 captures of voltage steps and 2 points of a rotor that turns, as measured." in page
+    assert "Not drawn: neither sweeps, steps" in render(Material(**{**vars(material), "paths": Paths()}))
