@@ -195,7 +195,8 @@ class Picture:
         if self._latest is None:
             return None
         capture = self._latest.capture
-        i_dq = to_dq(capture.i_ab, self._latest.rotor_angle_rad)
+        angle = self._latest.rotor_angle_rad if capture.theta_rad is None else capture.theta_rad
+        i_dq = to_dq(capture.i_ab, angle)
         per_bin = -(-len(i_dq) // self._bins)
         time_ms = 1e3 * np.arange(len(i_dq)) / capture.sampling_frequency_hz
         if per_bin < 3:

@@ -96,7 +96,8 @@ def _of_recording(recording: Recording) -> Iterator[Message]:
         )
         capture = recording.load(segment)
         yield from _samples(recording, segment)
-        i_dq = to_dq(capture.i_ab, segment.rotor_angle_rad).mean(axis=0)
+        angle = segment.rotor_angle_rad if capture.theta_rad is None else capture.theta_rad
+        i_dq = to_dq(capture.i_ab, angle).mean(axis=0)
         yield PointDone(
             id=segment.id,
             stage_index=stage_index,

@@ -38,17 +38,18 @@ class Thinner:
         self.rows = 0
 
     def take(self, capture: Capture, angle_rad: float) -> None:
-        """Add a block of waveforms."""
+        """Add a block of waveforms; of a rotor that turns the rows say the angle."""
         n = len(capture)
         if n == 0:
             return
+        angle = angle_rad if capture.theta_rad is None else capture.theta_rad
         width = max(1, round(DETAIL.bin_s * capture.sampling_frequency_hz))
-        current = envelope(to_dq(capture.i_ab, angle_rad).T, width)
+        current = envelope(to_dq(capture.i_ab, angle).T, width)
         # The greatest is drawn half a stretch after the least.
         half = 0.5 * min(width, n) / capture.sampling_frequency_hz
         self._times.append(capture.start_s + half * np.arange(current.shape[1]))
         self._current.append(current)
-        self._voltage.append(envelope(to_dq(capture.v_ab, angle_rad).T, width))
+        self._voltage.append(envelope(to_dq(capture.v_ab, angle).T, width))
         self.rows += current.shape[1]
 
     def give(self, limits: tuple[float, float] | None) -> list[Entry]:

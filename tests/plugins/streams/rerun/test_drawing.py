@@ -47,6 +47,17 @@ def test_a_second_of_waveforms_becomes_a_hundred_rows() -> None:
     assert thinner.give(None) == []
 
 
+def test_currents_of_a_rotor_that_turns_are_drawn_in_its_own_frame(monkeypatch: pytest.MonkeyPatch) -> None:
+    theta = 0.05 * np.arange(2000)
+    held = 2.0 * np.stack([-np.sin(theta), np.cos(theta)], axis=1)
+    drawn: list[np.ndarray] = []
+    monkeypatch.setattr("plugins.streams.rerun._waveforms.scalars", lambda path, times, rows: drawn.append(rows))
+    thinner = Thinner()
+    thinner.take(a_capture(rows=2000).model_copy(update={"i_ab": held, "theta_rad": theta}), 0.3)
+    thinner.give(None)
+    np.testing.assert_allclose(drawn[0], np.tile([0.0, 2.0], (len(drawn[0]), 1)), atol=1e-12)
+
+
 @given(st.floats(-1e3, 1e3), st.floats(1e-6, 1e6))
 def test_ticks_are_few_lie_within_and_are_evenly_spaced(place: float, span: float) -> None:
     low = place * span
