@@ -84,7 +84,6 @@ def test_a_procedure_finds_the_resistance(drive: Any, tmp_path: Path) -> None:
     result = start_run(load_procedure(str(file)), tmp_path / "run", Crew(AbsentOperator(WORDS), Interrupts()))
     assert result.outcome.ending == "finished", result.outcome.reason
     found = json.loads((tmp_path / "run" / "results" / "estimates.json").read_text())
-    print(found["resistance"]["value_ohm"])
     assert found["resistance"]["value_ohm"] == pytest.approx(R_VALUE, rel=0.01)
 
 

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from plugins.drives.odrive._line import Line
+from plugins.drives.odrive._properties import Properties
 from protocols import DriveFault, DriveRefused, FaultCause
 
 IDLE, CLOSED_LOOP = 1, 8
@@ -71,12 +71,12 @@ class Axis:
 
     Parameters
     ----------
-    line : Line
+    line : Properties
     number : int
         0 or 1.
     """
 
-    def __init__(self, line: Line, number: int) -> None:
+    def __init__(self, line: Properties, number: int) -> None:
         self._line, self._number, self._name = line, number, f"axis{number}"
         self._own: dict[str, float] = {}
         self._facts: dict[str, float] = {}

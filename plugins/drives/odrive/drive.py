@@ -16,7 +16,7 @@ from pydantic import BaseModel, Field
 
 from orchestrator.driving import DriveShell, in_blocks, sign_of_life
 from plugins.drives.odrive._axis import CLOSED_LOOP, IDLE, Axis, Errors
-from plugins.drives.odrive._line import Line
+from plugins.drives.odrive._properties import Properties
 from protocols import (
     Capabilities,
     Capture,
@@ -33,10 +33,10 @@ from protocols import (
 )
 
 VERSION = (0, 5)
-ALIVE_S, RAMP_S, TRIES, LATE_S = 0.2, 0.5, 10, 0.05
-OVER_LIMIT, ZERO, ASTRAY, MODULATION = 1.1, 0.05, 0.3, 0.8
-"""Parts: of the run's limits, what trips and what is no current; of a current, how far it may be off; of the bus, what
-the board modulates."""
+ALIVE_S, RAMP_S, DIE_OUT_S, TRIES, LATE_S = 0.2, 0.5, 0.01, 10, 0.05
+OVER_LIMIT, ZERO, LEAST, ASTRAY, MODULATION = 1.1, 0.02, 0.05, 0.3, 0.8
+"""Parts: of the run's limits, what trips, what is no current, and what is no error of one; of a current, how far it
+may be off; of the bus, what the board modulates."""
 
 
 class OdriveOptions(Strict):
@@ -77,7 +77,7 @@ class OdriveDrive(DriveShell):
     def __init__(self, setup: DriveSetup) -> None:
         super().__init__(setup)
         self._options: OdriveOptions = setup.options
-        self._line: Line | None = None
+        self._line: Properties | None = None
         self._axis: Axis | None = None
         self._target, self._rotor_angle_rad, self._origin_s = 0j, 0.0, 0.0
 
@@ -94,7 +94,7 @@ class OdriveDrive(DriveShell):
             Firmware, configuration or nameplate do not fit, or somebody else drives it.
         """
         o = self._options
-        self._line = line = Line(o.port, o.baud_rate)
+        self._line = line = Properties(o.port, o.baud_rate)
         version = tuple(map(int, line.read(["fw_version_major", "fw_version_minor", "fw_version_revision"])))
         if version[:2] != VERSION:
             raise DriveRefused(f"{line.where}: firmware {'.'.join(map(str, version))}, 0.5 is needed")
@@ -234,7 +234,7 @@ class OdriveDrive(DriveShell):
         if v > OVER_LIMIT * limits.voltage_v:
             raise DriveFault(FaultCause.INTERNAL, f"{v:.3g} V are commanded, the limit is {limits.voltage_v:g} V")
         off = abs(complex(row[0], row[1]) - self._target)
-        if off > max(ASTRAY * abs(self._target), ZERO * limits.current_a):
+        if off > max(ASTRAY * abs(self._target), LEAST * limits.current_a):
             self._require_sound(axis)
             told = f"{i:.3g} A flow, {off:.3g} A off the {abs(self._target):.3g} A asked for"
             raise DriveFault(FaultCause.INTERNAL, f"{told}: the board limits it, or the rotor has turned")
@@ -266,6 +266,7 @@ class OdriveDrive(DriveShell):
         while axis.state() == CLOSED_LOOP and math.hypot(*axis.reading()[:2]) > ZERO * self.limits.current_a:
             if time.monotonic() > deadline:
                 raise DriveFault(FaultCause.NO_ANSWER, f"a current still flows after {RAMP_S:g} s of ramping down")
+        time.sleep(DIE_OUT_S)
 
     def switch_off(self) -> None:
         """Idle, and the board's settings as they were."""

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from plugins.drives.odrive import OdriveDrive, OdriveOptions
-from plugins.drives.odrive._line import Line
+from plugins.drives.odrive._properties import Properties
 from protocols import DriveFault, DriveRefused, DriveSetup, FaultCause, Hold, Limits, Motor
 from tests.plugins.drives.odrive.emulator import Board, on_a_line, on_tcp
 
@@ -151,7 +151,7 @@ def test_a_silent_board_is_a_lost_link_and_its_watchdog_disarms() -> None:
 
 def test_a_property_that_is_not_there_is_a_fault() -> None:
     with on_a_line() as (_, port):
-        line = Line(port, 115200)
+        line = Properties(port, 115200)
         with pytest.raises(DriveFault, match="'invalid property'"):
             line.read(["vbus_voltage", "axis0.nothing"])
         line.close()
@@ -161,7 +161,7 @@ def test_a_property_that_is_not_there_is_a_fault() -> None:
 @given(st.floats(-900.0, 9000.0))
 def test_numbers_survive_a_board_that_cuts_them_after_nine_letters(value: float) -> None:
     with on_a_line() as (board, port):
-        line = Line(port, 115200)
+        line = Properties(port, 115200)
         line.write({"axis0.encoder.config.phase_offset_float": value})
         assert board.values["axis0.encoder.config.phase_offset_float"] == pytest.approx(value, rel=1e-4, abs=1e-4)
         line.close()

@@ -54,7 +54,6 @@ def test_the_pages_procedure_finds_resistance_and_inductances(tmp_path: Path) ->
     off = np.exp(1j * (angle - believed))
     turn = np.array([[off.real, -off.imag], [off.imag, off.real]])
     true = turn @ np.diag([motor.ld_h, motor.lq_h]) @ turn.T
-    print(found["resistance"]["value_ohm"], mean, true)
     assert mean == pytest.approx(true, rel=0.02, abs=0.02 * motor.ld_h)
 
 

@@ -2,26 +2,18 @@
 
 from __future__ import annotations
 
-import os
-import select
-import socket
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from typing import Protocol
 
-from protocols import DriveFault, FaultCause, InputError
+from plugins.link import Line
+from protocols import DriveFault, FaultCause
 
-ANSWER_S, WRITE_S, CONNECT_S, READ_OCTETS = 0.5, 0.5, 2.0, 4096
-
-
-class _Handle(Protocol):
-    def fileno(self) -> int: ...
-    def close(self) -> None: ...
+ANSWER_S, WRITE_S = 0.5, 0.5
 
 
-class Line:
-    """An open line; errors become `DriveFault` (link_lost), and stay.
+class Properties:
+    """A board's properties behind a line; errors become `DriveFault` (link_lost), and stay.
 
     Properties are read and written by one thread; any may send a line that has no answer.
 
@@ -37,11 +29,9 @@ class Line:
         self.where = f"ODrive at {port}"
         self.lost: DriveFault | None = None
         try:
-            self._handle = _open_socket(port) if port.startswith("socket://") else _open_line(port, baud_rate)
+            self._line = Line(port, baud_rate)
         except OSError as error:
             raise DriveFault(FaultCause.LINK_LOST, f"{self.where}: {error.strerror or error}") from None
-        self._fd = self._handle.fileno()
-        os.set_blocking(self._fd, False)
         self._writing, self._come = threading.Lock(), b""
 
     def send(self, line: str) -> None:
@@ -69,7 +59,7 @@ class Line:
 
     def close(self) -> None:
         """Let go of it."""
-        self._handle.close()
+        self._line.close()
 
     def _number(self, name: str, answer: str) -> float:
         try:
@@ -80,17 +70,13 @@ class Line:
 
     def _send(self, data: bytes) -> None:
         self.check()
-        deadline = time.monotonic() + WRITE_S
-        with self._writing:
-            while data:
-                try:
-                    data = data[os.write(self._fd, data) :]
-                except BlockingIOError:
-                    if time.monotonic() > deadline:
-                        raise self._lose(f"takes nothing for {WRITE_S:g} s") from None
-                    select.select([], [self._fd], [], 0.05)
-                except OSError as error:
-                    raise self._lose(error.strerror or str(error)) from None
+        try:
+            with self._writing:
+                taken = self._line.write(data, WRITE_S)
+        except OSError as error:
+            raise self._lose(error.strerror or str(error)) from None
+        if not taken:
+            raise self._lose(f"takes nothing for {WRITE_S:g} s")
 
     def _next(self) -> str:
         deadline = time.monotonic() + ANSWER_S
@@ -103,17 +89,10 @@ class Line:
         return answer.strip().decode("latin1")
 
     def _receive(self, wait_s: float) -> None:
-        if not select.select([self._fd], [], [], wait_s)[0]:
-            return
         try:
-            octets = os.read(self._fd, READ_OCTETS)
-        except BlockingIOError:
-            return
+            self._come += self._line.read(wait_s)
         except OSError as error:
             raise self._lose(error.strerror or str(error)) from None
-        if not octets:
-            raise self._lose("closed by the other end")
-        self._come += octets
 
     def _forget(self) -> None:
         self.check()
@@ -127,19 +106,3 @@ class Line:
 
 def _shown(value: float) -> str:
     return f"{value:d}" if isinstance(value, int) else f"{value:.7f}"
-
-
-def _open_line(port: str, baud_rate: int) -> _Handle:
-    import serial
-
-    line: _Handle = serial.Serial(port, baudrate=baud_rate, timeout=0, write_timeout=0, exclusive=True)
-    return line
-
-
-def _open_socket(url: str) -> _Handle:
-    host, _, port = url.removeprefix("socket://").rpartition(":")
-    if not port.isdecimal():
-        raise InputError("the drive's line", url, "expected socket://host:port")
-    opened = socket.create_connection((host, int(port)), timeout=CONNECT_S)
-    opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    return opened
