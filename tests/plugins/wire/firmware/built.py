@@ -50,16 +50,30 @@ class Board:
     """As the option of the drive `serial`."""
     lamp: Path | None = None
     """A file that says 1 while the gates are on, where there is one."""
-    switches: Path | socket.socket | None = None
-    """A file, or a line that stays open, for the digit whose bits are the interlock inputs that are open."""
+    switches: Path | None = None
+    """A file for the digit whose bits are the interlock inputs that are open."""
+    side: socket.socket | None = None
+    """A line that stays open, in place of both files: switches outwards, the lamp inwards."""
+    shown: bytes = b"0"
+
+    @property
+    def is_on(self) -> bool:
+        """Whether the lamp says that the gates are on."""
+        if self.side is None:
+            assert self.lamp is not None
+            return self.lamp.read_text() == "1"
+        with suppress(BlockingIOError):
+            while data := self.side.recv(64, socket.MSG_DONTWAIT):
+                self.shown = data[-1:]
+        return self.shown == b"1"
 
     def open_interlocks(self, names: tuple[str, ...]) -> None:
         """Open these inputs, and close all others."""
-        assert self.switches is not None
         digit = str(sum(1 << INTERLOCKS.index(name) for name in names))
-        if isinstance(self.switches, socket.socket):
-            self.switches.sendall(digit.encode())
+        if self.side is not None:
+            self.side.sendall(digit.encode())
         else:
+            assert self.switches is not None
             self.switches.write_text(digit)
 
     def send(self, number: signal.Signals) -> None:
@@ -79,17 +93,17 @@ def host_board(program: Path, folder: Path, speed: float = 1.0) -> Iterator[Boar
 
 @contextmanager
 def cortex_m4(program: Path, folder: Path) -> Iterator[Board]:
-    """The firmware on QEMU's mps2-an386, its UART behind a socket, and its switches behind another one."""
+    """The firmware on QEMU's mps2-an386, its UART behind a socket, and its lamp and switches behind another one."""
     port = free_port()
     machine = [tool("qemu-system-arm"), "-M", "mps2-an386", "-nographic", "-monitor", "none"]
-    switches = folder / "switches"
-    serial = ["-serial", f"tcp:127.0.0.1:{port},server=on,wait=off", "-serial", f"unix:{switches},server=on,wait=off"]
+    side = folder / "side"
+    serial = ["-serial", f"tcp:127.0.0.1:{port},server=on,wait=off", "-serial", f"unix:{side},server=on,wait=off"]
     with _running([*machine, *serial, "-kernel", str(program)]) as process:
         wait_until(lambda: _listens(port) or process.poll() is not None)
         assert process.poll() is None
         with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as line:
-            line.connect(str(switches))
-            yield Board(process, f"socket://127.0.0.1:{port}", switches=line)
+            line.connect(str(side))
+            yield Board(process, f"socket://127.0.0.1:{port}", side=line)
 
 
 def _listens(port: int) -> bool:

@@ -38,9 +38,8 @@ class OnABoard(DriveConformance):
     def make_drive(self, setup: DriveSetup) -> Drive:
         return SerialDrive(setup)
 
-    def bridge_is_on(self, drive: Drive) -> bool | None:
-        lamp = self.running.lamp
-        return None if lamp is None else lamp.read_text() == "1"
+    def bridge_is_on(self, drive: Drive) -> bool:
+        return self.running.is_on
 
     def open_interlocks(self, drive: Drive, names: tuple[str, ...]) -> bool:
         self.running.open_interlocks(names)

@@ -4,7 +4,8 @@
        qemu-system-arm -M mps2-an386 -nographic -monitor none -serial tcp:127.0.0.1:5025,server=on,wait=off \
            -kernel fluxbench-mps2_an386.elf
 
-   A second -serial, built with EXTRA=-DFB_HAS_INTERLOCKS=1, sets two interlock inputs: the digit that came last. */
+   A second -serial is a lamp, 1 when the gates go on and 0 when they go off, and, built with
+   EXTRA=-DFB_HAS_INTERLOCKS=1, two interlock inputs: the digit that came last. */
 
 #include "fb_board.h"
 #include "motor.h"
@@ -22,11 +23,10 @@
 #define UART_STATE REGISTER(0x40004004u)
 #define UART_CTRL REGISTER(0x40004008u)
 #define UART_BAUDDIV REGISTER(0x40004010u)
-#define SWITCHES_DATA REGISTER(0x40005000u) /* UART1 */
-#define SWITCHES_STATE REGISTER(0x40005004u)
-#define SWITCHES_CTRL REGISTER(0x40005008u)
-#define SWITCHES_BAUDDIV REGISTER(0x40005010u)
-#define UART_INWARDS 2u
+#define SIDE_DATA REGISTER(0x40005000u) /* UART1 */
+#define SIDE_STATE REGISTER(0x40005004u)
+#define SIDE_CTRL REGISTER(0x40005008u)
+#define SIDE_BAUDDIV REGISTER(0x40005010u)
 #define UART_BOTH_WAYS 3u
 #define UART_RX_INTERRUPT 8u
 #define UART_INTSTATUS REGISTER(0x4000400Cu)
@@ -106,6 +106,9 @@ void fb_board_duties(float a, float b, float c)
 
 void fb_board_gates(bool on)
 {
+    if (on != motor.gates) {
+        SIDE_DATA = on ? '1' : '0';
+    }
     motor.gates = on;
 }
 
@@ -128,8 +131,8 @@ uint8_t fb_board_interlocks(void)
 {
     static uint8_t open;
 
-    if ((SWITCHES_STATE & UART_RX_FULL) != 0u) {
-        open = (uint8_t)(SWITCHES_DATA & 3u);
+    if ((SIDE_STATE & UART_RX_FULL) != 0u) {
+        open = (uint8_t)(SIDE_DATA & 3u);
     }
     return open;
 }
@@ -205,8 +208,8 @@ static void run(void)
     UART_BAUDDIV = 16u;
     UART_CTRL = UART_BOTH_WAYS | UART_RX_INTERRUPT;
     NVIC_ENABLE = 1u << UART_RX_IRQ;
-    SWITCHES_BAUDDIV = 16u;
-    SWITCHES_CTRL = UART_INWARDS;
+    SIDE_BAUDDIV = 16u;
+    SIDE_CTRL = UART_BOTH_WAYS;
     motor_init(&motor);
     fb_init();
     sampled_us = COUNTER_US;
