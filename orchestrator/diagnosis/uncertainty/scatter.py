@@ -44,11 +44,14 @@ class Scatter:
         What it gains over none.
     chi2 : float
         Per degree of freedom, where it is noise and all effects follow to first order.
+    chance : float
+        That voltages of one size scatter so differently at different PWM frequencies; 1 where there is but one.
     """
 
     noise: ModelNoise
     log_likelihood: float
     chi2: float
+    chance: float
 
 
 @dataclass(frozen=True)
@@ -58,6 +61,7 @@ class _Segment:
     own: Array
     shared: Array
     pull: Array
+    pwm_hz: float
 
 
 @dataclass(frozen=True)
@@ -77,19 +81,44 @@ class _Likelihood:
     def chi2_per_dof(self, sigmas: tuple[float, float]) -> float:
         return self._parts(sigmas)[0] / self.dof
 
-    def _parts(self, sigmas: tuple[float, float]) -> tuple[float, float]:
-        """What is left of chi2, and the determinants' logarithms."""
-        roots, log_det = [], 0.0
+    def chance(self, sigmas: tuple[float, float]) -> float:
+        """That voltages which scatter alike came out so differently at different PWM frequencies (Fisher's F)."""
+        from scipy.stats import f
+
+        roots, factors, normal, gradient = self._reduced(sigmas)[:4]
+        follow = -np.linalg.solve(normal, gradient)
+        drawn: dict[float, list[float]] = {}
+        for one, root, factor in zip(self.segments, roots, factors, strict=True):
+            deviates = np.linalg.solve(factor.T, root[:, :-1] @ follow + root[:, -1])
+            drawn.setdefault(one.pwm_hz, []).extend(deviates[2:] ** 2)
+        groups = [np.array(squares) for squares in drawn.values() if squares]
+        chances = [1.0]
+        for k, squares in enumerate(groups):
+            others = [g for j, g in enumerate(groups) if j != k]
+            if others:
+                rest = np.concatenate(others)
+                ratio = squares.mean() / max(float(rest.mean()), np.finfo(np.float64).tiny)
+                chances.append(float(f.sf(ratio, len(squares), len(rest))))
+        return min(chances)
+
+    def _reduced(self, sigmas: tuple[float, float]) -> tuple[list[Array], list[Array], Array, Array, float]:
+        """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
+        roots, factors = list[Array](), list[Array]()
         for one in self.segments:
             scale = scatter_sizes(len(one.pull), *sigmas)
             inside = np.eye(len(scale)) + scale[:, None] * one.own * scale
-            factor = np.linalg.cholesky(inside)
-            log_det += 2.0 * float(np.log(np.diag(factor)).sum())
-            roots.append(np.linalg.solve(factor, scale[:, None] * np.column_stack([one.shared, one.pull])))
+            factors.append(np.asarray(np.linalg.cholesky(inside), dtype=np.float64))
+            root = np.linalg.solve(factors[-1], scale[:, None] * np.column_stack([one.shared, one.pull]))
+            roots.append(np.asarray(root, dtype=np.float64))
         taken = np.concatenate(roots)
-        normal = self.normal - taken[:, :-1].T @ taken[:, :-1]
-        gradient = self.gradient - taken[:, :-1].T @ taken[:, -1]
-        chi2 = self.chi2 - float(taken[:, -1] @ taken[:, -1])
+        normal: Array = self.normal - taken[:, :-1].T @ taken[:, :-1]
+        gradient: Array = self.gradient - taken[:, :-1].T @ taken[:, -1]
+        return roots, factors, normal, gradient, self.chi2 - float(taken[:, -1] @ taken[:, -1])
+
+    def _parts(self, sigmas: tuple[float, float]) -> tuple[float, float]:
+        """What is left of chi2, and the determinants' logarithms."""
+        _, factors, normal, gradient, chi2 = self._reduced(sigmas)
+        log_det = 2.0 * sum(float(np.log(np.diag(factor)).sum()) for factor in factors)
         squares = chi2 - float(gradient @ np.linalg.solve(normal, gradient))
         return squares, log_det + float(np.linalg.slogdet(normal)[1])
 
@@ -130,11 +159,11 @@ def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> boo
 
 
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
-    """Whether a scatter is there, and no larger than a sound sensor's and modulator's."""
+    """Whether a scatter is there, alike at all PWM frequencies, and no larger than a sound sensor's and modulator's."""
     limits, noise = setup.prepared.criteria, scatter.noise
     small = noise.offset_scatter_a <= limits.uncertainty.most_offset_scatter * setup.current_a
     small = small and timer_step_s(noise, setup) <= limits.uncertainty.most_timer_step_s
-    return small and noise.scatters
+    return small and noise.scatters and scatter.chance > limits.uncertainty.scatter_chance
 
 
 def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
@@ -168,7 +197,12 @@ def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Scatte
         if cost - found > least:
             best, cost = sigmas, found
     noise = ModelNoise(offset_scatter_a=best[0], voltage_scatter_v=best[1])
-    return Scatter(noise, 0.5 * (likelihood.cost(none) - cost), likelihood.chi2_per_dof(best))
+    return Scatter(
+        noise,
+        0.5 * (likelihood.cost(none) - cost),
+        likelihood.chi2_per_dof(best),
+        likelihood.chance(best) if noise.voltage_scatter_v else 1.0,
+    )
 
 
 def _likeliest(likelihood: _Likelihood, which: tuple[bool, bool]) -> tuple[float, float]:
@@ -201,5 +235,5 @@ def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Like
     pieces = [(p, f) for p, f in zip(loose.prepared.pieces, loose.frame.pieces, strict=True) if not p.held_out]
     for (piece, frame), (linear, d, e) in zip(pieces, loose.training(), strict=True):
         u = fitter.equations.common(loose.model, piece, frame)
-        segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e))
+        segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, piece.signals.pwm_frequency_hz))
     return _Likelihood(segments, normal, gradient, loose.chi2, loose.dof)

@@ -78,3 +78,20 @@ def test_voltages_that_are_off_at_rest_are_told_from_readings_that_are() -> None
     assert found.noise.voltage_scatter_v == pytest.approx(0.02, rel=0.2)
     assert found.noise.offset_scatter_a == 0.0
     assert maker.with_noise(found.noise).fit(free_model()).chi2_per_dof == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize(("sizes_v", "alike"), [((0.02, 0.04), True), ((0.0, 0.04), False), ((0.05, 0.02), False)])
+def test_voltages_scatter_as_a_timers_steps_do_or_are_no_noise(sizes_v: tuple[float, float], alike: bool) -> None:
+    made, rng = _campaign(), np.random.default_rng(5)
+    pieces, steps = list(made.pieces), {}
+    for k, p in enumerate(pieces):
+        if p.stage is SegmentStage.RESISTANCE:
+            twice = k % 4 == 0
+            steps[p.segment.id] = rng.normal(0.0, 1.0, 2) * sizes_v[twice]
+            pwm_hz = (1.0 + twice) * p.signals.pwm_frequency_hz
+            pieces[k] = replace(p, signals=p.signals.model_copy(update={"pwm_frequency_hz": pwm_hz}))
+    maker = fitter(with_voltage(replace(made, pieces=tuple(pieces)), steps))
+    found = scatter_of(maker, maker.fit(free_model()), [])
+    assert found.noise.voltage_scatter_v > 0.005
+    # At twice the frequency a timer's step is twice the voltage.
+    assert (found.chance > made.criteria.uncertainty.scatter_chance) is alike
