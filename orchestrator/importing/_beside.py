@@ -103,6 +103,9 @@ def _lay_beside(
     rows = whole(other.path, source)
     stamps.next_file()
     other_s = stamps.seconds(other.mapping, rows, 0)
+    for name in other.rule.names:
+        if name not in rows.numbers:
+            raise InputError(str(other.path), name, "is to be laid beside, but nothing in the mapping uses it")
     known = np.isfinite(other_s)
     other_s, columns = other_s[known], {name: rows.numbers[name][known] for name in other.rule.names}
     if other_s.size < 2 or np.any(np.diff(other_s) <= 0):
