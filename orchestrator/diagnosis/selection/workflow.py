@@ -255,7 +255,9 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     undetected = without.chi2_per_dof < limits.detected_chi2
     if undetected and (size < limits.undetected_size or not improves_held_out(without, full)):
         return True
-    if len(full.model.active) < 2:
+    # Another effect's slightly wrong form leaves something; what takes all of it away is itself.
+    to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > limits.noteworthy_chi2
+    if len(full.model.active) < 2 or to_the_noise:
         return False
     return without.chi2_per_dof - 1.0 < _spare(first)
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
-from orchestrator.diagnosis.selection.workflow import improves_held_out
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.workflow import improves_held_out, pruned
 from plugins.effects.inverter import VoltageBias
+from plugins.effects.resistance import PhaseResistanceImbalance
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import L_D, L_Q, R_S, fitter, free_model, plan, prepared, with_voltage
 
 
 def test_an_effect_that_is_there_makes_what_was_held_out_fit_better() -> None:
@@ -16,3 +20,20 @@ def test_an_effect_that_is_there_makes_what_was_held_out_fit_better() -> None:
     full = maker.fit(with_free(bare.model, maker, VoltageBias()))
     assert improves_held_out(bare, full)
     assert not improves_held_out(full, bare)
+
+
+@pytest.mark.parametrize(("of_resistance", "spared"), [(4e-4, []), (0.0, ["phase_resistance_imbalance"])])
+def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error_was(
+    of_resistance: float, spared: list[str]
+) -> None:
+    biased = with_voltage(prepared(plan(), noise_a=0.002), np.array([2.0, -1.0]))
+    extra = {p.segment.id: of_resistance * R_S * p.signals.i_ab * np.array([1.0, 0.0]) for p in biased.pieces}
+    maker = fitter(with_voltage(biased, extra))
+    steps = [Step(None, maker.fit(free_model()))]
+    for effect in (VoltageBias(), PhaseResistanceImbalance()):
+        before = steps[-1].fit.model
+        model = before.with_active([*before.active, *with_free(before, maker, effect).active])
+        steps.append(Step(effect.name, maker.fit(model), 100.0))
+    assert steps[0].fit.chi2_per_dof > 1e5 > 1e4 * steps[-1].fit.chi2_per_dof
+    setup = DiagnosisSetup(maker.prepared, maker, maker, L_D, L_Q, 2.5, ())
+    assert pruned(setup, Search(steps))[1] == spared
