@@ -132,11 +132,14 @@ def _shown(value: object) -> str:
 
 
 def _valid_keys(model: type[BaseModel] | None, location: Sequence[str | int]) -> set[str]:
-    here = [model] if model is not None else []
+    here, named_freely = [model] if model is not None else [], False
     for key in location:
-        if isinstance(key, str):
-            deeper = [m for outer in here if key in outer.model_fields for m in _models_in(outer.model_fields[key])]
-            here = deeper or [m for m in here if _is_tagged(m, key)]
+        if isinstance(key, str) and not named_freely:
+            fields = [outer.model_fields[key] for outer in here if key in outer.model_fields]
+            here = [m for f in fields for m in _models_in(f)] or [m for m in here if _is_tagged(m, key)]
+            named_freely = any(get_origin(f.annotation) is dict for f in fields)
+        else:
+            named_freely = False
     return {name for m in here for name in m.model_fields}
 
 

@@ -1,0 +1,34 @@
+"""What a fleet's table tells: distributions, outliers, drift, batches, control limits, pairs. Draws nothing."""
+
+from orchestrator.fleet_statistics._limits import read_limits, require_known
+from orchestrator.fleet_statistics._pairs import WITHIN
+from orchestrator.fleet_statistics._reporting import report_of
+from orchestrator.fleet_statistics._rows import (
+    SECTIONS,
+    change_rows,
+    count_rows,
+    date,
+    judgement_rows,
+    outlier_rows,
+    pair_rows,
+)
+from orchestrator.fleet_statistics._settings import FleetCriteria
+from orchestrator.fleet_statistics._table import FleetTable, fleet_of, read_fleet
+
+__all__ = [
+    "SECTIONS",
+    "WITHIN",
+    "FleetCriteria",
+    "FleetTable",
+    "change_rows",
+    "count_rows",
+    "date",
+    "fleet_of",
+    "judgement_rows",
+    "outlier_rows",
+    "pair_rows",
+    "read_fleet",
+    "read_limits",
+    "report_of",
+    "require_known",
+]

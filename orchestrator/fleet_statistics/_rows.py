@@ -1,0 +1,156 @@
+"""A fleet's report as rows of text, the head first: alike in a terminal, on the page and in the viewer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.quantities import UNKNOWN, number, percent, quantity, value_and_interval
+from protocols.fleet_report import FleetJudgement, FleetPairs, FleetQuantity, FleetRecording, FleetReport
+
+Rows = list[tuple[str, ...]]
+_SAID = {"fail": "fails", "unsure": "cannot be told", "not_measured": "not measured", "pass": "passes"}
+
+
+def distribution_rows(report: FleetReport) -> Rows:
+    """Middle, spread and quantiles of each quantity."""
+    head = ("quantity", "known of", "median", "spread", "1 %", "5 %", "95 %", "99 %", "own 95 % interval")
+    return [head, *(_distribution(one) for one in report.quantities)]
+
+
+def course_rows(report: FleetReport) -> Rows:
+    """What each quantity does over time."""
+    head = ("quantity", "a day", "95 %", "drifts", "chart beyond its limits", "first")
+    rows = []
+    for one in report.quantities:
+        if one.drift is None and one.chart is None:
+            continue
+        slope, interval = (UNKNOWN, "")
+        if one.drift is not None:
+            slope, interval = value_and_interval(one.drift.per_day, one.drift.low, one.drift.high, one.unit)
+        beyond = UNKNOWN if one.chart is None else f"{one.chart.beyond} of {one.count}"
+        first = one.chart.first_beyond if one.chart is not None else None
+        drifts = _yes(one.drift is not None and one.drift.drifts)
+        rows.append((one.label, slope, interval, drifts, beyond, "" if first is None else date(first)))
+    return [head, *rows] if rows else []
+
+
+def batch_rows(report: FleetReport) -> Rows:
+    """Each batch against all others, the surest first."""
+    head = ("batch", "quantity", "recordings", "median", "off the others by", "95 %", "shifted")
+    found = sorted(((b.chance, b, one) for one in report.quantities for b in one.batches), key=lambda row: row[0])
+    rows = [
+        (
+            b.batch,
+            one.label,
+            str(b.count),
+            quantity(b.middle, one.unit, 4),
+            *value_and_interval(b.shift, b.low, b.high, one.unit),
+            _yes(b.shifted),
+        )
+        for _, b, one in found
+    ]
+    return [head, *rows] if rows else []
+
+
+def outlier_rows(report: FleetReport) -> Rows:
+    """Who is unlike the others, and by what."""
+    head = ("recording", "batch", "distance", "limit", "by")
+    rows = [
+        (
+            name_of(one.recording),
+            one.recording.batch or UNKNOWN,
+            number(one.distance, 3),
+            number(one.limit, 3),
+            one.text.removeprefix(f"{name_of(one.recording)}: "),
+        )
+        for one in report.outliers
+    ]
+    return [head, *rows] if rows else []
+
+
+def capability_rows(report: FleetReport) -> Rows:
+    """Each limited quantity as a whole."""
+    head = ("quantity", "low", "high", "Cpk", "95 %", "beyond", "share of all, 95 %")
+    rows = []
+    for one in report.quantities:
+        if (found := one.capability) is None:
+            continue
+        interval = "" if found.cpk_low is None else f"{number(found.cpk_low, 3)} to {number(found.cpk_high, 3)}"
+        share = f"{number(100.0 * found.beyond_low, 2)} to {percent(100.0 * found.beyond_high)}"
+        limits = (quantity(found.low, one.unit, 4), quantity(found.high, one.unit, 4))
+        rows.append((one.label, *limits, number(found.cpk, 3), interval, f"{found.beyond} of {one.count}", share))
+    return [head, *rows] if rows else []
+
+
+def judgement_rows(found: FleetJudgement) -> Rows:
+    """What did not pass."""
+    head = ("recording", "", "why")
+    return [head, *((name_of(o.recording), _SAID[o.judgement], "; ".join(o.reasons)) for o in found.others)]
+
+
+def pair_rows(found: FleetPairs) -> Rows:
+    """What changed over all pairs."""
+    head = ("quantity", "pairs", "after less before", "95 %", "changed")
+    rows = [
+        (q.label, str(q.count), *value_and_interval(q.shift, q.low, q.high, q.unit), _yes(q.significant))
+        for q in found.quantities
+    ]
+    return [head, *rows] if rows else []
+
+
+def change_rows(found: FleetPairs) -> Rows:
+    """What changed on which motor."""
+    head = ("motor", "quantity", "before", "after", "difference", "95 %")
+    rows = []
+    for one in found.changes:
+        if one.difference is None:
+            told = ("came" if one.before is None else "went", "")
+        else:
+            told = value_and_interval(one.difference, one.low, one.high, one.unit)
+        ends = (quantity(one.before, one.unit, 4), quantity(one.after, one.unit, 4))
+        rows.append((f"serial {one.serial}", one.label, *ends, *told))
+    return [head, *rows] if rows else []
+
+
+def count_rows(report: FleetReport) -> Rows:
+    """Verdicts, and why there are none."""
+    rows = [(plain(one.what), str(one.count)) for one in report.verdicts]
+    rows += [(f"failed: {one.what}", str(one.count)) for one in report.failures]
+    return [("verdict", "recordings"), *rows]
+
+
+SECTIONS: dict[str, Callable[[FleetReport], Rows]] = {
+    "Distributions": distribution_rows,
+    "Limits": capability_rows,
+    "Unlike the others": outlier_rows,
+    "Batches": batch_rows,
+    "Over time": course_rows,
+}
+"""Tables of the report itself, by their titles."""
+
+
+def name_of(recording: FleetRecording) -> str:
+    """A recording as people call it: by the motor's serial number, else by its name or place."""
+    return f"serial {recording.serial}" if recording.serial else recording.name or recording.source
+
+
+def date(at: object) -> str:
+    """A time to the minute."""
+    return str(at)[:16]
+
+
+def _distribution(one: FleetQuantity) -> tuple[str, ...]:
+    at = {q.share: q.value for q in one.quantiles}
+    shown = (one.middle, one.spread, *(at.get(share) for share in (0.01, 0.05, 0.95, 0.99)))
+    half = one.typical_interval
+    return (
+        one.label,
+        f"{one.count} of {one.asked}",
+        *(quantity(value, one.unit, 4) for value in shown),
+        UNKNOWN if half is None else f"± {quantity(half, one.unit, 2)}",
+    )
+
+
+def _yes(told: bool) -> str:
+    return "yes" if told else "no"

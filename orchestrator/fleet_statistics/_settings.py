@@ -1,0 +1,31 @@
+"""From when on something in a fleet is said; every number with its unit and reason."""
+
+from __future__ import annotations
+
+from protocols import Strict
+
+
+class FleetCriteria(Strict):
+    """What a fleet's report goes by."""
+
+    chance: float = 0.05
+    """Of a false word about a fleet in which nothing is: of any outlier, any drift, any shift, any change of a pair."""
+    least_values: int = 8
+    """Of a quantity, before its spread, its drift or a batch is told: the interval of a rank is empty below 6."""
+    least_rows_per_coordinate: int = 10
+    """Of the robust distance: with fewer, half of the rows do not tell a scatter."""
+    widely_known: float = 0.8
+    """Share of the recordings that a quantity of the robust distance has to be known of."""
+    rare: float = 0.05
+    """Share of the diagnosed recordings in which an effect is so seldom that it makes an outlier where it is found."""
+    sure_probability: float = 0.95
+    """Of an effect being there, before it makes one."""
+    told_share: float = 0.8
+    """Of the squared distance: so many quantities are named as its reasons."""
+    most_reasons: int = 3
+    strange_sigma: float = 3.0
+    """Below it, a quantity is strange beside the others rather than by itself."""
+    most_bins: int = 40
+    most_points: int = 400
+    """Of a chart in the report: of more recordings, the most extreme of each group are kept."""
+    quantiles: tuple[float, ...] = (0.01, 0.05, 0.25, 0.5, 0.75, 0.95, 0.99)

@@ -1,0 +1,1 @@
+"""Commands on fleets: thousands of recordings, one table, and what it tells."""

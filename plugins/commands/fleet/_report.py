@@ -1,0 +1,65 @@
+"""`fluxbench fleet report`: what a fleet's table tells, as a page, as JSON and in a few lines."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from orchestrator.fleet_statistics import FleetTable
+    from protocols.fleet_report import FleetLimits
+
+
+def report(
+    table: Annotated[str, typer.Argument(help="A fleet's table: a Parquet file, or a folder of them.")],
+    limits: Annotated[
+        Path | None, typer.Option(help="YAML file with limits; each recording passes, fails or cannot be told.")
+    ] = None,
+    against: Annotated[
+        str | None,
+        typer.Option(
+            help="The same motors before: another table; or pairs: each motor's first recording against its last.",
+            metavar="TABLE|pairs",
+        ),
+    ] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the page and its JSON; by default the table's.")] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> int:
+    """Distributions, outliers, drift, batches, control limits, pass and fail, pairs: one page, and its JSON."""
+    from orchestrator.fleet_statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
+    from orchestrator.presentation.sentences import shown, text_table, visible
+    from orchestrator.workbench import one_thread
+    from plugins.streams.report import write_fleet_report
+
+    with one_thread():
+        fleet = read_fleet(table)
+        asked = None if limits is None else read_limits(limits)
+        if asked is not None:
+            _require_known(asked, str(limits), fleet)
+        before = None if against in (None, WITHIN) else read_fleet(str(against))
+        found = report_of(fleet, limits=asked, against=before, within=against == WITHIN)
+        place = Path(table)
+        files = write_fleet_report(found, out if out is not None else place if place.is_dir() else place.parent)
+    if as_json:
+        print(visible(found.model_dump_json(indent=2)))
+        return 0
+    rows = outlier_rows(found)
+    for line in (*(remark.text for remark in found.remarks), *([text_table(rows[0], rows[1:], False)] if rows else [])):
+        print(shown(line))
+    for file in files:
+        print(shown(str(file)))
+    return 0
+
+
+def _require_known(limits: FleetLimits, place: str, table: FleetTable) -> None:
+    """Raise `InputError` where a limit is of what neither table nor an installed effect has."""
+    from orchestrator.fleet_statistics import require_known
+    from orchestrator.registry import PluginKind, make_plugins
+
+    if set(limits.quantities) <= set(table.columns):
+        return
+    effects = make_plugins(PluginKind.EFFECTS)
+    known = [f"{effect.name}.{p.name}" for effect in effects for p in effect.Parameters.declared()]
+    require_known(limits, place, table, known)

@@ -1,0 +1,100 @@
+"""A fleet's report as files: one page with pictures, and the JSON that holds all that the page shows."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from orchestrator.fleet_statistics import SECTIONS, change_rows, count_rows, date, judgement_rows, pair_rows
+from orchestrator.presentation.quantities import plural
+from orchestrator.presentation.sentences import typographic
+from orchestrator.recording import replace_file
+from plugins.streams.report._fleet_figures import distance_figure, quantity_figure
+from plugins.streams.report._page import filled
+from plugins.streams.report._picture import Picture
+from protocols.fleet_report import FleetQuantity, FleetReport
+
+PAGE, DATA = "fleet-report.html", "fleet-report.json"
+_ABOUT = {
+    "Distributions": "Spread: 1.4826 times the median distance from the median. The last column: what the recordings "
+    "say of their own error.",
+    "Limits": "Cpk by the whole sample’s standard deviation, interval by Bissell; share by Clopper and Pearson.",
+    "Unlike the others": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
+    "95 times of 100; by one quantity alone where it is not in the distance.",
+    "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: beside all batches and quantities that "
+    "were asked.",
+    "Over time": "By the median of all slopes (Theil and Sen). Chart: an exponentially weighted moving average about "
+    "the median, with limits that it leaves once in 500 recordings by chance.",
+}
+
+
+def write_fleet_report(report: FleetReport, folder: Path) -> tuple[Path, Path]:
+    """Write page and JSON into a folder, which is made; raises `StorageError` where that cannot be."""
+    page, data = folder / PAGE, folder / DATA
+    replace_file(data, report.model_dump_json(indent=1).encode("utf-8"))
+    replace_file(page, render(report).encode("utf-8"))
+    return page, data
+
+
+def render(report: FleetReport, most_pictures: int = 24, most_rows: int = 60) -> str:
+    """The page as text, with so many quantities drawn and so many rows of each table."""
+    found, pairs = report.judgement, report.pairs
+    tables = [(title, rows) for title, make in SECTIONS.items() if (rows := make(report))]
+    drawn = [one for one in report.quantities if one.histogram is not None]
+    return filled(
+        "fleet.html",
+        title=Path(report.table).name,
+        under=_under(report),
+        remarks=[typographic(remark.text) for remark in report.remarks],
+        counts=count_rows(report),
+        judgement=_judgement(report),
+        judged=_cut(judgement_rows(found), most_rows) if found is not None else [],
+        pairs="" if pairs is None else f"{plural(pairs.count, 'motor')} measured twice, {pairs.unpaired} once.",
+        paired=[] if pairs is None else pair_rows(pairs),
+        changed=[] if pairs is None else _cut(change_rows(pairs), most_rows),
+        tables=[
+            (title, _ABOUT[title], _cut(rows, most_rows), _left(rows, most_rows)) for title, rows in tables if rows
+        ],
+        pictures=list(_pictures(report, drawn[:most_pictures])),
+    )
+
+
+def _under(report: FleetReport) -> str:
+    told = [plural(report.recordings, "recording")]
+    if report.serials:
+        told.append(f"of {plural(report.serials, 'motor')}")
+    if report.first is not None and report.last is not None:
+        told.append(f"from {date(report.first)} to {date(report.last)} UTC")
+    return " ".join(told)
+
+
+def _judgement(report: FleetReport) -> dict[str, str] | None:
+    found = report.judgement
+    if found is None:
+        return None
+    mood = "bad" if found.failed else "warning" if found.unsure or found.not_measured else "good"
+    told = (
+        f"{found.failed} fail, {found.unsure} cannot be told within their intervals, {found.not_measured} not measured."
+    )
+    return {"mood": mood, "head": f"{found.passed} of {report.recordings} pass", "told": told}
+
+
+def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[Picture]:
+    if report.distances is None:
+        yield Picture("Robust distance", "Not drawn: too few complete recordings.")
+    else:
+        count, of = report.distances.counted, len(report.distances.quantities)
+        told = f"Of {of} quantities; middle and scatter by {count} recordings."
+        yield Picture("Robust distance", told, distance_figure(report.distances))
+    for one in drawn:
+        limits = " Dashed: the limits set." if one.capability is not None else ""
+        told = f"Known of {one.count} of {one.asked} recordings.{limits}"
+        yield Picture(one.label, told, quantity_figure(one))
+
+
+def _cut(rows: Sequence[tuple[str, ...]], most: int) -> list[tuple[str, ...]]:
+    return list(rows[: most + 1])
+
+
+def _left(rows: Sequence[tuple[str, ...]], most: int) -> int:
+    return max(0, len(rows) - 1 - most)
