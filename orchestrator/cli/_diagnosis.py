@@ -9,11 +9,11 @@ from orchestrator import workbench
 from orchestrator.cli._interrupting import prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
-from orchestrator.cli._waiting import Waiting
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
 from orchestrator.presentation.results import ladder_rows, parameter_rows, share_rows
 from orchestrator.presentation.sentences import columns, text_table
+from orchestrator.presentation.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords
 
 

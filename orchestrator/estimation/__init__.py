@@ -3,13 +3,14 @@
 from orchestrator.estimation.delivery import deliver_model
 from orchestrator.estimation.estimation import estimate_recording
 from orchestrator.estimation.flux_map_file import flux_dataset, load_flux_map, save_flux_map
-from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates
+from orchestrator.estimation.results import RECOMMENDED_MAP, has_estimates, load_estimates
 
 __all__ = [
     "RECOMMENDED_MAP",
     "deliver_model",
     "estimate_recording",
     "flux_dataset",
+    "has_estimates",
     "load_estimates",
     "load_flux_map",
     "save_flux_map",

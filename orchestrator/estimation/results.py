@@ -17,6 +17,11 @@ REPORT_NAME = "estimates.json"
 RECOMMENDED_MAP = Path("results") / "flux_map.nc"
 
 
+def has_estimates(directory: Path) -> bool:
+    """Whether something was estimated into the ``results/`` of a directory."""
+    return (directory / "results" / REPORT_NAME).is_file()
+
+
 def load_estimates(directory: Path) -> EstimationReport:
     """What `write_results` wrote into the ``results/`` of a run or recording.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from io import StringIO
 
-from orchestrator.cli._waiting import Waiting
+from orchestrator.presentation.waiting import Waiting
 
 
 class Terminal(StringIO):

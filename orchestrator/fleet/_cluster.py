@@ -1,0 +1,84 @@
+"""Where the work is done: worker processes on this machine, or the workers of a scheduler that is there."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from pydantic import Field
+
+from protocols import InputError, Strict
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+LOOPBACK = "127.0.0.1"
+
+
+class ClusterSettings(Strict):
+    """Which workers."""
+
+    jobs: int = Field(default_factory=lambda: os.cpu_count() or 1, ge=1)
+    """Worker processes on this machine, one thread each."""
+    scheduler: str | None = None
+    """``tcp://HOST:PORT`` of one that is there; then its workers are taken, and none is started."""
+    dashboard_port: int = Field(default=8787, ge=0, le=65535)
+    """Of the local cluster's page on 127.0.0.1; another where it is taken."""
+    wait_s: float = Field(default=60.0, gt=0)
+    """For a first worker."""
+
+
+@contextmanager
+def connected(settings: ClusterSettings) -> Iterator[Client]:
+    """A client of the workers, for the length of a with-block.
+
+    Raises
+    ------
+    InputError
+        Where dask is not installed, or no scheduler answers, or it has no worker.
+    """
+    try:
+        import dask
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        problem = f"runs on dask: pip install 'fluxbench[fleet]' ({error})"
+        raise InputError("fleet", "", problem) from None
+    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is in the table
+    if settings.scheduler is not None:
+        with _client_of(settings.scheduler, settings) as client:
+            yield client
+        return
+    # A task whose worker died is this project's to ask again, once: dask itself would do so three times.
+    with (
+        dask.config.set(
+            {"distributed.scheduler.allowed-failures": 0, "distributed.nanny.environ.PYTHONWARNINGS": "ignore"}
+        ),
+        LocalCluster(
+            n_workers=settings.jobs,
+            threads_per_worker=1,
+            processes=True,
+            host=LOOPBACK,
+            dashboard_address=f"{LOOPBACK}:{settings.dashboard_port}",
+            silence_logs=logging.CRITICAL,
+        ) as cluster,
+        Client(cluster, set_as_default=False) as client,
+    ):
+        yield client
+
+
+def _client_of(address: str, settings: ClusterSettings) -> Client:
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=settings.wait_s, set_as_default=False)
+    except (OSError, ValueError) as error:
+        raise InputError("--scheduler", address, f"no scheduler answers there ({type(error).__name__})") from None
+    try:
+        client.wait_for_workers(1, timeout=settings.wait_s)
+    except TimeoutError:
+        client.close()
+        raise InputError("--scheduler", address, f"has no worker after {settings.wait_s:g} s") from None
+    return client

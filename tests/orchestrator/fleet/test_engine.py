@@ -1,0 +1,114 @@
+"""Every task is answered once, few are in flight, and a worker that dies costs its task one retry."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from orchestrator.fleet import (
+    ClusterSettings,
+    Done,
+    EngineSettings,
+    FleetJob,
+    FleetTable,
+    Plan,
+    Task,
+    connected,
+    find_sources,
+    work_through,
+)
+from protocols import InputError
+from tests.orchestrator.fleet.small import damage, small_recordings
+from tests.orchestrator.fleet.tasks import die, double, refuse, stumble
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+
+def one_by_one(tasks: list[Task]) -> Callable[[], Task | None]:
+    rest = iter(tasks)
+    return lambda: next(rest, None)
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Client]:
+    with connected(ClusterSettings(jobs=2, dashboard_port=0)) as found:
+        yield found
+
+
+def test_without_a_cluster_everything_is_done_here() -> None:
+    tasks = [Task("a", double, (1,)), Task("b", refuse, (2,)), Task("c", stumble, (3,))]
+    done = {answer.task.name: (answer.result, answer.failed) for answer in work_through(one_by_one(tasks))}
+    assert done == {
+        "a": (2, None),
+        "b": (None, "tasks: 2: is refused"),
+        "c": (None, "ZeroDivisionError: 3 in two lines"),
+    }
+
+
+def test_the_dashboard_is_on_this_machine_alone(client: Client) -> None:
+    assert client.dashboard_link.startswith("http://127.0.0.1:")
+    assert all(address.startswith("tcp://127.0.0.1:") for address in client.nthreads())
+
+
+def test_all_are_answered_once_whatever_they_raise_and_few_are_in_flight(client: Client) -> None:
+    tasks = [Task(f"t{n}", stumble if n % 7 == 0 else double, (n,)) for n in range(40)]
+    asked = one_by_one(tasks)
+    given = answered = most = 0
+
+    def next_task() -> Task | None:
+        nonlocal given, most
+        task = asked()
+        given += task is not None
+        most = max(most, given - answered)
+        return task
+
+    answers: list[Done] = []
+    for answer in work_through(next_task, client, EngineSettings(in_flight_per_worker=3)):
+        answered += 1
+        answers.append(answer)
+    assert sorted(answer.task.name for answer in answers) == sorted(task.name for task in tasks)
+    assert [a.result for a in answers if a.failed is None] != []
+    assert all(a.result == 2 * a.task.arguments[0] for a in answers if a.failed is None)
+    assert {a.task.arguments[0] % 7 for a in answers if a.failed is not None} == {0}
+    assert most <= 6
+
+
+def test_new_tasks_may_come_of_answers(client: Client) -> None:
+    more = [Task("first", double, (1,))]
+    results = []
+    for answer in work_through(lambda: more.pop() if more else None, client):
+        results.append(answer.result)
+        if answer.result < 10:
+            more.append(Task(f"after-{answer.result}", double, (answer.result,)))
+    assert results == [2, 4, 8, 16]
+
+
+def test_a_dead_worker_costs_its_task_one_retry_and_its_neighbours_nothing(client: Client, tmp_path: Path) -> None:
+    """And the rest of the job goes on: a row each for good and bad recordings afterwards."""
+    tasks = [Task(f"t{n}", double, (n,)) for n in range(12)]
+    tasks[3:3] = [Task("once", die, (str(tmp_path / "once"), 1)), Task("always", die, (str(tmp_path / "always"), 9))]
+    answers = {answer.task.name: answer for answer in work_through(one_by_one(tasks), client)}
+    assert len(answers) == 14
+    assert (answers["once"].result, answers["once"].attempts) == ("alive", 2)
+    assert (answers["always"].failed, answers["always"].attempts) == ("its worker died 2 times", 2)
+    assert all(answers[f"t{n}"].result == 2 * n for n in range(12))
+
+
+@pytest.mark.slow
+def test_recordings_are_worked_on_by_processes(client: Client, tmp_path: Path) -> None:
+    damage(small_recordings(tmp_path / "bench", 6)[1])
+    found = find_sources([str(tmp_path / "bench")], files=False, limit=None, tell=lambda _: None)
+    with FleetTable.opened(tmp_path / "table") as table:
+        rows = list(FleetJob(found, table, Plan()).rows(client))
+    assert sorted(str(row.name) for row in rows if row.failed is None) == [f"motor-{n}" for n in (0, 2, 3, 4, 5)]
+    assert [row.name for row in rows if row.failed is not None] == ["motor-1"]
+
+
+def test_a_scheduler_that_is_not_there_is_one_line() -> None:
+    settings = ClusterSettings(scheduler="tcp://127.0.0.1:9", wait_s=0.2)
+    with pytest.raises(InputError, match=r"^--scheduler: tcp://127\.0\.0\.1:9: no scheduler"), connected(settings):
+        pass
