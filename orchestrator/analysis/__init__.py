@@ -5,7 +5,7 @@ imported where they are used.
 """
 
 from orchestrator.analysis._checks import check_map, difference_percent, flux_at, flux_ratio, rated_flux_wb
-from orchestrator.analysis._crossings import Network, join_paths
+from orchestrator.analysis._crossings import Crossings, Network, crossings_of, join_paths
 from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
 from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomial
@@ -49,6 +49,7 @@ __all__ = [
     "STEP_KNOTS",
     "Beliefs",
     "Candidate",
+    "Crossings",
     "Dwell",
     "EnergyFit",
     "FluxPath",
@@ -70,6 +71,7 @@ __all__ = [
     "along",
     "check_map",
     "close_loops",
+    "crossings_of",
     "demodulate",
     "difference_percent",
     "dwell",

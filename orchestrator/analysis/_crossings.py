@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,16 +30,28 @@ class Network:
     misfit: Array | None
 
 
+@dataclass(frozen=True)
+class Crossings:
+    """Where paths cross.
+
+    Attributes
+    ----------
+    pairs : tuple of (int, int)
+        Which two.
+    apart, psi : array, shape (c, 2)
+        psi of the first less psi of the second, and the mean of both [Wb].
+    """
+
+    pairs: tuple[tuple[int, int], ...]
+    apart: Array
+    psi: Array
+
+
 def join_paths(paths: list[FluxPath]) -> Network:
     """Fit one constant a path to the flux differences at all crossings, least squares."""
-    pairs, rises = [], []
-    for a in range(len(paths)):
-        for b in range(a + 1, len(paths)):
-            difference = _difference_at_crossing(paths[a], paths[b])
-            if difference is not None:
-                pairs.append((a, b))
-                rises.append(difference)
-    members = _largest_component(len(paths), pairs)
+    crossings = crossings_of(paths)
+    pairs, rises = crossings.pairs, crossings.apart
+    members = _largest_component(len(paths), list(pairs))
     place = {m: k for k, m in enumerate(members)}
     kept = [n for n, (a, _) in enumerate(pairs) if a in place]
     if not kept:
@@ -46,15 +59,28 @@ def join_paths(paths: list[FluxPath]) -> Network:
     design = np.zeros((len(kept), len(members)))
     for row, n in enumerate(kept):
         design[row, place[pairs[n][0]]], design[row, place[pairs[n][1]]] = -1.0, 1.0
-    rise = np.array([rises[n] for n in kept])
+    rise = rises[kept]
     constants = np.linalg.lstsq(design, rise, rcond=None)[0]
     moved = tuple(FluxPath(paths[m].current, paths[m].psi + constants[k], paths[m].std) for m, k in place.items())
     overdetermined = len(kept) >= len(members)
     return Network(moved, tuple(members), rise - design @ constants if overdetermined else None)
 
 
-def _difference_at_crossing(a: FluxPath, b: FluxPath) -> Array | None:
-    """psi_a - psi_b where the two polylines meet; None where they do not."""
+def crossings_of(paths: Sequence[FluxPath]) -> Crossings:
+    """Where any two paths cross, and how far they disagree there; their constants are left as they are."""
+    pairs, apart, psi = [], [], []
+    for a in range(len(paths)):
+        for b in range(a + 1, len(paths)):
+            at = _flux_at_crossing(paths[a], paths[b])
+            if at is not None:
+                pairs.append((a, b))
+                apart.append(at[0] - at[1])
+                psi.append(0.5 * (at[0] + at[1]))
+    return Crossings(tuple(pairs), np.reshape(apart, (-1, 2)), np.reshape(psi, (-1, 2)))
+
+
+def _flux_at_crossing(a: FluxPath, b: FluxPath) -> tuple[Array, Array] | None:
+    """psi_a and psi_b where the two polylines meet; None where they do not."""
     p, q = a.current[:-1, None], b.current[None, :-1]
     r, s = np.diff(a.current, axis=0)[:, None], np.diff(b.current, axis=0)[None]
     cross = r[..., 0] * s[..., 1] - r[..., 1] * s[..., 0]
@@ -73,7 +99,7 @@ def _difference_at_crossing(a: FluxPath, b: FluxPath) -> Array | None:
     m, n = np.unravel_index(np.argmin(np.where(hit, beyond_t + beyond_u, np.inf)), hit.shape)
     at_a = a.psi[m] + t[m, n] * (a.psi[m + 1] - a.psi[m])
     at_b = b.psi[n] + u[m, n] * (b.psi[n + 1] - b.psi[n])
-    return np.asarray(at_a - at_b)
+    return np.asarray(at_a), np.asarray(at_b)
 
 
 def _largest_component(n: int, pairs: list[tuple[int, int]]) -> list[int]:

@@ -169,7 +169,8 @@ def integrate(points: Inductances, where: str) -> IntegratedFlux:
 
 def _edges(points: Array, where: str) -> NDArray[np.int64]:
     """Gabriel neighbours: no third point inside the circle over the edge, so none of the long edges along the hull."""
-    corners = triangulate(points, where).simplices.astype(np.int64)
+    triangles = triangulate(points, where)
+    corners = triangles.simplices.astype(np.int64)
     edges, seen_under_obtuse = [], []
     for k in range(3):
         a, b, opposite = corners[:, k], corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]
@@ -178,7 +179,10 @@ def _edges(points: Array, where: str) -> NDArray[np.int64]:
             np.einsum("ni,ni->n", points[a] - points[opposite], points[b] - points[opposite]) < -1e-12
         )
     every, obtuse = np.concatenate(edges), np.concatenate(seen_under_obtuse)
-    return np.array(sorted(set(map(tuple, every)) - set(map(tuple, every[obtuse]))), dtype=np.int64)
+    neighbours = set(map(tuple, every)) - set(map(tuple, every[obtuse]))
+    # Of points that coincide all but one are corners of no triangle.
+    neighbours |= {(min(point, at), max(point, at)) for point, _, at in triangles.coplanar.tolist()}
+    return np.array(sorted(neighbours), dtype=np.int64)
 
 
 @dataclass(frozen=True)

@@ -17,6 +17,12 @@ def reproduce(
         "runs/paper"
     ),
     out: Annotated[Path, typer.Option(help="The folder that gets the page and its figures.")] = Path("runs/paper-page"),
+    literal: Annotated[
+        bool,
+        typer.Option(
+            "--literal", help="A second page beside it: the paper's own evaluation, and what makes its errors."
+        ),
+    ] = False,
 ) -> int:
     """Run the paper's experiment on the simulated drive and write its figures and tables beside the printed ones."""
     from orchestrator.config import load_procedure
@@ -30,8 +36,19 @@ def reproduce(
             result = start_run(load_procedure("paper"), run, Crew(AbsentOperator(), interrupts, {"console": {}}))
         if result.outcome.error is not None:
             raise result.outcome.error
-    print(shown(str(write_page(collect(run), out))))
+    print(shown(str(write_page(collect(run), out, literal=literal))))
+    if literal:
+        print(shown(str(_literal_page(run, out))))
     return 0
+
+
+def _literal_page(run: Path, out: Path) -> Path:
+    from orchestrator.recording import open_recording
+    from orchestrator.runs import RunDirectory
+    from plugins.commands.reproduction.literal import budget, evaluate, measured_in, write_page
+
+    measured = evaluate(measured_in(open_recording(run)))
+    return write_page(measured, budget(RunDirectory.open(run).procedure(), measured), out)
 
 
 def command(arguments: Sequence[str]) -> int:

@@ -39,17 +39,25 @@ _CAPTIONS = {
 }
 
 
-def write_page(material: Material, folder: Path) -> Path:
-    """Write the page and its figures into a folder; returns the page's path."""
+_BESIDE = """Here fluxbench evaluates. What the paper's own formulas make of the same samples, what makes their errors,
+and everything in which the two differ is on [a page of its own](literal.md)."""
+
+
+def write_page(material: Material, folder: Path, *, literal: bool = False) -> Path:
+    """Write the page and its figures into a folder; returns the page's path.
+
+    With `literal` it names the page beside it.
+    """
     folder.mkdir(parents=True, exist_ok=True)
     names = draw_all(material, folder)
     page = folder / PAGE_NAME
-    replace_file(page, _text(material, names).encode())
+    replace_file(page, _text(material, names, literal).encode())
     return page
 
 
-def _text(material: Material, names: tuple[str, ...]) -> str:
+def _text(material: Material, names: tuple[str, ...], literal: bool) -> str:
     figures = "\n\n".join(f"![{name.removesuffix('.png')}]({name})\n\n*{_CAPTIONS[name]}*" for name in names)
+    beside = f"{_BESIDE}\n\n" if literal else ""
     return f"""# The paper, reproduced
 
 P. Combes, F. Malrait, P. Martin and P. Rouchon, *Obtaining the Current-Flux Relations of the Saturated PMSM by Signal
@@ -60,7 +68,7 @@ as such motors do; it is not theirs, so shapes and checks compare, and single fl
 Written by `fluxbench reproduce` on {time.strftime("%Y-%m-%d", time.gmtime())} from
 {number(material.samples / 1e6, 3)} million samples.
 
-## The motor
+{beside}## The motor
 
 {_motor_table(material)}
 

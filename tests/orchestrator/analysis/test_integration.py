@@ -139,3 +139,10 @@ def test_misfits_of_neighbours_add_up_along_the_way() -> None:
 def test_points_in_line_are_refused() -> None:
     with pytest.raises(NotMeasuredError, match="span"):
         integrate(exact(np.stack([SIDES, np.zeros(5)], axis=1)), "test")
+
+
+def test_a_point_measured_twice_at_the_very_same_current_counts_twice() -> None:
+    twice = np.concatenate([PLANE, PLANE[7:8]])
+    once, both = integrate(exact(PLANE), "grid"), integrate(exact(twice), "grid")
+    assert_close(both.psi[:-1], once.psi, 1e-3)
+    assert_close(both.psi[-1], both.psi[7], 1e-9)

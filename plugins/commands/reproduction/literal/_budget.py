@@ -1,0 +1,201 @@
+"""What makes the paper's errors: one source after another switched on, on the simulated plant. Prints nothing.
+
+Every figure is an experiment of its own, to the letter, evaluated as printed and as fluxbench does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from orchestrator.analysis import FluxPath, PolynomialFit
+from orchestrator.numerics.types import Array
+from plugins.commands.reproduction.literal._bench import measured_by, plant_of, truth_of, with_plant
+from plugins.commands.reproduction.literal._energy import fitted_to_flux, fitted_to_second_derivatives
+from plugins.commands.reproduction.literal._evaluation import Errors, Literal, errors_of, evaluate
+from plugins.commands.reproduction.literal._paths import Rule
+from protocols import Procedure
+
+RULE, NOISE, ALL, IRON, IRON_ALL = "rule", "noise", "all", "hysteresis", "all and hysteresis"
+
+
+@dataclass(frozen=True)
+class Sources:
+    """What is switched on beside what the procedure's own plant has.
+
+    Attributes
+    ----------
+    compensated_v : float
+        What a compensation leaves of the dead time, in each phase.
+    hysteresis : mapping
+        The iron's options, as of `plant.effects.hysteresis`.
+    """
+
+    compensated_v: float = 0.8
+    hysteresis: Mapping[str, float] = field(default_factory=lambda: {"half_width_a": 0.03, "reversible_ratio": 0.98})
+
+
+@dataclass(frozen=True)
+class Row:
+    """One bench's errors.
+
+    Attributes
+    ----------
+    name : str
+        What is switched on.
+    resistance_ohm : (float, float)
+        Least and largest v/i of the classical sweeps.
+    classical, closed : Errors
+        By integration as printed, and with each sweep's drift taken out.
+    literal, trapezoids : Errors
+        The printed demodulator, its inductances summed by rectangles and by trapezoids.
+    regression : Errors
+        fluxbench's regression on the ripple, by trapezoids.
+    graph : Errors
+        ... over the graph of all points: its map by injection.
+    second_derivatives, first_derivatives : Errors
+        The paper's polynomial energy fitted to the Hessians, and to the rectangles' flux.
+    gap_percent : mapping of str to array, shape (2,)
+        By how much injection's flux differs from the closed classical sweeps' on the d and the q axis, by evaluation.
+    """
+
+    name: str
+    resistance_ohm: tuple[float, float]
+    classical: Errors
+    closed: Errors
+    literal: Errors
+    trapezoids: Errors
+    regression: Errors
+    graph: Errors
+    second_derivatives: Errors
+    first_derivatives: Errors
+    gap_percent: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class Budget:
+    """All benches, judged.
+
+    Attributes
+    ----------
+    rows : tuple of Row
+        In the order in which they are told.
+    standing : tuple of Errors
+        The procedure's bench with two vectors that stand: by rectangles, by trapezoids.
+    still : Literal
+        The bench with nothing switched on.
+    iron : Literal
+        The one with hysteresis alone.
+    sources : Sources
+    rated_wb : float
+    """
+
+    rows: tuple[Row, ...]
+    standing: tuple[Errors, Errors]
+    still: Literal
+    iron: Literal
+    sources: Sources
+    rated_wb: float
+
+    def row(self, name: str) -> Row:
+        """A bench by its name."""
+        return next(row for row in self.rows if row.name == name)
+
+
+def budget(procedure: Procedure, measured: Literal, sources: Sources | None = None) -> Budget:
+    """Run all benches beside the one that was measured.
+
+    Parameters
+    ----------
+    procedure : Procedure
+        Of the run.
+    measured : Literal
+        The run itself, with all that its plant has.
+    sources : Sources, optional
+    """
+    sources = sources or Sources()
+    errors, rated_wb = errors_against(procedure)
+    rows, kept = [row_of(ALL, measured, errors)], {}
+    for name, plant in plants(procedure, sources).items():
+        found = evaluate(measured_by(with_plant(procedure, plant)))
+        rows.append(row_of(name, found, errors))
+        if name in (RULE, IRON):
+            kept[name] = found
+    stood = evaluate(measured_by(with_plant(procedure, plant_of(procedure)), standing=True), regress=False)
+    by_rule = [errors(stood.injection(rule)) for rule in (Rule.RECTANGLE, Rule.TRAPEZOID)]
+    return Budget(
+        rows=(*rows[1:-2], rows[0], *rows[-2:]),
+        standing=(by_rule[0], by_rule[1]),
+        still=kept[RULE],
+        iron=kept[IRON],
+        sources=sources,
+        rated_wb=rated_wb,
+    )
+
+
+def plants(procedure: Procedure, sources: Sources) -> dict[str, dict[str, Any]]:
+    """The benches by name: the plant of the procedure with nothing, one source, and everything switched on."""
+    own = plant_of(procedure)
+    effects = dict(own.get("effects") or {})
+    quiet = {**own, "effects": {}, "sensors": {"noise_a": 0.0, "quantum_a": 0.0}}
+    out = {RULE: quiet, NOISE: {**own, "effects": {}}}
+    out |= {name: {**quiet, "effects": {name: options}} for name, options in effects.items()}
+    out["dead_time, compensated"] = {**quiet, "effects": {"dead_time": {"voltage_v": sources.compensated_v}}}
+    out[IRON] = {**quiet, "effects": {"hysteresis": dict(sources.hysteresis)}}
+    out[IRON_ALL] = {**own, "effects": {**effects, "hysteresis": dict(sources.hysteresis)}}
+    return out
+
+
+def errors_against(procedure: Procedure) -> tuple[Callable[[Sequence[FluxPath]], Errors], float]:
+    """What judges paths on this procedure's motor, and the rated flux [Wb]."""
+    truth = truth_of(procedure)
+    ends = truth.flux(np.array([[0.0, procedure.motor.rated_current_a or 1.0], [0.0, 0.0]]))
+    rated_wb = float(np.linalg.norm(ends[0] - ends[1]))
+    return lambda paths: errors_of(paths, truth.flux, rated_wb), rated_wb
+
+
+def row_of(name: str, found: Literal, errors: Callable[[Sequence[FluxPath]], Errors]) -> Row:
+    """All evaluations of one bench, judged."""
+    literal, closed = found.injection(), found.classical(closed=True)
+    regression = found.by_regression()
+    current, psi = (np.concatenate([getattr(path, part) for path in literal]) for part in ("current", "psi"))
+    by_hessian = fitted_to_second_derivatives(found.current, found.hessian)
+    by_flux = fitted_to_flux(current, psi, by_hessian)
+    return Row(
+        name=name,
+        resistance_ohm=found.resistance_ohm,
+        classical=errors(found.classical()),
+        closed=errors(closed),
+        literal=errors(literal),
+        trapezoids=errors(found.injection(Rule.TRAPEZOID)),
+        regression=errors(regression),
+        graph=errors([found.over_the_graph()]),
+        second_derivatives=errors([_on(by_hessian, found.current)]),
+        first_derivatives=errors([_on(by_flux, found.current)]),
+        gap_percent={"literal": gap_percent(literal, closed), "regression": gap_percent(regression, closed)},
+    )
+
+
+def _on(energy: PolynomialFit, current: Array) -> FluxPath:
+    return FluxPath(current, energy.flux(current)[0], np.zeros(2))
+
+
+def gap_percent(injection: Sequence[FluxPath], classical: Sequence[FluxPath]) -> Array:
+    """By how much the first's flux is larger, along the d and the q axis, by least squares through zero, shape (2,)."""
+    return np.array([_larger_percent(along(injection, k), along(classical, k), k) for k in range(2)])
+
+
+def along(paths: Sequence[FluxPath], column: int) -> FluxPath:
+    """The path along the d axis (0) or the q axis (1)."""
+    return min(paths, key=lambda path: float(np.abs(path.current[:, 1 - column]).max()))
+
+
+def _larger_percent(one: FluxPath, other: FluxPath, column: int) -> float:
+    order = np.argsort(other.current[:, column])
+    at, psi = other.current[order, column], other.psi[order, column]
+    inside = (one.current[:, column] >= at[0]) & (one.current[:, column] <= at[-1])
+    there = np.interp(one.current[inside, column], at, psi)
+    return 100.0 * (float(one.psi[inside, column] @ there / (there @ there)) - 1.0)

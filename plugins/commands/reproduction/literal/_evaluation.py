@@ -1,0 +1,198 @@
+"""The whole experiment evaluated as the paper prints it, and its injection once more as fluxbench does, side by side.
+
+Takes what was measured a sweep or an operating point at a time and keeps no waveforms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.analysis import FluxPath, Ripple, crossings_of, demodulate, integrate, invert
+from orchestrator.numerics.types import Array
+from plugins.commands.reproduction.literal._demodulation import VirtualMeasurement, hessian, virtual_measurement
+from plugins.commands.reproduction.literal._integration import SweptPath, swept_path, tied
+from plugins.commands.reproduction.literal._paths import Line, Rule, lines_of, summed
+from protocols import Capture, NotMeasuredError, RecordingReader, Segment, SegmentStage
+
+Measured = Sequence[tuple[Segment, Capture]]
+"""A sweep, or all captures of one operating point."""
+TrueFlux = Callable[[Array], Array]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """What disagrees.
+
+    Attributes
+    ----------
+    crossings : array, shape (2,)
+        Largest difference of psi_d and psi_q where two paths cross, in percent of the rated flux.
+    relative : array, shape (2,)
+        The same in percent of the flux at each crossing, as far as that is not small.
+    rms, worst : float
+        Distance from the true flux over all points, in percent of the rated flux.
+    """
+
+    crossings: Array
+    relative: Array
+    rms: float
+    worst: float
+
+
+@dataclass(frozen=True)
+class Literal:
+    """The experiment, evaluated as printed.
+
+    Attributes
+    ----------
+    sweeps : tuple of SweptPath
+    closed : tuple of SweptPath
+        The same with each sweep's drift taken out.
+    lines : tuple of Line
+        Paths of the injection.
+    current : array, shape (n, 2)
+        Mean current of each operating point [A].
+    hessian : array, shape (n, 2, 2)
+        By the printed demodulator [A/Wb].
+    ripples : tuple of Ripple or None
+        The same points by the regression that fluxbench uses; None where the vector stood.
+    signal : VirtualMeasurement
+        Of the point farthest from zero current.
+    """
+
+    sweeps: tuple[SweptPath, ...]
+    closed: tuple[SweptPath, ...]
+    lines: tuple[Line, ...]
+    current: Array
+    hessian: Array
+    ripples: tuple[Ripple, ...] | None
+    signal: VirtualMeasurement
+
+    @property
+    def signal_hessian(self) -> Array:
+        """The Hessian where `signal` was measured, shape (2, 2) [A/Wb]."""
+        return np.asarray(self.hessian[np.argmax(np.linalg.norm(self.current, axis=1))])
+
+    @property
+    def inductance(self) -> Array:
+        """L = H^-1 at each point, shape (n, 2, 2) [H]."""
+        return np.asarray(np.linalg.inv(self.hessian), dtype=np.float64)
+
+    @property
+    def resistance_ohm(self) -> tuple[float, float]:
+        """Least and largest v/i of the sweeps."""
+        every = [sweep.resistance_ohm for sweep in self.sweeps]
+        return min(every), max(every)
+
+    def classical(self, *, closed: bool = False) -> list[FluxPath]:
+        """Flux along each sweep by integration of the voltage, as printed or with its drift taken out."""
+        return tied(self.closed if closed else self.sweeps)
+
+    def injection(self, rule: Rule = Rule.RECTANGLE) -> list[FluxPath]:
+        """Flux along each path by sums of the printed demodulator's inductances."""
+        return summed(self.lines, self.current, self.inductance, rule)
+
+    def by_regression(self) -> list[FluxPath]:
+        """Trapezoids over the inductances that the regression on the ripple gives, path by path."""
+        points = invert(list(self._regressed))
+        return summed(self.lines, points.current, points.matrix, Rule.TRAPEZOID)
+
+    def over_the_graph(self) -> FluxPath:
+        """Least squares over all neighbouring points, the slopes of the inductances used: one path of all points."""
+        points = invert(list(self._regressed))
+        return FluxPath(points.current, integrate(points, "injection").psi, np.zeros(2))
+
+    @property
+    def _regressed(self) -> tuple[Ripple, ...]:
+        if self.ripples is None:
+            raise NotMeasuredError("injection", "rotation_hz", "the regression needs a vector that turns")
+        return self.ripples
+
+
+def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
+    """Evaluate an experiment while it is handed in.
+
+    Parameters
+    ----------
+    measured : iterable
+        Classical sweeps and operating points of the injection, in order.
+    regress : bool
+        Whether the ripple is regressed as well; not where the injected vector stands.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where sweeps or paths are missing.
+    """
+    sweeps, closed, targets, current, hessians, ripples = [], [], [], [], [], []
+    signal, farthest = None, -1.0
+    for parts in measured:
+        segment, capture = parts[0]
+        if segment.stage is SegmentStage.CLASSICAL:
+            sweeps.append(swept_path(segment, capture))
+            closed.append(swept_path(segment, capture, closed=True))
+            continue
+        angle = segment.rotor_angle_rad
+        found = [virtual_measurement(*part, angle) for part in parts]
+        targets.append([float(segment.settings[f"target_{axis}_a"]) for axis in "dq"])
+        current.append(np.mean([one.mean.mean(axis=0) for one in found], axis=0))
+        hessians.append(hessian(found))
+        if regress:
+            ripples.append(demodulate(capture, angle, where=segment.id))
+        if np.linalg.norm(current[-1]) > farthest:
+            signal, farthest = found[0], float(np.linalg.norm(current[-1]))
+    lines = lines_of(np.array(targets)) if len(targets) > 2 else []
+    if signal is None or not lines or not sweeps:
+        raise NotMeasuredError(
+            "the paper's experiment", "segments", "classical sweeps and paths of injection are expected"
+        )
+    return Literal(
+        sweeps=tuple(sweeps),
+        closed=tuple(closed),
+        lines=tuple(lines),
+        current=np.array(current),
+        hessian=np.array(hessians),
+        ripples=tuple(ripples) if regress else None,
+        signal=signal,
+    )
+
+
+def measured_in(recording: RecordingReader) -> Iterator[Measured]:
+    """The sweeps of a recording, one after another."""
+    for segment in recording.segments(SegmentStage.CLASSICAL, SegmentStage.INJECTION):
+        yield [(segment, recording.load(segment))]
+
+
+def errors_of(paths: Sequence[FluxPath], true_flux: TrueFlux, rated_wb: float, *, small: float = 0.25) -> Errors:
+    """How far paths disagree where they cross, and from the truth.
+
+    Parameters
+    ----------
+    paths : sequence of FluxPath
+        Zero flux at zero current.
+    true_flux : callable
+        From currents to fluxes, shape (n, 2).
+    rated_wb : float
+    small : float
+        Of the rated flux: where a crossing has less, no difference is held against it.
+    """
+    found = crossings_of(paths)
+    apart, size = np.abs(found.apart), np.abs(found.psi)
+    told = np.where(size > small * rated_wb, apart / np.maximum(size, small * rated_wb), 0.0)
+    current, psi = (np.concatenate([getattr(path, name) for path in paths]) for name in ("current", "psi"))
+    off = np.linalg.norm(psi - true_flux(current) + true_flux(np.zeros((1, 2))), axis=1)
+    share = 100.0 / rated_wb
+    return Errors(
+        crossings=share * _largest(apart),
+        relative=100.0 * _largest(told),
+        rms=share * float(np.sqrt(np.mean(off**2))),
+        worst=share * float(off.max()),
+    )
+
+
+def _largest(x: Array) -> Array:
+    """Of each column; NaN where there are no rows."""
+    return np.asarray(x.max(axis=0)) if len(x) else np.full(2, np.nan)

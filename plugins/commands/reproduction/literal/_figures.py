@@ -1,0 +1,72 @@
+"""Pictures of the literal page. Computes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from orchestrator.analysis import FluxPath
+from orchestrator.numerics.types import Array
+from orchestrator.presentation.colours import BLUE, GREEN, VERMILION
+from orchestrator.presentation.drawing import CURRENT_LABELS, STYLE, bare, empty_figure, name_axes
+from plugins.commands.reproduction.literal._budget import Budget, along
+from plugins.commands.reproduction.literal._demodulation import VirtualMeasurement
+from plugins.commands.reproduction.literal._evaluation import Literal
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+SIGNAL, GAP = "literal-signal.png", "literal-gap.png"
+
+
+def draw_all(measured: Literal, found: Budget, folder: Path) -> None:
+    """Write every picture into a folder."""
+    for name, figure in ((SIGNAL, _signal(measured.signal, measured.signal_hessian)), (GAP, _gap(found))):
+        figure.savefig(folder / name, dpi=STYLE.dpi, metadata={"Software": None})
+
+
+def _signal(signal: VirtualMeasurement, matrix: Array) -> Figure:
+    """Mean current and virtual measurement in time, with what the Hessian makes of the injected vector."""
+    figure = empty_figure(9.4, 4.0)
+    left, right = figure.subplots(1, 2)
+    until = np.searchsorted(signal.time_s, signal.time_s[0] + 1.0)
+    thin = slice(0, until, max(1, until // 1500))
+    time_s = signal.time_s[thin]
+    fitted = signal.swing[thin] @ matrix
+    for k, (axis, colour) in enumerate(zip("dq", (BLUE, GREEN), strict=True)):
+        left.plot(time_s, 1e3 * (signal.mean[thin, k] - signal.mean[thin, k].mean()), color=colour, label=f"$i_{axis}$")
+        right.plot(time_s, signal.ripple[thin, k], color=colour, lw=2.0, label=rf"$\tilde\imath_{axis}$")
+        right.plot(time_s, fitted[:, k], "--", color="black", lw=0.8)
+    name_axes(bare(left), "time [s]", "mean current less its mean [mA]")
+    name_axes(bare(right), "time [s]", "virtual measurement [A]")
+    for axes in (left, right):
+        axes.legend(frameon=False, fontsize=STYLE.small_pt)
+    return figure
+
+
+def _gap(found: Budget) -> Figure:
+    """Flux by injection less flux by integration along both axes, with and without hysteresis."""
+    figure = empty_figure(9.4, 4.0)
+    for column, axes in enumerate(figure.subplots(1, 2)):
+        axis = "dq"[column]
+        for bench, colour, words in ((found.still, BLUE, "no hysteresis"), (found.iron, VERMILION, "hysteresis")):
+            swept = along(bench.classical(closed=True), column)
+            for paths, line, rule in (
+                (bench.injection(), "-", "rectangles"),
+                (bench.by_regression(), "--", "improved"),
+            ):
+                current, apart = _apart(along(paths, column), swept, column)
+                axes.plot(current, 1e3 * apart, line, color=colour, lw=1.3, label=f"{words}, {rule}")
+        name_axes(bare(axes), CURRENT_LABELS[axis], rf"$\psi_{axis}$ by injection less by integration [mWb]")
+    figure.axes[1].legend(frameon=False, fontsize=STYLE.small_pt)
+    return figure
+
+
+def _apart(one: FluxPath, other: FluxPath, column: int) -> tuple[Array, Array]:
+    at, start = other.current[:, column], one.current[:, column]
+    order = np.argsort(at)
+    inside = (start >= at.min()) & (start <= at.max())
+    there = np.interp(start[inside], at[order], other.psi[order, column])
+    return start[inside], np.asarray(one.psi[inside, column] - there)

@@ -1,0 +1,94 @@
+"""The classical method as the paper has it: R_s = v/i where the current rests, and the voltage integrated.
+
+    psi(t) = psi(0) + integral of (v - R_s i) dt
+
+over ten periods, all points of one current averaged; the inverter is not known. (Combes, Malrait, Martin, Rouchon,
+section "Classical method".)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.analysis import FluxPath, trace_sweep
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
+from protocols import Capture, NotMeasuredError, Segment
+
+
+@dataclass(frozen=True)
+class SweptPath:
+    """One sweep, evaluated as printed.
+
+    Attributes
+    ----------
+    axis : {"d", "q", "dq"}
+    held_a : float
+    resistance_ohm : float
+        v/i over the rests of this sweep.
+    path : FluxPath
+        Zero at zero current along the sweep; along paths that do not pass zero current until `tied` moves them.
+    """
+
+    axis: str
+    held_a: float
+    resistance_ohm: float
+    path: FluxPath
+
+
+def swept_path(segment: Segment, capture: Capture, *, closed: bool = False, levels: int = 61) -> SweptPath:
+    """Evaluate one sweep, averaged at so many currents along it.
+
+    Parameters
+    ----------
+    segment : Segment
+    capture : Capture
+    closed : bool
+        Whether flux that does not come back after a whole number of periods is taken for drift, even in time, and
+        taken out; the paper does not speak of it.
+    levels : int
+
+    Raises
+    ------
+    NotMeasuredError
+        Where the current does not rest.
+    """
+    trace = trace_sweep(capture, segment.rotor_angle_rad, where=segment.id)
+    if not trace.dwells:
+        raise NotMeasuredError(segment.id, "i_alpha, i_beta", "the current never rests here, and R_s is v/i of rests")
+    i, v = (np.array([getattr(one, name) for one in trace.dwells]) for name in ("i_ab", "v_ab"))
+    ohm = float((v * i).sum() / (i * i).sum())
+    flux = trace.impulse - ohm * trace.charge
+    if closed:
+        flux = flux - np.outer(trace.time, (flux[-1] - flux[0]) / (trace.time[-1] - trace.time[0]))
+    axis = str(segment.settings["swept_axis"])
+    held = 0.0 if axis == "dq" else float(segment.settings.get("held_a", 0.0))
+    ends = to_dq(i, segment.rotor_angle_rad) @ trace.axis
+    at = np.linspace(ends.min(), ends.max(), levels)
+    level = np.rint((trace.travel - at[0]) / (at[1] - at[0])).astype(int)
+    rows = np.column_stack([trace.i, flux])
+    means = np.array([rows[level == k].mean(axis=0) for k in range(levels) if (level == k).any()])
+    zero = [np.interp(0.0, means[:, :2] @ trace.axis, column) for column in means[:, 2:].T]
+    return SweptPath(axis, held, ohm, FluxPath(means[:, :2], means[:, 2:] - zero, np.zeros(2)))
+
+
+def tied(sweeps: Sequence[SweptPath]) -> list[FluxPath]:
+    """All paths with zero flux at zero current: those beside it begin where they cross one that passes through it."""
+    through_zero = {one.axis: one.path for one in sweeps if one.held_a == 0.0}
+    out = []
+    for one in sweeps:
+        if one.held_a == 0.0:
+            out.append(one.path)
+            continue
+        other = through_zero.get("q" if one.axis == "d" else "d")
+        if other is not None:
+            start = _flux_at(other, one.held_a, "dq".index("q" if one.axis == "d" else "d"))
+            out.append(FluxPath(one.path.current, one.path.psi + start, one.path.std))
+    return out
+
+
+def _flux_at(path: FluxPath, current_a: float, column: int) -> Array:
+    return np.array([np.interp(current_a, path.current[:, column], psi) for psi in path.psi.T])

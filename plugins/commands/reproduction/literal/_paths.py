@@ -1,0 +1,157 @@
+"""Flux along the current paths of the paper by its own sums, from zero flux at zero current outwards.
+
+    psi(k) - psi(k_0) = sum of L(i(z)) di(z),  z = k_0 + 1 .. k,     di(z) = i(z) - i(z - 1)
+
+(Combes, Malrait, Martin, Rouchon, section "Experimental results" of the proposed method). What the paper leaves open:
+a path that does not pass through zero current begins where it crosses the one along the other axis that does.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import Enum
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.analysis import FluxPath
+from orchestrator.numerics.types import Array
+
+AXES = ("d", "q", "dq")
+
+
+class Rule(Enum):
+    """How an integral is made of samples."""
+
+    RECTANGLE = "rectangles"
+    """The paper's: the inductance at the end of each step."""
+    TRAPEZOID = "trapezoids"
+
+
+@dataclass(frozen=True)
+class Line:
+    """One current path as it was asked for.
+
+    Attributes
+    ----------
+    points : array of int
+        Which points lie on it, in order.
+    axis : {"d", "q", "dq"}
+        Along which the current moves.
+    held_a : float
+        Current on the other axis; 0 on the diagonal.
+    """
+
+    points: NDArray[np.intp]
+    axis: str
+    held_a: float
+
+    @property
+    def swept(self) -> Array:
+        """Direction of the sweep, shape (2,)."""
+        return np.array({"d": (1.0, 0.0), "q": (0.0, 1.0), "dq": (np.sqrt(0.5), np.sqrt(0.5))}[self.axis])
+
+
+def lines_of(targets: Array) -> list[Line]:
+    """Paths among the points that were asked for, shape (n, 2): runs of equal steps."""
+    step = np.diff(targets, axis=0)
+    # Targets along the diagonal are rounded decimals.
+    same = np.abs(np.diff(step, axis=0)).max(axis=1) <= 1e-3 * np.abs(step[1:]).max(axis=1)
+    ends = [0, *(np.flatnonzero(~same) + 1).tolist(), len(step)]
+    lines = []
+    for first, last in pairwise(ends):
+        if last - first > 1 and np.abs(step[first]).max() > 0.0:
+            moves = np.abs(step[first]) > 0.5 * np.abs(step[first]).max()
+            axis = "dq" if moves.all() else "dq"[int(moves[1])]
+            held = 0.0 if axis == "dq" else float(targets[first, int(not moves[1])])
+            lines.append(Line(np.arange(first, last + 1), axis, held))
+    return lines
+
+
+def summed(lines: Sequence[Line], current: Array, matrix: Array, rule: Rule) -> list[FluxPath]:
+    """Flux along each path.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+        Those through zero current tie the others, of which those that cross none are left out.
+    current : array, shape (n, 2)
+        As it was reached [A].
+    matrix : array, shape (n, 2, 2)
+        Inductances there [H].
+    rule : Rule
+    """
+    through_zero: dict[str, FluxPath] = {}
+    out = []
+    for line in sorted(lines, key=lambda one: abs(one.held_a)):
+        i, inductance = current[line.points], matrix[line.points]
+        start = int(np.argmin(np.abs(i @ line.swept)))
+        base = _base(line, through_zero)
+        if base is None:
+            continue
+        from_i, from_psi = base
+        rise = inductance[start] @ (i[start] - from_i)
+        path = FluxPath(i, from_psi + rise + _outwards(i, inductance, start, rule), np.zeros(2))
+        if line.held_a == 0.0:
+            through_zero[line.axis] = path
+        out.append(path)
+    return out
+
+
+def _base(line: Line, through_zero: dict[str, FluxPath]) -> tuple[Array, Array] | None:
+    """Current and flux from which a path begins."""
+    if line.held_a == 0.0:
+        return np.zeros(2), np.zeros(2)
+    other = through_zero.get("q" if line.axis == "d" else "d")
+    if other is None:
+        return None
+    nearest = int(np.argmin(np.abs(other.current @ line.swept[::-1] - line.held_a)))
+    return other.current[nearest], other.psi[nearest]
+
+
+def _outwards(current: Array, matrix: Array, start: int, rule: Rule) -> Array:
+    """Sums from `start` to both ends, shape (n, 2)."""
+    psi = np.zeros_like(current)
+    for ahead in (range(start + 1, len(current)), range(start - 1, -1, -1)):
+        before = start
+        for k in ahead:
+            inductance = matrix[k] if rule is Rule.RECTANGLE else 0.5 * (matrix[k] + matrix[before])
+            psi[k] = psi[before] + inductance @ (current[k] - current[before])
+            before = k
+    return psi
+
+
+def parity_percent(lines: Sequence[Line], current: Array, entries: Array) -> Array:
+    """Largest departure of matrix entries 11, 22 from even and of 12 from odd in i_q, shape (3,) [percent].
+
+    Of the mean of the diagonal. A path is compared with its mirror image, at equal currents along it.
+
+    Parameters
+    ----------
+    lines : sequence of Line
+    current : array, shape (n, 2)
+    entries : array, shape (n, 2, 2)
+    """
+    columns = np.stack([entries[:, 0, 0], entries[:, 1, 1], entries[:, 0, 1]], axis=1)
+    sign = np.array([1.0, 1.0, -1.0])
+    apart = []
+    for line in lines:
+        mirror = [one for one in lines if one.axis == line.axis and _mirrored(line, one)]
+        if line.axis == "dq" or not mirror:
+            continue
+        along, other = (current[one.points] @ one.swept for one in (line, mirror[0]))
+        order = np.argsort(other)
+        at = along if line.axis == "d" else -along
+        inside = (at >= other.min()) & (at <= other.max())
+        image = np.stack([np.interp(at, other[order], c[order]) for c in columns[mirror[0].points].T], axis=1)
+        apart.append(0.5 * (columns[line.points] - sign * image)[inside])
+    every = np.abs(np.concatenate(apart)).max(axis=0)
+    return np.asarray(100.0 * every / np.abs(columns[:, :2]).mean())
+
+
+def _mirrored(line: Line, other: Line) -> bool:
+    """Whether `other` is what `line` becomes with i_q reversed."""
+    held = -line.held_a if line.axis == "d" else line.held_a
+    return abs(other.held_a - held) < 1e-9
