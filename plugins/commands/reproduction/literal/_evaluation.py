@@ -60,7 +60,9 @@ class Literal:
     ripples : tuple of Ripple or None
         The same points by the regression that fluxbench uses; None where the vector stood.
     signal : VirtualMeasurement
-        Of the point farthest from zero current.
+        Of the point whose ripple the Hessian follows worst.
+    signal_hessian : array, shape (2, 2)
+        There.
     """
 
     sweeps: tuple[SweptPath, ...]
@@ -70,11 +72,7 @@ class Literal:
     hessian: Array
     ripples: tuple[Ripple, ...] | None
     signal: VirtualMeasurement
-
-    @property
-    def signal_hessian(self) -> Array:
-        """The Hessian where `signal` was measured, shape (2, 2) [A/Wb]."""
-        return np.asarray(self.hessian[np.argmax(np.linalg.norm(self.current, axis=1))])
+    signal_hessian: Array
 
     @property
     def inductance(self) -> Array:
@@ -128,7 +126,7 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
         Where sweeps or paths are missing.
     """
     sweeps, closed, targets, current, hessians, ripples = [], [], [], [], [], []
-    signal, farthest = None, -1.0
+    signal, worst = None, -1.0
     for parts in measured:
         segment, capture = parts[0]
         if segment.stage is SegmentStage.CLASSICAL:
@@ -142,8 +140,8 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
         hessians.append(hessian(found))
         if regress:
             ripples.append(demodulate(capture, angle, where=segment.id))
-        if np.linalg.norm(current[-1]) > farthest:
-            signal, farthest = found[0], float(np.linalg.norm(current[-1]))
+        if (left := _left(found[0], hessians[-1])) > worst:
+            signal, worst = (found[0], hessians[-1]), left
     lines = lines_of(np.array(targets)) if len(targets) > 2 else []
     if signal is None or not lines or not sweeps:
         raise NotMeasuredError(
@@ -156,8 +154,15 @@ def evaluate(measured: Iterable[Measured], *, regress: bool = True) -> Literal:
         current=np.array(current),
         hessian=np.array(hessians),
         ripples=tuple(ripples) if regress else None,
-        signal=signal,
+        signal=signal[0],
+        signal_hessian=signal[1],
     )
+
+
+def _left(signal: VirtualMeasurement, matrix: Array) -> float:
+    """Largest ripple that the Hessian does not explain, once the switched-on wave's own offset has decayed [A]."""
+    settled = slice(len(signal.ripple) // 4, None)
+    return float(np.abs(signal.ripple[settled] - signal.swing[settled] @ matrix).max())
 
 
 def measured_in(recording: RecordingReader) -> Iterator[Measured]:

@@ -39,7 +39,9 @@ class SweptPath:
     path: FluxPath
 
 
-def swept_path(segment: Segment, capture: Capture, *, closed: bool = False, levels: int = 61) -> SweptPath:
+def swept_path(
+    segment: Segment, capture: Capture, *, closed: bool = False, levels: int = 61, blocks: int = 20_000
+) -> SweptPath:
     """Evaluate one sweep, averaged at so many currents along it.
 
     Parameters
@@ -50,13 +52,15 @@ def swept_path(segment: Segment, capture: Capture, *, closed: bool = False, leve
         Whether flux that does not come back after a whole number of periods is taken for drift, even in time, and
         taken out; the paper does not speak of it.
     levels : int
+    blocks : int
+        To which the capture is averaged first; there have to be many in the time from one level to the next.
 
     Raises
     ------
     NotMeasuredError
         Where the current does not rest.
     """
-    trace = trace_sweep(capture, segment.rotor_angle_rad, where=segment.id)
+    trace = trace_sweep(capture, segment.rotor_angle_rad, where=segment.id, blocks=blocks)
     if not trace.dwells:
         raise NotMeasuredError(segment.id, "i_alpha, i_beta", "the current never rests here, and R_s is v/i of rests")
     i, v = (np.array([getattr(one, name) for one in trace.dwells]) for name in ("i_ab", "v_ab"))

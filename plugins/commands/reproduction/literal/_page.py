@@ -32,6 +32,7 @@ def write_page(measured: Literal, found: Budget, folder: Path) -> Path:
 def _text(measured: Literal, found: Budget) -> str:
     rule = found.row(RULE)
     iron = found.sources.hysteresis
+    most = max(float(row.literal.crossings[1]) for row in found.rows)
     return f"""# The paper, literally
 
 The same experiment as on [the other page](README.md), evaluated as the paper prints it: R_s as voltage over
@@ -58,7 +59,8 @@ flux or more). The last columns are what the paper could not know: the distance 
 The rule makes {_pair(rule.literal.crossings)} by itself, and nearly all of the map's error on a sound bench: each step
 takes the inductance at its outer end, which saturation has made the smaller one, so the flux comes out up to
 {_two(rule.literal.worst)} short. R_s, which the method never uses, and noise add nothing. The inverter does: dead time
-follows the ripple where a phase current passes zero. Of what the paper describes nothing brings psi_q to 2.9 %.
+follows the ripple where a phase current passes zero. The largest psi_q of the table is {_two(most)}: what made the
+paper's 2.9 % is not known.
 
 Integration without a model of the inverter is worth nothing, as the paper's figure 2 shows:
 
@@ -78,7 +80,7 @@ A vector that turns averages over the directions in which dead time hurts.
 ## Figure 7's gap
 
 By how much the flux of injection is above that of integration, by least squares along both axes; without an inverter,
-for integration is then right (its drift taken out). Hysteresis: {1e3 * iron["half_width_a"]:.0f} mA of half width, a
+for integration is then right. Hysteresis: {1e3 * iron["half_width_a"]:.0f} mA of half width, a
 reversible inductance of {100.0 * iron["reversible_ratio"]:.0f} % of the slope.
 
 {_gaps(found)}
@@ -112,8 +114,9 @@ degree too.
 
 ![signal]({SIGNAL})
 
-*Mean current and virtual measurement of the point farthest from zero current, one turn of the injected vector. Dashed:
-the fitted Hessian times that vector. What is no sine in it is the inverter's.*
+*Mean current and virtual measurement of the point whose ripple is least of a sine, one turn of the injected vector.
+Dashed: the fitted Hessian times that vector; what departs from it is the inverter's. At the beginning the offset of the
+wave that was switched on decays.*
 
 ## In what fluxbench and these pages differ from the paper
 

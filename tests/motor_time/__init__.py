@@ -1,0 +1,1 @@
+"""How well a map is known after how much motor time: every procedure on three motors of the simulated drive."""
