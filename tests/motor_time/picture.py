@@ -62,11 +62,12 @@ def table(found: Mapping[str, Sequence[Known]]) -> str:
 
 
 def course(found: Mapping[str, Sequence[Known]]) -> str:
-    """What the adaptive stage knew while it went on."""
+    """What the adaptive stage knew while it went on: at first each time that it chose, then ever more seldom."""
     rows = [
         (words if k == 0 else "", _seconds(one.seconds), str(one.points), _percent(one.rms), _percent(one.worst))
         for words, known in found.items()
         for k, one in enumerate(x for x in known if x.method == "stage")
+        if k.bit_count() <= 1
     ]
     return markdown_table(("motor, inverter", "motor time", "points", "error rms", "worst"), rows)
 

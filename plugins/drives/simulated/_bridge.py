@@ -7,9 +7,17 @@ wait; else, with the phase current i as it is at the edge (out of the leg positi
             C V / |i|                  where it swings the node itself within t_d: the middle of the ramp,
             t_d - |i| t_d^2 / (4 C V)  where the swing is cut short by the other switch.
 
-Both edges of a period together lose t_d - C V / |i| of the bus against the sign of the current. Between edges voltages
-are constant. Currents within a part are those of the inductance at its start, which is good to some 0.1 % of the
-ripple: they decide edges and drops, and are corrected for at its end (`_switching`).
+Both edges of a period together lose t_d - C V / |i| of the bus against the sign of the current. That is of capacitances
+that stay what they are. Those of junctions fall with the voltage v across them as v^-m; both devices' together are then
+largest at both rails, and of the charge 2 C V of a whole swing
+
+    x(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
+
+has flown where the node has come the part u of the bus. A whole swing's middle stays where it was, by symmetry; one
+that is cut short is late by t_d less the integral of u over its time.
+
+Between edges voltages are constant. Currents within a part are those of the inductance at its start, which is good to
+some 0.1 % of the ripple: they decide edges and drops, and are corrected for at its end (`_switching`).
 """
 
 from __future__ import annotations
@@ -33,6 +41,9 @@ class BridgeParameters(NamedTuple):
     """From one turning point of the carrier to the next."""
     dead_s: Three
     two_capacitances_f: float
+    """Of both devices of a leg, such that they take the charge of a whole swing."""
+    power: float
+    """1 - m of the law by which the capacitances fall with their voltage; 1: they do not."""
     switch_v: float
     switch_ohm: float
     diode_v: float
@@ -96,14 +107,31 @@ def edge_time(b: BridgeParameters, rising: bool, duty: float) -> float:
 
 
 @inlined
-def edge_delay(rising: bool, dead_s: float, charge: float, i: float) -> float:
-    """From a command to the step that has the edge's volt-seconds; `charge` is 2 C V."""
+def edge_delay(rising: bool, dead_s: float, charge: float, power: float, i: float) -> float:
+    """From a command to the step that has the edge's volt-seconds; `charge` is 2 C V, `power` of its law."""
     driving = -i if rising else i
     if driving <= 0.0:
         return dead_s
     if driving * dead_s >= charge:
         return 0.5 * charge / driving
-    return dead_s - 0.5 * driving * dead_s * dead_s / charge
+    if power == 1.0:
+        return dead_s - 0.5 * driving * dead_s * dead_s / charge
+    return dead_s * (1.0 - mean_height(driving * dead_s / charge, power))
+
+
+@inlined
+def mean_height(flown: float, power: float) -> float:
+    """Mean part of the bus that a node has come while the part `flown` of a swing's charge flows, evenly in time."""
+    low, high = 0.0, 1.0
+    for _ in range(40):
+        u = 0.5 * (low + high)
+        if 0.5 * (u**power + 1.0 - (1.0 - u) ** power) < flown:
+            low = u
+        else:
+            high = u
+    # The integral of u over the charge is u x less that of x over u.
+    below = 0.5 * (u + (u ** (1.0 + power) + (1.0 - u) ** (1.0 + power) - 1.0) / (1.0 + power))
+    return float(u - below / flown)
 
 
 @inlined
@@ -129,7 +157,7 @@ def _next(x: Array, leg: int, rising: bool, commanded_s: float, half_s: float, n
 @inlined
 def _act(b: BridgeParameters, x: Array, leg: int, rising: bool, now_s: float, charge: float, i: float) -> None:
     if x[DUE + leg] >= NEVER:
-        x[DUE + leg] = now_s + edge_delay(rising, b.dead_s[leg], charge, i)
+        x[DUE + leg] = now_s + edge_delay(rising, b.dead_s[leg], charge, b.power, i)
         return
     if x[DUE + leg] <= now_s:
         x[LEVEL + leg] = 1.0 - x[LEVEL + leg]

@@ -104,6 +104,7 @@ def derive_bench(
         half_s=0.5 / own_hz,
         dead_s=dead,
         two_capacitances_f=2.0 * _capacitance(options, max(dead), known),
+        power=1.0 - s.grading,
         switch_v=switch_v,
         switch_ohm=switch_ohm,
         diode_v=diode_v,

@@ -39,6 +39,9 @@ class Switching(Strict):
     """Of all legs, or of each. None: what loses `effects.dead_time.voltage_v` at the drive's own PWM frequency."""
     output_capacitance_f: NonNegative | None = None
     """Of one device. None: what makes the dead time fade below `effects.dead_time.threshold_a` (4 % of rated)."""
+    grading: Annotated[float, Field(ge=0.0, le=0.8)] = 0.0
+    """By which power the capacitances fall with the voltage across them: 1/2 for an abrupt junction; 0: they do not.
+    `output_capacitance_f` is then what takes the same charge from rail to rail."""
     switch_drop_v: NonNegative | None = None
     """At zero current. None: `effects.device_drop.voltage_v`."""
     switch_ohm: NonNegative | None = None

@@ -91,8 +91,8 @@ def test_at_each_pwm_frequency_the_mean_voltage_is_the_commanded_one(bench: Benc
 
 
 def test_an_edge_that_the_current_holds_back_waits_for_the_dead_time() -> None:
-    assert edge_delay(True, 1e-6, 1e-7, 2.0) == 1e-6
-    assert edge_delay(False, 1e-6, 1e-7, -2.0) == 1e-6
+    assert edge_delay(True, 1e-6, 1e-7, 1.0, 2.0) == 1e-6
+    assert edge_delay(False, 1e-6, 1e-7, 1.0, -2.0) == 1e-6
 
 
 @pytest.mark.parametrize("i", [0.02, 0.08, 0.1, 0.2, 3.0])
@@ -101,8 +101,30 @@ def test_an_edge_that_the_current_makes_has_the_volt_seconds_of_its_ramp(i: floa
     t = (np.arange(100_000) + 0.5) * dead / 100_000
     node = np.minimum(i * t / (2 * c), v)  # and the switch pulls it up at the end of the dead time
     lost = float((v - node).sum() * dead / 100_000)
-    assert edge_delay(True, dead, 2 * c * v, -i) == pytest.approx(lost / v, rel=1e-4)
-    assert edge_delay(False, dead, 2 * c * v, i) == edge_delay(True, dead, 2 * c * v, -i)
+    assert edge_delay(True, dead, 2 * c * v, 1.0, -i) == pytest.approx(lost / v, rel=1e-4)
+    assert edge_delay(False, dead, 2 * c * v, 1.0, i) == edge_delay(True, dead, 2 * c * v, 1.0, -i)
+
+
+@pytest.mark.parametrize("grading", [0.0, 0.3, 0.5, 0.8])
+@pytest.mark.parametrize("i", [0.02, 0.08, 0.2])
+def test_a_swing_into_junctions_has_the_volt_seconds_of_its_charge(i: float, grading: float) -> None:
+    """The node integrated in small steps of voltage, each taking the charge of both capacitances there."""
+    dead, c, v = 1e-6, 1e-10, BUS_V
+    s = np.linspace(0.0, 1.0, 200_001)
+    u = s**6 / (s**6 + (1.0 - s) ** 6)  # fine at both rails, where the capacitances are without bounds
+    middle = 0.5 * (u[1:] + u[:-1])
+    flown = np.diff(u) * (middle**-grading + middle[::-1] ** -grading)
+    t = np.append(0.0, np.cumsum(flown)) / flown.sum() * 2 * c * v / i
+    node = np.interp((np.arange(200_000) + 0.5) * dead / 200_000, t, u)
+    lost = float((1.0 - node).mean() * dead)
+    assert edge_delay(True, dead, 2 * c * v, 1.0 - grading, -i) == pytest.approx(lost, rel=1e-3)
+
+
+def test_junctions_keep_more_of_the_dead_time_at_small_currents() -> None:
+    """The node hardly leaves its rail; a whole swing is no later than an even one."""
+    even, graded = (edge_delay(True, 1e-6, 1e-7, power, -0.03) for power in (1.0, 0.5))
+    assert 1e-6 > graded > 1.05 * even
+    assert edge_delay(True, 1e-6, 1e-7, 0.5, -0.3) == edge_delay(True, 1e-6, 1e-7, 1.0, -0.3)
 
 
 @pytest.mark.parametrize(("ratio", "i_alpha"), [(1.0, 2.0), (1.0, 0.6), (2.0, 0.6), (0.5, 0.6)])
