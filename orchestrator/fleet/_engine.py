@@ -40,8 +40,9 @@ class Task:
     name: str
     work: Callable[..., Any]
     arguments: tuple[Any, ...] = ()
-    worker: str | None = None
-    """Address of the worker that has its data at hand, where one has."""
+    beside: Any = None
+    """The `handle` of an answer: its worker has something at hand, and gets this too where it can; `work` is then
+    called with that answer's result as a last argument."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +54,8 @@ class Done:
     failed: str | None
     """One line where there is no result."""
     attempts: int
+    handle: Any = None
+    """Keeps what its worker has of it alive; None where that was done here."""
 
 
 def work_through(
@@ -114,7 +117,7 @@ class _OnCluster:
                 future, result = next(self._finished)
                 task, attempt = self._flying.pop(future)
                 done = self._judged(future, result, task, attempt)
-                future.release()
+                del future, task  # what nobody keeps, the scheduler forgets
                 if done is not None:
                     yield done
                 self._fill()
@@ -133,9 +136,10 @@ class _OnCluster:
             self._submit(*self._lost.popleft())
 
     def _submit(self, task: Task, attempt: int) -> None:
-        near = {} if task.worker is None else {"workers": [task.worker], "allow_other_workers": True}
+        # A worker that is named would be waited for, also after its death: the scheduler goes by whose data it is.
+        beside = () if task.beside is None or attempt > 1 else (task.beside,)
         future = self._client.submit(
-            task.work, *task.arguments, key=f"{self._job}-{task.name}-{attempt}", pure=False, **near
+            task.work, *task.arguments, *beside, key=f"{self._job}-{task.name}-{attempt}", pure=False
         )
         self._flying[future] = task, attempt
         self._finished.add(future)
@@ -144,7 +148,7 @@ class _OnCluster:
         from distributed.scheduler import KilledWorker
 
         if future.status == "finished":
-            return Done(task, result, None, attempt)
+            return Done(task, result, None, attempt, future)
         error = result[1] if isinstance(result, tuple) else result
         if isinstance(error, KilledWorker):
             if attempt < self._settings.attempts:

@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from orchestrator.fleet._engine import Done, EngineSettings, Task, work_through
 from orchestrator.fleet._progress import Progress
@@ -98,7 +98,7 @@ class FleetJob:
         self.todo = [s for s in sources if not table.has_visited(s.url, s.fingerprint, plan.steps, self._version)]
         self._left, self._found = iter(self.todo), len(sources)
         self._progress = Progress(len(self.todo), tell)
-        self._orders: deque[tuple[Order, str | None]] = deque()
+        self._orders: deque[tuple[Order, Any]] = deque()
         self._taken: set[str] = set()
         self._count, self._same, self._new = 0, 0, 0
         self._failed: list[FailedSource] = []
@@ -138,8 +138,8 @@ class FleetJob:
         """What was identified goes first: a worker may have it at hand."""
         self._count += 1
         if self._orders:
-            order, worker = self._orders.popleft()
-            return Task(f"work-{self._count}", work_on, (order,), worker)
+            order, beside = self._orders.popleft()
+            return Task(f"work-{self._count}", work_on, (order,), beside)
         source = next(self._left, None)
         return None if source is None else Task(f"identify-{self._count}", identify, (source,))
 
@@ -163,7 +163,7 @@ class FleetJob:
         order = Order(source=source, key=key, content_sha256=told.content_sha256, plan=self._plan)
         if told.failed is not None:
             return self._added({**bare_fields(order), "failed": told.failed, "attempts": done.attempts})
-        self._orders.append((order, told.worker))
+        self._orders.append((order, done.handle if told.fetched else None))
         return None
 
     def _added(self, fields: dict[str, object]) -> FleetRow:

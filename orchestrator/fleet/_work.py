@@ -6,7 +6,6 @@ import platform
 import resource
 import tempfile
 import time
-from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -35,8 +34,8 @@ class Identified(Strict):
 
     content_sha256: str | None
     failed: str | None = None
-    worker: str | None = None
-    """Who has fetched it."""
+    fetched: bool = False
+    """Whether it lies beside the worker that was asked, until it is worked on."""
 
 
 class Order(Strict):
@@ -52,20 +51,12 @@ def identify(source: Source) -> Identified:
     """Fetch and hash a source; what is wrong with it is told, not raised."""
     try:
         with at_hand(source, stays=True) as path:
-            return Identified(content_sha256=content_sha256(path), worker=_own_address())
+            return Identified(content_sha256=content_sha256(path), fetched=str(path) != source.url)
     except FluxbenchError as error:
         return Identified(content_sha256=None, failed=said_of(error))
 
 
-def _own_address() -> str | None:
-    from distributed import get_worker
-
-    with suppress(ValueError):
-        return str(get_worker().address)
-    return None
-
-
-def work_on(order: Order) -> dict[str, Any]:
+def work_on(order: Order, _: Identified | None = None) -> dict[str, Any]:
     """The row of a source, as a mapping of its fields; what is wrong with it is in the field `failed`."""
     began = time.perf_counter()
     fields: dict[str, Any] = {}
