@@ -54,7 +54,11 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
     # A task whose worker died is this project's to ask again, once: dask itself would do so three times.
     with (
         dask.config.set(
-            {"distributed.scheduler.allowed-failures": 0, "distributed.nanny.environ.PYTHONWARNINGS": "ignore"}
+            {
+                "distributed.scheduler.allowed-failures": 0,
+                "distributed.worker.profile.enabled": False,  # looks at each worker's stack a hundred times a second
+                "distributed.nanny.environ.PYTHONWARNINGS": "ignore",
+            }
         ),
         LocalCluster(
             n_workers=settings.jobs,
