@@ -7,12 +7,12 @@ import resource
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
+from orchestrator.fleet import ClusterSettings, Task, connected, work_through
 from tests.blind.baselines import baselines
 from tests.blind.campaign import record
 from tests.blind.delivered import held_against
@@ -69,12 +69,17 @@ def examine(case: Case) -> Answer:
 
 def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:
     """Examine the cases (class, index) in as many processes, in order of completion."""
-    if jobs == 1:
-        yield from (examine(draw_case(kind, index, seed)) for kind, index in wanted)
-        return
-    with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
-        asked = [pool.submit(_draw_and_examine, kind, index, seed) for kind, index in wanted]
-        yield from (done.result() for done in as_completed(asked))
+    rest = iter(wanted)
+
+    def next_task() -> Task | None:
+        case = next(rest, None)
+        return None if case is None else Task(f"{case[0]}-{case[1]}", _draw_and_examine, (*case, seed))
+
+    with nullcontext() if jobs == 1 else connected(ClusterSettings(jobs=jobs, dashboard_port=0)) as client:
+        for done in work_through(next_task, client):
+            if done.failed is not None:
+                raise RuntimeError(f"{done.task.name}: {done.failed}")
+            yield done.result
 
 
 def keep(file: Path | None, seed: int, answer: Answer) -> None:
