@@ -108,6 +108,8 @@ class ModelNoise(Strict):
     """By how much the current readings' zero differs from segment to segment (rms)."""
     voltage_scatter_v: Annotated[float, Field(ge=0)] = 0.0
     """By how much held voltages are off, each its own way, on either axis (rms), at the drive's own PWM frequency."""
+    dithered: bool = False
+    """Whether what trembles in a held voltage takes of that, as it does of the steps of a modulator's timer."""
     variance_factors: dict[str, tuple[Annotated[float, Field(ge=1)], ...]] = Field(default_factory=dict)
     """Of each kind of stage's means and Fourier modes: variance over the readings' own, the model's error in it."""
 

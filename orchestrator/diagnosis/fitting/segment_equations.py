@@ -25,12 +25,12 @@ from orchestrator.diagnosis.weak_form.equations import (
 )
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener, banded_covariance
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
-from orchestrator.diagnosis.weak_form.rests import rests
+from orchestrator.diagnosis.weak_form.rests import TimerScatter, rests
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_two_phases, rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Correction, EffectLayer, Signals
+from protocols import Correction, EffectLayer, ModelNoise, Signals
 
 
 @dataclass
@@ -66,7 +66,7 @@ class SegmentEquations:
             common, scatter = None, self.noise.of_model
             if scatter.scatters:
                 common = self._common_rows(piece, base, corrected.signals, local, model.active)
-                common *= scatter_sizes(common.shape[1], scatter.offset_scatter_a, scatter.voltage_scatter_v)
+                common *= scatter_sizes(TimerScatter.of(piece), scatter)
             whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
@@ -86,8 +86,8 @@ class SegmentEquations:
     ) -> Array:
         """What one ampere on all readings of phase a, and of phase b, does to the equations, and a volt on each axis.
 
-        The volt is that of each rest, for a voltage that moves is dithered, and grows with the PWM frequency. The
-        ampere's step is as small as the readings' noise: within an inverter's knee it acts through the voltage.
+        The volt is that of each rest, for a voltage that moves is dithered. The ampere's step is as small as the
+        readings' noise: within an inverter's knee it acts through the voltage.
         Shape (rows, 2 + 2 rests).
         """
         step, sums = math.sqrt(0.5 * float(np.trace(self.noise.covariance))), []
@@ -96,11 +96,10 @@ class SegmentEquations:
             there = apply_effects(base.corrected(Correction(i_ab=off)), active).signals
             change = {n: (getattr(there, n) - getattr(corrected, n)) / step for n in ("i_ab", "i_m_ab", "v_ab")}
             sums.append(difference(piece, corrected, change, local, self.pm_flux_wb))
-        own = (base.drive.pwm_frequency_hz if base.drive is not None else None) or base.pwm_frequency_hz
         for rest in rests(piece):
             for axis in np.eye(2):
                 volt = np.zeros((len(base.v_dc), 2))
-                volt[rest] = base.pwm_frequency_hz / own * axis
+                volt[rest] = axis
                 sums.append(difference(piece, corrected, {"v_ab": volt}, local, self.pm_flux_wb))
         return piece.windows.combine(np.stack(sums, axis=-1))
 
@@ -228,9 +227,10 @@ class SegmentEquations:
         return difference(at.piece, at.cascade.corrected, change, at.local, self.pm_flux_wb) / step
 
 
-def scatter_sizes(columns: int, offset_a: float, voltage_v: float) -> Array:
-    """Standard deviations of what a segment's readings have in common: of both phases' zero, and of each volt."""
-    return np.array([offset_a] * 2 + [voltage_v] * (columns - 2))
+def scatter_sizes(timer: TimerScatter, noise: ModelNoise) -> Array:
+    """Standard deviations of what a segment's readings have in common: both phases' zero, and each rest's volts."""
+    volts = timer.sizes(noise.voltage_scatter_v, dithered=noise.dithered)
+    return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
 
 
 @dataclass(frozen=True)

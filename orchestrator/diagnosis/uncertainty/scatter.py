@@ -1,8 +1,9 @@
 """What differs from segment to segment by chance, and by how much: the likeliest, whatever else is missing.
 
 The zero of a current sensor wanders while an experiment goes on; and a constant voltage is off by what the modulator's
-timer cannot resolve, while a moving one is dithered. With e the whitened residual of the training segments, X all
-columns (R_s, the map, every effect of the library) and U what these two do to each segment, in standard deviations,
+timer cannot resolve, while a moving one is dithered, and one that trembles with control's noise may be. With e the
+whitened residual of the training segments, X all columns (R_s, the map, every effect of the library) and U what these
+two do to each segment, in standard deviations,
 
     e = X b + U d + noise,    d ~ N(0, 1),    V = 1 + U U^T
     -2 log L = log det V + log det (X^T V^-1 X + P) + e^T V^-1 e - h^T (X^T V^-1 X + P)^-1 h
@@ -13,7 +14,6 @@ P being the priors and h the gradient at b = 0: the restricted likelihood (H. D.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import product
@@ -25,6 +25,7 @@ from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.segment_equations import scatter_sizes
+from orchestrator.diagnosis.weak_form.rests import TimerScatter, leg_step_v
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
 
@@ -61,6 +62,7 @@ class _Segment:
     own: Array
     shared: Array
     pull: Array
+    timer: TimerScatter
     pwm_hz: float
 
 
@@ -74,18 +76,20 @@ class _Likelihood:
     chi2: float
     dof: float
 
-    def cost(self, sigmas: tuple[float, float]) -> float:
-        """Of standard deviations of offset [A] and voltage [V]."""
-        return sum(self._parts(sigmas))
+    def cost(self, noise: ModelNoise) -> float:
+        """Of what scatters."""
+        return sum(self._parts(noise))
 
-    def chi2_per_dof(self, sigmas: tuple[float, float]) -> float:
-        return self._parts(sigmas)[0] / self.dof
+    def chi2_per_dof(self, noise: ModelNoise) -> float:
+        return self._parts(noise)[0] / self.dof
 
-    def chance(self, sigmas: tuple[float, float]) -> float:
+    def chance(self, noise: ModelNoise) -> float:
         """That voltages which scatter alike came out so differently at different PWM frequencies (Fisher's F)."""
         from scipy.stats import f
 
-        roots, factors, normal, gradient = self._reduced(sigmas)[:4]
+        if noise.voltage_scatter_v == 0.0:
+            return 1.0
+        roots, factors, normal, gradient = self._reduced(noise)[:4]
         follow = -np.linalg.solve(normal, gradient)
         drawn: dict[float, list[float]] = {}
         for one, root, factor in zip(self.segments, roots, factors, strict=True):
@@ -101,11 +105,11 @@ class _Likelihood:
                 chances.append(float(f.sf(ratio, len(squares), len(rest))))
         return min(chances)
 
-    def _reduced(self, sigmas: tuple[float, float]) -> tuple[list[Array], list[Array], Array, Array, float]:
+    def _reduced(self, noise: ModelNoise) -> tuple[list[Array], list[Array], Array, Array, float]:
         """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
         roots, factors = list[Array](), list[Array]()
         for one in self.segments:
-            scale = scatter_sizes(len(one.pull), *sigmas)
+            scale = scatter_sizes(one.timer, noise)
             inside = np.eye(len(scale)) + scale[:, None] * one.own * scale
             factors.append(np.asarray(np.linalg.cholesky(inside), dtype=np.float64))
             root = np.linalg.solve(factors[-1], scale[:, None] * np.column_stack([one.shared, one.pull]))
@@ -115,9 +119,9 @@ class _Likelihood:
         gradient: Array = self.gradient - taken[:, :-1].T @ taken[:, -1]
         return roots, factors, normal, gradient, self.chi2 - float(taken[:, -1] @ taken[:, -1])
 
-    def _parts(self, sigmas: tuple[float, float]) -> tuple[float, float]:
+    def _parts(self, noise: ModelNoise) -> tuple[float, float]:
         """What is left of chi2, and the determinants' logarithms."""
-        _, factors, normal, gradient, chi2 = self._reduced(sigmas)
+        _, factors, normal, gradient, chi2 = self._reduced(noise)
         log_det = 2.0 * sum(float(np.log(np.diag(factor)).sum()) for factor in factors)
         squares = chi2 - float(gradient @ np.linalg.solve(normal, gradient))
         return squares, log_det + float(np.linalg.slogdet(normal)[1])
@@ -145,17 +149,21 @@ def doubting_zeros(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Seq
 
     A hold's mean is known to microvolts, and what its timer does to it would be taken for an inverter's knee.
     """
-    limits, noise = setup.prepared.criteria.uncertainty, scatter_of(fitter, fit, library).noise
+    limits, noise = setup.prepared.criteria.uncertainty, scatter_of(fitter, fit, library, may_be_dithered=False).noise
     most_a = limits.most_offset_scatter * setup.current_a
     most_v = limits.most_timer_step_s / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
-    sigmas = min(noise.offset_scatter_a, most_a), min(noise.voltage_scatter_v, most_v)
-    return setup.with_noise(ModelNoise(offset_scatter_a=sigmas[0], voltage_scatter_v=sigmas[1]))
+    sizes = {
+        "offset_scatter_a": min(noise.offset_scatter_a, most_a),
+        "voltage_scatter_v": min(noise.voltage_scatter_v, most_v),
+    }
+    return setup.with_noise(noise.model_copy(update=sizes))
 
 
 def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:
     """Whether two scatters are the same as far as a fit heeds them."""
     pairs = (noise.offset_scatter_a, other.offset_scatter_a), (noise.voltage_scatter_v, other.voltage_scatter_v)
-    return all(abs(a - b) <= within * max(a, b) for a, b in pairs)
+    alike = all(abs(a - b) <= within * max(a, b) for a, b in pairs)
+    return alike and noise.dithered == other.dithered
 
 
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
@@ -169,57 +177,53 @@ def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
 def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
     """The step of a modulator's timer that makes a scatter of held voltages [s].
 
-    A step of t_q moves both edges of a symmetric carrier's pulse, and a leg's mean voltage by 2 t_q f V_dc, of which it
-    is anywhere: an axis has sqrt(2 / 3) / sqrt(12) of it.
+    A step of t_q moves both edges of a symmetric carrier's pulse, and a leg's mean voltage by 2 t_q f V_dc.
     """
     drive = setup.prepared.manifest.drive
     bus_v = drive.dc_bus_voltage_v or float(np.median([p.signals.v_dc[0] for p in setup.prepared.pieces]))
     pwm_hz = drive.pwm_frequency_hz or drive.sampling_frequency_hz
-    return math.sqrt(4.5) * noise.voltage_scatter_v / (bus_v * pwm_hz)
+    return 0.5 * leg_step_v(noise.voltage_scatter_v) / (bus_v * pwm_hz)
 
 
-def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Scatter:
+def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate], *, may_be_dithered: bool = True) -> Scatter:
     """The likeliest scatter around a fit's model, all effects of the library following.
 
     Parameters
     ----------
     fitter : Fitter
         Whatever scatter it allows for is not.
+    may_be_dithered : bool
+        Whether what trembles in held voltages may take of their scatter, where it is not alike at all PWM frequencies.
     """
     likelihood = _likelihood(fitter.with_noise(ModelNoise()), fit, library)
     least = 2.0 * fit.criteria.selection.log_evidence
-    none = (0.0, 0.0)
     # The simpler one stays unless the data ask for more.
-    best, cost = none, likelihood.cost(none)
+    best = ModelNoise()
+    cost = none = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
-        sigmas = _likeliest(likelihood, which)
-        found = likelihood.cost(sigmas)
-        if cost - found > least:
-            best, cost = sigmas, found
-    noise = ModelNoise(offset_scatter_a=best[0], voltage_scatter_v=best[1])
-    return Scatter(
-        noise,
-        0.5 * (likelihood.cost(none) - cost),
-        likelihood.chi2_per_dof(best),
-        likelihood.chance(best) if noise.voltage_scatter_v else 1.0,
-    )
+        found = _likeliest(likelihood, which, dithered=False)
+        if may_be_dithered and likelihood.chance(found) <= fit.criteria.uncertainty.scatter_chance:
+            found = _likeliest(likelihood, which, dithered=True)
+        if cost - likelihood.cost(found) > least:
+            best, cost = found, likelihood.cost(found)
+    return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
 
 
-def _likeliest(likelihood: _Likelihood, which: tuple[bool, bool]) -> tuple[float, float]:
-    """The standard deviations of the largest likelihood, those that are not asked for at nil."""
+def _likeliest(likelihood: _Likelihood, which: tuple[bool, bool], *, dithered: bool) -> ModelNoise:
+    """The scatter of the largest likelihood, those of its two standard deviations that are not asked for at nil."""
     from scipy.optimize import minimize
 
-    def sigmas(decades: Sequence[float]) -> tuple[float, float]:
-        given = iter(decades)
+    def noise(decades: Array) -> ModelNoise:
+        given = iter(decades.tolist())
         offset, voltage = (10.0 ** next(given) if asked else 0.0 for asked in which)
-        return offset, voltage
+        return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage, dithered=dithered)
 
     def cost(decades: Array) -> float:
-        return likelihood.cost(sigmas(decades.tolist()))
+        return likelihood.cost(noise(decades))
 
     grid = [np.array(place, dtype=np.float64) for place in product(DECADES, repeat=sum(which))]
     found = minimize(cost, min(grid, key=cost), method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
-    return sigmas(np.asarray(found.x).tolist())
+    return noise(np.asarray(found.x))
 
 
 def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Likelihood:
@@ -235,5 +239,6 @@ def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Like
     pieces = [(p, f) for p, f in zip(loose.prepared.pieces, loose.frame.pieces, strict=True) if not p.held_out]
     for (piece, frame), (linear, d, e) in zip(pieces, loose.training(), strict=True):
         u = fitter.equations.common(loose.model, piece, frame)
-        segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, piece.signals.pwm_frequency_hz))
+        timer, pwm_hz = TimerScatter.of(piece), piece.signals.pwm_frequency_hz
+        segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, timer, pwm_hz))
     return _Likelihood(segments, normal, gradient, loose.chi2, loose.dof)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.rests import rests
+from orchestrator.diagnosis.weak_form.rests import TimerScatter, leg_step_v, rests
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import NOISE_A, R_S, Array, Plan, hold, piece, ripple, sweep
@@ -43,3 +43,25 @@ def test_what_moves_all_the_time_does_not_rest() -> None:
     assert rests(_made(SegmentStage.CLASSICAL, sweep(1, 2.5, 0.0))) == ()
     assert rests(_made(SegmentStage.INJECTION, ripple(1.0, 0.0, 40.0))) == ()
     assert rests(_made(SegmentStage.GATES_OFF, np.zeros((600, 2)))) == ()
+
+
+@pytest.mark.parametrize("trembling", [0.0, 0.15, 0.3])
+def test_a_timers_scatter_is_what_a_quantiser_leaves_of_a_trembling_voltage(trembling: float) -> None:
+    step_v, rng = 0.2, np.random.default_rng(2)
+    means = rng.uniform(0.0, step_v, 400)
+    legs = means[:, None] + rng.normal(0.0, trembling * step_v, (400, 4000))
+    off = (step_v * np.round(legs / step_v) - legs).mean(axis=1)
+    undithered = step_v / leg_step_v(1.0)
+    (size,) = TimerScatter(np.ones(1), np.array([trembling * step_v])).sizes(undithered, dithered=True)
+    # An axis has sqrt(2 / 3) of a leg; what chance leaves of so many samples is far below.
+    assert size == pytest.approx(np.sqrt(2.0 / 3.0) * off.std(), rel=0.05)
+
+
+def test_a_held_voltage_trembles_as_it_was_commanded_and_errs_with_the_pwm_frequency() -> None:
+    v_dq = hold(1.0, 0.0) + np.random.default_rng(3).normal(0.0, 0.05, (600, 2))
+    timer = TimerScatter.of(_made(SegmentStage.RESISTANCE, v_dq))
+    assert timer.trembling_v == pytest.approx([0.05], rel=0.1)
+    assert timer.sizes(0.02, dithered=False) == pytest.approx([0.02])
+    twice = TimerScatter(2.0 * timer.steps, timer.trembling_v)
+    assert twice.sizes(0.02, dithered=False) == pytest.approx([0.04])
+    assert twice.sizes(0.02, dithered=True)[0] > 2.0 * timer.sizes(0.02, dithered=True)[0]
