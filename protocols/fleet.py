@@ -47,6 +47,8 @@ class FleetEffect(Lenient):
     """|first parameter| over its typical value."""
     material: bool | None = None
     """Whether it is named as a cause, rather than only measured; null where that was not judged."""
+    twins: tuple[str, ...] = ()
+    """Effects that do as well in its place, in this recording."""
 
 
 class HiddenEffect(Lenient):

@@ -9,7 +9,7 @@ from orchestrator.fleet._fleet import FailedSource, FleetJob, JobReport, find_so
 from orchestrator.fleet._progress import Progress
 from orchestrator.fleet._sources import Source, sources_below
 from orchestrator.fleet._table import FleetTable, TableSettings, parts_of, read_table
-from orchestrator.fleet._work import Order, Plan, bare_fields, work_on
+from orchestrator.fleet._work import Order, Plan, bare_fields, versions, work_on
 
 __all__ = [
     "ClusterSettings",
@@ -31,6 +31,7 @@ __all__ = [
     "parts_of",
     "read_table",
     "sources_below",
+    "versions",
     "work_on",
     "work_through",
 ]

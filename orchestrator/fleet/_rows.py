@@ -119,6 +119,7 @@ def _sizes(found: FoundEffect) -> Iterator[FleetEffect]:
                 probability=found.probability,
                 relative_size=found.relative_size,
                 material=found.material,
+                twins=found.twins,
             )
 
 

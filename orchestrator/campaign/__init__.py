@@ -1,0 +1,18 @@
+"""Virtual commissionings by the thousand: which effects would a bench see? Simulated, analysed, judged, on a fleet."""
+
+from orchestrator.campaign._job import CampaignJob
+from orchestrator.campaign._plan import CampaignPlan, Condition, Run, load_campaign, runs_of
+from orchestrator.campaign._power import PowerReport, PowerRow, Smallest, power_of
+
+__all__ = [
+    "CampaignJob",
+    "CampaignPlan",
+    "Condition",
+    "PowerReport",
+    "PowerRow",
+    "Run",
+    "Smallest",
+    "load_campaign",
+    "power_of",
+    "runs_of",
+]

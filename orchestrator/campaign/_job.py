@@ -1,0 +1,132 @@
+"""A campaign under way: motors are simulated, their recordings analysed, and the truth laid beside the answers.
+
+The analysis is asked of a recording alone, in a task of its own; what was hidden stays with the client until the
+answer is in.
+"""
+
+from __future__ import annotations
+
+import shutil
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import closing
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from orchestrator.campaign._plan import Run
+from orchestrator.fleet import (
+    Done,
+    FleetTable,
+    Order,
+    Plan,
+    Progress,
+    Source,
+    Task,
+    bare_fields,
+    versions,
+    work_on,
+    work_through,
+)
+from protocols import Procedure
+from protocols.fleet import FleetRow
+
+if TYPE_CHECKING:
+    from distributed import Client
+
+    from orchestrator.fleet import EngineSettings
+
+
+def simulate(procedure: dict[str, Any], place: str) -> None:
+    """Run a procedure on its simulated drive into a new directory, and leave nothing there that knows the truth."""
+    from orchestrator.runs import private_directory
+    from orchestrator.workbench import run
+
+    out = Path(place)
+    for old in (out, private_directory(out)):  # of a worker that died over it
+        shutil.rmtree(old, ignore_errors=True)
+    run(Procedure.model_validate(procedure), out=out, streams=())
+    shutil.rmtree(private_directory(out))
+
+
+class CampaignJob:
+    """The runs of a campaign, and a row of the table for each.
+
+    Parameters
+    ----------
+    runs : iterator of Run
+    count : int
+        How many there are.
+    table : FleetTable
+    plan : Plan
+        What is done with each recording.
+    folder : Path
+        That gets the recordings, the same on all workers.
+    keep : bool
+        Whether they stay there.
+    tell : callable
+        Called with how far it is and how long it takes yet.
+    """
+
+    def __init__(
+        self,
+        runs: Iterator[Run],
+        count: int,
+        table: FleetTable,
+        plan: Plan,
+        folder: Path,
+        *,
+        keep: bool = False,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._runs, self._table, self._plan, self._folder, self._keep = runs, table, plan, folder, keep
+        self._progress = Progress(count, tell)
+        self._version = versions().fluxbench
+        self._made: deque[str] = deque()
+        self._open: dict[str, Run] = {}
+
+    def is_known(self, runs: Iterable[Run]) -> bool:
+        """Whether each of these has a row already."""
+        return all(run.key(self._plan, self._version) in self._table.keys for run in runs)
+
+    def rows(self, client: Client | None = None, engine: EngineSettings | None = None) -> Iterator[FleetRow]:
+        """Do it; each row is handed out when the table has it. Raises `StorageError`."""
+        with closing(work_through(self._next_task, client, engine)) as answers:
+            for done in answers:
+                row = self._take(done)
+                if row is not None:
+                    yield row
+
+    def _next_task(self) -> Task | None:
+        if self._made:
+            key = self._made.popleft()
+            return Task(f"work-{key}", work_on, (self._order(key),))
+        for run in self._runs:
+            key = run.key(self._plan, self._version)
+            if key in self._table.keys:
+                self._progress.passed_over()
+                continue
+            self._open[key] = run
+            return Task(f"simulate-{key}", simulate, (run.procedure.model_dump(mode="json"), str(self._place(key))))
+        return None
+
+    def _take(self, done: Done) -> FleetRow | None:
+        key = done.task.name.rpartition("-")[2]
+        if done.task.work is simulate and done.failed is None:
+            self._made.append(key)
+            return None
+        run = self._open.pop(key)
+        fields = done.result or {**bare_fields(self._order(key)), "failed": done.failed}
+        truth = {"condition": run.condition.label, "hidden": run.condition.truths(), "attempts": done.attempts}
+        row = FleetRow.model_validate({**fields, **truth, "name": f"{fields.get('name') or ''} {run.condition.seed}"})
+        self._table.add(row.model_dump())
+        self._progress.done(row.failed is not None)
+        if not self._keep:
+            shutil.rmtree(self._place(key), ignore_errors=True)
+        return row
+
+    def _order(self, key: str) -> Order:
+        source = Source(url=str(self._place(key)), fingerprint=key)
+        return Order(source=source, key=key, content_sha256=None, plan=self._plan)
+
+    def _place(self, key: str) -> Path:
+        return self._folder / key

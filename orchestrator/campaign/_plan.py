@@ -1,0 +1,164 @@
+"""A campaign as a file: procedures by motors by what is hidden in them by seeds. Runs nothing."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import Field, ValidationError
+
+from orchestrator._document import parse_document
+from orchestrator._validation import first_problem
+from orchestrator.config import load_procedure
+from orchestrator.fleet import Plan
+from orchestrator.presentation.names import plain
+from orchestrator.workbench import as_overrides
+from protocols import DriveChoice, InputError, Procedure, Strict
+from protocols.fleet import FleetStep, HiddenEffect
+
+Sizes = float | Annotated[tuple[float, ...], Field(min_length=1)]
+Hidden = dict[str, dict[str, Sizes]]
+"""Effects of the simulated plant with their parameters; where a parameter is a list, each of its values in turn."""
+
+
+class CampaignPlan(Strict):
+    """What is simulated, and what is done with each recording."""
+
+    format: Literal["fluxbench-campaign"]
+    version: Literal[1]
+    name: str
+    procedures: Annotated[tuple[str, ...], Field(min_length=1)]
+    """Names of shipped ones, or YAML files beside this one."""
+    motors: tuple[Path | None, ...] = (None,)
+    """YAML files that are laid over each procedure; null is its own motor."""
+    hidden: Annotated[tuple[Hidden, ...], Field(min_length=1)]
+    """One entry a kind of plant; ``{}`` has nothing hidden."""
+    seeds: Annotated[int, Field(ge=1)] = 1
+    """So many runs of each, which differ in the sensors' noise."""
+    first_seed: int = 1
+    settings: dict[str, Any] = Field(default_factory=dict)
+    """Laid over each procedure, by key paths."""
+    drive: dict[str, Any] = Field(default_factory=lambda: {"watchdog_s": 10.0})
+    """Options of the simulated drive; there is nobody to be hurt, and a busy machine may be late."""
+    plant: dict[str, Any] = Field(default_factory=dict)
+    """Other options of its plant."""
+    do: tuple[FleetStep, ...] = ("diagnose",)
+    found_with: Annotated[float, Field(gt=0, lt=1)] = 0.8
+    """A size counts as found from this share of its runs on."""
+
+    def analysis(self) -> Plan:
+        """What is done with each recording."""
+        return Plan(steps=self.do)
+
+
+class Condition(Strict):
+    """One run of a campaign."""
+
+    procedure: str
+    motor: str
+    hidden: dict[str, dict[str, float]]
+    seed: int
+
+    @property
+    def label(self) -> str:
+        """In one line, without the seed: what its repetitions share."""
+        effects = [f"{plain(name)} {_listed(sizes)}" for name, sizes in self.hidden.items()]
+        return ", ".join([self.procedure, self.motor, *(effects or ["nothing hidden"])])
+
+    def truths(self) -> tuple[HiddenEffect, ...]:
+        """As the table has it."""
+        return tuple(
+            HiddenEffect(name=name, parameter=parameter, size=size)
+            for name, sizes in self.hidden.items()
+            for parameter, size in sizes.items()
+        )
+
+
+class Run(Strict):
+    """A condition with the procedure that makes it."""
+
+    condition: Condition
+    procedure: Procedure
+
+    def key(self, plan: Plan, version: str) -> str:
+        """By what is run and what is asked of it; no two different ones have the same."""
+        told = [self.procedure.model_dump(mode="json"), self.condition.model_dump(), plan.steps, version]
+        return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
+
+
+def load_campaign(path: Path) -> CampaignPlan:
+    """Read a campaign; raises `InputError`: file and line, key, what is wrong, the nearest valid name."""
+    try:
+        text = path.read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise InputError(str(path), "", f"not UTF-8 at byte {error.start}") from None
+    except OSError as error:
+        raise InputError(str(path), "", f"cannot be read: {error.strerror or error}") from None
+    document = parse_document(text, str(path))
+    try:
+        plan = CampaignPlan.model_validate(document.data)
+    except ValidationError as error:
+        problem = first_problem(error, CampaignPlan, document.data)
+        raise InputError(document.place(problem.path), problem.field, problem.text) from None
+    strange = [step for step in plan.do if step in ("import", "export")]
+    if strange:
+        raise InputError(document.place(("do",)), "do", f"expected estimate, compare or diagnose, got {strange[0]}")
+    beside = path.parent
+    return plan.model_copy(
+        update={
+            "procedures": tuple(str(beside / p) if (beside / p).is_file() else p for p in plan.procedures),
+            "motors": tuple(None if motor is None else beside / motor for motor in plan.motors),
+        }
+    )
+
+
+def runs_of(plan: CampaignPlan) -> Iterator[Run]:
+    """Every run, the seeds in turn, so that one that is broken off is balanced.
+
+    Raises
+    ------
+    InputError
+        Where a procedure, a motor or what is laid over them cannot be used.
+    """
+    loaded = [
+        (load_procedure(name, overrides=as_overrides(plan.settings), motor=motor), name, motor)
+        for name in plan.procedures
+        for motor in plan.motors
+    ]
+    for seed in range(plan.first_seed, plan.first_seed + plan.seeds):
+        for (procedure, name, motor), hidden in itertools.product(loaded, _swept(plan.hidden)):
+            told = procedure.motor.name if motor is None else motor.stem
+            condition = Condition(procedure=Path(name).stem, motor=told, hidden=hidden, seed=seed)
+            yield Run(condition=condition, procedure=_with(procedure, plan, condition))
+
+
+def _swept(entries: tuple[Hidden, ...]) -> list[dict[str, dict[str, float]]]:
+    out = []
+    for entry in entries:
+        places = [(name, parameter) for name, sizes in entry.items() for parameter in sizes]
+        columns = [_values(entry[name][parameter]) for name, parameter in places]
+        for values in itertools.product(*columns):
+            hidden: dict[str, dict[str, float]] = {name: {} for name in entry}
+            for (name, parameter), value in zip(places, values, strict=True):
+                hidden[name][parameter] = value
+            out.append(hidden)
+    return out
+
+
+def _values(sizes: Sizes) -> tuple[float, ...]:
+    return sizes if isinstance(sizes, tuple) else (sizes,)
+
+
+def _with(procedure: Procedure, plan: CampaignPlan, condition: Condition) -> Procedure:
+    options = procedure.drive.options
+    plant = {**options.get("plant", {}), **plan.plant, "effects": condition.hidden}
+    drive = DriveChoice.model_validate({"name": procedure.drive.name, **options, **plan.drive, "plant": plant})
+    return procedure.model_copy(update={"drive": drive, "seed": condition.seed})
+
+
+def _listed(sizes: dict[str, float]) -> str:
+    return " ".join(f"{name}={size:g}" for name, size in sizes.items())

@@ -1,0 +1,150 @@
+"""What a campaign says of a bench: which effects it would see, from which size on, and how right their sizes are."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+
+import numpy as np
+
+from protocols import Strict
+from protocols.fleet import FleetEffect, FleetRow, HiddenEffect
+
+
+class PowerRow(Strict):
+    """One hidden effect at one size, over the runs that differ in their noise."""
+
+    condition: str
+    effect: str
+    parameter: str
+    size: float
+    runs: int
+    found: int
+    """In how many the diagnosis has it, or an effect that it cannot tell from it, in its model."""
+    named: int
+    """In how many it names it as a cause."""
+    low: float
+    high: float
+    """95 % interval of the probability to find it, Wilson's."""
+    ratio: float | None
+    """Found size over the true one, median; null where it was never found by its own name."""
+    inside: int | None
+    """In how many of those that found it the 95 % interval holds the truth."""
+
+
+class Smallest(Strict):
+    """The smallest size of an effect that is found."""
+
+    effect: str
+    parameter: str
+    size: float | None
+    """Null where none of the sizes is."""
+    probability: float | None
+    low: float | None
+
+
+class PowerReport(Strict):
+    """The JSON contract of `fluxbench campaign --json`."""
+
+    name: str
+    table: str
+    runs: int
+    failed: int
+    rows: tuple[PowerRow, ...]
+    smallest: tuple[Smallest, ...]
+    """Of each effect; from this size on all larger ones are found too."""
+    false_names: int
+    """Runs in which something is named that was not hidden, nor cannot be told from what was."""
+    judged: int
+    """Runs with a diagnosis."""
+
+
+def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: float) -> PowerReport:
+    """The figures of a campaign's rows.
+
+    Parameters
+    ----------
+    found_with : float
+        A size counts as found from this share of its runs on.
+    """
+    judged = [row for row in rows if row.hidden is not None and row.effects is not None]
+    groups: dict[tuple[str, str], list[FleetRow]] = {}
+    for row in judged:
+        for truth in _swept(row.hidden or ()):
+            groups.setdefault((row.condition or "", truth.name), []).append(row)
+    power = tuple(_row(effect, condition, group) for (condition, effect), group in groups.items())
+    return PowerReport(
+        name=name,
+        table=table,
+        runs=len(rows),
+        failed=sum(row.failed is not None for row in rows),
+        rows=power,
+        smallest=tuple(_smallest(power, found_with)),
+        false_names=sum(map(_says_more, judged)),
+        judged=len(judged),
+    )
+
+
+def _swept(hidden: Iterable[HiddenEffect]) -> list[HiddenEffect]:
+    """Of each effect its first parameter: the one that it is sized by."""
+    first: dict[str, HiddenEffect] = {}
+    for truth in hidden:
+        first.setdefault(truth.name, truth)
+    return list(first.values())
+
+
+def _row(effect: str, condition: str, rows: Sequence[FleetRow]) -> PowerRow:
+    truth = next(t for t in _swept(rows[0].hidden or ()) if t.name == effect)
+    seen = [_as(effect, row.effects or ()) for row in rows]
+    found, named = sum(map(bool, seen)), sum(any(e.material is not False for e in hits) for hits in seen)
+    own = [e for hits in seen for e in hits if e.name == effect and e.parameter == truth.parameter]
+    sized = [e.size / truth.size for e in own if e.size is not None and truth.size]
+    bounded = [e.low <= truth.size <= e.high for e in own if e.low is not None and e.high is not None]
+    low, high = wilson(found, len(rows))
+    return PowerRow(
+        condition=condition,
+        effect=effect,
+        parameter=truth.parameter,
+        size=truth.size,
+        runs=len(rows),
+        found=found,
+        named=named,
+        low=low,
+        high=high,
+        ratio=float(np.median(sized)) if sized else None,
+        inside=sum(bounded) if bounded else None,
+    )
+
+
+def _as(effect: str, found: Iterable[FleetEffect]) -> list[FleetEffect]:
+    return [e for e in found if e.name == effect or effect in e.twins]
+
+
+def _says_more(row: FleetRow) -> bool:
+    hidden = {truth.name for truth in row.hidden or ()}
+    return any(e.material is not False and not hidden & {e.name, *e.twins} for e in row.effects or ())
+
+
+def _smallest(power: Sequence[PowerRow], found_with: float) -> Iterable[Smallest]:
+    for effect, parameter in dict.fromkeys((row.effect, row.parameter) for row in power):
+        mine = [row for row in power if (row.effect, row.parameter) == (effect, parameter)]
+        best: Smallest | None = None
+        for size in sorted({row.size for row in mine}, key=abs, reverse=True):
+            there = [row for row in mine if row.size == size]
+            runs, found = sum(row.runs for row in there), sum(row.found for row in there)
+            if found / runs < found_with:
+                break
+            best = Smallest(
+                effect=effect, parameter=parameter, size=size, probability=found / runs, low=wilson(found, runs)[0]
+            )
+        yield best or Smallest(effect=effect, parameter=parameter, size=None, probability=None, low=None)
+
+
+def wilson(hits: int, count: int, sigmas: float = 1.96) -> tuple[float, float]:
+    """95 % interval of a probability (doi:10.1080/01621459.1927.10502953)."""
+    if not count:
+        return 0.0, 1.0
+    share, scale = hits / count, sigmas**2 / count
+    middle = (share + 0.5 * scale) / (1.0 + scale)
+    half = sigmas / (1.0 + scale) * math.sqrt(share * (1.0 - share) / count + 0.25 * scale / count)
+    return max(0.0, middle - half), min(1.0, middle + half)

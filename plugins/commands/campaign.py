@@ -1,0 +1,95 @@
+"""`fluxbench campaign FILE --out TABLE`: virtual commissionings by the thousand; which effects would a bench see?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+if TYPE_CHECKING:
+    from orchestrator.campaign import PowerReport
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
+RECORDINGS, REPORT = ".recordings", "_campaign.json"
+"""In the table's folder, where readers of Parquet pass over both."""
+
+
+@app.command()
+def campaign(
+    file: Annotated[Path, typer.Argument(help="YAML file: procedures, motors, what is hidden, seeds.")],
+    out: Annotated[Path, typer.Option(help="Folder of the table: made, or gone on with.", metavar="TABLE")],
+    keep: Annotated[
+        Path | None, typer.Option(help="Folder in which the simulated recordings stay.", metavar="DIR")
+    ] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes here.", show_default="one a core")] = None,
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="Of a dask cluster that is there, instead of processes here.", metavar="tcp://..."),
+    ] = None,
+    as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
+) -> int:
+    """Simulate motors with hidden effects, diagnose them, and say which sizes are found with what probability.
+
+    Started again, it goes on where it was.
+    """
+    from orchestrator.campaign import CampaignJob, load_campaign, power_of, runs_of
+    from orchestrator.fleet import ClusterSettings, FleetTable, connected, read_table
+    from orchestrator.presentation.sentences import visible
+    from orchestrator.presentation.waiting import Waiting
+    from orchestrator.recording import replace_file
+
+    plan = load_campaign(file)
+    runs = list(runs_of(plan))
+    settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
+    with FleetTable.opened(out) as table:
+        folder = (keep or out / RECORDINGS).resolve()
+        folder.mkdir(parents=True, exist_ok=True)
+        job = CampaignJob(iter(runs), len(runs), table, plan.analysis(), folder, keep=keep is not None, tell=Waiting())
+        if not job.is_known(runs):
+            with connected(settings) as client:
+                if not as_json:
+                    print(f"{len(runs)} virtual commissionings; watch them on {client.dashboard_link}")
+                for _ in job.rows(client):
+                    pass
+    report = power_of(read_table(out), name=plan.name, table=str(out), found_with=plan.found_with)
+    replace_file(out / REPORT, report.model_dump_json(indent=1).encode())
+    if as_json:
+        print(visible(report.model_dump_json(indent=2)))
+    else:
+        _say(report, plan.found_with)
+    return 0
+
+
+def command(arguments: Sequence[str]) -> int:
+    """Entry point of the command."""
+    return int(app(list(arguments), prog_name="fluxbench campaign", standalone_mode=False) or 0)
+
+
+def _say(report: PowerReport, found_with: float) -> None:
+    from orchestrator.presentation.names import parameter_words, plain
+    from orchestrator.presentation.quantities import number, percent
+    from orchestrator.presentation.sentences import shown, text_table
+
+    rows = [
+        (
+            row.condition,
+            plain(row.effect),
+            f"{parameter_words(row.parameter)} {number(row.size)}",
+            f"{row.found} of {row.runs}",
+            f"{percent(100.0 * row.low, 2)} to {percent(100.0 * row.high, 2)}",
+            "-" if row.ratio is None else f"{row.ratio:.3f}",
+            "-" if row.inside is None else f"{row.inside} of {row.found}",
+        )
+        for row in report.rows
+    ]
+    head = ("condition", "effect", "size", "found", "95 %", "found / true", "interval holds it")
+    print(shown(text_table(head, rows, numbers=False)))
+    for found in report.smallest:
+        what = f"{plain(found.effect)}: {parameter_words(found.parameter)}"
+        if found.size is None:
+            print(shown(f"{what}: none of these sizes is found in {percent(100.0 * found_with, 2)} of the runs"))
+        else:
+            print(shown(f"{what}: found from {number(found.size)} on"))
+    print(f"{report.false_names} of {report.judged} runs with a false name; {report.failed} of {report.runs} failed")
