@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import Literal
 
 from orchestrator.config._fitting import longest_capture_s, on_grid
@@ -21,20 +22,34 @@ from protocols import (
     VoltageSteps,
 )
 
-INVERTER_ERROR = 0.02
-"""Of the bus voltage: what dead time and drops may take away from what is commanded."""
-_OF_AN_OFFSET = 0.1
-"""Part of a free rotor's current that may be on its q axis: what sensors read without a current is no torque."""
-_LEAST_SAMPLES = 10
-_LEAST_PER_PERIOD = 4
-_FASTEST_ROTATION = 0.2
-"""Of the injection's frequency: a period has nearly one direction then."""
-_LEAST_PER_TRAPEZOID = 1000
-_LEAST_PER_CONTROL_PERIOD = 20
-_LEAST_PER_SWING = 8
-_LEAST_PER_TURN = 20
-_OVER_OHMIC = 1.5
-"""Of R_s i where steps are turned: less, and the current gets there late or never."""
+
+@dataclass(frozen=True)
+class _Rules:
+    """How much of what a plan has to have."""
+
+    inverter_error: float = 0.02
+    """Of the bus voltage: what dead time and drops may take away from what is commanded."""
+    of_an_offset: float = 0.1
+    """Part of a free rotor's current that may be on its q axis: what sensors read without a current is no torque."""
+    least_samples: int = 10
+    """Of a capture that is averaged."""
+    least_per_period: int = 4
+    """Samples of an injection's period."""
+    fastest_rotation: float = 0.2
+    """Of the injection's frequency: a period has nearly one direction then."""
+    least_per_trapezoid: int = 1000
+    """Samples of a trapezoid's period."""
+    least_per_control_period: int = 20
+    """Samples over which current control acts, at its bandwidth."""
+    least_per_swing: int = 8
+    """Rows of a voltage step's way from limit to limit."""
+    least_per_turn: int = 20
+    """Samples of an electrical turn."""
+    over_ohmic: float = 1.5
+    """Of R_s i where steps are turned: less, and the current gets there late or never."""
+
+
+_RULES = _Rules()
 
 
 class Requirements:
@@ -98,7 +113,7 @@ class Requirements:
             return
         if isinstance(point.excitation, Trapezoid | Injection | VoltageSteps):
             raise self._at(point, "", "with the brake released; put a stage with brake: engage before it")
-        if point.target is not None and abs(point.target[1]) > _OF_AN_OFFSET * math.hypot(*point.target):
+        if point.target is not None and abs(point.target[1]) > _RULES.of_an_offset * math.hypot(*point.target):
             raise self._at(point, self._written(point).current_field, "torque current while the brake is released")
 
     def _check_spinning_brake(self, point: PlannedPoint) -> None:
@@ -135,7 +150,7 @@ class Requirements:
         if self._drive is None:
             return
         bus = self._drive.dc_bus_voltage_v
-        available = bus / math.sqrt(3) - INVERTER_ERROR * bus
+        available = bus / math.sqrt(3) - _RULES.inverter_error * bus
         if needed > available:
             problem = f"needs {needed:.4g} V, a bus of {bus:g} V gives {available:.4g} V in every direction"
             raise self._at(point, self._written(point).voltage_field, problem)
@@ -143,11 +158,11 @@ class Requirements:
     def _check_turns(self, point: PlannedPoint, e: VoltageSteps) -> None:
         resistance = self._procedure.motor.stator_resistance_ohm or 0.0
         for volts, turn_a in ((e.voltage_d_v, e.turn_d_a), (e.voltage_q_v, e.turn_q_a)):
-            if volts < _OVER_OHMIC * resistance * turn_a:
+            if volts < _RULES.over_ohmic * resistance * turn_a:
                 ohmic = f"{turn_a:.4g} A through R_s of {resistance:g} ohm"
                 problem = f"{volts:.4g} V do not reach {ohmic} soon enough: at least"
                 field = self._written(point).voltage_field
-                raise self._at(point, field, f"{problem} {_OVER_OHMIC * resistance * turn_a:.3g} V")
+                raise self._at(point, field, f"{problem} {_RULES.over_ohmic * resistance * turn_a:.3g} V")
 
     def _check_offered(self, point: PlannedPoint, drive: Capabilities) -> None:
         e = point.excitation
@@ -176,11 +191,10 @@ class Requirements:
 
     def _check_sampling(self, point: PlannedPoint, sampling_hz: float) -> None:
         e = point.excitation
-        if point.captured_s * sampling_hz < _LEAST_SAMPLES:
+        if point.captured_s * sampling_hz < _RULES.least_samples:
             field = "period_s" if isinstance(e, Trapezoid) else "duration_s"
-            problem = (
-                f"captures {point.captured_s:g} s, too little to average: at least {_LEAST_SAMPLES / sampling_hz:g} s"
-            )
+            least_s = _RULES.least_samples / sampling_hz
+            problem = f"captures {point.captured_s:g} s, too little to average: at least {least_s:g} s"
             raise self._at(point, field, problem)
         if isinstance(e, GatesOff):
             return
@@ -192,8 +206,8 @@ class Requirements:
             self._check_swings(point, e, sampling_hz)
         if isinstance(e, Spin):
             self._check_spin(point, e, sampling_hz)
-        if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _LEAST_PER_TRAPEZOID:
-            shortest = _LEAST_PER_TRAPEZOID / sampling_hz
+        if isinstance(e, Trapezoid) and e.period_s * sampling_hz < _RULES.least_per_trapezoid:
+            shortest = _RULES.least_per_trapezoid / sampling_hz
             problem = f"{e.period_s:g} s is too short at {sampling_hz:g} Hz sampling: at least {shortest:g} s"
             raise self._at(point, "period_s", problem)
 
@@ -206,15 +220,15 @@ class Requirements:
             if volts == 0.0 or inductance is None:
                 continue
             rows = 2.0 * turn_a * inductance / volts * sampling_hz
-            if rows < _LEAST_PER_SWING:
-                most = volts * rows / _LEAST_PER_SWING
+            if rows < _RULES.least_per_swing:
+                most = volts * rows / _RULES.least_per_swing
                 problem = f"{volts:.4g} V give {rows:.2g} rows from one turn to the next at {sampling_hz:g} Hz"
                 field = self._written(point).voltage_field
-                raise self._at(point, field, f"{problem}: at most {most:.3g} V, for {_LEAST_PER_SWING} rows")
+                raise self._at(point, field, f"{problem}: at most {most:.3g} V, for {_RULES.least_per_swing} rows")
 
     def _check_spin(self, point: PlannedPoint, e: Spin, sampling_hz: float) -> None:
         speed, flux = abs(e.speed_rad_s), self._procedure.motor.pm_flux_wb or 0.0
-        fastest = 2.0 * math.pi * sampling_hz / _LEAST_PER_TURN
+        fastest = 2.0 * math.pi * sampling_hz / _RULES.least_per_turn
         if speed > fastest:
             problem = f"{speed:.4g} rad/s (electrical) is too fast at {sampling_hz:g} Hz sampling: at most"
             raise self._at(point, "speeds_rpm", f"{problem} {fastest:.4g}")
@@ -227,7 +241,7 @@ class Requirements:
             raise self._at(point, "speeds_rpm", problem)
 
     def _check_control(self, point: PlannedPoint, control: CurrentControl, sampling_hz: float) -> None:
-        highest = sampling_hz / _LEAST_PER_CONTROL_PERIOD
+        highest = sampling_hz / _RULES.least_per_control_period
         if control.bandwidth_hz > highest:
             problem = f"{control.bandwidth_hz:g} Hz is too fast at {sampling_hz:g} Hz sampling: at most {highest:g} Hz"
             raise self._at(point, "control.bandwidth_hz", problem)
@@ -236,14 +250,14 @@ class Requirements:
         # A square wave with an odd number of samples a period has a mean, and drives a direct current.
         unit = 2 if injection.waveform == "square" else 1
         per_period = sampling_hz / injection.frequency_hz
-        fitting = max(_LEAST_PER_PERIOD, unit * round(per_period / unit))
+        fitting = max(_RULES.least_per_period, unit * round(per_period / unit))
         if abs(per_period - fitting) > 1e-6 * fitting:
             kind = "an even number" if unit == 2 else "a whole number"
             found = f"{injection.frequency_hz:g} Hz gives {per_period:.4g} samples a period at {sampling_hz:g} Hz"
-            needed = f"{kind} of at least {_LEAST_PER_PERIOD} is needed"
+            needed = f"{kind} of at least {_RULES.least_per_period} is needed"
             nearest = f"the nearest is {sampling_hz / fitting:.10g} Hz"
             raise self._at(point, "frequency_hz", f"{found}; {needed}: {nearest}")
-        fastest = _FASTEST_ROTATION * injection.frequency_hz
+        fastest = _RULES.fastest_rotation * injection.frequency_hz
         if injection.rotation_hz > fastest:
             problem = f"{injection.rotation_hz:g} Hz is too fast for an injection at {injection.frequency_hz:g} Hz"
             raise self._at(point, "rotation_hz", f"{problem}: at most {fastest:g} Hz")

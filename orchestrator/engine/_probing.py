@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,18 +22,30 @@ from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._power import PowerStage
 from protocols import DriveRefused, Injection, Limits, Motor, Segment
 
-GROWTH = 2.9
-"""Peak over the nameplate's ripple, up to which a stage needs no probing: twice as the wave begins, and saturation."""
-TOLERATED = 1.1
-"""Of the limit: what the first half wave may reach; drives trip above that."""
-_DIRECTIONS = 8
-_PERIODS = 20
-"""Of the injection in one probe: one turn."""
-_SMALL = 0.25
-_MARGIN = 1.25
-"""For what grows faster than the voltage: a larger ripple reaches further into saturation."""
-_OF_LIMIT = 0.98
-_LEAST = 0.02
+
+@dataclass(frozen=True)
+class _Rules:
+    """How a ripple is felt, and what it may be."""
+
+    growth: float = 2.9
+    """Peak over the nameplate's ripple up to which nothing is probed: twice as the wave begins, and saturation."""
+    tolerated: float = 1.1
+    """Of the limit: what the first half wave may reach; drives trip above that."""
+    directions: int = 8
+    """Of the plane, in each of which the outermost point is felt."""
+    periods: int = 20
+    """Of the injection in one probe: one turn."""
+    small: float = 0.25
+    """Of the stage's voltage, with which a probe begins."""
+    margin: float = 1.25
+    """For what grows faster than the voltage: a larger ripple reaches further into saturation."""
+    of_limit: float = 0.98
+    """Of the limit, that a stage's peak is fitted to."""
+    least: float = 0.02
+    """Of the stage's voltage: no probe and no stage is weaker."""
+
+
+_RULES = _Rules()
 
 
 class RippleProbe:
@@ -68,7 +80,7 @@ class RippleProbe:
         strongest = max(injections, key=lambda e: e.amplitude_v)
         nominal = nominal_ripple_a(strongest, self._motor)
         outermost = max(_length(e) for e in injections)
-        if nominal > 0.0 and outermost + GROWTH * nominal <= TOLERATED * self._limits.current_a:
+        if nominal > 0.0 and outermost + _RULES.growth * nominal <= _RULES.tolerated * self._limits.current_a:
             return 1.0
         try:
             return min(self._at(e.model_copy(update={"amplitude_v": strongest.amplitude_v})) for e in _rim(injections))
@@ -78,22 +90,22 @@ class RippleProbe:
     def _at(self, planned: Injection) -> float:
         """The factor that one point asks for."""
         nominal = nominal_ripple_a(planned, self._motor)
-        room = max(_OF_LIMIT * self._limits.current_a - _length(planned), 0.0)
-        small = _SMALL if nominal <= 0.0 else min(_SMALL, 2.0 * _SMALL * room / nominal)
-        small = max(small, _LEAST)
+        room = max(_RULES.of_limit * self._limits.current_a - _length(planned), 0.0)
+        small = _RULES.small if nominal <= 0.0 else min(_RULES.small, 2.0 * _RULES.small * room / nominal)
+        small = max(small, _RULES.least)
         peak = self._peak(planned, small)
         growth = max(peak - _length(planned), 1e-9) / small
-        if _length(planned) + growth <= TOLERATED * self._limits.current_a:
+        if _length(planned) + growth <= _RULES.tolerated * self._limits.current_a:
             return 1.0
-        return max(_LEAST, float(f"{min(1.0, room / (_MARGIN * growth)):.2g}"))
+        return max(_RULES.least, float(f"{min(1.0, room / (_RULES.margin * growth)):.2g}"))
 
     def _peak(self, planned: Injection, small: float) -> float:
         """Longest current vector while a weaker injection makes one turn at the point [A]."""
         probe = planned.model_copy(
             update={
                 "amplitude_v": small * planned.amplitude_v,
-                "rotation_hz": planned.frequency_hz / _PERIODS,
-                "duration_s": _PERIODS / planned.frequency_hz,
+                "rotation_hz": planned.frequency_hz / _RULES.periods,
+                "duration_s": _RULES.periods / planned.frequency_hz,
                 "discard_s": 0.0,
             }
         )
@@ -130,8 +142,8 @@ def _length(excitation: Injection) -> float:
 def _rim(injections: Sequence[Injection]) -> list[Injection]:
     """The outermost points in eight directions, each once."""
     found: dict[tuple[float, float], Injection] = {}
-    for k in range(_DIRECTIONS):
-        d, q = math.cos(2 * math.pi * k / _DIRECTIONS), math.sin(2 * math.pi * k / _DIRECTIONS)
+    for k in range(_RULES.directions):
+        d, q = math.cos(2 * math.pi * k / _RULES.directions), math.sin(2 * math.pi * k / _RULES.directions)
         outermost = max(injections, key=lambda e: d * e.target_d_a + q * e.target_q_a)
         found[(outermost.target_d_a, outermost.target_q_a)] = outermost
     return list(found.values())

@@ -28,25 +28,34 @@ Complex = NDArray[np.complex128]
 Track = tuple[Numbers, Numbers]
 """Stamps [s] of shape (n,), and vectors of shape (n, 2)."""
 
-_SHORTEST_STEP_S = 5e-5
-"""Finer steps only make noise of the current's bends; edges are further apart on any bench."""
-_WINDOWS = 12
-_SAMPLES = 8192
-"""Of a window: long enough to hold what does not repeat."""
-_SURE = 20.0
-"""Logarithm of how much likelier the offset has to be than any other: by far more than noise makes it."""
-_EXPLAINED = 0.3
-"""Share of the current's bends that the edges have to explain; where there are hardly any edges it is noise."""
-_ALIKE = 0.5
-"""Part of the best place's likelihood from which on another one may be it."""
-_BLOCK = 256
-"""Samples of a mean: several periods of an injection."""
-_MEANS = 1e-2
-"""Share of the means that a winding's resistance leaves open: dead time and moving currents."""
-_CLEARLY = 4.0
-"""So much more has to be left of the means where voltage and current are not of the same time."""
-_CRYSTALS = 3e-4
-"""How far two clocks may run apart: thrice what bad crystals do."""
+
+@dataclass(frozen=True)
+class _Criteria:
+    """From when on two logs are held to be of the same time."""
+
+    shortest_step_s: float = 5e-5
+    """Finer steps only make noise of the current's bends; edges are further apart on any bench."""
+    windows: int = 12
+    """Of the current, that are found again in the voltage."""
+    samples: int = 8192
+    """Of a window: long enough to hold what does not repeat."""
+    sure: float = 20.0
+    """Logarithm of how much likelier the offset has to be than any other: by far more than noise makes it."""
+    explained: float = 0.3
+    """Share of the current's bends that the edges have to explain; where there are hardly any edges it is noise."""
+    alike: float = 0.5
+    """Part of the best place's likelihood from which on another one may be it."""
+    block: int = 256
+    """Samples of a mean: several periods of an injection."""
+    means: float = 1e-2
+    """Share of the means that a winding's resistance leaves open: dead time and moving currents."""
+    clearly: float = 4.0
+    """So much more has to be left of the means where voltage and current are not of the same time."""
+    crystals: float = 3e-4
+    """How far two clocks may run apart: thrice what bad crystals do."""
+
+
+_CRITERIA = _Criteria()
 
 
 @dataclass(frozen=True)
@@ -95,7 +104,7 @@ def fitted_clock(
     v = _vectors(other, mapping.voltage, mapping, columns[which[1]])
     known = np.isfinite(i_s)
     i_s, i = i_s[known], i[known]
-    step_s = max(_step(i_s), _step(v_s), _SHORTEST_STEP_S)
+    step_s = max(_step(i_s), _step(v_s), _CRITERIA.shortest_step_s)
     clock, begins_s = _to_a_sample(other, (i_s, i), (v_s, v), step_s)
     for _ in range(3):
         clock = clock.later(*_late((i_s, i), (clock.of(v_s), v), begins_s, step_s))
@@ -130,15 +139,15 @@ def _to_a_sample(other: Path, current: Track, voltage: Track, step_s: float) -> 
     grid = v_s[0] + step_s * np.arange(int((v_s[-1] - v_s[0]) / step_s) + 1)
     v_even = _complex(held_means(v_s, v, grid))
     bends, edges = np.diff(i_even, 2), np.diff(v_even)
-    samples = min(_SAMPLES, bends.size)
+    samples = min(_CRITERIA.samples, bends.size)
     starts = _liveliest(bends, samples)
     found = [_left(edges, bends[start : start + samples]) for start in starts]
-    reaches = [1 + int(_CRYSTALS * abs(start - np.median(starts))) for start in starts]
+    reaches = [1 + int(_CRITERIA.crystals * abs(start - np.median(starts))) for start in starts]
     stamped = i_s[0] + step_s * np.arange(i_even.size)
     pauses = np.diff(i_s, prepend=-np.inf)[np.minimum(np.searchsorted(i_s, stamped), i_s.size - 1)] > 1.5 * step_s
     i_even[1:][pauses[1:]] = np.nan
     lag, sureness = _likeliest(found, starts, reaches, samples, i_even, v_even)
-    if sureness < _SURE:
+    if sureness < _CRITERIA.sure:
         raise InputError(str(other), "align", "the voltage's edges fit the current at more than one offset, or at none")
     places, lags, explained = [], [], []
     for start, left, reach in zip(starts, found, reaches, strict=True):
@@ -172,7 +181,7 @@ def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> t
     (i_s, i), (v_s, v) = current, voltage
     told = []
     for begin in begins_s:
-        grid = np.arange(begin, min(begin + _SAMPLES * step_s, i_s[-1]), step_s)
+        grid = np.arange(begin, min(begin + _CRITERIA.samples * step_s, i_s[-1]), step_s)
         first, end = np.searchsorted(v_s, [grid[0] - 3.0 * step_s, grid[-1] + 3.0 * step_s])
         if grid.size > 2 and end - first > 2:
             there = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
@@ -212,7 +221,7 @@ def _liveliest(bends: Complex, samples: int) -> NDArray[np.intp]:
     """Where the windows begin that hold the most of the current's bends, in order of time."""
     starts = np.unique(np.append(np.arange(0, bends.size - samples, samples // 2), bends.size - samples))
     power = np.concatenate([[0.0], np.cumsum(np.abs(bends) ** 2)])
-    best = np.argsort(power[starts] - power[starts + samples])[:_WINDOWS]
+    best = np.argsort(power[starts] - power[starts + samples])[: _CRITERIA.windows]
     return np.sort(starts[best])
 
 
@@ -261,29 +270,29 @@ def _likeliest(
         overlap[here] += covered
     mean = np.where(overlap > 0.5 * overlap.max(), said / np.maximum(overlap, 1.0), 0.0)
     best, apart = float(mean.min()), 3 + max(reaches)
-    if max(1.0 - float(np.min(left)) for left in found) < _EXPLAINED:
+    if max(1.0 - float(np.min(left)) for left in found) < _CRITERIA.explained:
         return 0, 0.0
-    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=-_ALIKE * best, distance=apart)
+    places, _ = find_peaks(np.concatenate([[0.0], -mean, [0.0]]), height=-_CRITERIA.alike * best, distance=apart)
     lags = [int(place) - 1 - bends - (samples - 1) for place in places]
     open_ = np.array([_left_by_means(current, voltage, lag) for lag in lags])
-    depths = np.where(open_ <= _CLEARLY * open_.min(), mean[places - 1], 0.0)
+    depths = np.where(open_ <= _CRITERIA.clearly * open_.min(), mean[places - 1], 0.0)
     first = int(np.argmin(depths))
-    others = np.append(np.delete(depths, first), _ALIKE * best)
+    others = np.append(np.delete(depths, first), _CRITERIA.alike * best)
     return lags[first], float(others.min() - depths[first]) * float(overlap[places[first] - 1])
 
 
 def _left_by_means(current: Complex, voltage: Complex, lag: int) -> float:
     """The share of the means of some hundred samples that no resistance explains at a lag; NaN is a pause."""
     first, end = max(0, -lag), min(current.size, voltage.size - lag)
-    rows = max(end - first, 0) // _BLOCK * _BLOCK
-    i, v = (x[:rows].reshape(-1, _BLOCK).mean(axis=1) for x in (current[first:], voltage[first + lag :]))
+    rows = max(end - first, 0) // _CRITERIA.block * _CRITERIA.block
+    i, v = (x[:rows].reshape(-1, _CRITERIA.block).mean(axis=1) for x in (current[first:], voltage[first + lag :]))
     there = np.isfinite(i)
     if np.count_nonzero(there) < 3:
         return 1.0
     i, v = i[there], v[there]
     power = float(np.vdot(i, i).real * np.vdot(v, v).real)
     along = max(float(np.vdot(i, v).real), 0.0)
-    return max(1.0 - along**2 / max(power, 1e-300), _MEANS)
+    return max(1.0 - along**2 / max(power, 1e-300), _CRITERIA.means)
 
 
 def _sharp(left: Numbers, place: int) -> float:

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from orchestrator.importing._source import Numbers
 
-_PART = 1 << 16
-"""Samples: some seconds."""
-_FEWEST_TURNS = 3.0
-"""Less may be a direction that was moved by hand, or a sweep's."""
-_STEADY = 0.3
-"""A turning current's length varies by less than this share: a sweep's goes through zero."""
-_ONE_WAY = 0.9
-"""Share of all turning that goes the same way."""
+
+@dataclass(frozen=True)
+class _Criteria:
+    """From when on currents turn."""
+
+    part: int = 1 << 16
+    """Samples that are looked at together: some seconds."""
+    fewest_turns: float = 3.0
+    """Less may be a direction that was moved by hand, or a sweep's."""
+    steady: float = 0.3
+    """A turning current's length varies by less than this share: a sweep's goes through zero."""
+    one_way: float = 0.9
+    """Share of all turning that goes the same way."""
+
+
+_CRITERIA = _Criteria()
 
 
 def turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
@@ -22,7 +32,7 @@ def turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
     A steady sinusoid in the phases, also of a speed that drifts: the vector keeps its length and goes one way. What
     pulsates along an axis, an injection's ripple or a sweep, does not. Looked for in parts, for a motor may be started.
     """
-    parts = (i_ab[start : start + _PART] for start in range(0, len(i_ab), _PART))
+    parts = (i_ab[start : start + _CRITERIA.part] for start in range(0, len(i_ab), _CRITERIA.part))
     return next((found for part in parts if (found := _turning(part, rate_hz)) is not None), None)
 
 
@@ -38,8 +48,12 @@ def _turning(i_ab: Numbers, rate_hz: float) -> tuple[float, float] | None:
     length = np.abs(smooth)
     steps = np.angle(smooth[1:] * np.conj(smooth[:-1]))
     turns = abs(float(np.sum(steps))) / (2.0 * np.pi)
-    one_way = turns * 2.0 * np.pi > _ONE_WAY * float(np.sum(np.abs(steps)))
-    if turns < _FEWEST_TURNS or not one_way or float(np.std(length)) > _STEADY * float(np.mean(length)):
+    one_way = turns * 2.0 * np.pi > _CRITERIA.one_way * float(np.sum(np.abs(steps)))
+    if (
+        turns < _CRITERIA.fewest_turns
+        or not one_way
+        or float(np.std(length)) > _CRITERIA.steady * float(np.mean(length))
+    ):
         return None
     return turns, turns * rate_hz / z.size
 

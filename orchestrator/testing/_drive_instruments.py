@@ -18,20 +18,29 @@ from orchestrator.testing._drive_bench import LATE_PERIODS, SAMPLES_PER_PERIOD, 
 from orchestrator.testing._waveforms import complex_dq, folded, share_at_the_end_of_the_scale
 from protocols import Drive
 
-CLOCK_PART = 0.005
-"""A quartz is off by a ten thousandth, and by a hundred times that its map is still within half a per cent."""
-ROWS_APART = 0.25
-"""What the ripple's own shape may look like."""
-EXPLAINED = 0.93
-"""Of the steps of the ripple; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
+
+@dataclass(frozen=True)
+class _Tolerances:
+    """How far a drive's time, rows and readings may be off."""
+
+    clock_part: float = 0.005
+    """A quartz is off by a ten thousandth, and by a hundred times that its map is still within half a per cent."""
+    rows_apart: float = 0.25
+    """What the ripple's own shape may look like."""
+    explained: float = 0.93
+    """Of the steps of the ripple; simulated: 0.9999, 0.97 with a mean over 3 rows, 0.95 over 4, 0.86 over 8."""
+    clipped: float = 0.03
+    """Rows that may stand at the largest reading; simulated: 0.003 of a rotating ripple."""
+    most_times: float = 5.0
+    """The kit's injection, at most, however small its ripple is."""
+
+
+_TOLERANCES = _Tolerances()
+
 BUS = (0.6, 1.6)
 """The bus as measured against the nominal one: rectified mains and batteries move by a third."""
-CLIPPED = 0.03
-"""Rows that may stand at the largest reading; simulated: 0.003 of a rotating ripple."""
 HELD_OF_RATED, OF_RATED = 0.55, 0.9
 """Where a ripple is held, and how far it reaches, to see the readings up to there."""
-MOST_TIMES = 5.0
-"""The kit's injection, at most, however small its ripple is."""
 
 
 @dataclass(frozen=True)
@@ -61,7 +70,7 @@ class DriveInstrumentChecks(DriveBench):
             time.sleep(max(0.0, before[0].asked_s + 2.0 - time.monotonic()))
             after = [ClockReading.of(session.drive) for _ in range(4)]
         off = clock_off(before, after)
-        assert abs(off) <= CLOCK_PART, (
+        assert abs(off) <= _TOLERANCES.clock_part, (
             f"the drive's clock runs {100 * off:+.2f} % against the host's: a wrong sampling frequency, or a time that "
             "is its own (then say clock_is_simulated)"
         )
@@ -74,7 +83,7 @@ class DriveInstrumentChecks(DriveBench):
         begun = time.monotonic()
         session.measure(hold)
         took, least = time.monotonic() - begun, hold.settling_s + hold.captured_s
-        assert took >= (1.0 - CLOCK_PART) * least - 2e-3, (
+        assert took >= (1.0 - _TOLERANCES.clock_part) * least - 2e-3, (
             f"a hold of {least:.3f} s was over after {took:.3f} s: rows come faster than the sampling frequency says"
         )
 
@@ -90,12 +99,12 @@ class DriveInstrumentChecks(DriveBench):
             i_ab, v_ab = (folded(x, turn, SAMPLES_PER_PERIOD) for x in (measured.i_ab, measured.v_ab))
             found = alignment_of(i_ab, v_ab, ohm=ohm)
             assert found is not None, "the steps of the current are explained by the voltage of no row near to them"
-            assert found.explained >= EXPLAINED, (
+            assert found.explained >= _TOLERANCES.explained, (
                 f"after an edge of the voltage the current's slope takes several rows to change ({found.explained:.0%} "
                 "of its steps are the voltage's): the readings are smoothed"
             )
             said = session.capabilities.voltage_delay_samples
-            assert abs(found.lag_rows - said) <= ROWS_APART, (
+            assert abs(found.lag_rows - said) <= _TOLERANCES.rows_apart, (
                 f"v = R i + L di/dt holds with v[k] acting from t_k + {found.lag_rows:.2f} Ts, the drive says "
                 f"{said:g} (voltage_delay_samples): its voltage stands in the wrong row, or its delay is not said"
             )
@@ -184,7 +193,7 @@ class DriveInstrumentChecks(DriveBench):
             excitation = sizes.injection(target_d_a=target_a, target_q_a=0.0, discard_s=discard_s)
             ripple = complex_dq(session.measure(excitation).i_ab, 0.0)
             reach_a = float(np.abs(ripple - ripple.mean()).max())
-            times = min((OF_RATED * sizes.rated_a - target_a) / reach_a, MOST_TIMES)
+            times = min((OF_RATED * sizes.rated_a - target_a) / reach_a, _TOLERANCES.most_times)
             times = min(times, 0.4 * session.capabilities.max_voltage_v / excitation.amplitude_v)
             if times > 1.0:
                 excitation = excitation.model_copy(update={"amplitude_v": times * excitation.amplitude_v})
@@ -193,7 +202,7 @@ class DriveInstrumentChecks(DriveBench):
                 return  # it says so
             share, name = share_at_the_end_of_the_scale(measured.i_ab)
             peak_a = float(np.hypot(*measured.i_ab.T).max())
-            assert share <= CLIPPED, (
+            assert share <= _TOLERANCES.clipped, (
                 f"{share:.0%} of the rows stand at the largest reading of {name}, in a ripple up to {peak_a:.3g} A: "
                 f"clipped below the rated {session.sizes.rated_a:.3g} A, and clipped_rows does not say so"
             )
