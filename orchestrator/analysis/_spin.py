@@ -5,8 +5,8 @@
 in means over whole turns at a steady current, J being a quarter turn ahead. A voltage that is held over a sample while
 the rotor turns is shorter by sin(x)/x, x = w Ts / 2, and acts where the rotor is in the middle of it. W is even in i_q
 about the true d axis; e is a phase's loss, by the sign of its current as it was measured, ripple and all, with a knee
-that may be anywhere: about 4/pi of it along the current. All is told at once, R_s and e from several speeds, or by what
-is known of R_s beforehand; how smooth W is the data say.
+that may be anywhere: about 4/pi of it along the current. R_s rises evenly in time as the winding warms. All is told at
+once, R_s and e from several speeds, or by what is known of R_s beforehand; how smooth W is the data say.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ LITTLE = 0.02
 """Part of the largest current below which it is none."""
 KNEES = (0.0, 0.04, 0.15)
 """Currents (of the largest) at which a phase's loss has its knee: it is a mixture of these."""
-LOSS_SHARE, IRON_SHARE, TURN_RAD = 0.02, 0.2, 0.2
+LOSS_SHARE, IRON_SHARE, TURN_RAD, WARM_SHARE = 0.02, 0.2, 0.2, 0.05
 """Standard deviations of what is believed: a phase's loss (of the largest voltage), the iron's current (of the largest
-one), and a turn of the axis."""
+one), a turn of the axis, and by how much R_s changes from the first point to the last (of itself)."""
 
 
-_OHM, _IRON, _TURN, _LOSS = range(4)
+_OHM, _WARMER, _IRON, _TURN, _LOSS = range(5)
 
 
 @dataclass(frozen=True)
@@ -48,12 +48,15 @@ class SpunPoints:
         Electrical [rad/s].
     lost : array, shape (n, knees, 2)
         What a loss of one volt in each phase takes of the voltage, by its knee.
+    time_s : array, shape (n,)
+        Since the start of the experiment.
     """
 
     i: Array
     v: Array
     speed: Array
     lost: Array
+    time_s: Array
 
 
 def spun_points(
@@ -107,13 +110,13 @@ def spun_points(
         mean = (angle[last] - angle[first]) / ((last - first) * step)
         faster = abs(smooth[first:middle].mean() - smooth[middle:last].mean()) / abs(mean)
         if max(moved, faster) < steady:
-            kept.append([x[first:last].mean(axis=0) for x in (i, v, lost)] + [mean])
+            kept.append([*(x[first:last].mean(axis=0) for x in (i, v, lost)), mean, capture.start_s + middle * step])
     if not kept:
         raise NotMeasuredError(where, "i_alpha, i_beta", "current and speed are steady over no two turns")
-    means_i, means_v, means_lost, speeds = (np.array(x) for x in zip(*kept, strict=True))
+    means_i, means_v, means_lost, speeds, times = (np.array(x) for x in zip(*kept, strict=True))
     # A current that is noise has no direction.
     flows = np.linalg.norm(means_i, axis=1) > LITTLE * scale_a
-    return SpunPoints(means_i, means_v, speeds, means_lost * flows[:, None, None])
+    return SpunPoints(means_i, means_v, speeds, means_lost * flows[:, None, None], times)
 
 
 def _lost(capture: Capture, theta_rad: Array, scale_a: float) -> Array:
@@ -270,11 +273,13 @@ class _System:
         return np.concatenate([shape[:, :, : self.free], self._own(), shape[:, :, self.free :]], axis=2)
 
     def _own(self) -> Array:
-        """Columns of R_s, of the iron's conductance, of a turn of the axis, and of a phase's loss by its knees."""
+        """Columns of R_s, of its rise, of the iron's conductance, of a turn of the axis, and of a loss by its knees."""
         p = self.points
         out = np.zeros((len(p.i), 2, _LOSS + len(KNEES)))
         over = 1.0 / p.speed[:, None]
         out[:, :, _OHM] = _behind(p.i) * over
+        late = p.time_s - p.time_s.mean()
+        out[:, :, _WARMER] = out[:, :, _OHM] * (late / max(float(np.ptp(late)), 1e-9))[:, None]
         for number in range(len(KNEES)):
             out[:, :, _LOSS + number] = _behind(p.lost[:, number]) * over
         if self.flux is not None:
@@ -291,7 +296,8 @@ class _System:
         p = self.points
         emf = float(np.linalg.norm(p.v, axis=1).max())
         iron = IRON_SHARE * float(np.abs(p.i).max()) / emf
-        return np.array([self.known[1], iron, TURN_RAD, *[LOSS_SHARE * emf] * len(KNEES)])
+        warmer = WARM_SHARE * self.known[0]
+        return np.array([self.known[1], warmer, iron, TURN_RAD, *[LOSS_SHARE * emf] * len(KNEES)])
 
     def solved(self, size: Array) -> Solution:
         """What is most likely where so much is left of each axis, shape (2,)."""

@@ -97,7 +97,8 @@ class SpinEstimator:
             return spun_points(capture, theta, delay=delay if held else None, scale_a=scale_a or 1.0, where=segment.id)
 
         each = each_capture(recording, segments, turned)
-        points = SpunPoints(*(np.concatenate([getattr(p, name) for p in each]) for name in ("i", "v", "speed", "lost")))
+        columns = ("i", "v", "speed", "lost", "time_s")
+        points = SpunPoints(*(np.concatenate([getattr(p, name) for p in each]) for name in columns))
         names = [s.id for s, p in zip(segments, each, strict=True) for _ in range(len(p.i))]
         if float(np.linalg.norm(points.i, axis=1).max()) <= nothing_a:
             return self._magnet(recording, points, names)

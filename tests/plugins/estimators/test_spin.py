@@ -37,8 +37,12 @@ def spun(
     speeds: Sequence[float] = (200.0,),
     offset: float = 0.0,
     noise: float = 0.05,
+    warmer: float = 0.0,
 ) -> MemoryRecording:
-    """Voltages are what the flux changes by over each sample and the resistive drop; `offset` is the true d axis'."""
+    """Voltages are what the flux changes by over each sample and the resistive drop; `offset` is the true d axis'.
+
+    The resistance rises by the part `warmer` of itself until the end.
+    """
     random, captures = np.random.default_rng(3), {}
     segments: list[Segment] = []
     for speed in speeds:
@@ -47,7 +51,8 @@ def spun(
             angle = 0.4 + speed * STEP_S * np.arange(count + 1)
             psi = flux_for(np.array(current), saturated_current) + np.array([MAGNET_WB, 0.0])
             middle = at(0.5 * (angle[1:] + angle[:-1]), np.array(current))
-            v = np.diff(at(angle, psi), axis=0) / STEP_S + R_S * middle
+            ohm = R_S * (1.0 + warmer * len(segments) / (len(speeds) * len(currents)))
+            v = np.diff(at(angle, psi), axis=0) / STEP_S + ohm * middle
             name = f"spin-{len(segments):03d}"
             captures[name] = Capture(
                 start_s=0.3 * len(segments),
@@ -96,6 +101,12 @@ def test_the_map_and_the_magnet_are_right_with_a_resistance_that_is_off_by_a_per
     assert 100.0 / RATED_WB * float(np.sqrt((off[there] ** 2).sum(axis=1).mean())) < 0.1
     assert told(estimate, "magnet_flux", "flux_wb") == pytest.approx(MAGNET_WB, rel=2e-3)
     assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]
+
+
+def test_a_winding_that_warms_is_no_loss_of_the_inverter() -> None:
+    estimate = found(spun(GRID, speeds=(150.0, -250.0), noise=0.005, warmer=0.03))
+    assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]
+    assert told(estimate, "resistance_by_emf", "value_ohm") == pytest.approx(1.015 * R_S, rel=2e-3)
 
 
 def test_an_offset_of_the_angle_is_told_in_either_direction_of_turning() -> None:
