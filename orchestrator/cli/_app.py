@@ -323,6 +323,9 @@ def diagnose_command(
     material_voltage: Annotated[
         float | None, typer.Option(min=0.0, help="Or from this voltage on, % of the excitation's rms.")
     ] = None,
+    priors: Annotated[
+        Path | None, typer.Option(help="What a fleet of its kind lets expect: what `fluxbench fleet priors` wrote.")
+    ] = None,
     out: OutOption = None,
     as_json: JsonOption = False,
 ) -> int:
@@ -332,7 +335,7 @@ def diagnose_command(
     """
     from orchestrator.cli._diagnosis import diagnose
 
-    return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json)
+    return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json, priors)
 
 
 @app.command("add")

@@ -36,6 +36,7 @@ def diagnose(
     material: tuple[float | None, float | None],
     out: Path | None,
     as_json: bool,
+    priors: Path | None = None,
 ) -> int:
     """Name what the model lacks; `material` as per cent of the rated flux, and of the excitation's voltage."""
     with prompt_interrupt():
@@ -48,6 +49,7 @@ def diagnose(
             material_voltage_percent=material[1],
             out=out,
             tell=Waiting(),
+            priors=priors,
         )
         refresh_report(path, out)
     if as_json:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
@@ -20,10 +20,12 @@ from orchestrator.diagnosis.fitting.candidates import (
     those_that_can_show,
 )
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
+from orchestrator.diagnosis.selection.expected import with_expected
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
@@ -62,6 +64,7 @@ from protocols import (
     Unexplained,
     Verdict,
 )
+from protocols.fleet_priors import FleetPriors
 
 
 @dataclass(frozen=True)
@@ -103,6 +106,7 @@ def diagnose_recording(
     poll: Callable[[], None] = lambda: None,
     tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
+    priors: FleetPriors | None = None,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -124,9 +128,13 @@ def diagnose_recording(
         Called with what is under way, in a few words.
     criteria : Criteria, optional
         Thresholds other than the default ones.
+    priors : FleetPriors, optional
+        What other motors of its kind let expect. Effects whose size is none of theirs are found without.
 
     Raises
     ------
+    InputError
+        Where the priors are another motor's, or of something that is no effect's amplitude.
     RecordingError
         Where a capture cannot be read.
     NotMeasuredError
@@ -134,19 +142,60 @@ def diagnose_recording(
     PluginError
         Where `without` names an effect that is not in the library.
     """
+    asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria)
+    if priors is None:
+        return _diagnosed(recording, asked, on_step)
+    require_same_motor(priors, recording.manifest)
+    found = _diagnosed(recording, asked, None, priors)
+    if found.setup is None:
+        return found
+    unlike = unlike_the_fleet(found.search.sized)
+    if unlike:
+        tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
+        found = _diagnosed(recording, asked, None, priors.without(unlike))
+    if on_step is not None and found.setup is not None:
+        _show(found.setup.unweighed, found.search, found.report.ladder, on_step)
+    said = (*found.report.remarks, *_of_fleet(priors, unlike, found.report))
+    used = {**found.report.criteria, "fleet": priors.without(unlike).model_dump(mode="json")}
+    return replace(found, report=found.report.model_copy(update={"remarks": said, "criteria": used}))
+
+
+@dataclass(frozen=True)
+class _Asked:
+    """What `diagnose_recording` was asked for."""
+
+    effects: Sequence[Effect]
+    model: ModelChoice
+    without: tuple[str, ...]
+    out: Path | None
+    poll: Callable[[], None]
+    tell: Callable[[str], None]
+    criteria: Criteria | None
+
+
+def _diagnosed(
+    recording: Recording,
+    asked: _Asked,
+    on_step: Callable[[DiagnosisStep], None] | None,
+    priors: FleetPriors | None = None,
+) -> Diagnosis:
     began = time.monotonic()
-    require_known(without, effects)
+    model, without, poll, tell, criteria = asked.model, asked.without, asked.poll, asked.tell, asked.criteria
+    require_known(without, asked.effects)
     tell("does the recording keep its manifest's conventions?")
     if (named := find_convention(recording, (criteria or Criteria()).conventions, poll)) is not None:
         seconds = time.monotonic() - began
         report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
-    setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), tell=tell)
-    every = scaled_library(effects, setup.prepared.manifest, without)
+    setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), fleet=priors, tell=tell)
+    every = scaled_library(asked.effects, setup.prepared.manifest, without)
+    if priors is not None:
+        every = with_priors(every, priors, setup.prepared.criteria.selection)
     library = those_that_can_show(every, [p.signals for p in setup.prepared.pieces])
     if isinstance(model, MotorModel):
         model = reduced(model, without)
     steps = with_measured(setup, map_steps(setup, model, {c.name: c for c in every}, without), library)
+    steps = with_expected(setup, steps, library)
     setup, search = search_effects(setup, steps, library)
     if search.shares:
         search, doubtful = without_stand_ins(search)
@@ -206,11 +255,26 @@ def diagnose_recording(
         baseline = Nameplate.model_validate({"freed": tuple(freed)})
     kept = kept_model(setup, sized, baseline, (*of_map, *active), ladder)
     try:
-        write_model(out or recording.path, kept)
+        write_model(asked.out or recording.path, kept)
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
     delivery = delivery_of(uncertainty, last, kept, verdict, band_percent)
     return Diagnosis(report, setup, search, library, delivery)
+
+
+def _of_fleet(priors: FleetPriors, unlike: frozenset[str], report: DiagnosisReport) -> list[Remark]:
+    """That a fleet was believed, and where this motor is none of it."""
+    text = "with what {count} recordings of a fleet let expect ({table})"
+    said = [Remark.of("fleet", text, count=priors.recordings, table=priors.table)]
+    for name in sorted(unlike):
+        text = "{effect}: its size is none of the fleet's, which had no say in it"
+        said.append(Remark.of("unlike_the_fleet", text, effect=name))
+    here = {name for effect in (*report.effects, *report.minor) for name in (effect.name, *effect.twins)}
+    for name, prior in priors.effects.items():
+        if prior.probability > 0.9 and name not in here:
+            text = "{effect}: in {found} of {asked} recordings of the fleet, not found here"
+            said.append(Remark.of("not_found_here", text, effect=name, found=prior.found, asked=prior.asked))
+    return said
 
 
 def _remarks(

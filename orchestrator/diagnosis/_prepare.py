@@ -19,6 +19,7 @@ from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse,
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import RecordingReader, Remark, Signals
+from protocols.fleet_priors import FleetPriors
 
 
 def open_for_diagnosis(
@@ -27,6 +28,7 @@ def open_for_diagnosis(
     criteria: Criteria | None = None,
     *,
     pm_flux_wb: float | None = None,
+    fleet: FleetPriors | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> DiagnosisSetup:
     """Read a recording and find its noise; what `poll` raises ends any fit of it.
@@ -35,6 +37,8 @@ def open_for_diagnosis(
     ----------
     pm_flux_wb : float, optional
         Of the model that the recording is held against; the nameplate's by default.
+    fleet : FleetPriors, optional
+        What other motors of its kind let expect of R_s and of the inductances at rest.
 
     Raises
     ------
@@ -48,7 +52,7 @@ def open_for_diagnosis(
     prepared = prepare(watched, criteria)
     watched.conclude()
     noise = sensor_noise(prepared.pieces, criteria.weak_form)
-    prepared = replace(prepared, pieces=tuple(noise.taken_out_of(piece) for piece in prepared.pieces))
+    prepared = replace(prepared, pieces=tuple(noise.taken_out_of(piece) for piece in prepared.pieces), fleet=fleet)
     require_enough(prepared, noise)
     remarks = [
         *prepared.remarks,

@@ -2,6 +2,7 @@
 
 from orchestrator.fleet_statistics._limits import read_limits, require_known
 from orchestrator.fleet_statistics._pairs import WITHIN
+from orchestrator.fleet_statistics._priors import priors_of
 from orchestrator.fleet_statistics._reporting import report_of
 from orchestrator.fleet_statistics._rows import (
     SECTIONS,
@@ -11,6 +12,7 @@ from orchestrator.fleet_statistics._rows import (
     judgement_rows,
     outlier_rows,
     pair_rows,
+    prior_rows,
 )
 from orchestrator.fleet_statistics._settings import FleetCriteria
 from orchestrator.fleet_statistics._table import FleetTable, fleet_of, read_fleet
@@ -27,6 +29,8 @@ __all__ = [
     "judgement_rows",
     "outlier_rows",
     "pair_rows",
+    "prior_rows",
+    "priors_of",
     "read_fleet",
     "read_limits",
     "report_of",

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import UNKNOWN, number, percent, quantity, value_and_interval
+from orchestrator.presentation.names import parameter_words, plain
+from orchestrator.presentation.quantities import UNKNOWN, number, percent, quantity, value_and_error, value_and_interval
+from protocols.fleet_priors import FleetPriors
 from protocols.fleet_report import FleetJudgement, FleetPairs, FleetQuantity, FleetRecording, FleetReport
 
 Rows = list[tuple[str, ...]]
@@ -118,6 +119,23 @@ def count_rows(report: FleetReport) -> Rows:
     rows = [(plain(one.what), str(one.count)) for one in report.verdicts]
     rows += [(f"failed: {one.what}", str(one.count)) for one in report.failures]
     return [("verdict", "recordings"), *rows]
+
+
+def prior_rows(found: FleetPriors) -> Rows:
+    """What the next motor lets expect."""
+    head = ("quantity", "in", "probability", "mean", "between motors", "recordings")
+    rows = [
+        (label, "", "", *value_and_error(prior.mean, prior.std, prior.unit), str(prior.recordings))
+        for label, prior in (("R_s", found.resistance), ("L_d", found.d_inductance), ("L_q", found.q_inductance))
+        if prior is not None
+    ]
+    for name, effect in found.effects.items():
+        share, probability = f"{effect.found} of {effect.asked}", number(effect.probability, 3)
+        for parameter, prior in effect.sizes.items():
+            told = value_and_error(prior.mean, prior.std, prior.unit)
+            label = f"{plain(name)}: {parameter_words(parameter)}"
+            rows.append((label, share, probability, *told, str(prior.recordings)))
+    return [head, *rows]
 
 
 SECTIONS: dict[str, Callable[[FleetReport], Rows]] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from protocols import Strict
+from protocols import Strict, Verdict
 
 
 class FleetCriteria(Strict):
@@ -25,6 +25,10 @@ class FleetCriteria(Strict):
     most_reasons: int = 3
     strange_sigma: float = 3.0
     """Below it, a quantity is strange beside the others rather than by itself."""
+    explained: tuple[Verdict, ...] = ("clean", "explained", "mostly_explained")
+    """Verdicts of diagnoses whose effects are believed where the next motor is told what to expect."""
+    far_out: float = 4.0
+    """Robust deviations from the median, beyond which a value is a fault and no property of the kind."""
     most_bins: int = 40
     most_points: int = 400
     """Of a chart in the report: of more recordings, the most extreme of each group are kept."""

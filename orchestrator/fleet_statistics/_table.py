@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,6 +67,11 @@ class Column:
     def known(self) -> Mask:
         return np.isfinite(self.values)
 
+    def of_rows(self, rows: Mask) -> Column:
+        """Some of the recordings alone."""
+        parts = {name: getattr(self, name)[rows] for name in ("values", "low", "high", "asked")}
+        return replace(self, **parts)
+
     @property
     def deviations(self) -> Array:
         """Of each value by its own interval; NaN where it has none."""
@@ -83,7 +88,8 @@ class FleetTable:
     recordings : sequence of FleetRecording
     seconds : array, shape (n,)
         Since 1970, when each began; NaN where that is not known.
-    batches : sequence of (str or None)
+    motors : sequence of (str or None)
+        The nameplate's names.
     verdicts : sequence of (str or None)
     usable : sequence of (bool or None)
     columns : mapping of Column
@@ -94,6 +100,7 @@ class FleetTable:
     place: str
     recordings: Sequence[FleetRecording]
     seconds: Array
+    motors: Sequence[str | None]
     verdicts: Sequence[str | None]
     usable: Sequence[bool | None]
     columns: Mapping[str, Column]
@@ -101,6 +108,18 @@ class FleetTable:
 
     def __len__(self) -> int:
         return len(self.recordings)
+
+    def of_rows(self, rows: Mask) -> FleetTable:
+        """Some of the recordings alone."""
+        return replace(
+            self,
+            recordings=[one for one, kept in zip(self.recordings, rows, strict=True) if kept],
+            seconds=self.seconds[rows],
+            motors=[one for one, kept in zip(self.motors, rows, strict=True) if kept],
+            verdicts=[one for one, kept in zip(self.verdicts, rows, strict=True) if kept],
+            usable=[one for one, kept in zip(self.usable, rows, strict=True) if kept],
+            columns={name: column.of_rows(rows) for name, column in self.columns.items()},
+        )
 
 
 def read_fleet(place: str) -> FleetTable:
@@ -129,6 +148,7 @@ def fleet_of(table: pa.Table, place: str) -> FleetTable:
         place,
         [FleetRecording.model_validate(row) for row in rows],
         np.array([_seconds(row["started_at"]) for row in rows], dtype=np.float64),
+        table.column("motor").to_pylist(),
         table.column("verdict").to_pylist(),
         table.column("usable").to_pylist(),
         {column.name: column for column in _columns(table)},

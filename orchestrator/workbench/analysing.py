@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from orchestrator.diagnosis import ModelChoice, SavedDiagnosis
     from orchestrator.side_by_side import SideBySide
+    from protocols.fleet_priors import FleetPriors
 
 Place = str | PathLike[str]
 """A run or recording: its directory, or `Measurements`."""
@@ -83,6 +84,7 @@ def diagnose(
     material_voltage_percent: float | None = None,
     out: Place | None = None,
     tell: Callable[[str], None] = lambda _: None,
+    priors: FleetPriors | Place | None = None,
 ) -> SavedDiagnosis:
     """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
 
@@ -92,6 +94,8 @@ def diagnose(
         An effect counts from this change of the map on, of the rated flux, or from this voltage on, of the excitation.
     tell : callable
         Called with what is under way, in a few words.
+    priors : FleetPriors or path, optional
+        What other motors of its kind let expect, or the file that `fluxbench fleet priors` wrote it to.
     """
     from orchestrator.diagnosis import Criteria, diagnose_and_keep
 
@@ -107,6 +111,7 @@ def diagnose(
         out=_directory(out),
         tell=tell,
         criteria=criteria,
+        priors=_chosen_priors(priors),
     )[1]
 
 
@@ -172,6 +177,15 @@ def chosen_effects(more: Effects = ()) -> list[Effect]:
             raise PluginError(where, effect.name, "there is an effect of that name already: choose another")
         effects.append(effect)
     return effects
+
+
+def _chosen_priors(choice: FleetPriors | Place | None) -> FleetPriors | None:
+    if not isinstance(choice, str | PathLike):
+        return choice
+    from orchestrator.recording import read_json
+    from protocols.fleet_priors import FleetPriors
+
+    return read_json(Path(choice), FleetPriors)
 
 
 def _made(kind: type[Any], where: str) -> Effect:

@@ -12,6 +12,7 @@ from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
+from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.frames import to_dq
@@ -105,7 +106,10 @@ def _separable(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
 
 def _free(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
     prior = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, setup.criteria.roughness)
-    return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
+    known = inductances_at_rest(setup.prepared.fleet, grid)
+    if known is None:
+        return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
+    return MapSpace(grid, known[0], np.eye(grid.size), np.concatenate([prior, known[1]]))
 
 
 def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:

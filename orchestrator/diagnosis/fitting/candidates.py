@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+
+import numpy as np
 
 from orchestrator._validation import suggestion
 from orchestrator.diagnosis.fitting.guarded import require_effect
 from orchestrator.diagnosis.fitting.machine_scale import MachineScale
+from orchestrator.numerics.types import Array
 from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError, Signals
 
 SATURATION = "saturation"
@@ -24,6 +27,13 @@ class Candidate:
 
     effect: Effect
     parameters: tuple[EffectParameter, ...]
+    centres: Mapping[str, float] = field(default_factory=dict)
+    """Coordinates at which the priors of some amplitudes stand; all others' stand at zero."""
+    head_start: float = 0.0
+    """Evidence for its being there that a fleet has given; below zero where the fleet has hardly ever had it [nat]."""
+
+    is_expected: bool = False
+    """Whether a fleet has it nearly always: then it is in the model until the data speak against it."""
 
     @property
     def name(self) -> str:
@@ -38,6 +48,11 @@ class Candidate:
     @cached_property
     def amplitudes(self) -> tuple[str, ...]:
         return self.of_role(ParameterRole.AMPLITUDE)
+
+    @cached_property
+    def standing(self) -> Array:
+        """Coordinates at which the amplitudes' priors stand, shape (amplitudes,)."""
+        return np.array([self.centres.get(name, 0.0) for name in self.amplitudes])
 
     def absent(self) -> Active:
         """This effect at its neutral amplitudes, amplitudes free."""
@@ -63,6 +78,10 @@ class Active:
 
     def coordinate(self, name: str) -> float:
         return coordinate_of(self.candidate.named(name), self.values[name])
+
+    def off_prior(self, name: str) -> float:
+        """Coordinate from where its prior stands, in standard deviations of that."""
+        return self.coordinate(name) - self.candidate.centres.get(name, 0.0)
 
     def freeing(self, *names: str) -> Active:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))

@@ -26,7 +26,7 @@ def newton_step(
     x = np.array([a.coordinate(n) for a, n in free])
     normal, gradient = system
     count = len(x)
-    slope = gradient[:count] + x
+    slope = gradient[:count] + _off_priors(fit)
     curvature = normal[:count, :count] + np.eye(count)
     curvature += damping * np.diag(np.diag(curvature))
     moving = np.flatnonzero(which) if which is not None else np.arange(count)
@@ -51,7 +51,7 @@ def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[
     x = np.array([a.coordinate(n) for a, n in free])
     normal, gradient = system
     count = len(x)
-    slope, curvature = gradient[:count] + x, normal[:count, :count] + np.eye(count)
+    slope, curvature = gradient[:count] + _off_priors(fit), normal[:count, :count] + np.eye(count)
     lows, highs = np.array([reach(a, n) for a, n in free]).T - x
     shapes = np.array([n not in a.candidate.amplitudes for a, n in free])
     lows[shapes], highs[shapes] = np.maximum(lows[shapes], -radius), np.minimum(highs[shapes], radius)
@@ -63,6 +63,10 @@ def bounded_step(fit: Fit, system: tuple[Array, Array], radius: float) -> tuple[
     lows, highs = np.minimum(lows, -1e-12), np.maximum(highs, 1e-12)
     move = lsq_linear(root, target, (lows, highs), method="bvls").x
     return move, -float(2.0 * slope @ move + move @ curvature @ move)
+
+
+def _off_priors(fit: Fit) -> Array:
+    return np.array([a.off_prior(n) for a, n in fit.model.free])
 
 
 def reach(active: Active, name: str) -> tuple[float, float]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from orchestrator.analysis import known_resistance
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Frame, MapSpace, Model, SegmentRows
+from orchestrator.diagnosis.fitting.priors import known_by
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.numerics.types import Array
@@ -38,7 +39,7 @@ def solved(
     normal[1:, 0] = normal[0, 1:]
     total = normal.copy()
     total[1:, 1:] += space.prior.T @ space.prior
-    known = known_resistance(prepared.manifest.motor)
+    known = known_by(prepared.fleet) or known_resistance(prepared.manifest.motor)
     believed = 1.0 / known.std_ohm**2 if known is not None and known.is_measured else 0.0
     nominal = known.value_ohm if known is not None else 0.0
     total[0, 0] += believed
@@ -59,7 +60,7 @@ def solved(
     training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
     chi2 = float(sum(e @ e for e in training))
     log_det = sum(f.whitener.log_det for p, f in zip(pieces, frame.pieces, strict=True) if not p.held_out)
-    priors = sum(a.coordinate(n) ** 2 for a, n in model.free)
+    priors = sum(a.off_prior(n) ** 2 for a, n in model.free)
     rough = space.prior @ (free_numbers + change)
     return Fit(
         model=fitted,

@@ -14,6 +14,7 @@ from orchestrator.diagnosis.reporting.words import in_words
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep, Effect, EstimationReport, Remark, StorageError
+from protocols.fleet_priors import FleetPriors
 
 
 def deliver(delivery: Delivery, recording: Recording, out: Path | None) -> EstimationReport:
@@ -42,6 +43,7 @@ def diagnose_and_keep(
     poll: Callable[[], None] = lambda: None,
     tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
+    priors: FleetPriors | None = None,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
     """`diagnose_recording`, and what it found written to ``results/``: ``diagnosis.json``, ``.npz``, the model's map.
 
@@ -66,7 +68,16 @@ def diagnose_and_keep(
             on_step(step)
 
     diagnosis = diagnose_recording(
-        recording, effects, model=model, without=without, out=out, on_step=keep, poll=poll, tell=tell, criteria=criteria
+        recording,
+        effects,
+        model=model,
+        without=without,
+        out=out,
+        on_step=keep,
+        poll=poll,
+        tell=tell,
+        criteria=criteria,
+        priors=priors,
     )
     words = in_words(diagnosis)
     try:

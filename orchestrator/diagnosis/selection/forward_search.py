@@ -16,7 +16,15 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
 from orchestrator.diagnosis.selection.refining import polished, repolished
-from orchestrator.diagnosis.selection.scoring import LinearView, Score, linear_gain, linear_view, log_evidence, score
+from orchestrator.diagnosis.selection.scoring import (
+    LinearView,
+    Score,
+    asked,
+    gain_with,
+    linear_view,
+    log_evidence,
+    score,
+)
 from orchestrator.diagnosis.selection.shares import Share
 from orchestrator.presentation.names import plain
 from orchestrator.presentation.quantities import number
@@ -100,7 +108,9 @@ def forward(
         trials = _tried(fitter, fit, hopeful)
         inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
         before = log_evidence(fit, inflation)
-        ranked = sorted(((log_evidence(t, inflation) - before, n, t) for n, t in trials), key=lambda item: -item[0])
+        starts = {c.name: c.head_start for c in candidates}
+        weighed = ((log_evidence(t, inflation) - before + starts[n], n, t) for n, t in trials)
+        ranked = sorted(weighed, key=lambda item: -item[0])
         gain, name, trial = ranked[0]
         if gain < limits.log_evidence:
             break
@@ -141,22 +151,26 @@ def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
     if not scores:
         return []
     best, limits = scores[0], fit.criteria.selection
-    least = 2.0 * limits.log_evidence * max(1.0, (fit.chi2 - best.gain) / fit.dof)
+    inflation = max(1.0, (fit.chi2 - best.gain) / fit.dof)
+
+    def least(s: Score) -> float:
+        return 2.0 * asked(fit, s.candidate) * inflation
+
     # A refit with the shape free does better than the linear estimate, but not without limit.
-    if best.gain < least or best.gain < 0.5 * limits.least_share * (fit.chi2 - fit.dof):
+    if best.gain < least(best) or best.gain < 0.5 * limits.least_share * (fit.chi2 - fit.dof):
         return []
 
     def alike(s: Score) -> bool:
         return bool(parted_by(s.candidate.effect, best.candidate.effect))
 
     hopeful = [s for s in scores if s.gain > limits.hopeful * best.gain or alike(s)]
-    return [s for s in hopeful if s.gain > least][: limits.most_trials]
+    return [s for s in hopeful if s.gain > least(s)][: limits.most_trials]
 
 
 def _faint(scores: Sequence[Score], fit: Fit) -> list[str]:
     """Effects whose linear gain is beyond chance, though they explain little of what is left."""
-    least = 2.0 * fit.criteria.selection.log_evidence * max(1.0, fit.chi2_per_dof)
-    return [s.candidate.name for s in scores[:3] if s.gain > least]
+    inflation = max(1.0, fit.chi2_per_dof)
+    return [s.candidate.name for s in scores[:3] if s.gain > 2.0 * asked(fit, s.candidate) * inflation]
 
 
 def _size(fit: Fit, name: str) -> float:
@@ -211,7 +225,7 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
         fitted, each = len(fit.model.free), len(candidate.amplitudes)
         for k, variant in enumerate(variants):
             amplitudes = list(range(fitted + k * each, fitted + (k + 1) * each))
-            estimate = linear_gain(normal, right, fitted, amplitudes)
+            estimate = gain_with(candidate, normal, right, fitted, amplitudes)
             if estimate[0] > gain:
                 best, gain, coordinates = variant, *estimate
     for name, x in zip(candidate.amplitudes, coordinates, strict=True):

@@ -31,7 +31,8 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> t
     inflation = max(fit.chi2_per_dof, 1.0)
     x0 = np.array([a.coordinate(n) for a, n in columns])
     precision = normal / inflation + np.eye(len(columns))
-    x = x0 - np.linalg.solve(precision, right / inflation + x0)
+    off = np.array([a.off_prior(n) for a, n in columns])
+    x = x0 - np.linalg.solve(precision, right / inflation + off)
     spread = np.sqrt(np.diag(np.linalg.inv(precision)))
     entries: dict[str, JointEntry] = {}
     for (active, name), value, sigma in zip(columns, x, spread, strict=True):

@@ -19,7 +19,15 @@ from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.identifiability import separable
-from orchestrator.diagnosis.selection.scoring import linear_gain, linear_view, log_evidence, score
+from orchestrator.diagnosis.selection.scoring import (
+    asked,
+    asked_to_stay,
+    gain_with,
+    linear_gain,
+    linear_view,
+    log_evidence,
+    score,
+)
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
 from protocols import Effect, ParameterRole
@@ -72,10 +80,10 @@ def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> F
     An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there.
     """
     view = linear_view(fitter, fit, library)
-    least = 2.0 * fit.criteria.selection.log_evidence * max(fit.chi2_per_dof, 1.0)
+    noise = max(fit.chi2_per_dof, 1.0)
     overlooked = []
     for one in score(view):
-        if one.gain > least:
+        if one.gain > 2.0 * asked(fit, one.candidate) * noise:
             active = one.candidate.absent().freeing(*one.candidate.of_role(ParameterRole.SHAPE))
             for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
                 active = active.moved(name, float(x))
@@ -136,12 +144,15 @@ def downwards(fitter: Fitter, fit: Fit) -> Fit:
 def dispensable(fit: Fit) -> list[str]:
     """Effects that can go, one after the other, the least asked for first, the others following linearly."""
     mean, covariance, names = _posterior(fit)
-    columns = _places(names)
+    columns, known = _places(names), {active.name: active.candidate for active in fit.model.active}
     out: list[str] = []
     while columns:
-        factors = {name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)]) for name, k in columns.items()}
-        least = min(factors, key=lambda name: factors[name])
-        if factors[least] >= fit.criteria.selection.log_evidence:
+        spare = {
+            name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)], known[name]) - asked_to_stay(fit, known[name])
+            for name, k in columns.items()
+        }
+        least = min(spare, key=lambda name: spare[name])
+        if spare[least] >= 0.0:
             break
         # The others' distribution where this effect is not there.
         gone = columns.pop(least)
@@ -167,7 +178,7 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         trial = fit_along_chords(
             fitter, replaced, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=trial
         )
-        gain = _evidence_gain(trial, fit)
+        gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
         if gain > 0.0:
             effect = _effect(fit, name)
             fit, tied = trial, gain < limits.tie or not separable(fit.prepared, other.candidate.effect, effect)
@@ -184,10 +195,10 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
         if not {one, other} <= set(fit.model.names) or separable(fit.prepared, _effect(fit, one), _effect(fit, other)):
             continue
         factors = log_bayes_factors(fit)
-        lesser, stays = sorted((one, other), key=lambda name: factors[name])
+        lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
         kept = fit.model.with_active([a for a in fit.model.active if a.name != lesser])
         trial = refitted(fitter, kept, fit)
-        if _evidence_gain(fit, trial) < fit.criteria.selection.log_evidence:
+        if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, lesser)):
             fit = trial
             gone.setdefault(stays, []).append(lesser)
     return fit, gone
@@ -200,7 +211,11 @@ def _evidence_gain(trial: Fit, fit: Fit) -> float:
 
 
 def _effect(fit: Fit, name: str) -> Effect:
-    return next(a.candidate.effect for a in fit.model.active if a.name == name)
+    return _candidate(fit, name).effect
+
+
+def _candidate(fit: Fit, name: str) -> Candidate:
+    return next(a.candidate for a in fit.model.active if a.name == name)
 
 
 def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list[tuple[str, Active]]:
@@ -221,7 +236,8 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
         for c in absent:
             place = [len(free) + k for k, (a, _) in enumerate(columns) if a.name == c.name]
             order = [*stay, *place]
-            gain, x = linear_gain(normal[np.ix_(order, order)], pull[order], len(stay), range(len(stay), len(order)))
+            columns_of = range(len(stay), len(order))
+            gain, x = gain_with(c, normal[np.ix_(order, order)], pull[order], len(stay), columns_of)
             if gain > fit.criteria.selection.stand_in * worth:
                 other = c.absent()
                 for n, value in zip(c.amplitudes, x, strict=True):
@@ -233,19 +249,26 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
 def log_bayes_factors(fit: Fit) -> dict[str, float]:
     """How much more likely the data are with each active effect than without, as a logarithm."""
     mean, covariance, names = _posterior(fit)
-    return {name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)]) for name, k in _places(names).items()}
+    known = {active.name: active.candidate for active in fit.model.active}
+    return {
+        name: _log_bayes_factor(mean[k], covariance[np.ix_(k, k)], known[name]) for name, k in _places(names).items()
+    }
 
 
 def probabilities(fit: Fit) -> dict[str, float]:
     """Of each active effect, that it is there."""
     prior = fit.criteria.selection.prior_probability
     odds = math.log(prior / (1.0 - prior))
-    return {name: 0.5 * (1.0 + math.tanh(0.5 * (f + odds))) for name, f in log_bayes_factors(fit).items()}
+    starts = {active.name: active.candidate.head_start for active in fit.model.active}
+    return {
+        name: 0.5 * (1.0 + math.tanh(0.5 * (f + odds + starts[name]))) for name, f in log_bayes_factors(fit).items()
+    }
 
 
-def _log_bayes_factor(mean: Array, covariance: Array) -> float:
-    """Savage and Dickey's density ratio at zero, for amplitudes with the prior N(0, 1)."""
-    return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
+def _log_bayes_factor(mean: Array, covariance: Array, candidate: Candidate) -> float:
+    """Savage and Dickey's density ratio at zero, for amplitudes with priors of unit variance."""
+    ratio = 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
+    return ratio - 0.5 * float(candidate.standing @ candidate.standing)
 
 
 def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:

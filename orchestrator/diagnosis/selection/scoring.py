@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,12 +48,25 @@ class LinearView:
 def log_evidence(fit: Fit, inflation: float) -> float:
     """Laplace's approximation to the log evidence of a fit, up to a constant of the recording."""
     count = len(fit.model.free)
-    priors = sum(a.coordinate(n) ** 2 for a, n in fit.model.free)
+    priors = sum(a.off_prior(n) ** 2 for a, n in fit.model.free)
     value = -0.5 * (fit.chi2 / inflation + fit.log_det + priors)
     if count:
         normal = fit.projected()[0][:count, :count]
         value -= 0.5 * float(np.linalg.slogdet(np.eye(count) + normal / inflation)[1])
     return value
+
+
+def asked(fit: Fit, candidate: Candidate) -> float:
+    """Log evidence that an effect has to bring to be named."""
+    return fit.criteria.selection.log_evidence - candidate.head_start
+
+
+def asked_to_stay(fit: Fit, candidate: Candidate) -> float:
+    """Log evidence below which an effect that is in the model goes: what is expected, where absence is likelier."""
+    usual = fit.criteria.selection.prior_probability
+    if candidate.is_expected:
+        return -(candidate.head_start + math.log(usual / (1.0 - usual)))
+    return asked(fit, candidate)
 
 
 def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
@@ -69,7 +83,7 @@ def score(view: LinearView) -> list[Score]:
     scores = []
     for candidate in view.absent:
         columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
-        scores.append(Score(candidate, *linear_gain(view.normal, view.right, fitted, columns)))
+        scores.append(Score(candidate, *gain_with(candidate, view.normal, view.right, fitted, columns)))
     return sorted(scores, key=lambda s: -s.gain)
 
 
@@ -82,6 +96,16 @@ def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]
         block, pull = block - across.T @ follow, pull - follow.T @ right[:fitted]
     x = np.asarray(-np.linalg.solve(block + np.eye(len(columns)), pull), dtype=np.float64)
     return float(-pull @ x), x
+
+
+def gain_with(
+    candidate: Candidate, normal: Array, right: Array, fitted: int, columns: Sequence[int]
+) -> tuple[float, Array]:
+    """`linear_gain` of an absent effect's amplitudes; their priors may stand elsewhere than at zero."""
+    pull = right.copy()
+    pull[columns] -= candidate.standing
+    gain, x = linear_gain(normal, pull, fitted, columns)
+    return gain - float(candidate.standing @ candidate.standing), x
 
 
 def loss_without(fit: Fit, active: Active, names: Sequence[str]) -> float:

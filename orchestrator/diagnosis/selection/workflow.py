@@ -21,7 +21,7 @@ from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.refining import settled
-from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
+from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter
@@ -246,11 +246,15 @@ def _spare(first: Fit) -> float:
 
 
 def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
-    limits, size = full.criteria.selection, next(a.relative_size for a in full.model.active if a.name == name)
+    limits, active = full.criteria.selection, next(a for a in full.model.active if a.name == name)
+    size = active.relative_size
+    inflation = max(1.0, full.chi2_per_dof)
+    gained = log_evidence(full, inflation) - log_evidence(without, inflation)
+    if active.candidate.is_expected:
+        return gained < asked_to_stay(full, active.candidate)
     if size < limits.least_size or certainty(full)[name] < limits.least_certainty:
         return True
-    inflation = max(1.0, full.chi2_per_dof)
-    if log_evidence(full, inflation) - log_evidence(without, inflation) < limits.log_evidence:
+    if gained < asked_to_stay(full, active.candidate):
         return True
     undetected = without.chi2_per_dof < limits.detected_chi2
     if undetected and (size < limits.undetected_size or not improves_held_out(without, full)):

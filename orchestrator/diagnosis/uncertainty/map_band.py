@@ -79,7 +79,7 @@ class MapUncertainty:
             covariance=noise * inverse[:width, :width],
             pulls=pulls[:, own] @ inverse[:, :width],
             forms=forms,
-            unseen=tuple(_unseen(fit, total, pulls.sum(axis=0), own, np.array(at)) for _, at in places),
+            unseen=tuple(_unseen(fit, total, pulls.sum(axis=0), own, np.array(at), c) for c, at in places),
         )
 
     def spread(self, rows: Array) -> Array:
@@ -129,16 +129,17 @@ def flux_rows(fit: Fit, i_dq: Array) -> Array:
     return np.stack(rows, axis=1)
 
 
-def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array) -> Unseen:
+def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidate: Candidate) -> Unseen:
     """What the recording has of one effect; `own` are the places of all that is fitted, `at` its own."""
     width, noise = fit.normal.shape[0], max(fit.chi2_per_dof, 1.0)
     both = np.concatenate([own, at])
     inverse = np.linalg.inv(total[np.ix_(both, both)])
-    block, x = inverse[len(own) :, len(own) :], -inverse[:, len(own) :] @ pull[at]
+    block, x = inverse[len(own) :, len(own) :], -inverse[:, len(own) :] @ (pull[at] - candidate.standing)
     size = x[len(own) :]
     prior = fit.criteria.selection.prior_probability
     gain = 0.5 * float(size @ np.linalg.solve(block, size)) / noise
     odds = gain + 0.5 * float(np.linalg.slogdet(block)[1]) + math.log(prior / (1.0 - prior))
+    odds += candidate.head_start - 0.5 * float(candidate.standing @ candidate.standing)
     probability = 0.5 * (1.0 + math.tanh(0.5 * odds))
     return Unseen(probability, x[:width], noise * inverse[:width, :width])
 

@@ -234,7 +234,7 @@ def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Like
     gradient = pulls.sum(axis=0)
     # R_s and the map are where their gradient, prior included, is nil.
     gradient[:width] = 0.0
-    gradient[width : width + len(free)] += [a.coordinate(n) for a, n in free]
+    gradient[width : width + len(free)] += [a.off_prior(n) for a, n in free]
     segments = []
     pieces = [(p, f) for p, f in zip(loose.prepared.pieces, loose.frame.pieces, strict=True) if not p.held_out]
     for (piece, frame), (linear, d, e) in zip(pieces, loose.training(), strict=True):

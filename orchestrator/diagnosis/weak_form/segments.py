@@ -34,6 +34,7 @@ from protocols import (
     SegmentStage,
     Signals,
 )
+from protocols.fleet_priors import FleetPriors
 
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
@@ -88,6 +89,8 @@ class PreparedRecording:
     pieces: tuple[SegmentSignals, ...]
     remarks: tuple[Remark, ...]
     criteria: Criteria
+    fleet: FleetPriors | None = None
+    """What other motors of its kind let expect."""
 
     @property
     def current_range(self) -> tuple[float, float, float]:

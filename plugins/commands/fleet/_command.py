@@ -8,6 +8,7 @@ from typing import Any
 import typer
 import typer.core
 
+from plugins.commands.fleet._priors import priors
 from plugins.commands.fleet._report import report
 from plugins.commands.fleet._run import run
 
@@ -24,6 +25,7 @@ class _RunUnlessNamed(typer.core.TyperGroup):
 app = typer.Typer(cls=_RunUnlessNamed, add_completion=False, rich_markup_mode=None)
 app.command("run")(run)
 app.command("report")(report)
+app.command("priors")(priors)
 
 
 @app.callback()

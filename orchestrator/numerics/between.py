@@ -1,0 +1,60 @@
+"""What many have in common: mean and spread behind values that each have an error of their own. Knows no physics.
+
+    y_k = mu + b_k + e_k,      b_k ~ N(0, tau^2),      e_k ~ N(0, s_k^2),      s_k known
+
+mu is integrated out, and tau weighed by what is left of the likelihood under a flat prior on it (Gelman 2006,
+doi:10.1214/06-BA117A): the likeliest tau of few values is often nought, which would be too sure of the next one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.numerics.types import Array
+
+
+@dataclass(frozen=True)
+class Population:
+    """Where the next value's b + mu is to be expected.
+
+    Attributes
+    ----------
+    mean : float
+    std : float
+        Of the next one: the spread between them, and how uncertain mean and spread are.
+    between : float
+        Root of the mean of tau^2.
+    """
+
+    mean: float
+    std: float
+    between: float
+
+
+def population(values: Array, errors: Array, nodes: int = 800, widest: float = 8.0) -> Population:
+    """Mean and spread behind values (n,) with standard errors (n,), n being four or more.
+
+    Parameters
+    ----------
+    nodes : int
+        Of the integral over tau, ...
+    widest : float
+        ... which goes to so many times the values' own standard deviation.
+    """
+    unit = float(np.std(values, ddof=1))
+    if not unit > 0.0:
+        unit = float(np.median(errors)) or max(abs(float(np.mean(values))), 1.0) * np.finfo(np.float64).eps
+    tau = unit * widest * (np.arange(nodes) + 0.5) / nodes
+    variances = tau[:, None] ** 2 + errors**2
+    known = np.sum(1.0 / variances, axis=1)
+    middle = np.sum(values / variances, axis=1) / known
+    squares = np.sum((values - middle[:, None]) ** 2 / variances, axis=1)
+    log_likelihood = -0.5 * (np.sum(np.log(variances), axis=1) + np.log(known) + squares)
+    weight = np.exp(log_likelihood - log_likelihood.max())
+    weight /= weight.sum()
+    mean = float(weight @ middle)
+    between = float(weight @ tau**2)
+    variance = between + float(weight @ (1.0 / known)) + float(weight @ (middle - mean) ** 2)
+    return Population(mean, float(np.sqrt(variance)), float(np.sqrt(between)))

@@ -1,0 +1,54 @@
+"""What a fleet's motors have in common, as a file for the next one's diagnosis. Nothing is computed here."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from protocols._base import Strict
+
+
+class NormalPrior(Strict):
+    """Where the next motor's value is to be expected."""
+
+    mean: float
+    std: Annotated[float, Field(gt=0)]
+    """Between motors, with what the mean itself is uncertain by; in `unit`, as the mean."""
+    unit: str
+    recordings: Annotated[int, Field(ge=1)]
+    """That it was told from."""
+
+
+class EffectPrior(Strict):
+    """How often an effect is there, and how large."""
+
+    probability: Annotated[float, Field(gt=0, lt=1)]
+    found: Annotated[int, Field(ge=0)]
+    asked: Annotated[int, Field(ge=1)]
+    """Diagnosed recordings."""
+    sizes: dict[str, NormalPrior] = Field(default_factory=dict)
+    """By the names of its amplitudes."""
+
+
+class FleetPriors(Strict):
+    """A file of priors, for motors of one kind."""
+
+    format: Literal["fluxbench-priors"] = "fluxbench-priors"
+    version: Literal[1] = 1
+    motor: str | None
+    """The nameplate's name; a recording of another one is refused."""
+    table: str
+    recordings: Annotated[int, Field(ge=1)]
+    diagnosed: Annotated[int, Field(ge=1)]
+    """Of these, to an end that is believed."""
+    resistance: NormalPrior | None = None
+    d_inductance: NormalPrior | None = None
+    """At rest; likewise q_inductance."""
+    q_inductance: NormalPrior | None = None
+    effects: dict[str, EffectPrior] = Field(default_factory=dict)
+
+    def without(self, names: frozenset[str]) -> FleetPriors:
+        """The same, knowing nothing of some effects' sizes."""
+        bare = {name: e.model_copy(update={"sizes": {}} if name in names else {}) for name, e in self.effects.items()}
+        return self.model_copy(update={"effects": bare})
