@@ -97,6 +97,14 @@ def said_of(error: BaseException) -> str:
     return told if isinstance(error, FluxbenchError) else f"{type(error).__name__}: {told}"
 
 
+def _alone(work: Callable[..., Any], *arguments: Any) -> Any:
+    """What a worker does: libraries that would themselves use a cluster that is there (xarray's locks) see none."""
+    import dask
+
+    with dask.config.set(scheduler="synchronous"):
+        return work(*arguments)
+
+
 class _OnCluster:
     """The tasks that are in flight, and those that were lost with a worker."""
 
@@ -139,7 +147,7 @@ class _OnCluster:
         # A worker that is named would be waited for, also after its death: the scheduler goes by whose data it is.
         beside = () if task.beside is None or attempt > 1 else (task.beside,)
         future = self._client.submit(
-            task.work, *task.arguments, *beside, key=f"{self._job}-{task.name}-{attempt}", pure=False
+            _alone, task.work, *task.arguments, *beside, key=f"{self._job}-{task.name}-{attempt}", pure=False
         )
         self._flying[future] = task, attempt
         self._finished.add(future)

@@ -21,7 +21,7 @@ from orchestrator.fleet import (
     work_through,
 )
 from protocols import InputError
-from tests.orchestrator.fleet.small import damage, small_recordings
+from tests.orchestrator.fleet.small import REFERENCE, damage, small_recordings
 from tests.orchestrator.fleet.tasks import die, double, refuse, stumble
 
 if TYPE_CHECKING:
@@ -101,10 +101,16 @@ def test_a_dead_worker_costs_its_task_one_retry_and_its_neighbours_nothing(clien
 @pytest.mark.slow
 def test_recordings_are_worked_on_by_processes(client: Client, tmp_path: Path) -> None:
     damage(small_recordings(tmp_path / "bench", 6)[1])
-    found = find_sources([str(tmp_path / "bench")], files=False, limit=None, tell=lambda _: None)
+    found = find_sources([str(tmp_path / "bench"), str(REFERENCE)], files=False, limit=None, tell=lambda _: None)
     with FleetTable.opened(tmp_path / "table") as table:
         rows = list(FleetJob(found, table, Plan()).rows(client))
-    assert sorted(str(row.name) for row in rows if row.failed is None) == [f"motor-{n}" for n in (0, 2, 3, 4, 5)]
+    good = {str(row.name): row for row in rows if row.failed is None}
+    assert sorted(good) == [*(f"motor-{n}" for n in (0, 2, 3, 4, 5)), "pm400-reduced"]
+    whole = good["pm400-reduced"]
+    assert whole.L_d_h == pytest.approx(0.0432, rel=0.01)
+    assert whole.L_q_h == pytest.approx(0.069, rel=0.01)
+    assert whole.set_points is not None
+    assert len(whole.set_points) == 8
     assert [row.name for row in rows if row.failed is not None] == ["motor-1"]
 
 
