@@ -180,7 +180,10 @@ class SelectionCriteria(Strict):
     """Most of chi2 - 1, fitted or held out, that may be left for ``explained``, whatever there was at first: the right
     effects in slightly other forms leave some 0.8, ..."""
     mostly_left: float = _is(1.5, "1", "practice")
-    """... and for ``mostly_explained``."""
+    """... and for ``mostly_explained``, ..."""
+    immaterial_left: float = _is(4.0, "1", "practice")
+    """... and where that is under ``explained`` of the first error and ``material_voltage`` of the excitation besides:
+    a hidden effect that nobody had named was left over at 7.8."""
     most_floor: float = _is(0.1, "1", "practice")
     """Noise over the excitation's rms voltage beyond which a good fit says nothing, ..."""
     most_current_error: float = _is(0.05, "1", "practice")

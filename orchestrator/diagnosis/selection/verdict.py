@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.shares import left_of_excitation
 from protocols import Verdict
 
 
@@ -21,16 +22,19 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     """The verdict on what is left: it has to be small beside what was found, and small in itself.
 
     The fraction alone would forgive a large second error beside a huge first one; so would the fitted part alone what
-    only the held-out part shows. Nor is what lies far beyond noise forgiven for being few millivolts: what nobody has
-    named may be small at the points that were measured, and not at others.
+    only the held-out part shows. What no engineer would miss is forgiven near the noise, and not far beyond it: what
+    nobody has named may be small where it was measured, and not elsewhere.
     """
     limits = after.criteria.selection
     left = remainder(after)
     if after.chi2_per_dof <= limits.detected_chi2 and left <= limits.explained_left:
         return "explained" if effects else "clean"
     fraction = left_fraction(before.chi2_per_dof, after)
-    if not effects or fraction > limits.mostly_explained or left > limits.mostly_left:
+    if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
         return "unknown_remains"
+    if left > limits.mostly_left:
+        immaterial = fraction <= limits.explained and left_of_excitation(after) <= limits.material_voltage
+        return "mostly_explained" if immaterial else "unknown_remains"
     return "explained" if fraction <= limits.explained and left <= limits.explained_left else "mostly_explained"
 
 

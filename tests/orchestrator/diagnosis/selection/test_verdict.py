@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.shares import left_of_excitation
 from orchestrator.diagnosis.selection.verdict import left_fraction, remainder, verdict_of
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
@@ -40,9 +41,20 @@ def test_verdict_asks_for_little_beside_the_first_error_and_little_in_itself(
     assert verdict_of(_with_chi2(fit, before), _with_chi2(fit, after), effects) == verdict
 
 
-def test_what_is_far_beyond_noise_is_unknown_however_few_millivolts_it_is(fit: Fit) -> None:
-    faint = replace(_with_chi2(fit, 9.0), volts=tuple(1e-6 * e for e in fit.volts))
-    assert verdict_of(_with_chi2(fit, 1e6), faint, 1) == "unknown_remains"
+@pytest.mark.parametrize(
+    ("part", "chi2", "verdict"),
+    [(0.5, 4.0, "mostly_explained"), (2.0, 4.0, "unknown_remains"), (1e-3, 9.0, "unknown_remains")],
+)
+def test_what_no_engineer_would_miss_is_forgiven_near_the_noise_and_not_far_beyond_it(
+    fit: Fit, part: float, chi2: float, verdict: str
+) -> None:
+    left = replace(
+        _with_chi2(fit, chi2),
+        volts=tuple(np.ones_like(e) for e in fit.volts),
+        residual=tuple(np.full_like(e, np.sqrt(chi2)) for e in fit.residual),
+    )
+    volt = part * fit.criteria.selection.material_voltage / left_of_excitation(left)
+    assert verdict_of(_with_chi2(fit, 1e6), replace(left, volts=tuple(volt * e for e in left.volts)), 1) == verdict
 
 
 def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
