@@ -70,6 +70,8 @@ class Known:
         Distance from the plant's flux, in percent of the rated flux.
     method : str
         Of the map; "stage" for what the adaptive stage knows while it goes on.
+    band : (float, float) or None
+        Half of the 95 % band that the stage claims then, rms and at worst, in percent.
     """
 
     how: str
@@ -78,6 +80,7 @@ class Known:
     rms: float
     worst: float
     method: str
+    band: tuple[float, float] | None = None
 
 
 def procedure_on(bench: Bench, name: str, *, loss_rise: float = 0.105) -> Procedure:
@@ -199,10 +202,13 @@ def _on_the_way(run: Path, at_once: int = 4, first: int = 9) -> Iterator[Known]:
     disc = np.concatenate([r * reach * np.stack([np.cos(angle), np.sin(angle)], 1) for r in np.linspace(0.1, 1.0, 10)])
     for count in range(first, len(segments) + 1, at_once):
         points, capture_s = injected_points(recording, segments[:count], voltage_delay_samples=_delay(run))
-        fit = known_map(points, capture_s, segments[0].rotor_angle_rad, reach).fit
+        known = known_map(points, capture_s, segments[0].rotor_angle_rad, reach)
+        fit, share = known.fit, 100.0 / _truth(run)[1]
         last = next(k for k, (name, _) in enumerate(took) if name == segments[count - 1].id)
         rms, worst = _error(run, disc, fit.flux(disc)[0] - fit.flux(np.zeros((1, 2)))[0])
-        yield Known("on the way", sum(s for _, s in took[: last + 1]), count, rms, worst, "stage")
+        usual, widest = (share * half for half in known.band_wb)
+        seconds = sum(s for _, s in took[: last + 1])
+        yield Known("on the way", seconds, count, rms, worst, "stage", (usual, widest))
 
 
 def _delay(run: Path) -> float:

@@ -31,8 +31,8 @@ def draw(found: Mapping[str, Sequence[Known]], path: Path) -> None:
 
 
 def _panel(axes: Axes, words: str, known: Sequence[Known]) -> None:
-    on_the_way = [one for one in known if one.method == "stage"]
-    ends = [one for one in known if one.method != "stage"]
+    on_the_way = [one for one in known if one.band is not None]
+    ends = [one for one in known if one.band is None]
     for colour, name in ((BLUE, "rms"), (VERMILION, "worst")):
         axes.loglog([k.seconds for k in on_the_way], [getattr(k, name) for k in on_the_way], color=colour, label=name)
         for one in ends:
@@ -47,29 +47,29 @@ def _panel(axes: Axes, words: str, known: Sequence[Known]) -> None:
 def table(found: Mapping[str, Sequence[Known]]) -> str:
     """What every run delivers."""
     rows = [
-        (
-            words if k == 0 else "",
-            one.how,
-            _seconds(one.seconds),
-            str(one.points),
-            _percent(one.rms),
-            _percent(one.worst),
-        )
+        (words if k == 0 else "", one.how, _seconds(one.seconds), str(one.points), *_errors(one), one.method)
         for words, known in found.items()
-        for k, one in enumerate(sorted((x for x in known if x.method != "stage"), key=lambda x: x.seconds))
+        for k, one in enumerate(sorted((x for x in known if x.band is None), key=lambda x: x.seconds))
     ]
-    return markdown_table(("motor, inverter", "procedure", "motor time", "points", "error rms", "worst"), rows)
+    return markdown_table(
+        ("motor, inverter", "procedure", "motor time", "points", "error rms", "worst", "map by"), rows
+    )
 
 
 def course(found: Mapping[str, Sequence[Known]]) -> str:
     """What the adaptive stage knew while it went on: at first each time that it chose, then ever more seldom."""
     rows = [
-        (words if k == 0 else "", _seconds(one.seconds), str(one.points), _percent(one.rms), _percent(one.worst))
+        (words if k == 0 else "", _seconds(one.seconds), str(one.points), *_errors(one), *map(_percent, one.band or ()))
         for words, known in found.items()
-        for k, one in enumerate(x for x in known if x.method == "stage")
+        for k, one in enumerate(x for x in known if x.band is not None)
         if k.bit_count() <= 1
     ]
-    return markdown_table(("motor, inverter", "motor time", "points", "error rms", "worst"), rows)
+    head = ("motor, inverter", "motor time", "points", "error rms", "worst", "band rms", "band at worst")
+    return markdown_table(head, rows)
+
+
+def _errors(one: Known) -> tuple[str, str]:
+    return _percent(one.rms), _percent(one.worst)
 
 
 def _seconds(value: float) -> str:
@@ -77,4 +77,4 @@ def _seconds(value: float) -> str:
 
 
 def _percent(value: float) -> str:
-    return f"{fixed(value, 3)} %"
+    return f"{fixed(value, 3 if value < 0.1 else 2)} %"
