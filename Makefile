@@ -117,7 +117,7 @@ $(RUNS): pyproject.toml constraints.txt
 	@touch $@
 
 $(STAMP): pyproject.toml constraints.txt
-	@echo "Installing fluxbench into $(VENV) with what tests and lint need: 94 packages, 1.4 GB on disk (docs/installing.md)."
+	@echo "Installing fluxbench into $(VENV) with what tests and lint need: 135 packages, 1.5 GB on disk (docs/installing.md)."
 	@echo "pip says nothing meanwhile; the first time it downloads about 0.4 GB, a minute or more."
 	@$(PYTHON) -m venv $(VENV)
 	@$(INSTALL) ".[dev]"

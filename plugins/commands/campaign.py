@@ -1,4 +1,4 @@
-"""`fluxbench campaign FILE --out TABLE`: virtual commissionings by the thousand; which effects would a bench see?"""
+"""`fluxbench campaign FILE --out TABLE`: thousands of virtual commissionings: which effects a bench would see."""
 
 from __future__ import annotations
 
