@@ -70,7 +70,8 @@ def control_chart(
     there = there[np.argsort(table.seconds[there], kind="stable")]
     values = column.values[there]
     deviation = deviation_between_neighbours(values)
-    if len(values) < criteria.least_values or not deviation > 0.0:
+    timed = len(values) >= criteria.least_values and np.ptp(table.seconds[there]) > 0.0
+    if not timed or not deviation > 0.0 or not column.scatters(criteria.least_relative_spread):
         return None
     target = float(np.median(values))
     chart = ewma(values, target, deviation, settings)

@@ -56,7 +56,7 @@ def _together(table: FleetTable, criteria: FleetCriteria) -> tuple[list[Column],
             continue
         rows = complete & column.known
         enough = rows.sum() >= max(criteria.least_rows_per_coordinate * (len(chosen) + 1), len(table) // 2)
-        if enough and spread(column.values[rows]) > 0.0 and not _follows(column, chosen, rows):
+        if enough and column.scatters(criteria.least_relative_spread) and not _follows(column, chosen, rows):
             chosen.append(column)
             complete = rows
     while chosen:
@@ -113,7 +113,7 @@ def _alone(column: Column, beside: int, criteria: FleetCriteria) -> Iterator[tup
     middle, scale = float(np.median(values)), spread(values)
     # A value that was told less sharply than most may lie further out.
     widened = np.sqrt(scale**2 + np.maximum(errors**2 - np.median(errors) ** 2, 0.0))
-    if not scale > 0.0:
+    if not column.scatters(criteria.least_relative_spread):
         return
     # The spread is as sure as a standard deviation of 0.37 times as many values.
     level = criteria.chance / (len(known) * max(beside, 1))

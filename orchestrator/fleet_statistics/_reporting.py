@@ -96,7 +96,7 @@ def _quantity(table: FleetTable, column: Column, limits: FleetLimits | None, cri
         spread=spread(values) if enough else None,
         typical_interval=float(np.nanmedian(half)) if np.isfinite(half).any() else None,
         quantiles=_quantiles(values, criteria) if enough else (),
-        histogram=_histogram(values, criteria) if enough else None,
+        histogram=_histogram(values, criteria) if enough and column.scatters(criteria.least_relative_spread) else None,
         chart=control_chart(table, column, criteria),
         capability=None if limit is None else capability_of(column, limit),
     )

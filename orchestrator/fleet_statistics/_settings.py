@@ -12,6 +12,8 @@ class FleetCriteria(Strict):
     """Of a false word about a fleet in which nothing is: of any outlier, any drift, any shift, any change of a pair."""
     least_values: int = 8
     """Of a quantity, before its spread, its drift or a batch is told: the interval of a rank is empty below 6."""
+    least_relative_spread: float = 1e-6
+    """Of a quantity over its own size: what scatters less was typed in or computed, not measured."""
     least_rows_per_coordinate: int = 10
     """Of the robust distance: with fewer, half of the rows do not tell a scatter."""
     widely_known: float = 0.8

@@ -67,6 +67,12 @@ class Column:
     def known(self) -> Mask:
         return np.isfinite(self.values)
 
+    def scatters(self, least: float) -> bool:
+        """Whether half of its values lie further from the median than this share of it."""
+        values = self.values[self.known]
+        middle = float(np.median(values)) if len(values) else 0.0
+        return len(values) > 1 and float(np.median(np.abs(values - middle))) > least * abs(middle)
+
     def of_rows(self, rows: Mask) -> Column:
         """Some of the recordings alone."""
         parts = {name: getattr(self, name)[rows] for name in ("values", "low", "high", "asked")}
@@ -241,9 +247,16 @@ def _set_points(table: pa.Table) -> Iterator[Column]:
         for axis in "dq":
             values = nothing.copy()
             values[parents[here]] = _floats(items.field(f"psi_{axis}_wb"))[here]
-            at = f"({place[0] + 0.0:g}, {place[1] + 0.0:g})"
+            at = f"({place[0] + 0.0:.3g}, {place[1] + 0.0:.3g})"
             yield Column(
-                f"psi_{axis}_wb{at}", f"ψ_{axis} at {at} A", "Wb", values, nothing, nothing, asked, of_motor=False
+                f"psi_{axis}_wb{at}",
+                f"ψ_{axis} at {at} A".replace("-", "−"),
+                "Wb",
+                values,
+                nothing,
+                nothing,
+                asked,
+                of_motor=False,
             )
 
 

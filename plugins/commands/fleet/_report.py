@@ -24,6 +24,7 @@ def report(
             metavar="TABLE|pairs",
         ),
     ] = None,
+    rrd: Annotated[bool, typer.Option("--rrd", help="Write fleet-report.rrd too, for `fluxbench view`.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the page and its JSON; by default the table's.")] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
@@ -41,7 +42,13 @@ def report(
         before = None if against in (None, WITHIN) else read_fleet(str(against))
         found = report_of(fleet, limits=asked, against=before, within=against == WITHIN)
         place = Path(table)
-        files = write_fleet_report(found, out if out is not None else place if place.is_dir() else place.parent)
+        folder = out if out is not None else place if place.is_dir() else place.parent
+        files = [*write_fleet_report(found, folder)]
+        if rrd:
+            from plugins.streams.rerun import make_fleet_view
+
+            files.append(folder / "fleet-report.rrd")
+            make_fleet_view(found, files[-1])
     if as_json:
         print(visible(found.model_dump_json(indent=2)))
         return 0

@@ -8,7 +8,7 @@ from pathlib import Path
 from orchestrator.fleet_statistics import SECTIONS, change_rows, count_rows, date, judgement_rows, pair_rows
 from orchestrator.presentation.quantities import plural
 from orchestrator.presentation.sentences import typographic
-from orchestrator.recording import replace_file
+from orchestrator.recording import replace_file, storage_error
 from plugins.streams.report._fleet_figures import distance_figure, quantity_figure
 from plugins.streams.report._page import filled
 from plugins.streams.report._picture import Picture
@@ -31,16 +31,20 @@ _ABOUT = {
 def write_fleet_report(report: FleetReport, folder: Path) -> tuple[Path, Path]:
     """Write page and JSON into a folder, which is made; raises `StorageError` where that cannot be."""
     page, data = folder / PAGE, folder / DATA
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise storage_error(folder, error) from None
     replace_file(data, report.model_dump_json(indent=1).encode("utf-8"))
     replace_file(page, render(report).encode("utf-8"))
     return page, data
 
 
-def render(report: FleetReport, most_pictures: int = 24, most_rows: int = 60) -> str:
+def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) -> str:
     """The page as text, with so many quantities drawn and so many rows of each table."""
     found, pairs = report.judgement, report.pairs
     tables = [(title, rows) for title, make in SECTIONS.items() if (rows := make(report))]
-    drawn = [one for one in report.quantities if one.histogram is not None]
+    drawn = sorted((one for one in report.quantities if one.histogram is not None), key=lambda one: not one.of_motor)
     return filled(
         "fleet.html",
         title=Path(report.table).name,

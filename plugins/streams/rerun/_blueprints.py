@@ -123,6 +123,19 @@ def side_by_side(planes: Sequence[tuple[str, str]]) -> rrb.Blueprint:
     return _layout(EXPERIMENT, tab, rrb.Vertical(_text("The runs", "/comparison/runs"), name="Which runs are these?"))
 
 
+def of_a_fleet(pages: Sequence[str], courses: Sequence[str], end_s: float, abreast: int = 2) -> rrb.Blueprint:
+    """For a fleet's table: what it tells, its tables by name, and each quantity over time."""
+    time = _from_the_start(end_s)
+    plots = [_plot(title, time, f"/course/{place}") for place, title in enumerate(courses)]
+    tables = {page: page.replace("_", " ") for page in pages[1:]}
+    tabs = [
+        rrb.Vertical(_text("What the table tells", "/fleet/told"), name="What does the table tell?"),
+        *([rrb.Grid(*plots, grid_columns=abreast, name="Does it drift?")] if plots else []),
+        *(rrb.Vertical(_text(title, f"/fleet/{page}"), name=title.capitalize()) for page, title in tables.items()),
+    ]
+    return _layout(EXPERIMENT, *tabs)
+
+
 def _layout(timeline: str, *tabs: rrb.Container) -> rrb.Blueprint:
     return rrb.Blueprint(
         rrb.Tabs(*tabs, active_tab=0),

@@ -9,12 +9,16 @@ import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from orchestrator.runs import is_run
 from plugins.streams.rerun._options import RerunOptions
 from plugins.streams.rerun._stream import RerunStream
 from plugins.streams.rerun._tape import FILE_NAME, is_whole, refuse_foreign
 from protocols import RecordingError, StorageError, StreamSetup
+
+if TYPE_CHECKING:
+    from protocols.fleet_report import FleetReport
 
 _RUN_LOCK = ".lock"
 
@@ -95,6 +99,13 @@ def comparison_view(directories: Sequence[Path]) -> Found:
         shutil.rmtree(folder, ignore_errors=True)
         raise
     return Found(file, f"kept in {folder}", folder)
+
+
+def make_fleet_view(report: FleetReport, file: Path) -> None:
+    """A fleet's report as a file for the viewer; raises `StorageError` where it cannot be written."""
+    from plugins.streams.rerun._fleet import write_fleet_view
+
+    write_fleet_view(report, file)
 
 
 def _made_elsewhere(directory: Path) -> Found:

@@ -12,7 +12,7 @@ from orchestrator.fleet_statistics import FleetTable, fleet_of, read_fleet, repo
 from protocols import InputError
 from protocols.fleet import FleetRow
 from protocols.fleet_report import FleetReport
-from tests.orchestrator.fleet_statistics.example_fleet import Fleet, effect, table_of, written
+from tests.orchestrator.fleet_statistics.example_fleet import BEGAN, Fleet, effect, table_of, written
 
 
 def table(fleet: Fleet) -> FleetTable:
@@ -128,6 +128,25 @@ def test_without_temperatures_the_resistance_itself_is_compared() -> None:
     assert report.distances is not None
     assert "R_s_ohm" in report.distances.quantities
     assert "R_s_20_ohm" not in {one.name for one in report.quantities}
+
+
+def test_what_does_not_scatter_was_typed_in_and_is_neither_drawn_nor_compared() -> None:
+    def of_the_nameplate(row: dict[str, Any]) -> None:
+        row["psi_pm_wb"] = 0.3 * (1.0 + 1e-9 * int(row["serial"]))
+
+    report = report_of(table(Fleet(60, changes=dict.fromkeys(range(60), of_the_nameplate))))
+    (psi,) = [one for one in report.quantities if one.name == "psi_pm_wb"]
+    assert (psi.histogram, psi.chart) == (None, None)
+    assert report.distances is not None
+    assert "psi_pm_wb" not in report.distances.quantities
+
+
+def test_recordings_of_one_moment_have_no_course() -> None:
+    def now(row: dict[str, Any]) -> None:
+        row["started_at"] = BEGAN
+
+    report = report_of(table(Fleet(20, changes=dict.fromkeys(range(20), now))))
+    assert all(one.chart is None and one.drift is None for one in report.quantities)
 
 
 def test_failed_recordings_are_counted_and_not_computed_with() -> None:

@@ -10,6 +10,7 @@ import pytest
 
 from orchestrator.fleet_statistics import fleet_of, report_of
 from plugins.streams.report._fleet_page import render, write_fleet_report
+from protocols import StorageError
 from protocols.fleet_report import FleetLimits, FleetReport
 from tests.orchestrator.fleet_statistics.example_fleet import Fleet, effect, table_of, written
 from tests.support.processes import called
@@ -71,6 +72,29 @@ def test_the_command_writes_both_into_the_tables_folder_and_says_what_it_found(t
     told = json.loads((tmp_path / "fleet-report.json").read_text())
     assert told["pairs"]["count"] == 12
     assert told["pairs"]["changes"] == []
+
+
+def test_the_viewers_file_has_the_tables_and_each_course(report: FleetReport, tmp_path: Path) -> None:
+    from plugins.streams.rerun import make_fleet_view
+    from tests.plugins.streams.rerun.reading import entities, rows
+
+    file = tmp_path / "fleet-report.rrd"
+    for _ in range(2):  # made again, it is not made twice
+        make_fleet_view(report, file)
+    found = entities(file)
+    charts = [one for one in report.quantities if one.chart is not None and one.of_motor]
+    assert [found[f"/course/{k}"] for k in range(len(charts))] == [60] * len(charts)
+    (told,) = [row for row in rows(file, "/fleet/told") if row.get("TextDocument:text")]
+    assert report.remarks[0].text in told["TextDocument:text"][0]
+    assert "/fleet/unlike_the_others" in found
+
+
+def test_a_folder_that_is_not_there_is_made_and_one_that_cannot_be_is_said(report: FleetReport, tmp_path: Path) -> None:
+    quick = report.model_copy(update={"quantities": ()})
+    assert all(path.is_file() for path in write_fleet_report(quick, tmp_path / "a" / "b"))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(StorageError, match="file"):
+        write_fleet_report(quick, tmp_path / "file" / "below")
 
 
 def test_what_is_wrong_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
