@@ -72,7 +72,8 @@ def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: flo
     for row in judged:
         for truth in _swept(row.hidden or ()):
             groups.setdefault((row.condition or "", truth.name), []).append(row)
-    power = tuple(_row(effect, condition, group) for (condition, effect), group in groups.items())
+    made = (_row(effect, condition, group) for (condition, effect), group in groups.items())
+    power = tuple(sorted(made, key=lambda row: (row.effect, abs(row.size), row.condition)))
     return PowerReport(
         name=name,
         table=table,

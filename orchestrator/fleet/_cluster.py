@@ -47,7 +47,8 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
     except ImportError as error:
         problem = f"runs on dask: pip install 'fluxbench[fleet]' ({error})"
         raise InputError("fleet", "", problem) from None
-    logging.getLogger("distributed").setLevel(logging.CRITICAL)  # what matters of it is in the table
+    for name in [known for known in logging.root.manager.loggerDict if known.startswith("distributed")]:
+        logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it is in the table
     if settings.scheduler is not None:
         with _client_of(settings.scheduler, settings) as client:
             yield client

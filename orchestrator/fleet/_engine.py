@@ -116,6 +116,7 @@ class _OnCluster:
         self._lost: deque[tuple[Task, int]] = deque()
         self._finished = as_completed(loop=client.loop, with_results=True, raise_errors=False)
         self._job = uuid.uuid4().hex[:8]
+        self._address = client.scheduler.address if client.scheduler is not None else "?"
         self._threads, self._count_again = 1, 0.0
 
     def answers(self) -> Generator[Done, None, None]:
@@ -166,7 +167,7 @@ class _OnCluster:
         if future.status != "error":
             from protocols import StorageError
 
-            raise StorageError(f"{self._client.scheduler.address if self._client.scheduler else 'scheduler'}: is gone")
+            raise StorageError(f"the scheduler {self._address} is gone; started again, the job goes on where it was")
         return Done(task, None, said_of(error), attempt)
 
     def _workers(self) -> int:

@@ -19,6 +19,8 @@ from tests.orchestrator.fleet.small import damage, small_recordings
 from tests.support.processes import start_afresh, wait_until
 
 RECORDINGS, KILLS, BAD = 500, 20, (7, 123, 250, 388, 499)
+LONG = 900
+"""Recordings that take a minute or more, several times as long as rows wait to be written."""
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1800)]
 
@@ -32,7 +34,7 @@ def test_workers_killed_at_random_lose_nothing_and_bad_recordings_are_named(tmp_
     with cluster_of_processes(tmp_path) as (address, nannies):
         words = ["fleet", str(tmp_path / "bench"), "--out", str(tmp_path / "table"), "--scheduler", address, "--json"]
         client = start_afresh(*words)
-        wait_until(lambda: bool(parts_of(tmp_path / "table")))
+        wait_until(lambda: all(map(worker_of, nannies)))
         while client.poll() is None and kills < KILLS:
             time.sleep(chance.uniform(0.2, 3.0))
             worker = worker_of(chance.choice(nannies))
@@ -55,7 +57,7 @@ def test_workers_killed_at_random_lose_nothing_and_bad_recordings_are_named(tmp_
 
 def test_a_job_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     """And leaves no worker behind."""
-    made = small_recordings(tmp_path / "bench", 250)
+    made = small_recordings(tmp_path / "bench", LONG)
     words = ["fleet", str(tmp_path / "bench"), "--out", str(tmp_path / "table"), "--jobs", "2", "--json"]
     client = start_afresh(*words)
     wait_until(lambda: bool(parts_of(tmp_path / "table")))
@@ -73,6 +75,20 @@ def test_a_job_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     rows = read_table(tmp_path / "table")
     assert Counter(row.source for row in rows) == Counter(map(str, made))
     assert rows[: len(kept)] == kept
+
+
+def test_a_scheduler_that_goes_away_is_one_line_and_what_was_done_is_kept(tmp_path: Path) -> None:
+    small_recordings(tmp_path / "bench", LONG)
+    with cluster_of_processes(tmp_path) as (address, _):
+        client = start_afresh("fleet", tmp_path / "bench", "--out", tmp_path / "table", "--scheduler", address)
+        wait_until(lambda: bool(parts_of(tmp_path / "table")))
+        children = psutil.Process().children()
+        next(one for one in children if "distributed.cli.dask_scheduler" in one.cmdline()).kill()
+        _, complaints = client.communicate()
+    assert client.returncode == 3
+    assert complaints.startswith(f"fluxbench: the scheduler {address} is gone")
+    assert complaints.count("\n") == 1
+    assert read_table(tmp_path / "table")
 
 
 def _run(words: list[str]) -> tuple[int, str, str]:
