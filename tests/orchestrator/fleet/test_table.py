@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pyarrow.dataset as ds
 import pytest
 
@@ -26,6 +27,7 @@ def test_rows_are_written_in_batches_and_the_rest_at_the_end(tmp_path: Path) -> 
         assert len(parts_of(tmp_path / "t")) == 2
     assert [found.key for found in read_table(tmp_path / "t")] == list("abcde")
     assert ds.dataset(tmp_path / "t").count_rows() == 5
+    assert list(pd.read_parquet(tmp_path / "t").key) == list("abcde")
 
 
 def test_a_batch_is_written_when_it_has_waited_long_enough(tmp_path: Path) -> None:
