@@ -25,7 +25,9 @@ def report(
         ),
     ] = None,
     rrd: Annotated[bool, typer.Option("--rrd", help="Write fleet-report.rrd too, for `fluxbench view`.")] = False,
-    out: Annotated[Path | None, typer.Option(help="Folder for the page and its JSON; by default the table's.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder for the page and its JSON; by default _report in the table's.")
+    ] = None,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Distributions, outliers, drift, batches, control limits, pass and fail, pairs: one page, and its JSON."""
@@ -42,7 +44,8 @@ def report(
         before = None if against in (None, WITHIN) else read_fleet(str(against))
         found = report_of(fleet, limits=asked, against=before, within=against == WITHIN)
         place = Path(table)
-        folder = out if out is not None else place if place.is_dir() else place.parent
+        # What reads a folder of Parquet files passes over names with a leading underscore.
+        folder = out if out is not None else place / "_report" if place.is_dir() else place.parent
         files = [*write_fleet_report(found, folder)]
         if rrd:
             from plugins.streams.rerun import make_fleet_view

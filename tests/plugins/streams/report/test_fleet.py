@@ -6,6 +6,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from orchestrator.fleet_statistics import fleet_of, report_of
@@ -72,6 +73,15 @@ def test_the_command_writes_both_into_the_tables_folder_and_says_what_it_found(t
     told = json.loads((tmp_path / "fleet-report.json").read_text())
     assert told["pairs"]["count"] == 12
     assert told["pairs"]["changes"] == []
+
+
+def test_a_table_in_a_folder_is_a_table_still_beside_its_report(tmp_path: Path) -> None:
+    (tmp_path / "table").mkdir()
+    written(Fleet(12).rows(), tmp_path / "table" / "part-000000.parquet")
+    done = called("fleet", "report", tmp_path / "table")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "table" / "_report" / "fleet-report.html").is_file()
+    assert len(pd.read_parquet(tmp_path / "table")) == 12
 
 
 def test_the_viewers_file_has_the_tables_and_each_course(report: FleetReport, tmp_path: Path) -> None:
