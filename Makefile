@@ -21,7 +21,7 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
-.PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures docs lint lock release audit clean
+.PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures motor-time docs lint lock release audit clean
 
 demo: $(RUNS)
 	$(BIN)/fluxbench run demo
@@ -62,6 +62,10 @@ pictures: $(STAMP)
 	rm -rf runs/pictures runs/pictures.sealed
 	$(BIN)/fluxbench run demo --out runs/pictures
 	$(BIN)/python -m tests.pictures runs/pictures
+
+# The map's error over motor time (docs/adaptive.md): a quarter of an hour, from where the last call ended.
+motor-time: $(STAMP)
+	$(BIN)/python -m tests.motor_time runs/motor-time
 
 # The documentation as a site in site/, strictly: a page that the navigation lacks or a link into nothing fails.
 docs: $(VENV)/.docs
