@@ -246,7 +246,7 @@ def cut(rng: random.Random, folder: Path) -> str:
             bench.restart_machine()
         bench.require_points_kept()
         bench.finish()
-    return "host killed" if host else "drive killed"
+    return f"{'host' if host else 'drive'} killed{', ended again by a busy machine' if bench.starved else ''}"
 
 
 ATTACKS = (
