@@ -11,6 +11,7 @@ from typing import Any
 
 import rerun as rr
 import rerun.blueprint as rrb
+import rerun_bindings
 from rerun.chunk import RrdReader
 
 from orchestrator.presentation.sentences import shown
@@ -155,6 +156,9 @@ class Tape:
         """Finish the file; raises `StorageError` where it cannot be written."""
         self._stream.flush()
         self._stream.disconnect()
+        del self._stream
+        # The library keeps a stream that nobody holds, with two threads, until it is told (rerun-io/rerun issue 2116).
+        rerun_bindings.flush_and_cleanup_orphaned_recordings()
         self._spool.close()
 
 
