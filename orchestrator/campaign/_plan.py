@@ -15,6 +15,7 @@ from orchestrator._document import parse_document
 from orchestrator._validation import first_problem
 from orchestrator.config import load_procedure
 from orchestrator.fleet import Plan
+from orchestrator.plain_files import read_text
 from orchestrator.presentation.names import plain
 from orchestrator.workbench import as_overrides
 from protocols import DriveChoice, InputError, Procedure, Strict
@@ -93,7 +94,7 @@ class Run(Strict):
 def load_campaign(path: Path) -> CampaignPlan:
     """Read a campaign; raises `InputError`: file and line, key, what is wrong, the nearest valid name."""
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except UnicodeDecodeError as error:
         raise InputError(str(path), "", f"not UTF-8 at byte {error.start}") from None
     except OSError as error:

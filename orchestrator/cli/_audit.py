@@ -10,6 +10,7 @@ from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.config import load_motor
 from orchestrator.estimation import save_flux_map
 from orchestrator.flux_maps import USES, MapAudit, Repair, audit_map, draw_audit, read_map, repair_map
+from orchestrator.plain_files import read_text
 from orchestrator.presentation.quantities import UNKNOWN, number, percent, plural, quantity
 from orchestrator.presentation.sentences import columns
 from orchestrator.recording import read_model
@@ -51,7 +52,7 @@ def motor_of(path: Path, motor: Path | None) -> Motor | None:
     if path.suffix == ".json":
         return read_model(path).motor
     if path.suffix in (".yaml", ".yml"):
-        return load_motor(path) if "motor:" in path.read_text(encoding="utf-8") else None
+        return load_motor(path) if "motor:" in read_text(path) else None
     return open_any(path).manifest.motor if path.is_dir() else None
 
 

@@ -15,6 +15,7 @@ from pydantic import ValidationError
 from orchestrator._document import Document, apply_override, parse_document
 from orchestrator._validation import KeyPath, first_problem, suggestion
 from orchestrator.config._units import read_quantities
+from orchestrator.plain_files import read_text
 from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
 from orchestrator.stages import parse_stages
@@ -151,7 +152,7 @@ def _is_file(path: Path) -> bool:
 
 def _text_of(path: Path) -> str:
     try:
-        return path.read_text(encoding="utf-8")
+        return read_text(path)
     except OSError as error:
         raise ProcedureError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from orchestrator.memory import require_memory
 from orchestrator.numerics.types import Array
 from orchestrator.recording import replace_file
 from protocols import Basis, FluxMap, RecordingError
@@ -88,20 +89,21 @@ def load_flux_map(path: Path) -> FluxMap:
 
     if not path.is_file():
         raise RecordingError(str(path), "", "no such file")
+    names = [name for quantity in _UNITS for name in (quantity, f"{quantity}_std")]
     try:
         with xr.open_dataset(path, engine="h5netcdf") as dataset:
-            held = dataset.load()
+            present = ", ".join(map(str, dataset.variables)) or "none"
+            found = dataset[[name for name in ("i_d", "i_q", *names) if name in dataset.variables]]
+            require_memory(path, found.nbytes, "its tables")
+            held = found.load()
     # The HDF5 library says RuntimeError of a file that is cut off, and more of one that is something else.
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, EOFError) as error:
         problem = f"not a readable NetCDF file: {str(error).splitlines()[0] if str(error) else error!r}"
         raise RecordingError(str(path), "", problem) from None
     for name in ("i_d", "i_q", "psi_d", "psi_q"):
         if name not in held.variables:
-            raise RecordingError(
-                str(path), name, f"variable missing; the file has {', '.join(map(str, held.variables)) or 'none'}"
-            )
+            raise RecordingError(str(path), name, f"variable missing; the file has {present}")
     axes = {name: _axis(path, held, name) for name in ("i_d", "i_q")}
-    names = [name for quantity in _UNITS for name in (quantity, f"{quantity}_std")]
     grids = {name: _grid(path, held, name) for name in names if name in held.variables}
     shape = (len(axes["i_d"]), len(axes["i_q"]))
     slopes = _slopes(axes["i_d"], axes["i_q"], grids["psi_d"], grids["psi_q"])

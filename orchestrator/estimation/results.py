@@ -9,6 +9,7 @@ from tempfile import TemporaryDirectory
 from pydantic import ValidationError
 
 from orchestrator.estimation.flux_map_file import save_flux_map
+from orchestrator.plain_files import read_bytes
 from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
 from protocols import EstimationReport, FluxMap, RecordingError, StorageError
@@ -32,7 +33,7 @@ def load_estimates(directory: Path) -> EstimationReport:
     """
     path = directory / "results" / REPORT_NAME
     try:
-        return EstimationReport.model_validate_json(path.read_bytes())
+        return EstimationReport.model_validate_json(read_bytes(path))
     except OSError as error:
         raise RecordingError(str(path), "", f"{error.strerror or error}; `fluxbench estimate` makes it") from None
     except ValidationError as error:

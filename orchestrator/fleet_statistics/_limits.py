@@ -12,6 +12,7 @@ from orchestrator._document import parse_document
 from orchestrator._validation import first_problem, suggestion
 from orchestrator.fleet_statistics._table import Column, FleetTable
 from orchestrator.numerics.process_control import capability, share_beyond
+from orchestrator.plain_files import read_text
 from orchestrator.presentation.quantities import measured, quantity
 from protocols import InputError
 from protocols.fleet_report import (
@@ -35,7 +36,7 @@ def read_limits(path: Path) -> FleetLimits:
         One line: file and line, key, what is wrong, the nearest valid name.
     """
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path)
     except UnicodeDecodeError as error:
         raise InputError(str(path), "", f"not UTF-8 at byte {error.start}") from None
     except OSError as error:

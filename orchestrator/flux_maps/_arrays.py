@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.importing import inflated_size
+from orchestrator.memory import require_memory
 from protocols import InputError
 
 _DAMAGE = (
@@ -24,6 +26,7 @@ def npz_arrays(path: Path) -> dict[str, Any]:
     try:
         # numpy leaves a file that it opened itself, and cannot read, open.
         with path.open("rb") as stream, np.load(stream, allow_pickle=False) as file:
+            require_memory(path, sum(member.file_size for member in file.zip.infolist()), "its arrays")
             return {name: file[name] for name in file.files}
     except _DAMAGE as error:
         raise InputError(str(path), "", f"not an .npz file of plain arrays: {first_line(error)}") from None
@@ -35,6 +38,7 @@ def mat_arrays(path: Path) -> dict[str, Any]:
     from scipy.io.matlab import MatReadError
 
     try:
+        require_memory(path, inflated_size(path), "its variables")
         with path.open("rb") as opened:
             stream: Any = opened  # the published stubs of loadmat know paths only
             content: dict[str, Any] = loadmat(stream, simplify_cells=True)

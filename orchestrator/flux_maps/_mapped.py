@@ -19,6 +19,7 @@ from orchestrator._validation import first_problem
 from orchestrator.flux_maps._arrays import mat_arrays, npz_arrays
 from orchestrator.importing import FACTORS, TO_PEAK, Column, CsvLayout, CurrentUnit, NotZero, Scaling, read_table
 from orchestrator.numerics.types import Array
+from orchestrator.plain_files import read_text
 from protocols import InputError, ProcedureError, ProcedureMotor, Strict
 
 FluxUnit = Literal["Wb", "mWb", "uWb", "Vs", "mVs", "uVs"]
@@ -106,7 +107,7 @@ def read_mapped(path: Path) -> tuple[str, dict[str, Array]]:
 
 def _mapping(path: Path) -> MapMapping:
     try:
-        document: Document = parse_document(path.read_text(encoding="utf-8"), str(path))
+        document: Document = parse_document(read_text(path), str(path))
     except ProcedureError as error:
         raise InputError(error.where, error.field, error.problem) from None
     try:

@@ -7,6 +7,7 @@ from orchestrator.importing._findings import Finding
 from orchestrator.importing._importing import ImportReport, import_files
 from orchestrator.importing._loading import MappingFile, read_mapping
 from orchestrator.importing._mapping import CsvLayout, ImportMapping, SegmentRule
+from orchestrator.importing._matlab_sizes import inflated_size
 from orchestrator.importing._merging import merge_recordings
 from orchestrator.importing._signals import Column, NotZero, Scaling
 from orchestrator.importing._tables import read_table
@@ -27,6 +28,7 @@ __all__ = [
     "Scaling",
     "SegmentRule",
     "import_files",
+    "inflated_size",
     "merge_recordings",
     "read_mapping",
     "read_table",

@@ -14,6 +14,7 @@ from pydantic import BaseModel, ValidationError
 from orchestrator._document import Document, parse_document
 from orchestrator._validation import KeyPath, first_problem
 from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportMapping
+from orchestrator.plain_files import read_text
 from protocols import InputError, ProcedureError
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -89,7 +90,7 @@ def _laid_over(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, 
 
 def _parsed(path: Path) -> Document:
     try:
-        return parse_document(path.read_text(encoding="utf-8"), str(path))
+        return parse_document(read_text(path), str(path))
     except ProcedureError as error:
         raise InputError(error.where, error.field, error.problem) from None
     except OSError as error:

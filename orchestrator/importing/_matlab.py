@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.importing._matlab_objects import holds_objects, load_with_objects, member
+from orchestrator.importing._matlab_sizes import inflated_size
 from orchestrator.importing._source import (
     BLOCK_ROWS,
     Block,
@@ -28,6 +29,7 @@ from orchestrator.importing._source import (
     same_length,
 )
 from orchestrator.importing._stamps import dates_as_seconds
+from orchestrator.memory import require_memory
 from protocols import InputError
 
 _PART = re.compile(r"([A-Za-z]\w*)(?:\((:,)?([1-9]\d{0,8})\))?", re.ASCII)
@@ -68,6 +70,7 @@ def _version_5_blocks(path: Path, wanted: Wanted) -> Iterator[Block]:
     from scipy.io import loadmat, whosmat
 
     steps = {name: _steps(path, name) for name in wanted.all}
+    require_memory(path, inflated_size(path), "its variables")
     require_columns(path, [s[0].name for s in steps.values()], [entry[0] for entry in whosmat(path)])
     yield _arrays_block(path, wanted, loadmat(path, variable_names=_variables(steps)), steps)
 

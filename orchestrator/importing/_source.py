@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator._validation import nearest
+from orchestrator.memory import require_memory
 from orchestrator.presentation.sentences import one_line
 from protocols import InputError
 
@@ -118,6 +119,15 @@ def guarded(path: Path, kind: str, blocks: Callable[[], Iterator[Block]]) -> Ite
         raise unreadable(path, kind, error) from None
 
 
+def held(path: Path, blocks: Iterable[Block]) -> Iterator[Block]:
+    """Blocks that are all kept; raises `RecordingError` before they are more than the machine has memory for."""
+    rows = size = 0
+    for block in blocks:
+        rows, size = rows + len(block), size + sum(column.nbytes for column in block.numbers.values())
+        require_memory(path, size, f"{rows} rows and more", held=size)
+        yield block
+
+
 def unreadable(path: Path, kind: str, error: Exception) -> InputError:
     """The one line for what a reading library raised."""
     reason = " ".join(str(error).split())[:200] or type(error).__name__
@@ -126,7 +136,7 @@ def unreadable(path: Path, kind: str, error: Exception) -> InputError:
 
 def whole(path: Path, source: Source) -> Block:
     """All rows of a source in one block; raises `InputError` where it has none."""
-    blocks = list(source.blocks)
+    blocks = list(held(path, source.blocks))
     if not blocks:
         raise InputError(str(path), "", "holds no row")
     names: Mapping[str, Numbers] = blocks[0].numbers

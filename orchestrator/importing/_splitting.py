@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from orchestrator.importing._mapping import ImportMapping, SegmentRule
 from orchestrator.importing._source import Block, Labels, Numbers
 from orchestrator.importing._stamps import Stamps
+from orchestrator.memory import require_memory
 from protocols import InputError
 
 _NO_RULE = -1
@@ -81,10 +82,14 @@ class _Open:
 
     key: tuple[int, str]
     first_row: int
+    rows: int = 0
     columns: dict[str, _Growing] = field(default_factory=dict)
     time: _Growing = field(default_factory=_Growing)
 
-    def add(self, columns: Mapping[str, Numbers], time_s: Numbers, rows: slice) -> None:
+    def add(self, path: Path, columns: Mapping[str, Numbers], time_s: Numbers, rows: slice) -> None:
+        self.rows += rows.stop - rows.start
+        size = self.rows * (len(columns) + 1) * time_s.itemsize
+        require_memory(path, size, f"{self.rows} rows in one segment", held=size)
         for name, values in columns.items():
             self.columns.setdefault(name, _Growing()).add(values[rows])
         self.time.add(time_s[rows])
@@ -132,7 +137,7 @@ class Splitter:
                     continue
                 self._used.add(key[0])
                 opened = opened or _Open(key, row + start)
-                opened.add({name: block.numbers[name] for name in signals}, time_s, slice(start, end))
+                opened.add(path, {name: block.numbers[name] for name in signals}, time_s, slice(start, end))
             row += len(block)
             self.rows += len(block)
         if opened is not None:

@@ -9,7 +9,7 @@ import numpy as np
 
 from orchestrator.importing._columnar import open_csv, open_parquet
 from orchestrator.importing._mapping import CsvLayout
-from orchestrator.importing._source import Numbers, Wanted
+from orchestrator.importing._source import Numbers, Wanted, held
 
 
 def read_table(path: Path, names: Sequence[str], layout: CsvLayout) -> dict[str, Numbers]:
@@ -18,5 +18,5 @@ def read_table(path: Path, names: Sequence[str], layout: CsvLayout) -> dict[str,
     source = (
         open_parquet(path, wanted) if path.suffix.lower() in (".parquet", ".pq") else open_csv(path, wanted, layout)
     )
-    blocks = list(source.blocks)
+    blocks = list(held(path, source.blocks))
     return {name: np.concatenate([block.numbers[name] for block in blocks] or [np.empty(0)]) for name in wanted.all}

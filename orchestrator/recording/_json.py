@@ -10,6 +10,7 @@ from typing import Any, TypeVar, get_args
 from pydantic import BaseModel, ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.plain_files import LARGEST, read_text
 from protocols import RecordingError
 
 _Model = TypeVar("_Model", bound=BaseModel)
@@ -46,7 +47,7 @@ def read_json(path: Path, model: type[_Model], *, older: str = "") -> _Model:
 
 def _parsed(path: Path) -> Any:
     try:
-        text = path.read_text(encoding="utf-8")
+        text = read_text(path, LARGEST.kept_bytes)
     except OSError as error:
         raise RecordingError(str(path), "", f"cannot be read: {error.strerror or error}") from None
     except UnicodeDecodeError as error:

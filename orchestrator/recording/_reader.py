@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from orchestrator.memory import require_memory
 from orchestrator.recording._columns import (
     BUS,
     CURRENT,
@@ -20,7 +21,6 @@ from orchestrator.recording._columns import (
     first_non_finite,
 )
 from orchestrator.recording._manifest import MANIFEST_NAME, capture_path, read_manifest
-from orchestrator.recording._memory import require_memory
 from protocols import Capture, Manifest, RealArray, RecordingError, Segment, SegmentStage
 
 
@@ -133,7 +133,7 @@ def _check_file(path: Path, segment: Segment) -> None:
     with _Parquet(path, str(path)) as parquet:
         names = _check_shape(path, parquet.schema_arrow, parquet.metadata.num_rows, segment)
         row_bytes = sum(parquet.schema_arrow.field(name).type.bit_width // 8 for name in names)
-    require_memory(path, segment.samples, row_bytes)
+    require_memory(path, max(segment.samples * row_bytes, path.stat().st_size), f"{segment.samples} rows")
 
 
 def _decode(path: Path, content: bytes, segment: Segment) -> dict[str, RealArray]:

@@ -19,6 +19,7 @@ from typing import Any, Self
 from pydantic import ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.plain_files import read_bytes
 from orchestrator.presentation.sentences import visible
 from orchestrator.recording import (
     MANIFEST_NAME,
@@ -308,7 +309,7 @@ def _plugins_of(procedure: Procedure) -> list[PluginInfo]:
 
 def _read_json(file: Path) -> Any:
     try:
-        return json.loads(file.read_bytes())
+        return json.loads(read_bytes(file))
     except OSError as error:
         raise RecordingError(str(file), "", f"cannot be read: {error.strerror or error}") from None
     except (ValueError, RecursionError) as error:

@@ -20,6 +20,7 @@ from typing import Annotated, Any, Self
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from orchestrator._validation import first_problem
+from orchestrator.plain_files import read_bytes
 from orchestrator.presentation.sentences import visible
 from orchestrator.recording import storage_error, sync_folder
 from protocols import JournalledMessage, RecordingError, StorageError
@@ -132,10 +133,8 @@ class Journal:
             self._descriptor = None
 
     def _read(self) -> tuple[list[JournalRecord], int]:
-        if self.path.exists() and not self.path.is_file():  # reading a pipe would wait for ever
-            raise RecordingError(str(self.path), "", "is not a plain file")
         try:
-            content = self.path.read_bytes()
+            content = read_bytes(self.path)
         except FileNotFoundError:
             return [], 0
         except OSError as error:

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.plain_files import read_bytes
 from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
 from protocols import (
@@ -99,7 +100,7 @@ def load_diagnosis(directory: Path) -> SavedDiagnosis | None:
 
 
 def _told(path: Path) -> tuple[DiagnosisReport, DiagnosisWords]:
-    content = json.loads(path.read_text(encoding="utf-8"))
+    content = json.loads(read_bytes(path))
     if not isinstance(content, dict):
         raise ValueError("expected an object with report and words")
     return DiagnosisReport.model_validate(content.get("report")), DiagnosisWords.model_validate(content.get("words"))
@@ -164,7 +165,7 @@ def _without_arrays(model: BaseModel, prefix: str, arrays: _Arrays) -> dict[str,
 
 def _unpacked(path: Path) -> tuple[DiagnosisStep, ...]:
     # numpy does not close a file that turns out to be damaged: it gets the bytes.
-    with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as archive:
+    with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as archive:
         meta = json.loads(archive[_META].tobytes().decode("utf-8"))
         steps = []
         arrays: _Arrays = {}

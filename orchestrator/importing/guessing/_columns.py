@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from orchestrator.importing._hdf5 import list_datasets
+from orchestrator.importing._matlab_sizes import inflated_size
 from orchestrator.importing._source import TIMESTAMPS
 from orchestrator.importing.guessing._layout import TextLayout, text_layout
 from orchestrator.importing.guessing._units import name_and_unit, unit_of
+from orchestrator.memory import require_memory
 from protocols import InputError
 
 
@@ -67,6 +69,7 @@ def _of_hdf5_or_mat(path: Path) -> dict[str, str]:
         return {name: name for name in names}
     from scipy.io import loadmat
 
+    require_memory(path, inflated_size(path), "its variables")
     variables = loadmat(path)
     return dict(pair for key, value in variables.items() if not key.startswith("__") for pair in _in_matlab(key, value))
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from orchestrator.config import load_motor, load_procedure
+from orchestrator.plain_files import read_text
 from orchestrator.presentation.sentences import shown
 from orchestrator.registry import PluginKind, installed
 from orchestrator.runs import run_rows
@@ -92,7 +93,7 @@ def _files(folder: Path, largest: int = 1 << 20) -> Iterator[tuple[str, str]]:
         if name.parts[0] == RUNS or not file.is_file() or file.stat().st_size > largest:
             continue
         try:
-            yield str(name), file.read_text(encoding="utf-8")
+            yield str(name), read_text(file, largest)
         except (OSError, UnicodeDecodeError):
             continue
 

@@ -9,6 +9,7 @@ from typing import Any
 import yaml
 
 from orchestrator.importing import Finding, import_files
+from orchestrator.plain_files import read_text
 from orchestrator.recording import open_recording
 from protocols import Capture, DriveFault, Excitation, FaultCause, FluxbenchError, InputError, Motor, SegmentStage
 
@@ -36,8 +37,8 @@ COLUMNS = (
 def read_columns(path: Path) -> dict[str, Any]:
     """The mapping's sections about columns; raises `InputError` where the file is none."""
     try:
-        found = yaml.safe_load(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
+        found = yaml.safe_load(read_text(path))
+    except (OSError, ValueError, RecursionError, yaml.YAMLError) as error:
         raise InputError(str(path), "", f"cannot be read as a mapping: {str(error).splitlines()[0]}") from None
     if not isinstance(found, dict) or not {"current", "voltage"} <= found.keys():
         raise InputError(str(path), "", "expected the sections current and voltage of an import's mapping")

@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+from orchestrator.plain_files import read_bytes
 from orchestrator.presentation.quantities import UNKNOWN, number
 from orchestrator.presentation.sentences import text_table
 from orchestrator.runs import RunDirectory
@@ -46,9 +47,9 @@ def row(path: Path) -> dict[str, Any]:
 def _verdict(path: Path, messages: Sequence[Message]) -> Any:
     """That of ``results/diagnosis.json``, which is the newest; else what the run itself said last."""
     try:
-        kept = json.loads((path / "results" / "diagnosis.json").read_text(encoding="utf-8"))
+        kept = json.loads(read_bytes(path / "results" / "diagnosis.json"))
         return kept.get("report", kept)["verdict"]
-    except (OSError, ValueError, AttributeError, KeyError, TypeError):
+    except (OSError, ValueError, AttributeError, KeyError, TypeError, RecursionError):
         verdicts = [m.report.verdict for m in messages if isinstance(m, Diagnosed)]
         return verdicts[-1] if verdicts else None
 

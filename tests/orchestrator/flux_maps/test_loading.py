@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.io import savemat
 
+from orchestrator.estimation import save_flux_map
 from orchestrator.exporting import export_map
 from orchestrator.flux_maps import load_map
 from protocols import InputError
@@ -185,3 +186,22 @@ def test_a_damaged_file_is_a_map_or_one_line(
     content[int(at * (len(content) - 1))] = byte
     survives(suffix, bytes(content))
     survives(suffix, whole[: int(cut * len(whole))])
+
+
+@pytest.mark.parametrize("ending", [".npz", ".mat", ".nc"])
+def test_tables_larger_than_the_memory_are_refused_before_they_are_read(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ending: str
+) -> None:
+    path = tmp_path / f"map{ending}"
+    axis = np.linspace(-1.0, 1.0, 21)
+    i_d, i_q = np.meshgrid(axis, axis, indexing="ij")
+    if ending == ".npz":
+        np.savez_compressed(path, i_s_dq=i_d + 1j * i_q, psi_s_dq=0.3 + L_D * i_d + 1j * L_Q * i_q)
+    elif ending == ".mat":
+        savemat(path, {"Id": i_d, "Iq": i_q, "Fd": 0.3 + L_D * i_d, "Fq": L_Q * i_q}, do_compression=True)
+    else:
+        save_flux_map(path, linear_map())
+    load_map(path)
+    monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 10_000)
+    with pytest.raises(InputError, match=f"map{ending}: its (arrays|variables|tables) take some 0.0 GB of memory"):
+        load_map(path)

@@ -237,6 +237,15 @@ def test_a_long_segment_is_one_though_it_is_computed_in_parts(bench: Bench, monk
     np.testing.assert_array_equal(parts.v_ab, whole.v_ab)
 
 
+def test_a_segment_larger_than_the_memory_is_refused_while_it_is_read(
+    bench: Bench, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orchestrator.memory.spare_memory", lambda: 10_000)
+    with pytest.raises(InputError, match="400 rows in one segment take some 0.0 GB of memory to work on"):
+        bench.run()
+    assert not (bench.folder / "recording").exists()
+
+
 @pytest.mark.slow
 def test_memory_holds_one_segment_not_the_file(bench: Bench) -> None:
     import pyarrow as pa

@@ -1,4 +1,4 @@
-"""How many rows this machine has memory for; asked before any is read, for a file's footer may say anything."""
+"""How much this machine has memory for; asked before it is read, for what a file says of its size may be anything."""
 
 from __future__ import annotations
 
@@ -11,12 +11,22 @@ COPIES = 3
 """What decoding, aligning and working on a segment take, in sizes of its columns."""
 
 
-def require_memory(path: Path, rows: int, row_bytes: int) -> None:
-    """Raise `RecordingError` where so many rows are more than the machine, or this process, can hold."""
-    needed, spare = COPIES * rows * row_bytes, spare_memory()
-    if spare is not None and needed > spare:
-        told = f"{rows} rows take some {1e-9 * needed:.1f} GB of memory to work on, and {1e-9 * spare:.1f} GB are free"
-        raise RecordingError(str(path), "rows", told)
+def require_memory(path: Path, size: int, what: str, *, held: int = 0) -> None:
+    """Raise `RecordingError` where something is more than the machine, or this process, can hold.
+
+    Parameters
+    ----------
+    size : int
+        Of the arrays that are to be worked on [bytes].
+    what : str
+        In the plural, such as "5000 rows".
+    held : int
+        So much of it is in memory already [bytes].
+    """
+    needed, spare = COPIES * size, spare_memory()
+    if spare is not None and needed - held > spare:
+        told = f"{what} take some {1e-9 * needed:.1f} GB of memory to work on, and {1e-9 * spare:.1f} GB are free"
+        raise RecordingError(str(path), "", told)
 
 
 def spare_memory() -> int | None:
