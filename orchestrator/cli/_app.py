@@ -8,17 +8,22 @@ from typing import Annotated, Any
 import typer
 import typer.core
 
+from orchestrator.cli._foreign import is_foreign
+
+ENERGISING = ("run", "resume")
+
 
 class _Commands(typer.core.TyperGroup):
     """The group of commands; typer itself would leave at Ctrl-C without a word.
 
-    Where the context's object is callable, it is told which command it is before that begins.
+    Where the context's object is callable, it is told whether the command energises, before that begins; a plugin's
+    own command tells it when it is loaded.
     """
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         found = super().resolve_command(ctx, args)
-        if callable(ctx.obj):
-            ctx.obj(found[0])
+        if callable(ctx.obj) and not is_foreign(found[0]):
+            ctx.obj(found[0] in ENERGISING)
         return found
 
     def invoke(self, ctx: Any) -> Any:

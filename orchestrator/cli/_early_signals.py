@@ -10,8 +10,6 @@ from contextlib import suppress
 from types import FrameType
 
 STOP_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP, signal.SIGQUIT)
-ENERGISING = ("run", "resume")
-"""Commands that have these handlers until a run brings its own; others have what they were started with."""
 
 
 class EarlySignals:
@@ -25,9 +23,12 @@ class EarlySignals:
         handlers = dict.fromkeys(STOP_SIGNALS, _leave) | {signal.SIGTSTP: _stand_still}
         self._before = {number: signal.signal(number, handler) for number, handler in handlers.items()}
 
-    def settle(self, command: str | None) -> None:
-        """It is known which command it is: all but the energising ones get the handlers before back."""
-        if command not in ENERGISING:
+    def settle(self, energises: bool) -> None:
+        """It is known which command it is: one that energises keeps them, until its run brings its own.
+
+        All others have what they were started with.
+        """
+        if not energises:
             for number, handler in self._before.items():
                 signal.signal(number, handler)
 

@@ -1,8 +1,9 @@
 """Commands that belong to plugins: entry points of the group ``fluxbench.commands``, loaded when they are called.
 
-Such an entry point names a callable that takes the words after the command's name and returns an
-exit code; what it raises is explained as any other command's error is. The list of commands says of it what the
-first line of its module's docstring says; that is read, not imported.
+Such an entry point names a callable that takes the words after the command's name and returns an exit code; what it
+raises is explained as any other command's error is. One that energises says so by a true attribute `energises`: signals
+then end it from the first line on, until its run handles them itself. The list of commands says of it what the first
+line of its module's docstring says; that is read, not imported.
 """
 
 from __future__ import annotations
@@ -38,6 +39,11 @@ def with_plugin_commands(app: typer.Typer, words: Sequence[str] = ()) -> typer.T
         add = whole.command(entry.name, help=summary_of(entry), context_settings=settings)
         add(_command(entry))
     return whole
+
+
+def is_foreign(name: str | None) -> bool:
+    """Whether a command is a plugin's."""
+    return any(entry.name == name for entry in entries_of(GROUP))
 
 
 def summary_of(entry: EntryPoint) -> str:
@@ -79,6 +85,9 @@ def _command(entry: EntryPoint) -> Callable[[typer.Context], int]:
             # An import runs foreign code: it may raise anything, and what it raises is said, not hidden.
             problem = f"does not load: {type(error).__name__}: {error}"
             raise PluginError("commands", entry.name, problem) from error
+        settle = context.find_root().obj
+        if callable(settle):
+            settle(bool(getattr(command, "energises", False)))
         return int(command(context.args) or 0)
 
     return call

@@ -16,10 +16,10 @@ COMPLETING = "_FLUXBENCH_COMPLETE"
 COMPLETION_OPTIONS = ("--install-completion", "--show-completion")
 
 
-def run_app(arguments: Sequence[str], settle: Callable[[str | None], None] | None = None) -> int:
+def run_app(arguments: Sequence[str], settle: Callable[[bool], None] | None = None) -> int:
     """Run one command; what is wrong becomes one line on stderr and an exit code.
 
-    `settle` is told the command's name before it begins.
+    `settle` is told whether the command energises, before it begins.
     """
     from orchestrator.cli._foreign import with_plugin_commands
     from orchestrator.cli._output import give_up_broken_output

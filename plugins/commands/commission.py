@@ -56,3 +56,6 @@ def percent(text: str) -> float:
 def command(arguments: Sequence[str]) -> int:
     """Entry point of the command."""
     return int(app(list(arguments), prog_name="fluxbench commission", standalone_mode=False) or 0)
+
+
+command.energises = True  # type: ignore[attr-defined]

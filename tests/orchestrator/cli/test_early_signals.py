@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.cli._early_signals import STOP_SIGNALS, EarlySignals
+from orchestrator.cli._running import run_app
 from tests.support.cases import few
 from tests.support.processes import FLUXBENCH, wait_until
 from tests.support.tiny import tiny_file
@@ -72,14 +73,21 @@ def handlers() -> Iterator[dict[int, object]]:
         signal.signal(number, handler)
 
 
-@pytest.mark.parametrize("command", ["estimate", "view", None])
-def test_commands_that_energise_nothing_get_the_handlers_before_back(
-    handlers: dict[int, object], command: str | None
-) -> None:
-    EarlySignals().settle(command)
+def test_commands_that_energise_nothing_get_the_handlers_before_back(handlers: dict[int, object]) -> None:
+    EarlySignals().settle(energises=False)
     assert {number: signal.getsignal(number) for number in handlers} == handlers
 
 
 def test_commands_that_energise_keep_them_until_the_run_has_its_own(handlers: dict[int, object]) -> None:
-    EarlySignals().settle("run")
+    EarlySignals().settle(energises=True)
     assert all(signal.getsignal(number) != handler for number, handler in handlers.items())
+
+
+@pytest.mark.parametrize(
+    ("command", "energises"),
+    [("run", True), ("resume", True), ("commission", True), ("estimate", False), ("probe", False), ("wire", False)],
+)
+def test_every_command_says_once_whether_it_energises(command: str, energises: bool) -> None:
+    told: list[bool] = []
+    run_app([command, "--no-such-option"], told.append)
+    assert told == [energises]
