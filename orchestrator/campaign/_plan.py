@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -38,18 +39,23 @@ class CampaignPlan(Strict):
     """YAML files that are laid over each procedure; null is its own motor."""
     hidden: Annotated[tuple[Hidden, ...], Field(min_length=1)]
     """One entry a kind of plant; ``{}`` has nothing hidden."""
-    seeds: Annotated[int, Field(ge=1)] = 1
+    seeds: Annotated[int, Field(ge=1, le=100_000)] = 1
     """So many runs of each, which differ in the sensors' noise."""
-    first_seed: int = 1
+    first_seed: Annotated[int, Field(ge=0, le=2**31)] = 1
     settings: dict[str, Any] = Field(default_factory=dict)
     """Laid over each procedure, by key paths."""
     drive: dict[str, Any] = Field(default_factory=lambda: {"watchdog_s": 10.0})
     """Options of the simulated drive; there is nobody to be hurt, and a busy machine may be late."""
     plant: dict[str, Any] = Field(default_factory=dict)
     """Other options of its plant."""
-    do: tuple[FleetStep, ...] = ("diagnose",)
+    do: Annotated[tuple[FleetStep, ...], Field(min_length=1)] = ("diagnose",)
     found_with: Annotated[float, Field(gt=0, lt=1)] = 0.8
     """A size counts as found from this share of its runs on."""
+
+    def runs(self) -> int:
+        """How many there are."""
+        kinds = sum(math.prod(len(_values(s)) for sizes in e.values() for s in sizes.values()) for e in self.hidden)
+        return len(self.procedures) * len(self.motors) * kinds * self.seeds
 
     def analysis(self) -> Plan:
         """What is done with each recording."""
@@ -91,8 +97,19 @@ class Run(Strict):
         return hashlib.sha256(json.dumps(told, sort_keys=True).encode()).hexdigest()[:32]
 
 
-def load_campaign(path: Path) -> CampaignPlan:
-    """Read a campaign; raises `InputError`: file and line, key, what is wrong, the nearest valid name."""
+def load_campaign(path: Path, most_runs: int = 1_000_000) -> CampaignPlan:
+    """Read a campaign.
+
+    Parameters
+    ----------
+    most_runs : int
+        Of all combinations; a list too many multiplies them.
+
+    Raises
+    ------
+    InputError
+        File and line, key, what is wrong, the nearest valid name.
+    """
     try:
         text = read_text(path)
     except UnicodeDecodeError as error:
@@ -105,6 +122,8 @@ def load_campaign(path: Path) -> CampaignPlan:
     except ValidationError as error:
         problem = first_problem(error, CampaignPlan, document.data)
         raise InputError(document.place(problem.path), problem.field, problem.text) from None
+    if plan.runs() > most_runs:
+        raise InputError(str(path), "", f"{plan.runs()} runs are more than {most_runs}: shorten its lists")
     strange = [step for step in plan.do if step in ("import", "export")]
     if strange:
         raise InputError(document.place(("do",)), "do", f"expected estimate, compare or diagnose, got {strange[0]}")
@@ -155,9 +174,16 @@ def _values(sizes: Sizes) -> tuple[float, ...]:
 
 
 def _with(procedure: Procedure, plan: CampaignPlan, condition: Condition) -> Procedure:
-    options = procedure.drive.options
-    plant = {**options.get("plant", {}), **plan.plant, "effects": condition.hidden}
-    drive = DriveChoice.model_validate({"name": procedure.drive.name, **options, **plan.drive, "plant": plant})
+    options, own = procedure.drive.options, procedure.drive.options.get("plant", {})
+    if not isinstance(own, dict):
+        raise InputError(procedure.name, "drive.plant", "expected keys and values")
+    plant = {**own, **plan.plant, "effects": condition.hidden}
+    chosen = {"name": procedure.drive.name, **options, **plan.drive, "plant": plant}
+    try:
+        drive = DriveChoice.model_validate(chosen)
+    except ValidationError as error:
+        problem = first_problem(error, DriveChoice, chosen)
+        raise InputError(plan.name, f"drive.{problem.field}", problem.text) from None
     return procedure.model_copy(update={"drive": drive, "seed": condition.seed})
 
 

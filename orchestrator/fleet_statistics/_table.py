@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from orchestrator.fleet_statistics._types import as_written
 from orchestrator.numerics.types import Array, Mask
 from orchestrator.presentation.names import parameter_words, plain
 from protocols import InputError
@@ -141,9 +142,7 @@ def read_fleet(place: str) -> FleetTable:
 
 def fleet_of(table: pa.Table, place: str) -> FleetTable:
     """The same of a table in memory; of several rows of one source the one with most results, then the last."""
-    missing = [name for name in ("source", "serial", "R_s_ohm", "effects", "failed") if name not in table.column_names]
-    if missing:
-        raise InputError(place, missing[0], "no such column: not a fleet's table")
+    table = as_written(table, place)
     table = table.take(_of_each_source(table))
     failed = np.array([text is not None for text in table.column("failed").to_pylist()], dtype=bool)
     failures = [text for text in table.column("failed").to_pylist() if text is not None]
@@ -173,7 +172,7 @@ def _read(place: str) -> pa.Table:
     try:
         found = ds.dataset(str(path), format="parquet", exclude_invalid_files=path.is_dir())
         return found.to_table(columns=[name for name in names if name in found.schema.names])
-    except (pa.ArrowException, OSError) as error:
+    except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError(place, "", f"cannot be read as Parquet: {str(error).splitlines()[0][:160]}") from None
 
 
@@ -282,7 +281,8 @@ def _numbers(table: pa.Table, name: str) -> Array:
 def _floats(column: Any) -> Array:
     import pyarrow as pa
 
-    return np.asarray(column.cast(pa.float64()).fill_null(float("nan")).to_numpy(zero_copy_only=False))
+    values = np.asarray(column.cast(pa.float64()).fill_null(float("nan")).to_numpy(zero_copy_only=False))
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def _seconds(at: datetime | None) -> float:

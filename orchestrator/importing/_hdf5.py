@@ -80,8 +80,16 @@ def _rows(node: Any, which: int | str | None, part: slice) -> NDArray[Any]:
     return np.asarray(values).reshape(-1)
 
 
-def list_datasets(file: Any) -> list[str]:
-    """The names that columns of a file may have."""
+def list_datasets(file: Any, columns_along: int = 1, most: int = 1000) -> list[str]:
+    """The names that columns of a file may have.
+
+    Parameters
+    ----------
+    columns_along : int
+        Axis of a matrix; MATLAB 7.3 keeps matrices transposed, and has 0.
+    most : int
+        Columns of one matrix that are named: no logger has more, and the file's word may be anything.
+    """
     import h5py
 
     found: list[str] = []
@@ -91,8 +99,8 @@ def list_datasets(file: Any) -> list[str]:
             return
         if node.dtype.names:
             found.extend(f"{name}.{field}" for field in node.dtype.names)
-        elif node.ndim == 2 and node.shape[1] > 1:
-            found.extend(f"{name}(:,{k + 1})" for k in range(node.shape[1]))
+        elif node.ndim == 2 and node.shape[columns_along] > 1:
+            found.extend(f"{name}(:,{k + 1})" for k in range(min(node.shape[columns_along], most)))
         else:
             found.append(name)
 

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ValidationError
 
+from orchestrator.memory import require_memory
 from orchestrator.plain_files import read_bytes
 from orchestrator.presentation.sentences import visible
 from orchestrator.recording import replace_file
@@ -38,6 +39,7 @@ STEPS_NAME = "diagnosis.npz"
 Content = TypeVar("Content")
 
 _Arrays = dict[str, NDArray[Any]]
+_DAMAGE = (AttributeError, EOFError, LookupError, OSError, RecursionError, TypeError, ValueError)
 _META = "steps"
 
 
@@ -113,7 +115,7 @@ def _guarded(path: Path, read: Callable[[], Content]) -> Content:
         first = error.errors(include_url=False)[0]
         where = ".".join(map(str, first["loc"]))
         raise RecordingError(str(path), where, str(first["msg"])) from None
-    except (OSError, ValueError, KeyError, IndexError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except (*_DAMAGE, zipfile.BadZipFile, zlib.error) as error:
         reason = (str(error).splitlines() or [type(error).__name__])[0]
         raise RecordingError(str(path), "", f"not a diagnosis that can be read: {reason}") from None
 
@@ -166,6 +168,7 @@ def _without_arrays(model: BaseModel, prefix: str, arrays: _Arrays) -> dict[str,
 def _unpacked(path: Path) -> tuple[DiagnosisStep, ...]:
     # numpy does not close a file that turns out to be damaged: it gets the bytes.
     with np.load(io.BytesIO(read_bytes(path)), allow_pickle=False) as archive:
+        require_memory(path, sum(member.file_size for member in archive.zip.infolist()), "its arrays")
         meta = json.loads(archive[_META].tobytes().decode("utf-8"))
         steps = []
         arrays: _Arrays = {}

@@ -64,8 +64,9 @@ def _of_hdf5_or_mat(path: Path) -> dict[str, str]:
 
     if h5py.is_hdf5(path):
         with h5py.File(path, "r") as file:
-            names = [name for name in list_datasets(file) if not name.startswith("#")]
-        names = names if path.suffix.lower() != ".mat" else [name.replace("/", ".") for name in names]
+            is_matlab = path.suffix.lower() == ".mat"
+            names = [name for name in list_datasets(file, 0 if is_matlab else 1) if not name.startswith("#")]
+        names = [name.replace("/", ".") for name in names] if is_matlab else names
         return {name: name for name in names}
     from scipy.io import loadmat
 

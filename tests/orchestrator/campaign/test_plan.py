@@ -33,7 +33,7 @@ def written(folder: Path, text: str) -> Path:
 def test_lists_are_multiplied_out_and_seeds_come_last(tmp_path: Path) -> None:
     plan = load_campaign(written(tmp_path, WHOLE))
     runs = list(runs_of(plan))
-    assert len(runs) == 4 * (1 + 2 * 3)
+    assert len(runs) == plan.runs() == 4 * (1 + 2 * 3)
     assert [run.condition.seed for run in runs[:7]] == [1] * 7
     assert runs[0].condition.label == "quick, 400 W test PMSM, nothing hidden"
     assert runs[6].condition.hidden == {
@@ -72,6 +72,13 @@ def test_files_are_looked_for_beside_it(tmp_path: Path) -> None:
         (HEAD + "hidden: [{}]\ndo: [export]\n", "got export"),
         (HEAD + "hidden: [{dead_time: {voltage_v: []}}]\n", "voltage_v"),
         (HEAD.replace("quick", "quack") + "hidden: [{}]\n", "quack"),
+        (HEAD + "hidden: [{}]\ndo: []\n", "do"),
+        (HEAD + "hidden: [{}]\nseeds: 18446744073709551616\n", "seeds"),
+        (
+            HEAD + f"hidden: [{{dead_time: {{voltage_v: {[1.0] * 2000}, threshold_a: {[1.0] * 2000}}}}}]\n",
+            "4000000 runs",
+        ),
+        (HEAD + "hidden: [{}]\ndrive: {name: 1}\n", "drive.name"),
     ],
 )
 def test_what_is_wrong_is_one_line(tmp_path: Path, text: str, told: str) -> None:
