@@ -32,15 +32,21 @@ def with_column(table: pa.Table, name: str, column: Any) -> pa.Table:
     return table.set_column(table.column_names.index(name), name, column)
 
 
+def refusal_of(table: pa.Table) -> str:
+    try:
+        fleet_of(table, "table")
+    except InputError as error:
+        return str(error)
+    return ""
+
+
 @pytest.mark.parametrize("value", OTHERS.values(), ids=OTHERS)
 def test_any_column_of_another_type_is_read_or_refused_in_one_line(table: pa.Table, value: Any) -> None:
     for name in arrow_schema().names:
         changed = with_column(table, name, pa.array([value] * table.num_rows))
-        try:
-            fleet_of(changed, "table")
-        except InputError as error:
-            assert str(error).startswith(f"table: {name}: expected ")
-            assert "\n" not in str(error)
+        told = refusal_of(changed)
+        assert not told or told.startswith(f"table: {name}: expected ")
+        assert "\n" not in told
 
 
 def test_what_is_missing_is_null_but_what_tells_a_fleet_s_table(table: pa.Table) -> None:
