@@ -44,6 +44,10 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
     try:
         import dask
         from distributed import Client, LocalCluster
+        from distributed.security import Security
+
+        # Whoever reaches a scheduler can have code run: other users of this machine have not the key.
+        security = Security.temporary()
     except ImportError as error:
         problem = f"runs on dask: pip install 'fluxbench[fleet]' ({error})"
         raise InputError("fleet", "", problem) from None
@@ -53,6 +57,7 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
         with _client_of(settings.scheduler, settings) as client:
             yield client
         return
+    port = _free(settings.dashboard_port)
     # A task whose worker died is this project's to ask again, once: dask itself would do so three times.
     with (
         dask.config.set(
@@ -60,6 +65,10 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
                 "distributed.scheduler.allowed-failures": 0,
                 "distributed.worker.profile.enabled": False,  # looks at each worker's stack a hundred times a second
                 "distributed.nanny.environ.PYTHONWARNINGS": "ignore",
+                # No page from elsewhere is told what is under way.
+                "distributed.scheduler.dashboard.bokeh-application.allow_websocket_origin": [
+                    f"{name}:{port}" for name in (LOOPBACK, "localhost")
+                ],
             }
         ),
         LocalCluster(
@@ -67,7 +76,8 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
             threads_per_worker=1,
             processes=True,
             host=LOOPBACK,
-            dashboard_address=f"{LOOPBACK}:{_free(settings.dashboard_port)}",
+            dashboard_address=f"{LOOPBACK}:{port}",
+            security=security,
             silence_logs=logging.CRITICAL,
         ) as cluster,
         Client(cluster, set_as_default=False) as client,
@@ -76,14 +86,14 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
 
 
 def _free(port: int) -> int:
-    """The port, or 0 for any where somebody has it."""
+    """The port, or another where somebody has it."""
     with socket.socket() as tried:
         tried.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
             tried.bind((LOOPBACK, port))
         except OSError:
-            return 0
-    return port
+            tried.bind((LOOPBACK, 0))
+        return int(tried.getsockname()[1])
 
 
 def _client_of(address: str, settings: ClusterSettings) -> Client:

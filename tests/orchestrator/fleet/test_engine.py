@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import socket
+import ssl
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -51,7 +54,20 @@ def test_without_a_cluster_everything_is_done_here() -> None:
 
 def test_the_dashboard_is_on_this_machine_alone(client: Client) -> None:
     assert client.dashboard_link.startswith("http://127.0.0.1:")
-    assert all(address.startswith("tcp://127.0.0.1:") for address in client.nthreads())
+    assert all(address.startswith("tls://127.0.0.1:") for address in client.nthreads())
+
+
+def test_who_has_not_the_key_gives_the_workers_nothing_to_do(client: Client) -> None:
+    """Whoever speaks to a scheduler or a worker has code run: another user of this machine is not let in."""
+    context = ssl.create_default_context()
+    context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
+    for address in (client.scheduler.address, *client.nthreads()):
+        port = int(address.rpartition(":")[2])
+        for speaks in (lambda line: line, context.wrap_socket):
+            with socket.create_connection(("127.0.0.1", port), timeout=10) as plain, suppress(ssl.SSLError, OSError):
+                line = speaks(plain)
+                line.sendall(bytes(64))
+                assert line.recv(1) == b""
 
 
 def test_all_are_answered_once_whatever_they_raise_and_few_are_in_flight(client: Client) -> None:
