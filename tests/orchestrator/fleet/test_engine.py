@@ -59,7 +59,7 @@ def test_the_dashboard_is_on_this_machine_alone(client: Client) -> None:
 
 def test_who_has_not_the_key_gives_the_workers_nothing_to_do(client: Client) -> None:
     """Whoever speaks to a scheduler or a worker has code run: another user of this machine is not let in."""
-    for address in (client.scheduler.address, *client.nthreads()):
+    for address in (client.scheduler_info()["address"], *client.nthreads()):
         port = int(address.rpartition(":")[2])
         assert answer_to(port, encrypted=False) == answer_to(port, encrypted=True) == b""
 
