@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import is_dataclass
 from typing import Any, TextIO
 
 import numpy as np
@@ -46,4 +47,12 @@ def without_arrays(model: BaseModel) -> dict[str, Any]:
 
 
 def _arrays(model: BaseModel) -> set[str]:
-    return {name for name in type(model).model_fields if isinstance(getattr(model, name), np.ndarray)}
+    """Fields that are arrays, or that an estimate keeps for itself beside what its protocol says."""
+    values = {name: getattr(model, name) for name in type(model).model_fields}
+    return {name for name, value in values.items() if _is_left_out(value)}
+
+
+def _is_left_out(value: object) -> bool:
+    if isinstance(value, tuple):
+        return any(map(_is_left_out, value))
+    return isinstance(value, np.ndarray) or is_dataclass(value)

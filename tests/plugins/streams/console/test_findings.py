@@ -10,6 +10,8 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.analysis import PhaseLoss
+from plugins.estimators._maps import SweptFlux
 from plugins.streams.console import ConsoleOptions, ConsoleStream
 from plugins.streams.console._lines import without_arrays
 from plugins.streams.console._words import step_bar, summary_rows
@@ -132,6 +134,16 @@ def test_json_lines_hold_no_arrays_and_nothing_as_long_as_one(monkeypatch: pytes
     assert objects[-1]["estimate"]["points"] == {}
     assert objects[-1]["estimate"]["remarks"] == [SAID.model_dump()]
     assert objects[-3]["words"] == WORDS.model_dump()
+
+
+def test_json_lines_leave_out_what_an_estimator_keeps_for_itself(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    found = a_map("energy")
+    swept = SweptFlux(map=found, checks=MapChecks(), paths=(), loss=PhaseLoss(found.i_d, found.i_d))
+    (line,) = told(monkeypatch, tmp_path, [MapEstimated(estimate=swept)], "jsonl").splitlines()
+    assert json.loads(line)["estimate"]["map"] == {"method": "energy", "basis": "energy"}
+    assert "loss" not in json.loads(line)["estimate"]
 
 
 def test_a_message_without_arrays_is_whole() -> None:
