@@ -8,6 +8,7 @@ import re
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from orchestrator.analysis import PhaseLoss
@@ -140,7 +141,9 @@ def test_json_lines_leave_out_what_an_estimator_keeps_for_itself(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     found = a_map("energy")
-    swept = SweptFlux(map=found, checks=MapChecks(), paths=(), loss=PhaseLoss(found.i_d, found.i_d))
+    loss = PhaseLoss(np.arange(3.0), np.arange(3.0))
+    points = FluxPoints(i_dq=found.psi_d[:2, :2], psi_dq=found.psi_d[:2, :2], segment=("a", "b"))
+    swept = SweptFlux(map=found, points=points, checks=MapChecks(), paths=(), loss=loss)
     (line,) = told(monkeypatch, tmp_path, [MapEstimated(estimate=swept)], "jsonl").splitlines()
     assert json.loads(line)["estimate"]["map"] == {"method": "energy", "basis": "energy"}
     assert "loss" not in json.loads(line)["estimate"]
