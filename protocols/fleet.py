@@ -88,6 +88,7 @@ class FleetRow(Lenient):
     fingerprint: str | None = None
     """Of names, sizes and times in the listing: what is the same there is not opened again."""
     asked: tuple[str, ...] = ()
+    """The steps, and of an import which mapping, by its hash."""
 
     R_s_ohm: Number = None
     R_s_low_ohm: Number = None

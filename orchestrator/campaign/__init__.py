@@ -1,7 +1,7 @@
 """Virtual commissionings by the thousand: which effects would a bench see? Simulated, analysed, judged, on a fleet."""
 
 from orchestrator.campaign._job import CampaignJob
-from orchestrator.campaign._plan import CampaignPlan, Condition, Run, load_campaign, runs_of
+from orchestrator.campaign._plan import CampaignPlan, Condition, Run, check_runs, load_campaign, runs_of
 from orchestrator.campaign._power import PowerReport, PowerRow, Smallest, power_of
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "PowerRow",
     "Run",
     "Smallest",
+    "check_runs",
     "load_campaign",
     "power_of",
     "runs_of",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import shutil
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -53,9 +53,7 @@ class CampaignJob:
 
     Parameters
     ----------
-    runs : iterator of Run
-    count : int
-        How many there are.
+    runs : sequence of Run
     table : FleetTable
     plan : Plan
         What is done with each recording.
@@ -65,12 +63,18 @@ class CampaignJob:
         Whether they stay there.
     tell : callable
         Called with how far it is and how long it takes yet.
+
+    Attributes
+    ----------
+    runs : dict of Run
+        By the keys of their rows.
+    todo : list of str
+        Keys that have no row yet.
     """
 
     def __init__(
         self,
-        runs: Iterator[Run],
-        count: int,
+        runs: Sequence[Run],
         table: FleetTable,
         plan: Plan,
         folder: Path,
@@ -78,15 +82,12 @@ class CampaignJob:
         keep: bool = False,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._runs, self._table, self._plan, self._folder, self._keep = runs, table, plan, folder, keep
-        self._progress = Progress(count, tell)
-        self._version = versions().fluxbench
-        self._made: deque[str] = deque()
-        self._open: dict[str, Run] = {}
-
-    def is_known(self, runs: Iterable[Run]) -> bool:
-        """Whether each of these has a row already."""
-        return all(run.key(self._plan, self._version) in self._table.keys for run in runs)
+        self._table, self._plan, self._folder, self._keep = table, plan, folder, keep
+        version = versions().fluxbench
+        self.runs = {run.key(plan, version): run for run in runs}
+        self.todo = [key for key in self.runs if key not in table.keys]
+        self._left, self._made = deque(self.todo), deque[str]()
+        self._progress = Progress(len(self.todo), tell)
 
     def rows(self, client: Client | None = None, engine: EngineSettings | None = None) -> Iterator[FleetRow]:
         """Do it; each row is handed out when the table has it. Raises `StorageError`."""
@@ -100,24 +101,23 @@ class CampaignJob:
         if self._made:
             key = self._made.popleft()
             return Task(f"work-{key}", work_on, (self._order(key),))
-        for run in self._runs:
-            key = run.key(self._plan, self._version)
-            if key in self._table.keys:
-                self._progress.passed_over()
-                continue
-            self._open[key] = run
-            return Task(f"simulate-{key}", simulate, (run.procedure.model_dump(mode="json"), str(self._place(key))))
-        return None
+        if not self._left:
+            return None
+        key = self._left.popleft()
+        procedure = self.runs[key].procedure.model_dump(mode="json")
+        return Task(f"simulate-{key}", simulate, (procedure, str(self._place(key))))
 
     def _take(self, done: Done) -> FleetRow | None:
         key = done.task.name.rpartition("-")[2]
         if done.task.work is simulate and done.failed is None:
             self._made.append(key)
             return None
-        run = self._open.pop(key)
+        run = self.runs[key]
         fields = done.result or {**bare_fields(self._order(key)), "failed": done.failed}
-        truth = {"condition": run.condition.label, "hidden": run.condition.truths(), "attempts": done.attempts}
-        row = FleetRow.model_validate({**fields, **truth, "name": f"{fields.get('name') or ''} {run.condition.seed}"})
+        told = run.condition
+        truth = {"condition": told.label, "hidden": told.truths(), "batch": told.variant or None}
+        name = f"{fields.get('name') or ''} {told.seed}"
+        row = FleetRow.model_validate({**fields, **truth, "name": name, "attempts": done.attempts})
         self._table.add(row.model_dump())
         self._progress.done(row.failed is not None)
         if not self._keep:

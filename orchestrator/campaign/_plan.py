@@ -1,4 +1,4 @@
-"""A campaign as a file: procedures by motors by what is hidden in them by seeds. Runs nothing."""
+"""A campaign as a file: procedures by motors by what is hidden in them by seeds. Measures nothing."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -14,7 +14,8 @@ from pydantic import Field, ValidationError
 
 from orchestrator._document import parse_document
 from orchestrator._validation import first_problem
-from orchestrator.config import load_procedure
+from orchestrator.config import check_plan, load_procedure, make_plan
+from orchestrator.engine import connected_drive
 from orchestrator.fleet import Plan
 from orchestrator.plain_files import read_text
 from orchestrator.presentation.names import plain
@@ -44,6 +45,8 @@ class CampaignPlan(Strict):
     first_seed: Annotated[int, Field(ge=0, le=2**31)] = 1
     settings: dict[str, Any] = Field(default_factory=dict)
     """Laid over each procedure, by key paths."""
+    variants: Annotated[tuple[dict[str, Any], ...], Field(min_length=1)] = ({},)
+    """More of these, an entry a kind of bench or motor; where a value is a list, each of its values in turn."""
     drive: dict[str, Any] = Field(default_factory=lambda: {"watchdog_s": 10.0})
     """Options of the simulated drive; there is nobody to be hurt, and a busy machine may be late."""
     plant: dict[str, Any] = Field(default_factory=dict)
@@ -55,7 +58,8 @@ class CampaignPlan(Strict):
     def runs(self) -> int:
         """How many there are."""
         kinds = sum(math.prod(len(_values(s)) for sizes in e.values() for s in sizes.values()) for e in self.hidden)
-        return len(self.procedures) * len(self.motors) * kinds * self.seeds
+        benches = sum(math.prod(len(v) for v in e.values() if isinstance(v, list)) for e in self.variants)
+        return len(self.procedures) * len(self.motors) * benches * kinds * self.seeds
 
     def analysis(self) -> Plan:
         """What is done with each recording."""
@@ -67,6 +71,8 @@ class Condition(Strict):
 
     procedure: str
     motor: str
+    variant: str = ""
+    """Its settings, in one line."""
     hidden: dict[str, dict[str, float]]
     seed: int
 
@@ -74,7 +80,8 @@ class Condition(Strict):
     def label(self) -> str:
         """In one line, without the seed: what its repetitions share."""
         effects = [f"{plain(name)} {_listed(sizes)}" for name, sizes in self.hidden.items()]
-        return ", ".join([self.procedure, self.motor, *(effects or ["nothing hidden"])])
+        variant = [self.variant] if self.variant else []
+        return ", ".join([self.procedure, self.motor, *variant, *(effects or ["nothing hidden"])])
 
     def truths(self) -> tuple[HiddenEffect, ...]:
         """As the table has it."""
@@ -145,15 +152,50 @@ def runs_of(plan: CampaignPlan) -> Iterator[Run]:
         Where a procedure, a motor or what is laid over them cannot be used.
     """
     loaded = [
-        (load_procedure(name, overrides=as_overrides(plan.settings), motor=motor), name, motor)
+        (load_procedure(name, overrides=as_overrides(plan.settings | variant), motor=motor), name, motor, variant)
         for name in plan.procedures
         for motor in plan.motors
+        for variant in _variants(plan.variants)
     ]
     for seed in range(plan.first_seed, plan.first_seed + plan.seeds):
-        for (procedure, name, motor), hidden in itertools.product(loaded, _swept(plan.hidden)):
-            told = procedure.motor.name if motor is None else motor.stem
-            condition = Condition(procedure=Path(name).stem, motor=told, hidden=hidden, seed=seed)
+        for (procedure, name, motor, variant), hidden in itertools.product(loaded, _swept(plan.hidden)):
+            condition = Condition(
+                procedure=Path(name).stem,
+                motor=procedure.motor.name if motor is None else motor.stem,
+                variant=" ".join(as_overrides(variant)),
+                hidden=hidden,
+                seed=seed,
+            )
             yield Run(condition=condition, procedure=_with(procedure, plan, condition))
+
+
+def check_runs(runs: Iterable[Run]) -> None:
+    """Hold one run of each kind against its limits and its drive, before thousands of them are begun.
+
+    Runs are of a kind where only sizes and seeds differ.
+
+    Raises
+    ------
+    InputError
+        Where what is hidden, or another option of the plant, is none that the drive has, or a plan exceeds its limits.
+    """
+    kinds: dict[tuple[object, ...], Run] = {}
+    for run in runs:
+        told = run.condition
+        hidden = tuple((name, *sizes) for name, sizes in told.hidden.items())
+        kinds.setdefault((told.procedure, told.motor, told.variant, hidden), run)
+    for run in kinds.values():
+        with connected_drive(run.procedure, private=None) as (_, capabilities):
+            check_plan(make_plan(run.procedure, capabilities), capabilities)
+
+
+def _variants(entries: tuple[dict[str, Any], ...]) -> list[dict[str, Any]]:
+    columns = ([value if isinstance(value, list) else [value] for value in entry.values()] for entry in entries)
+    return [
+        dict(zip(entry, values, strict=True))
+        for entry, choices in zip(entries, columns, strict=True)
+        for values in itertools.product(*choices)
+    ]
 
 
 def _swept(entries: tuple[Hidden, ...]) -> list[dict[str, dict[str, float]]]:

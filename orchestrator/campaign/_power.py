@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 
 import numpy as np
 
 from protocols import Strict
 from protocols.fleet import FleetEffect, FleetRow, HiddenEffect
+from protocols.fleet_report import CountOf
 
 
 class PowerRow(Strict):
@@ -50,6 +52,8 @@ class PowerReport(Strict):
     table: str
     runs: int
     failed: int
+    failures: tuple[CountOf, ...]
+    """Why, the most frequent first."""
     rows: tuple[PowerRow, ...]
     smallest: tuple[Smallest, ...]
     """Of each effect; from this size on all larger ones are found too."""
@@ -67,6 +71,7 @@ def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: flo
     found_with : float
         A size counts as found from this share of its runs on.
     """
+    failures = Counter(row.failed for row in rows if row.failed is not None)
     judged = [row for row in rows if row.hidden is not None and row.effects is not None]
     groups: dict[tuple[str, str], list[FleetRow]] = {}
     for row in judged:
@@ -78,7 +83,8 @@ def power_of(rows: Sequence[FleetRow], *, name: str, table: str, found_with: flo
         name=name,
         table=table,
         runs=len(rows),
-        failed=sum(row.failed is not None for row in rows),
+        failed=failures.total(),
+        failures=tuple(CountOf(what=what, count=count) for what, count in failures.most_common()),
         rows=power,
         smallest=tuple(_smallest(power, found_with)),
         false_names=sum(map(_says_more, judged)),

@@ -4,19 +4,23 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import socket
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
-from protocols import InputError, Strict
+from protocols import InputError, RunInterrupted, Strict
 
 if TYPE_CHECKING:
     from distributed import Client
 
 LOOPBACK = "127.0.0.1"
+DEAF = "import signal; signal.signal(signal.SIGINT, signal.SIG_IGN)"
+"""What a worker here begins with: Ctrl-C at a terminal reaches it too, and it is the client that ends it."""
 
 
 class ClusterSettings(Strict):
@@ -40,6 +44,8 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
     ------
     InputError
         Where dask is not installed, or no scheduler answers, or it has no worker.
+    RunInterrupted
+        By Ctrl-C or SIGTERM; what was done until then is kept by whoever keeps it.
     """
     try:
         import dask
@@ -54,15 +60,21 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
     for name in [known for known in logging.root.manager.loggerDict if known.startswith("distributed")]:
         logging.getLogger(name).setLevel(logging.CRITICAL)  # what matters of it is in the table
     if settings.scheduler is not None:
-        with _client_of(settings.scheduler, settings) as client:
+        with _interruptible(), _client_of(settings.scheduler, settings) as client:
             yield client
         return
     port = _free(settings.dashboard_port)
     # A task whose worker died is this project's to ask again, once: dask itself would do so three times.
     with (
+        _interruptible(),
         dask.config.set(
             {
                 "distributed.scheduler.allowed-failures": 0,
+                "distributed.worker.preload": [DEAF],
+                # A worker's memory is its task's own, nothing of dask's: a pause would free none and last for ever.
+                "distributed.worker.memory.target": False,
+                "distributed.worker.memory.spill": False,
+                "distributed.worker.memory.pause": False,
                 "distributed.worker.profile.enabled": False,  # looks at each worker's stack a hundred times a second
                 "distributed.nanny.environ.PYTHONWARNINGS": "ignore",
                 # No page from elsewhere is told what is under way.
@@ -83,6 +95,21 @@ def connected(settings: ClusterSettings) -> Iterator[Client]:
         Client(cluster, set_as_default=False) as client,
     ):
         yield client
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """SIGTERM ends the block as Ctrl-C does, with one line; off the main thread, signals are not its own."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise RunInterrupted("interrupted; started again, the job goes on where it was") from None
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def _free(port: int) -> int:

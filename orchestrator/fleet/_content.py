@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from orchestrator.fleet._sources import CAPTURES, RUN_FILES, Source, filesystem_of, is_local
+from orchestrator.fleet._sources import CAPTURES, RUN_FILES, Source, filesystem_of, is_local, parts_of_file
 from protocols import RecordingError
 
 BLOCK = 1 << 20
@@ -73,8 +73,11 @@ def _fetched(fs: Any, path: str, source: Source, place: Path) -> Path:
                 fs.get_file(f"{path}/{name}", str(partial / name))
             partial.rename(target)
         else:
-            fs.get_file(path, str(partial / target.name))
-            (partial / target.name).rename(target)
+            # The file that is asked for stands for all, and comes last.
+            for part in [*(part for part in parts_of_file(path)[1:] if fs.exists(part)), path]:
+                name = PurePosixPath(part).name
+                fs.get_file(part, str(partial / name))
+                (partial / name).rename(place / name)
     except Exception as error:  # each store has errors of its own
         raise RecordingError(source.url, "", f"cannot be fetched: {type(error).__name__}: {error}") from None
     return target
@@ -100,11 +103,11 @@ def content_sha256(path: Path) -> str:
     whole = hashlib.sha256()
     try:
         if path.is_file():
-            files = [path]
+            parts = [path.with_name(name) for name in parts_of_file(path.name)]
         else:
             captures = sorted((path / CAPTURES).iterdir()) if (path / CAPTURES).is_dir() else []
-            files = [file for file in (*(path / name for name in RUN_FILES), *captures) if file.is_file()]
-        for file in files:
+            parts = [*(path / name for name in RUN_FILES), *captures]
+        for file in (part for part in parts if part.is_file()):
             whole.update(f"{file.name}\n{file.stat().st_size}\n".encode())
             with file.open("rb") as content:
                 while block := content.read(BLOCK):

@@ -37,6 +37,8 @@ class JobReport(Strict):
     """That were found."""
     known: int
     """Of them, those that had a row already and were not opened."""
+    known_failed: int
+    """Of those, how many have no result, or not all of it."""
     same: int
     """Of them, those with the content of another, whose row stands for both."""
     new: int
@@ -95,7 +97,9 @@ class FleetJob:
     ) -> None:
         self._table, self._plan = table, plan
         self._asked, self._version = _question(plan), versions().fluxbench
-        self.todo = [s for s in sources if not table.has_visited(s.url, s.fingerprint, plan.steps, self._version)]
+        visits = [table.visit(s.url, s.fingerprint, self._asked, self._version) for s in sources]
+        self.todo = [source for source, visit in zip(sources, visits, strict=True) if visit is None]
+        self._known_failed = visits.count("failed")
         self._left, self._found = iter(self.todo), len(sources)
         self._progress = Progress(len(self.todo), tell)
         self._orders: deque[tuple[Order, Any]] = deque()
@@ -128,6 +132,7 @@ class FleetJob:
             table=str(table),
             sources=self._found,
             known=self._found - len(self.todo),
+            known_failed=self._known_failed,
             same=self._same,
             new=self._new,
             failed=tuple(self._failed),
@@ -167,7 +172,7 @@ class FleetJob:
         return None
 
     def _added(self, fields: dict[str, object]) -> FleetRow:
-        row = FleetRow.model_validate(fields)
+        row = FleetRow.model_validate({**fields, "asked": self._asked})
         self._table.add(row.model_dump())
         self._taken.discard(row.key)
         self._new += 1
@@ -180,7 +185,8 @@ class FleetJob:
         return hashlib.sha256(json.dumps([content, self._asked, self._version]).encode()).hexdigest()[:32]
 
 
-def _question(plan: Plan) -> list[str]:
+def _question(plan: Plan) -> tuple[str, ...]:
     """What was asked for, as far as it makes another result."""
-    mapping = [] if plan.mapping is None else [hashlib.sha256(plan.mapping.read_bytes()).hexdigest()]
-    return [*plan.steps, *mapping]
+    if plan.mapping is None:
+        return plan.steps
+    return (*plan.steps, f"mapping {hashlib.sha256(plan.mapping.read_bytes()).hexdigest()[:16]}")

@@ -24,11 +24,6 @@ class Progress:
         self._total, self._tell, self._clock, self._began = total, tell, clock, clock()
         self._done, self._failed, self._skipped = 0, 0, 0
 
-    @property
-    def skipped(self) -> int:
-        """How many there was nothing to do for."""
-        return self._skipped
-
     def passed_over(self) -> None:
         """One more for which there is nothing to do."""
         self._skipped += 1

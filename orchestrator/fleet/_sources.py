@@ -13,8 +13,8 @@ from protocols import InputError, Strict
 RUN_FILES = (MANIFEST_NAME, "run.json", "journal.jsonl")
 """Of a recording or run, beside what is in its folder of captures."""
 CAPTURES = "captures"
-MEASUREMENTS = frozenset({".csv", ".txt", ".parquet", ".mat", ".h5", ".hdf5", ".mf4", ".tdms", ".cfg"})
-"""Endings of the files that an import may be asked of."""
+BESIDE = {".cfg": ".dat"}
+"""What a measurement file is nothing without, by its ending: COMTRADE's values lie beside their description."""
 
 
 class Source(Strict):
@@ -71,9 +71,9 @@ def _walked(fs: Any, root: str, files: bool) -> Iterator[Source]:
         told = sorted(folders)
         found = RUN_FILES[0] in here or RUN_FILES[1] in here
         if files:
-            measured = (name for name in sorted(here) if PurePosixPath(name).suffix.lower() in MEASUREMENTS)
-            for name in measured:
-                yield _source(fs, root, f"{folder.rstrip('/')}/{name}", [here[name]])
+            for name in sorted(name for name in here if _is_measured(name)):
+                listed = [here[part] for part in parts_of_file(name) if part in here]
+                yield _source(fs, root, f"{folder.rstrip('/')}/{name}", listed)
         elif found:
             captures = fs.ls(f"{folder}/{CAPTURES}", detail=True) if CAPTURES in folders else []
             yield _source(fs, root, folder, [*(here[n] for n in RUN_FILES if n in here), *captures])
@@ -81,6 +81,21 @@ def _walked(fs: Any, root: str, files: bool) -> Iterator[Source]:
         # What is below a recording is its own, and what a walk does not keep it does not enter.
         folders.clear()
         folders.update(kept)
+
+
+def _is_measured(name: str) -> bool:
+    from orchestrator.importing import ENDINGS
+
+    return PurePosixPath(name).suffix.lower() in ENDINGS
+
+
+def parts_of_file(name: str) -> list[str]:
+    """A measurement file, and the one that may lie beside it."""
+    ending = PurePosixPath(name).suffix
+    beside = BESIDE.get(ending.lower())
+    if beside is None:
+        return [name]
+    return [name, name.removesuffix(ending) + (beside.upper() if ending.isupper() else beside)]
 
 
 def _source(fs: Any, root: str, path: str, listed: Sequence[dict[str, Any]]) -> Source:

@@ -13,7 +13,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from pydantic import Field
 
@@ -45,10 +45,10 @@ class FleetTable:
         self._pending: list[dict[str, Any]] = []
         self._next_part, self._written_at = 0, time.monotonic()
         self.keys: set[str] = set()
-        self._visits: set[bytes] = set()
+        self._visits: dict[bytes, bool] = {}
         for part in parts_of(folder):
             self._next_part = max(self._next_part, int(part.stem.partition("-")[2]) + 1)
-            for row in _columns(part, ("key", "source", "fingerprint", "asked", "versions")):
+            for row in _columns(part, ("key", "source", "fingerprint", "asked", "versions", "failed")):
                 self._remember(row)
 
     @classmethod
@@ -79,9 +79,12 @@ class FleetTable:
             finally:
                 table.flush()
 
-    def has_visited(self, source: str, fingerprint: str, asked: Sequence[str], version: str) -> bool:
-        """Whether a source that looks the same in its listing has a row, for the same question and version."""
-        return _visit(source, fingerprint, asked, version) in self._visits
+    def visit(
+        self, source: str, fingerprint: str, asked: Sequence[str], version: str
+    ) -> Literal["done", "failed"] | None:
+        """What became of a source that looks the same in its listing, for the same question and version; else None."""
+        failed = self._visits.get(_visit(source, fingerprint, asked, version))
+        return None if failed is None else "failed" if failed else "done"
 
     def add(self, row: dict[str, Any]) -> None:
         """Take a row in; written with the next batch. One whose key is there already is an error of the caller."""
@@ -104,7 +107,8 @@ class FleetTable:
     def _remember(self, row: dict[str, Any]) -> None:
         self.keys.add(row["key"])
         version = (row["versions"] or {}).get("fluxbench", "")
-        self._visits.add(_visit(row["source"], row["fingerprint"] or "", row["asked"] or (), version))
+        visit = _visit(row["source"], row["fingerprint"] or "", row["asked"] or (), version)
+        self._visits[visit] = row["failed"] is not None
 
 
 def parts_of(folder: Path) -> list[Path]:

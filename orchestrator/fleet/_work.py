@@ -7,7 +7,7 @@ import resource
 import tempfile
 import time
 from importlib.metadata import version
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pydantic import Field
@@ -15,8 +15,11 @@ from pydantic import Field
 from orchestrator.fleet._content import at_hand, content_sha256
 from orchestrator.fleet._engine import said_of
 from orchestrator.fleet._sources import Source
-from protocols import FluxbenchError, Strict
+from protocols import FluxbenchError, RecordingError, Strict
 from protocols.fleet import FleetRow, FleetStep, FleetVersions
+
+SCRATCH, IMPORTED = "fluxbench-fleet-", "recording"
+"""A folder for the time that one source takes, and in it what an import makes of it."""
 
 
 class Plan(Strict):
@@ -60,13 +63,15 @@ def work_on(order: Order, _: Identified | None = None) -> dict[str, Any]:
     """The row of a source, as a mapping of its fields; what is wrong with it is in the field `failed`."""
     began = time.perf_counter()
     fields: dict[str, Any] = {}
-    path: Path | None = None
+    places: list[str] = []
     try:
-        with at_hand(order.source, stays=False) as path:
-            _do(order, path, fields)
+        with at_hand(order.source, stays=False) as path, tempfile.TemporaryDirectory(prefix=SCRATCH) as scratch:
+            places = [f"{scratch}/{IMPORTED}", str(path)]
+            _do(order, path, Path(scratch), fields)
     except Exception as error:  # whatever a recording makes go wrong is its own row's
-        told = said_of(error)
-        fields["failed"] = told if path is None else told.replace(str(path), order.source.url)
+        fields["failed"] = said_of(error)
+        for place in places:
+            fields["failed"] = fields["failed"].replace(place, order.source.url)
     row = FleetRow(
         **{
             **bare_fields(order),
@@ -96,32 +101,32 @@ def versions() -> FleetVersions:
     return FleetVersions(fluxbench=version("fluxbench"), python=platform.python_version(), numpy=version("numpy"))
 
 
-def _do(order: Order, path: Path, fields: dict[str, Any]) -> None:
+def _do(order: Order, path: Path, scratch: Path, fields: dict[str, Any]) -> None:
     """All steps, in their order; what was found before one fails stays in `fields`."""
     from orchestrator.estimation import has_estimates
     from orchestrator.fleet import _rows as rows
     from orchestrator.runs import open_any
 
     plan = order.plan
-    with tempfile.TemporaryDirectory(prefix="fluxbench-fleet-") as scratch:
-        if plan.mapping is not None:
-            path = _imported(plan.mapping, path, Path(scratch) / "recording")
-        out = Path(scratch) / "out" if plan.keep is None else plan.keep / order.key
-        recording = open_any(path)
-        fields |= rows.identity(recording)
-        fields |= rows.temperature(recording)
-        done = [step for step in plan.steps if step != "import"]
-        if "estimate" in done or "export" in done:
-            _estimate(recording, out)
+    out = scratch / "out" if plan.keep is None else plan.keep / order.key
+    if plan.mapping is not None:
+        path = _imported(plan.mapping, path, scratch / IMPORTED)
+    recording = open_any(path)
+    fields |= rows.identity(recording)
+    fields |= rows.temperature(recording)
+    if plan.mapping is not None:  # a mapping calls all files alike
+        fields["name"] = PurePosixPath(order.source.url).stem
+    if "estimate" in plan.steps or "export" in plan.steps:
+        _estimate(recording, out)
+        fields |= rows.estimated(rows.said_of(recording, out))
+    if "compare" in plan.steps:
+        fields |= _compare(recording)
+    if "diagnose" in plan.steps:
+        fields |= _diagnose(recording, out)
+        if has_estimates(out):  # the model's map and R_s, where it delivers some
             fields |= rows.estimated(rows.said_of(recording, out))
-        if "compare" in done:
-            fields |= _compare(recording)
-        if "diagnose" in done:
-            fields |= _diagnose(recording, out)
-            if has_estimates(out):  # the model's map and R_s, where it delivers some
-                fields |= rows.estimated(rows.said_of(recording, out))
-        if "export" in done:
-            _export(recording, out)
+    if "export" in plan.steps:
+        _export(recording, out)
 
 
 def _imported(mapping: Path, file: Path, out: Path) -> Path:
@@ -155,7 +160,10 @@ def _diagnose(recording: Any, out: Path) -> dict[str, Any]:
 
 
 def _export(recording: Any, out: Path) -> None:
+    from orchestrator.estimation import load_estimates
     from orchestrator.exporting import export_map
     from orchestrator.flux_maps import load_map
 
+    if load_estimates(out).method is None:
+        raise RecordingError(str(recording.path), "", "no map came of it, so there is nothing to export")
     export_map(load_map(out), recording.manifest.motor, out / "export", recording=recording.manifest.name)

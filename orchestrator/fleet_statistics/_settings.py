@@ -20,8 +20,6 @@ class FleetCriteria(Strict):
     """Share of the recordings that a quantity of the robust distance has to be known of."""
     rare: float = 0.05
     """Share of the diagnosed recordings in which an effect is so seldom that it makes an outlier where it is found."""
-    sure_probability: float = 0.95
-    """Of an effect being there, before it makes one."""
     told_share: float = 0.8
     """Of the squared distance: so many quantities are named as its reasons."""
     most_reasons: int = 3

@@ -25,6 +25,8 @@ _READERS: dict[str, Reader] = {
     **dict.fromkeys((".tdms",), open_tdms),
     **dict.fromkeys((".cfg", ".cff"), open_comtrade),
 }
+ENDINGS = (*_TEXT, *_READERS)
+"""Of the files that can be read, in small letters."""
 
 
 def open_source(
@@ -77,7 +79,7 @@ def open_columns(path: Path, wanted: Wanted, layout: CsvLayout) -> Source:
         return open_csv(path, wanted, layout)
     if ending in _READERS:
         return _READERS[ending](path, wanted)
-    raise InputError(str(path), "", f"unknown kind of file; known: {', '.join((*_TEXT, *_READERS))}")
+    raise InputError(str(path), "", f"unknown kind of file; known: {', '.join(ENDINGS)}")
 
 
 def check_file(path: Path) -> None:

@@ -28,13 +28,14 @@ def campaign(
         str | None,
         typer.Option(help="Of a dask cluster that is there, instead of processes here.", metavar="tcp://..."),
     ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what failed before.")] = False,
     as_json: Annotated[bool, typer.Option("--json", help="Print the result as one JSON object.")] = False,
 ) -> int:
     """Simulate motors with hidden effects, diagnose them, and say which sizes are found with what probability.
 
     Started again, it goes on where it was.
     """
-    from orchestrator.campaign import CampaignJob, load_campaign, power_of, runs_of
+    from orchestrator.campaign import CampaignJob, check_runs, load_campaign, power_of, runs_of
     from orchestrator.fleet import ClusterSettings, FleetTable, connected, read_table
     from orchestrator.presentation.sentences import visible
     from orchestrator.presentation.waiting import Waiting
@@ -42,18 +43,21 @@ def campaign(
 
     plan = load_campaign(file)
     runs = list(runs_of(plan))
+    check_runs(runs)
     settings = ClusterSettings(scheduler=scheduler, **({} if jobs is None else {"jobs": jobs}))
-    with FleetTable.opened(out) as table:
+    with FleetTable.opened(out, forget_failed=retry_failed) as table:
         folder = (keep or out / RECORDINGS).resolve()
         folder.mkdir(parents=True, exist_ok=True)
-        job = CampaignJob(iter(runs), len(runs), table, plan.analysis(), folder, keep=keep is not None, tell=Waiting())
-        if not job.is_known(runs):
+        job = CampaignJob(runs, table, plan.analysis(), folder, keep=keep is not None, tell=Waiting())
+        if job.todo:
             with connected(settings) as client:
                 if not as_json:
-                    print(f"{len(runs)} virtual commissionings; watch them on {client.dashboard_link}")
+                    what = f"{len(job.todo)} of {len(job.runs)} virtual commissionings to do"
+                    print(f"{what}; watch them on {client.dashboard_link}")
                 for _ in job.rows(client):
                     pass
-    report = power_of(read_table(out), name=plan.name, table=str(out), found_with=plan.found_with)
+    rows = [row for row in read_table(out) if row.key in job.runs]  # another campaign may be in the same table
+    report = power_of(rows, name=plan.name, table=str(out), found_with=plan.found_with)
     replace_file(out / REPORT, report.model_dump_json(indent=1).encode())
     if as_json:
         print(visible(report.model_dump_json(indent=2)))
@@ -68,7 +72,7 @@ def command(arguments: Sequence[str]) -> int:
 
 
 def _say(report: PowerReport, found_with: float) -> None:
-    from orchestrator.presentation.names import parameter_words, plain
+    from orchestrator.presentation.names import plain
     from orchestrator.presentation.quantities import number, percent
     from orchestrator.presentation.sentences import shown, text_table
 
@@ -76,7 +80,7 @@ def _say(report: PowerReport, found_with: float) -> None:
         (
             row.condition,
             plain(row.effect),
-            f"{parameter_words(row.parameter)} {number(row.size)}",
+            f"{row.parameter} {number(row.size)}",
             f"{row.found} of {row.runs}",
             f"{percent(100.0 * row.low, 2)} to {percent(100.0 * row.high, 2)}",
             "-" if row.ratio is None else f"{row.ratio:.3f}",
@@ -87,9 +91,11 @@ def _say(report: PowerReport, found_with: float) -> None:
     head = ("condition", "effect", "size", "found", "95 %", "found / true", "interval holds it")
     print(shown(text_table(head, rows, numbers=False)))
     for found in report.smallest:
-        what = f"{plain(found.effect)}: {parameter_words(found.parameter)}"
+        what = f"{plain(found.effect)}: {found.parameter}"
         if found.size is None:
             print(shown(f"{what}: none of these sizes is found in {percent(100.0 * found_with, 2)} of the runs"))
         else:
             print(shown(f"{what}: found from {number(found.size)} on"))
+    for failure in report.failures:
+        print(shown(f"failed {failure.count} times: {failure.what}"))
     print(f"{report.false_names} of {report.judged} runs with a false name; {report.failed} of {report.runs} failed")

@@ -17,7 +17,7 @@ class _RunUnlessNamed(typer.core.TyperGroup):
     """What names no command of the group is what `run` is to be done with."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        if args and args[0] not in (*self.commands, *ctx.help_option_names):
+        if not args or args[0] not in (*self.commands, *ctx.help_option_names):
             args = ["run", *args]
         return list(super().parse_args(ctx, args))
 

@@ -27,7 +27,7 @@ def run(
         Path | None, typer.Option(help="With import: YAML file that says what a measurement file's columns are.")
     ] = None,
     keep: Annotated[
-        Path | None, typer.Option(help="Folder that gets each recording's results and exports.", metavar="DIR")
+        Path | None, typer.Option(help="Folder for the results and exports of each that is done now.", metavar="DIR")
     ] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Worker processes here.", show_default="one a core")] = None,
     scheduler: Annotated[
@@ -43,6 +43,7 @@ def run(
     Started again, it goes on where it was: what has a row is not done twice.
     """
     from orchestrator.fleet import ClusterSettings, FleetJob, FleetTable, connected, find_sources
+    from orchestrator.presentation.quantities import plural
     from orchestrator.presentation.sentences import visible
     from orchestrator.presentation.waiting import Waiting
 
@@ -55,7 +56,8 @@ def run(
         if job.todo:
             with connected(settings) as client:
                 if not as_json:
-                    print(f"{len(job.todo)} of {len(found)} recordings to do; watch them on {client.dashboard_link}")
+                    what = f"{len(job.todo)} of {plural(len(found), 'recording')} to do"
+                    print(f"{what}; watch them on {client.dashboard_link}")
                 for _ in job.rows(client):
                     pass
     report = job.report(out, time.monotonic() - began)
@@ -91,13 +93,15 @@ def _plan(do: str, mapping: Path | None, keep: Path | None) -> Plan:
 
 
 def _say(report: JobReport) -> None:
-    from orchestrator.presentation.quantities import duration
+    from orchestrator.presentation.quantities import duration, plural
     from orchestrator.presentation.sentences import shown
 
     for failed in report.failed:
         told = failed.problem if failed.source in failed.problem else f"{failed.source}: {failed.problem}"
         print(shown(f"failed: {told}"))
-    words = [f"{report.new} new rows" + (f", {len(report.failed)} of them failed" if report.failed else "")]
-    words += [f"{report.known} known"] if report.known else []
+    words = [plural(report.new, "new row") + (f", {len(report.failed)} of them failed" if report.failed else "")]
+    again = f", {report.known_failed} of them failed (--retry-failed does those again)" if report.known_failed else ""
+    words += [f"{report.known} known{again}"] if report.known else []
     words += [f"{report.same} the same as another"] if report.same else []
-    print(shown(f"{report.table}: {report.sources} recordings: {'; '.join(words)}; {duration(report.seconds)}"))
+    found = plural(report.sources, "recording")
+    print(shown(f"{report.table}: {found}: {'; '.join(words)}; {duration(report.seconds)}"))

@@ -38,9 +38,9 @@ def done(file: Path, table: Path, folder: Path, keep: bool) -> list[FleetRow]:
     plan = load_campaign(file)
     runs = list(runs_of(plan))
     with FleetTable.opened(table) as held:
-        job = CampaignJob(iter(runs), len(runs), held, plan.analysis(), folder, keep=keep)
+        job = CampaignJob(runs, held, plan.analysis(), folder, keep=keep)
         rows = list(job.rows())
-        assert job.is_known(runs)
+        assert not CampaignJob(runs, held, plan.analysis(), folder).todo
     return rows
 
 
@@ -61,7 +61,7 @@ def test_one_command_is_the_whole_campaign(file: Path, tmp_path: Path) -> None:
     words = ("campaign", file, "--out", tmp_path / "table", "--jobs", "1")
     first = called(*words)
     assert (first.returncode, first.stderr) == (0, "")
-    assert "2 virtual commissionings" in first.stdout
+    assert "2 of 2 virtual commissionings" in first.stdout
     assert list((tmp_path / "table" / ".recordings").iterdir()) == []
     again = called(*words, "--json")
     assert '"runs": 2' in again.stdout

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from orchestrator.campaign import load_campaign, runs_of
-from protocols import InputError
+from orchestrator.campaign import check_runs, load_campaign, runs_of
+from protocols import FluxbenchError, InputError
 
 HEAD = "format: fluxbench-campaign\nversion: 1\nname: power\nprocedures: [quick]\n"
 WHOLE = (
@@ -55,6 +55,40 @@ def test_a_key_tells_runs_apart_and_is_the_same_tomorrow(tmp_path: Path) -> None
     assert len(set(keys)) == len(keys)
     assert keys == [run.key(plan.analysis(), "1") for run in runs_of(load_campaign(tmp_path / "campaign.yaml"))]
     assert not set(keys) & {run.key(plan.analysis(), "2") for run in runs_of(plan)}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ("hidden: [{ded_time: {voltage_v: 1.0}}]", "did you mean 'dead_time'"),
+        ("hidden: [{}, {dead_time: {voltage: [0.1, 1.0]}}]", "did you mean 'voltage_v'"),
+        ("hidden: [{}]\nplant: {sensor: {noise_a: 0.01}}", "did you mean 'sensors'"),
+    ],
+)
+def test_what_the_drive_does_not_have_is_said_before_anything_is_run(tmp_path: Path, wrong: str, told: str) -> None:
+    runs = list(runs_of(load_campaign(written(tmp_path, f"{HEAD}{wrong}\n"))))
+    with pytest.raises(FluxbenchError) as raised:
+        check_runs(runs)
+    assert raised.value.exit_code == 2
+    assert told in str(raised.value)
+    check_runs(runs_of(load_campaign(written(tmp_path, WHOLE))))
+
+
+def test_variants_are_multiplied_out_and_told_apart(tmp_path: Path) -> None:
+    """A tolerance study: the motor differs from its nameplate, which stays as it is."""
+    more = "hidden: [{}]\nvariants: [{}, {drive.plant.resistance_ohm: [4.0, 4.5], limits.current_a: 4.0}]\n"
+    runs = list(runs_of(load_campaign(written(tmp_path, HEAD + more))))
+    found = [run.procedure.drive.options["plant"].get("resistance_ohm") for run in runs]
+    assert found == [None, 4.0, 4.5]
+    assert [run.procedure.limits.current_a for run in runs][1:] == [4.0, 4.0]
+    assert {run.procedure.motor.stator_resistance_ohm for run in runs} == {4.25}
+    assert [run.condition.variant for run in runs[:2]] == [
+        "",
+        "drive.plant.resistance_ohm=4.0 limits.current_a=4.0",
+    ]
+    assert runs[1].condition.variant in runs[1].condition.label
+    assert len({run.key(load_campaign(tmp_path / "campaign.yaml").analysis(), "1") for run in runs}) == 3
+    check_runs(runs)
 
 
 def test_files_are_looked_for_beside_it(tmp_path: Path) -> None:

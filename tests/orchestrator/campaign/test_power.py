@@ -71,3 +71,4 @@ def test_names_of_what_was_not_hidden_are_false() -> None:
         row("f", 1.0, failed="bad"),
     )
     assert (found.false_names, found.judged, found.failed, found.runs) == (2, 5, 1, 6)
+    assert [(failure.what, failure.count) for failure in found.failures] == [("bad", 1)]

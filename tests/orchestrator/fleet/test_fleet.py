@@ -11,6 +11,7 @@ import pytest
 from orchestrator.fleet import FleetJob, FleetTable, JobReport, Plan, find_sources, read_table
 from protocols.fleet import FleetRow
 from tests.orchestrator.fleet.small import damage, small_recordings
+from tests.orchestrator.importing.benches import Bench, held_current, phase_log, write_table
 
 
 def done(folder: Path, table: Path, plan: Plan | None = None, **how: Any) -> tuple[list[FleetRow], JobReport]:
@@ -103,6 +104,40 @@ def test_measurement_files_are_imported_first(tmp_path: Path) -> None:
     mapping.write_text("format: something else\n")
     plan = Plan(steps=("import", "estimate"), mapping=mapping)
     (row,), _ = done(tmp_path / "bench", tmp_path / "table", plan)
-    assert row.asked == ("import", "estimate")
+    assert row.asked[:2] == ("import", "estimate")
     assert row.failed is not None
     assert "mapping.yaml" in row.failed
+
+
+def bench_below(folder: Path) -> Bench:
+    """A held current as a text file with its mapping."""
+    folder.mkdir()
+    bench = Bench(folder, *phase_log(*held_current()))
+    write_table(folder / "log.csv", bench.columns)
+    bench.write_mapping()
+    return bench
+
+
+def test_a_mapping_that_was_mended_is_another_question(tmp_path: Path) -> None:
+    """And a file's own name is what its row is called by: the mapping calls all alike."""
+    bench = bench_below(tmp_path / "bench")
+    plan = Plan(steps=("import", "estimate"), mapping=bench.folder / "mapping.yaml")
+    bench.mapping["time"]["column"] = "nowhere"
+    bench.write_mapping()
+    _, report = done(bench.folder, tmp_path / "table", plan)
+    assert (report.new, len(report.failed)) == (1, 1)
+    _, again = done(bench.folder, tmp_path / "table", plan)
+    assert (again.known, again.known_failed, again.new) == (1, 1, 0)
+    bench.mapping["time"]["column"] = "t"
+    bench.write_mapping()
+    (row,), _ = done(bench.folder, tmp_path / "table", plan)
+    assert (row.name, row.failed) == ("log", None)
+    assert row.R_s_ohm is not None
+
+
+def test_what_fails_after_an_import_names_the_file_that_was_imported(tmp_path: Path) -> None:
+    bench = bench_below(tmp_path / "bench")
+    mapping = bench.folder / "mapping.yaml"
+    plan = Plan(steps=("import", "export"), mapping=mapping, keep=tmp_path / "kept")
+    (row,), _ = done(bench.folder, tmp_path / "table", plan)
+    assert row.failed == f"{bench.folder}/log.csv: no map came of it, so there is nothing to export"

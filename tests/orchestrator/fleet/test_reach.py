@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import random
+import signal
 import subprocess
 import time
 from collections import Counter
@@ -16,7 +18,7 @@ import pytest
 from orchestrator.fleet import find_sources, parts_of, read_table
 from tests.orchestrator.fleet.servers import AWS, cluster_of_processes, s3_server, worker_of
 from tests.orchestrator.fleet.small import damage, small_recordings
-from tests.support.processes import start_afresh, wait_until
+from tests.support.processes import FLUXBENCH, start_afresh, wait_until
 
 RECORDINGS, KILLS, BAD = 500, 20, (7, 123, 250, 388, 499)
 LONG = 900
@@ -75,6 +77,27 @@ def test_a_job_that_is_killed_goes_on_where_it_was(tmp_path: Path) -> None:
     rows = read_table(tmp_path / "table")
     assert Counter(row.source for row in rows) == Counter(map(str, made))
     assert rows[: len(kept)] == kept
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_who_interrupts_a_job_gets_one_line_and_keeps_what_was_done(tmp_path: Path, number: signal.Signals) -> None:
+    """Ctrl-C at a terminal reaches the workers too, which have nothing to say about it."""
+    small_recordings(tmp_path / "bench", LONG)
+    words = ["fleet", str(tmp_path / "bench"), "--out", str(tmp_path / "table"), "--jobs", "1"]
+    client = subprocess.Popen(
+        [FLUXBENCH, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+    wait_until(lambda: bool(parts_of(tmp_path / "table")))
+    written = len(read_table(tmp_path / "table"))
+    time.sleep(2.0)
+    if number is signal.SIGINT:
+        os.killpg(client.pid, number)
+    else:
+        client.send_signal(number)
+    _, complaints = client.communicate()
+    assert complaints == "fluxbench: interrupted; started again, the job goes on where it was\n"
+    assert client.returncode == 130
+    assert written < len(read_table(tmp_path / "table")) < LONG
 
 
 def test_a_scheduler_that_goes_away_is_one_line_and_what_was_done_is_kept(tmp_path: Path) -> None:

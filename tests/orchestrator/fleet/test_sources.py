@@ -9,6 +9,8 @@ import fsspec
 import pytest
 
 from orchestrator.fleet import Source, find_sources, sources_below
+from orchestrator.fleet._content import at_hand, content_sha256
+from orchestrator.importing import ENDINGS
 from protocols import InputError
 from tests.orchestrator.fleet.small import small_recordings
 
@@ -48,6 +50,30 @@ def test_measurement_files_are_found_by_their_endings(tmp_path: Path) -> None:
     for name in ("a.csv", "b.MAT", "notes.md"):
         (tmp_path / name).write_text("")
     assert [Path(source.url).name for source in found_below(tmp_path, files=True)] == ["a.csv", "b.MAT"]
+
+
+def test_every_kind_of_file_that_an_import_reads_is_found(tmp_path: Path) -> None:
+    for ending in ENDINGS:
+        (tmp_path / f"log{ending}").write_text("")
+    assert len(found_below(tmp_path, files=True)) == len(ENDINGS)
+
+
+def test_values_that_lie_beside_their_description_belong_to_it(tmp_path: Path) -> None:
+    """COMTRADE: without its .dat, two captures with one .cfg would be the same, and a fetched one empty."""
+    for name, values in (("a", "1"), ("B", "2")):
+        cfg, dat = (".CFG", ".DAT") if name.isupper() else (".cfg", ".dat")
+        (tmp_path / f"{name}{cfg}").write_text("station")
+        (tmp_path / f"{name}{dat}").write_text(values)
+    one, other = found_below(tmp_path, files=True)
+    assert [Path(source.url).name for source in (one, other)] == ["B.CFG", "a.cfg"]
+    assert content_sha256(Path(one.url)) != content_sha256(Path(other.url))
+    os.utime(tmp_path / "a.dat", (1.0, 1.0))
+    assert found_below(tmp_path, files=True)[1].fingerprint != other.fingerprint
+    memory = fsspec.filesystem("memory")
+    memory.put(str(tmp_path), "/captures", recursive=True)
+    fetched = [source for source in found_below("memory://captures", files=True) if source.url.endswith("a.cfg")]
+    with at_hand(fetched[0], stays=False) as path:
+        assert sorted(file.name for file in path.parent.iterdir() if file.is_file()) == ["a.cfg", "a.dat"]
 
 
 def test_what_overlaps_is_found_once_and_a_limit_is_kept(tmp_path: Path) -> None:

@@ -42,10 +42,10 @@ def test_a_table_that_is_opened_again_knows_its_rows(tmp_path: Path) -> None:
             table.add(row(key, asked=("estimate",)))
     with FleetTable.opened(tmp_path / "t") as table:
         assert table.keys == {"a", "b"}
-        assert table.has_visited("runs/a", "f", ("estimate",), "1")
+        assert table.visit("runs/a", "f", ("estimate",), "1") == "done"
         for other in (("runs/c", "f", ("estimate",), "1"), ("runs/a", "g", ("estimate",), "1"),
                       ("runs/a", "f", ("compare",), "1"), ("runs/a", "f", ("estimate",), "2")):  # fmt: skip
-            assert not table.has_visited(*other)
+            assert table.visit(*other) is None
         with pytest.raises(ValueError, match="there is such a row"):
             table.add(row("a"))
 

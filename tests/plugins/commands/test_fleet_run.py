@@ -12,6 +12,11 @@ from orchestrator.cli._running import run_app
 from tests.orchestrator.fleet.small import damage, small_recordings
 
 
+def test_without_a_source_it_says_so(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_app(["fleet"]) == 2
+    assert "SOURCE" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("words", "told"),
     [
@@ -53,7 +58,7 @@ def test_a_folder_becomes_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert "sha256" in report["failed"][0]["problem"]
     assert run_app(["fleet", "run", *words[1:]]) == 0
     output = capsys.readouterr()
-    assert "4 recordings: 1 new rows; 3 known" in output.out
+    assert "4 recordings: 1 new row; 3 known, 1 of them failed (--retry-failed does those again)" in output.out
     assert output.err == ""
     assert run_app(["fleet", "--help"]) == 0
     assert "report" in capsys.readouterr().out
