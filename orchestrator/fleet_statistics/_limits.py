@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import ValidationError
 
 from orchestrator._document import parse_document
-from orchestrator._validation import first_problem, suggestion
+from orchestrator._validation import first_problem, nearest, suggestion
 from orchestrator.fleet_statistics._table import Column, FleetTable
 from orchestrator.numerics.process_control import capability, share_beyond
 from orchestrator.plain_files import read_text
@@ -61,8 +61,10 @@ def require_known(limits: FleetLimits, place: str, table: FleetTable, effects: I
     """
     known = {*table.columns, *effects}
     for name in limits.quantities:
-        if name not in known:
-            raise InputError(place, f"quantities.{name}", f"unknown quantity; {suggestion(name, known)}")
+        if name not in known:  # all that the library has would be a long line
+            near = nearest(name, sorted(known))
+            told = f"did you mean {near!r}?" if near is not None else suggestion(name, table.columns)
+            raise InputError(place, f"quantities.{name}", f"unknown quantity; {told}")
 
 
 def judged(table: FleetTable, limits: FleetLimits) -> FleetJudgement:

@@ -161,6 +161,13 @@ def _remarks(report: FleetReport, criteria: FleetCriteria) -> list[Remark]:
     else:
         said.append(Remark.of("no_outliers", "no recording is unlike the others"))
     if report.pairs is not None:
+        changes = report.pairs.changes
+        if changes:
+            motors = plural(len({change.serial for change in changes}), "motor")
+            text = "{what} changed beyond what the recordings tell, first serial {serial}: {label}"
+            said.append(
+                Remark.of("changed_motors", text, what=motors, serial=changes[0].serial, label=changes[0].label)
+            )
         for quantity_ in report.pairs.quantities:
             if quantity_.significant:
                 told = measured(quantity_.shift, quantity_.low, quantity_.high, quantity_.unit)

@@ -43,6 +43,8 @@ def quantity_figure(found: FleetQuantity) -> str:
 
 def distance_figure(found: Distances) -> str:
     """How far each recording is from the middle, over how far one of a clean fleet may be."""
+    from matplotlib.ticker import LogLocator, NullLocator
+
     figure, axes = new_figure()
     place = np.array([point.recording for point in found.points])
     ratio = np.array([point.ratio for point in found.points])
@@ -51,6 +53,9 @@ def distance_figure(found: Distances) -> str:
     axes.plot(place[out], ratio[out], "D", color=VERMILION, ms=5, label="unlike the others")
     axes.axhline(1.0, color=GUIDE, lw=1.2, ls="--", label="limit")
     axes.set_yscale("log")
+    axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axes.yaxis.set_major_formatter("{x:g}")
+    axes.yaxis.set_minor_locator(NullLocator())
     name_axes(axes, "recording", "robust distance over its limit")
     legend_above(axes, 2)
     return uri(figure)
@@ -68,7 +73,7 @@ def _course(axes: Axes, chart: ControlChart, factor: float) -> None:
         factor * np.array([getattr(point, name) for point in chart.points])
         for name in ("value", "average", "lower", "upper")
     )
-    axes.fill_between(times, lower, upper, color=SKY, alpha=0.3, lw=0, label="limits")  # type: ignore[arg-type]
+    axes.fill_between(times, lower, upper, color=SKY, alpha=0.3, lw=0, label="control limits")  # type: ignore[arg-type]
     axes.plot(times, value, ".", color=BLACK, ms=2.5, label="measured")  # type: ignore[arg-type]
     axes.plot(times, average, "-", color=BLUE, lw=1.3, label="average")  # type: ignore[arg-type]
     beyond = (average < lower) | (average > upper)

@@ -43,7 +43,7 @@ def write_fleet_report(report: FleetReport, folder: Path) -> tuple[Path, Path]:
 def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) -> str:
     """The page as text, with so many quantities drawn and so many rows of each table."""
     found, pairs = report.judgement, report.pairs
-    tables = [(title, rows) for title, make in SECTIONS.items() if (rows := make(report))]
+    tables = [(title, _ABOUT[title], rows) for title, make in SECTIONS.items() if (rows := make(report))]
     drawn = sorted((one for one in report.quantities if one.histogram is not None), key=lambda one: not one.of_motor)
     return filled(
         "fleet.html",
@@ -52,13 +52,12 @@ def render(report: FleetReport, most_pictures: int = 16, most_rows: int = 60) ->
         remarks=[typographic(remark.text) for remark in report.remarks],
         counts=count_rows(report),
         judgement=_judgement(report),
-        judged=_cut(judgement_rows(found), most_rows) if found is not None else [],
+        judged=[] if found is None else judgement_rows(found),
         pairs="" if pairs is None else f"{plural(pairs.count, 'motor')} measured twice, {pairs.unpaired} once.",
         paired=[] if pairs is None else pair_rows(pairs),
-        changed=[] if pairs is None else _cut(change_rows(pairs), most_rows),
-        tables=[
-            (title, _ABOUT[title], _cut(rows, most_rows), _left(rows, most_rows)) for title, rows in tables if rows
-        ],
+        changed=[] if pairs is None else change_rows(pairs),
+        tables=tables,
+        most_rows=most_rows,
         pictures=list(_pictures(report, drawn[:most_pictures])),
     )
 
@@ -94,11 +93,3 @@ def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[P
         limits = " Dashed: the limits set." if one.capability is not None else ""
         told = f"Known of {one.count} of {one.asked} recordings.{limits}"
         yield Picture(one.label, told, quantity_figure(one))
-
-
-def _cut(rows: Sequence[tuple[str, ...]], most: int) -> list[tuple[str, ...]]:
-    return list(rows[: most + 1])
-
-
-def _left(rows: Sequence[tuple[str, ...]], most: int) -> int:
-    return max(0, len(rows) - 1 - most)

@@ -44,11 +44,14 @@ def test_a_motor_that_changed_is_named_with_its_interval_and_the_others_are_not(
     after[4] = after[4].model_copy(
         update={"R_s_ohm": r_s + 0.05, "R_s_low_ohm": r_s + 0.046, "R_s_high_ohm": r_s + 0.054}
     )
-    found = report_of(table(after), against=table(before, "before")).pairs
+    report = report_of(table(after), against=table(before, "before"))
+    found = report.pairs
     assert found is not None
     assert (found.count, found.unpaired, found.against) == (20, 0, "before")
     (change,) = found.changes
     assert (change.serial, change.quantity) == ("0004", "R_s_20_ohm")
+    told = next(remark.text for remark in report.remarks if remark.code == "changed_motors")
+    assert told == "1 motor changed beyond what the recordings tell, first serial 0004: R_s at 20 °C"
     assert change.low is not None
     assert change.high is not None
     assert change.low < 0.05 < change.high

@@ -54,6 +54,8 @@ def test_what_comes_from_outside_is_shown_and_not_obeyed(report: FleetReport) ->
 
 def test_long_tables_are_cut_and_say_so(report: FleetReport) -> None:
     page = render(report, most_pictures=0, most_rows=3)
+    assert report.judgement is not None
+    assert f"{len(report.judgement.others) - 3} more rows are in the JSON beside this page." in page
     assert f"{len(report.quantities) - 3} more rows are in the JSON beside this page." in page
 
 
