@@ -59,7 +59,7 @@ def load_of(point: PlannedPoint, before: Point, motor: Motor, late_s: float = 0.
         control = resistance * longest + _proportional_gain(excitation, motor) * math.dist(
             excitation.start_dq_a, before
         )
-    squared = _current_square(excitation, point) + _TRIANGLE_MEAN_SQUARE * ripple**2 * point.captured_s
+    squared = _current_square(excitation, point) + _TRIANGLE_MEAN_SQUARE * _square(ripple) * point.captured_s
     return Load(longest, ripple, squared, steady, control)
 
 
@@ -95,12 +95,17 @@ def _proportional_gain(excitation: Excitation, motor: Motor) -> float:
 
 
 def _current_square(excitation: Excitation, point: PlannedPoint) -> float:
-    squared = math.hypot(*excitation.start_dq_a) ** 2 * (excitation.settling_s + point.captured_s)
+    squared = _square(math.hypot(*excitation.start_dq_a)) * (excitation.settling_s + point.captured_s)
     if isinstance(excitation, Trapezoid):
-        squared += _TRAPEZOID_MEAN_SQUARE * excitation.amplitude_a**2 * point.captured_s
+        squared += _TRAPEZOID_MEAN_SQUARE * _square(excitation.amplitude_a) * point.captured_s
     if isinstance(excitation, VoltageSteps):
-        squared += _TRIANGLE_MEAN_SQUARE * excitation.longest_current_a**2 * point.captured_s
+        squared += _TRIANGLE_MEAN_SQUARE * _square(excitation.longest_current_a) * point.captured_s
     return squared
+
+
+def _square(x: float) -> float:
+    """x^2, infinite where a power would raise: it is above every limit, and refused as that."""
+    return x * x
 
 
 def _inductance(motor: Motor) -> float:

@@ -35,7 +35,7 @@ class ClassicalStage(EnergisedStage):
         held = self.held_a
         if held is None:
             # Corners of the swept square stay within the limit.
-            room = scaling.reach_a**2 - amplitude**2
+            room = (scaling.reach_a - amplitude) * (scaling.reach_a + amplitude)
             held = five_values(min(amplitude, tidy(math.sqrt(room)))) if room > 0 else (0.0,)
         update = {
             "amplitude_a": amplitude,

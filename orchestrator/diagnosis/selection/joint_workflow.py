@@ -37,7 +37,7 @@ def all_together(
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     if set(fit.model.names) <= set(quick.fit.model.names):
         return None
-    before = setup.fitter.noise.of_model
+    before, limits = setup.fitter.noise.of_model, fit.criteria.selection
     if doubting is not setup or _formless(fit):
         setup, fit = with_its_noise(setup, fit, library)
         fit, rivals = exchanged(setup.coarse_fitter, fit, library)
@@ -46,9 +46,11 @@ def all_together(
     if whole.model.space.is_free:
         whole = with_detail(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
-    if setup.fitter.noise.of_model == before and whole.chi2_per_dof > whole.criteria.selection.detected_chi2:
-        setup = beside_scatter(setup, setup.fitter, whole, library) or setup
-        whole = downwards(setup.fitter, refitted(setup.fitter, whole.model))
+    if as_much(setup.fitter.noise.of_model, before) and setup.judged(whole).chi2_per_dof > limits.detected_chi2:
+        # What a part's wrong forms hid; with it as noise, the forms' error is not as large as it seemed.
+        wider = beside_scatter(setup, setup.fitter, whole, library)
+        if wider is not None:
+            setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
     if not whole.model.active:
         return None
     if setup.fitter.noise.of_model != before:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from typing import Any
 
 import numpy as np
@@ -55,6 +56,20 @@ def test_the_ripple_of_the_injection_counts(pm400: Bench) -> None:
     ripple = 40.0 / (4 * 500.0) / 0.04325
     assert summary.peak_current_a == pytest.approx(1.0 + ripple)
     assert summary.energy_j == pytest.approx(1.5 * 4.25 * (1.25 + ripple**2 / 3), rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    "stage",
+    [
+        INJECTION | {"amplitudes_v": [1e300]},
+        HOLD | {"points_a": [[1e300, 0.0]]},
+        {"kind": "classical", "amplitude_a": 1e300},
+        {"kind": "steps", "voltages_v": [1e300, 1e300]},
+    ],
+    ids=lambda stage: str(stage["kind"]),
+)
+def test_what_has_no_square_is_refused_like_anything_too_large(pm400: Bench, stage: dict[str, Any]) -> None:
+    assert re.search(r"e\+(29\d|300) [AV]", refusal(pm400, stage))
 
 
 def test_the_peak_voltage_is_resistive_drop_and_injection(pm400: Bench) -> None:
