@@ -143,6 +143,8 @@ def read_fleet(place: str) -> FleetTable:
 def fleet_of(table: pa.Table, place: str) -> FleetTable:
     """The same of a table in memory; of several rows of one source the one with most results, then the last."""
     table = as_written(table, place)
+    if not table.num_rows:
+        raise InputError(place, "", "holds no recording")
     table = table.take(_of_each_source(table))
     failed = np.array([text is not None for text in table.column("failed").to_pylist()], dtype=bool)
     failures = [text for text in table.column("failed").to_pylist() if text is not None]

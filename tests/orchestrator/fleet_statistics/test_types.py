@@ -8,7 +8,7 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
-from orchestrator.fleet_statistics import fleet_of
+from orchestrator.fleet_statistics import fleet_of, report_of
 from protocols import InputError
 from protocols.fleet import arrow_schema
 from tests.orchestrator.fleet_statistics.example_fleet import Fleet, table_of
@@ -63,6 +63,14 @@ def test_a_column_that_is_there_twice_and_rows_without_a_source_are_refused(tabl
         fleet_of(table.append_column("serial", table.column("serial")), "table")
     with pytest.raises(InputError, match="source: 12 rows have none"):
         fleet_of(with_column(table, "source", pa.nulls(12, pa.string())), "table")
+
+
+def test_a_table_without_rows_is_refused_and_so_is_one_where_all_failed(table: pa.Table) -> None:
+    assert refusal_of(table.slice(0, 0)) == "table: holds no recording"
+    failed = fleet_of(with_column(table, "failed", pa.array(["damaged"] * 12)), "table")
+    assert (len(failed), len(failed.failures)) == (0, 12)
+    with pytest.raises(InputError, match="no recording has results"):
+        report_of(failed)
 
 
 def test_texts_as_other_writers_keep_them_and_numbers_of_other_lengths_are_the_same(table: pa.Table) -> None:
