@@ -58,7 +58,7 @@ def campaign(
                     pass
     rows = [row for row in read_table(out) if row.key in job.runs]  # another campaign may be in the same table
     report = power_of(rows, name=plan.name, table=str(out), found_with=plan.found_with)
-    replace_file(out / REPORT, report.model_dump_json(indent=1).encode())
+    replace_file(out / REPORT, visible(report.model_dump_json(indent=1)).encode())
     if as_json:
         print(visible(report.model_dump_json(indent=2)))
     else:

@@ -20,7 +20,7 @@ def priors(
     from orchestrator.recording import replace_file
 
     found = priors_of(read_fleet(table), motor)
-    replace_file(out, (found.model_dump_json(indent=2) + "\n").encode("utf-8"))
+    replace_file(out, (visible(found.model_dump_json(indent=2)) + "\n").encode("utf-8"))
     if as_json:
         print(visible(found.model_dump_json(indent=2)))
         return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
 from collections.abc import Callable
@@ -149,6 +150,14 @@ def test_a_damaged_file_and_a_missing_channel_are_one_line(
         desk.run()
     assert len(str(raised.value).splitlines()) == 1
     assert not (tmp_path / "recording").exists()
+
+
+def test_a_table_of_channels_larger_than_any_is_not_read_to_its_end(tmp_path: Path) -> None:
+    path = tmp_path / "log.cfg"
+    desk = Desk(tmp_path, comtrade(path), [path])
+    os.truncate(path, 3_000_000_000)
+    with pytest.raises(InputError, match="3000 MB are more than such a file has"):
+        desk.run()
 
 
 def test_a_whole_object_and_a_wrong_shape_are_said(tmp_path: Path) -> None:
