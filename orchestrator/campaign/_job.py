@@ -116,8 +116,9 @@ class CampaignJob:
         fields = done.result or {**bare_fields(self._order(key)), "failed": done.failed}
         told = run.condition
         truth = {"condition": told.label, "hidden": told.truths(), "batch": told.variant or None}
+        when = {"started_at": None}  # of a simulation it tells nothing of the motor
         name = f"{fields.get('name') or ''} {told.seed}"
-        row = FleetRow.model_validate({**fields, **truth, "name": name, "attempts": done.attempts})
+        row = FleetRow.model_validate({**fields, **truth, **when, "name": name, "attempts": done.attempts})
         self._table.add(row.model_dump())
         self._progress.done(row.failed is not None)
         if not self._keep:

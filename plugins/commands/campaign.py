@@ -73,7 +73,7 @@ def command(arguments: Sequence[str]) -> int:
 
 def _say(report: PowerReport, found_with: float) -> None:
     from orchestrator.presentation.names import plain
-    from orchestrator.presentation.quantities import number, percent
+    from orchestrator.presentation.quantities import number, percent, plural
     from orchestrator.presentation.sentences import shown, text_table
 
     rows = [
@@ -89,7 +89,8 @@ def _say(report: PowerReport, found_with: float) -> None:
         for row in report.rows
     ]
     head = ("condition", "effect", "size", "found", "95 %", "found / true", "interval holds it")
-    print(shown(text_table(head, rows, numbers=False)))
+    if rows:
+        print(shown(text_table(head, rows, numbers=False)))
     for found in report.smallest:
         what = f"{plain(found.effect)}: {found.parameter}"
         if found.size is None:
@@ -98,4 +99,5 @@ def _say(report: PowerReport, found_with: float) -> None:
             print(shown(f"{what}: found from {number(found.size)} on"))
     for failure in report.failures:
         print(shown(f"failed {failure.count} times: {failure.what}"))
-    print(f"{report.false_names} of {report.judged} runs with a false name; {report.failed} of {report.runs} failed")
+    diagnosed = f", {report.false_names} of {report.judged} diagnosed with a false name" if report.judged else ""
+    print(f"{plural(report.runs, 'run')}{diagnosed}, {report.failed} failed: {report.table}")

@@ -73,7 +73,7 @@ def _course(axes: Axes, chart: ControlChart, factor: float) -> None:
         factor * np.array([getattr(point, name) for point in chart.points])
         for name in ("value", "average", "lower", "upper")
     )
-    axes.fill_between(times, lower, upper, color=SKY, alpha=0.3, lw=0, label="control limits")  # type: ignore[arg-type]
+    axes.fill_between(times, lower, upper, color=SKY, alpha=0.3, lw=0, label="limits")  # type: ignore[arg-type]
     axes.plot(times, value, ".", color=BLACK, ms=2.5, label="measured")  # type: ignore[arg-type]
     axes.plot(times, average, "-", color=BLUE, lw=1.3, label="average")  # type: ignore[arg-type]
     beyond = (average < lower) | (average > upper)

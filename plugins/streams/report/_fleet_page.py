@@ -90,6 +90,6 @@ def _pictures(report: FleetReport, drawn: Sequence[FleetQuantity]) -> Iterator[P
         told = f"Of {of} quantities; middle and scatter by {count} recordings."
         yield Picture("Robust distance", told, distance_figure(report.distances))
     for one in drawn:
-        limits = " Dashed: the limits set." if one.capability is not None else ""
+        limits = " Dashed: the limits of the file." if one.capability is not None else ""
         told = f"Known of {one.count} of {one.asked} recordings.{limits}"
         yield Picture(one.label, told, quantity_figure(one))

@@ -50,10 +50,24 @@ def test_the_truth_is_in_the_table_and_nowhere_beside_the_recordings(file: Path,
     hidden = {row.key: [(t.name, t.parameter, t.size) for t in row.hidden or ()] for row in rows}
     assert sorted(hidden.values()) == [[], [("dead_time", "voltage_v", 2.5)]]
     assert all(row.R_s_ohm is not None for row in rows)
+    assert all(row.started_at is None for row in rows)
     assert sorted(path.name for path in (tmp_path / "kept").iterdir()) == sorted(hidden)
     for path in (tmp_path / "kept").rglob("*"):
         assert path.is_dir() or b"dead_time" not in path.read_bytes()
     assert done(file, tmp_path / "table", tmp_path / "kept", keep=True) == []
+
+
+def test_a_variant_is_a_batch_and_what_is_the_same_twice_is_run_once(file: Path, tmp_path: Path) -> None:
+    """A tolerance study: the truth is another than the nameplate's, and that is found."""
+    base = file.read_text().replace("hidden: [{}, {dead_time: {voltage_v: 2.5}}]", "hidden: [{}, {}]")
+    file.write_text(f"{base}variants: [{{drive.plant.resistance_ohm: [4.0, 4.5]}}]\n")
+    rows = done(file, tmp_path / "table", tmp_path / "kept", keep=False)
+    found = {row.batch: row.R_s_ohm for row in rows}
+    assert found == {
+        "drive.plant.resistance_ohm=4.0": pytest.approx(4.0, rel=0.01),
+        "drive.plant.resistance_ohm=4.5": pytest.approx(4.5, rel=0.01),
+    }
+    assert len(rows) == 2
 
 
 @pytest.mark.slow
