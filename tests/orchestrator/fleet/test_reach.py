@@ -35,8 +35,9 @@ def test_workers_killed_at_random_lose_nothing_and_bad_recordings_are_named(tmp_
     chance, kills = random.Random(18), 0
     with cluster_of_processes(tmp_path) as (address, nannies):
         words = ["fleet", str(tmp_path / "bench"), "--out", str(tmp_path / "table"), "--scheduler", address, "--json"]
+        wait_until(lambda: (tmp_path / "scheduler.log").read_text().count("Register worker addr") == len(nannies))
         client = start_afresh(*words)
-        wait_until(lambda: all(map(worker_of, nannies)))
+        wait_until(lambda: bool(psutil.Process(client.pid).net_connections("tcp4")))
         while client.poll() is None and kills < KILLS:
             time.sleep(chance.uniform(0.2, 3.0))
             worker = worker_of(chance.choice(nannies))
@@ -44,8 +45,8 @@ def test_workers_killed_at_random_lose_nothing_and_bad_recordings_are_named(tmp_
                 worker.kill()
                 kills += 1
         printed, complaints = client.communicate()
-    assert kills == KILLS
     assert client.returncode == 0, complaints
+    assert kills == KILLS
     rows = read_table(tmp_path / "table")
     assert Counter(row.source for row in rows) == Counter(map(str, made))
     assert len({row.key for row in rows}) == RECORDINGS

@@ -131,6 +131,14 @@ def test_a_quantity_that_nobody_knows_is_named_with_the_nearest() -> None:
         with pytest.raises(InputError) as error:
             require_known(wrong, "limits.yaml", table, ["dead_time.voltage_v"])
         assert str(error.value) == f"limits.yaml: quantities.{name}: unknown quantity; {told}"
+    with pytest.raises(InputError, match="unknown quantity; valid: L_d_h, ") as error:  # and not all the library's
+        require_known(
+            FleetLimits.model_validate({"quantities": {"zzz": {"low": 1.0}}}),
+            "limits.yaml",
+            table,
+            ["dead_time.voltage_v"],
+        )
+    assert "dead_time" not in str(error.value)
 
 
 def test_a_file_that_is_not_there_is_said(tmp_path: Path) -> None:
