@@ -52,7 +52,7 @@ def cluster_of_processes(folder: Path, workers: int = 2) -> Iterator[tuple[str, 
     worker = ("distributed.cli.dask_worker", *here, "--nthreads", "1")
     with ExitStack() as stack:
         stack.enter_context(process(*scheduler, env=env, log=folder / "scheduler.log"))
-        wait_until(file.is_file, 60.0)
+        wait_until(lambda: file.is_file() and file.read_text().rstrip().endswith("}"), 60.0)
         logs = [folder / f"worker-{n}.log" for n in range(workers)]
         yield _address_in(file), [stack.enter_context(process(*worker, env=env, log=log)) for log in logs]
 

@@ -39,7 +39,7 @@ def test_workers_killed_at_random_lose_nothing_and_bad_recordings_are_named(tmp_
         client = start_afresh(*words)
         wait_until(lambda: bool(psutil.Process(client.pid).net_connections("tcp4")))
         while client.poll() is None and kills < KILLS:
-            time.sleep(chance.uniform(0.2, 3.0))
+            time.sleep(chance.uniform(0.2, 2.0))
             worker = worker_of(chance.choice(nannies))
             if worker is not None:
                 worker.kill()
