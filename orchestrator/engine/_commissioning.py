@@ -34,6 +34,7 @@ from protocols import (
     PluginError,
     PointDone,
     PointStarted,
+    RecordingError,
     ResumableDrive,
     RunAborted,
     RunEnded,
@@ -281,7 +282,7 @@ class Commissioning:
         if self._power.unsafe is not None and outcome.ending != "faulted":
             outcome = Outcome("faulted", stood_down, self._power.unsafe, outcome.estimates)
         if self._agenda.done:
-            trouble.append(self._last_word(self._run.write_manifest))
+            trouble.append(self._last_word(self._keep_manifest))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         ending = self._ending(outcome)
         self._last_word(lambda: self._machine.fire(ENDINGS[ending], reason))
@@ -293,6 +294,12 @@ class Commissioning:
     def _ending(self, outcome: Outcome) -> Ending:
         """A run of which something could not be written has not finished, though every stage is done."""
         return "faulted" if outcome.error is None and self._unwritten is not None else outcome.ending
+
+    def _keep_manifest(self) -> None:
+        try:
+            self._run.write_manifest()
+        except RecordingError as error:  # what this run itself has written cannot be read: that is the disk's fault
+            raise StorageError(str(error)) from error
 
     def _last_word(self, call: Callable[[], object]) -> str:
         """Do one thing of the way out; a disk that is full must not keep the next from being done."""

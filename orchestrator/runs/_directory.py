@@ -12,7 +12,7 @@ import fcntl
 import json
 import os
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any, Self
 
@@ -139,16 +139,26 @@ class RunDirectory:
         ------
         RecordingError
             Where it cannot be made, is not empty, or another process holds it.
+        StorageError
+            Where it cannot be held; it is gone again then, if it was not there before.
         """
         if (path / _LOCK).exists():  # a run's, perhaps one at work: its lock tells
             with _flock(path):
                 RunDirectory.refuse_occupied(path)
         RunDirectory.refuse_occupied(path)  # before anything is put into somebody else's folder
+        is_new = not path.exists()
         try:
             path.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise RecordingError(str(path), "", f"cannot be made: {error.strerror or error}") from None
-        with _flock(path):
+        with ExitStack() as held:
+            try:
+                held.enter_context(_flock(path))
+            except StorageError:
+                if is_new:
+                    with suppress(OSError):
+                        path.rmdir()
+                raise
             RunDirectory.refuse_occupied(path)
             yield
 
