@@ -35,12 +35,16 @@ class Candidate:
     is_expected: bool = False
     """Whether a fleet has it nearly always: then it is in the model until the data speak against it."""
 
-    @property
+    @cached_property
     def name(self) -> str:
         return self.effect.name
 
     def named(self, name: str) -> EffectParameter:
-        return next(p for p in self.parameters if p.name == name)
+        return self._by_name[name]
+
+    @cached_property
+    def _by_name(self) -> Mapping[str, EffectParameter]:
+        return {p.name: p for p in self.parameters}
 
     def of_role(self, *roles: ParameterRole) -> tuple[str, ...]:
         return tuple(p.name for p in self.parameters if p.role in roles)
@@ -68,7 +72,7 @@ class Active:
     values: Mapping[str, float]
     free: tuple[str, ...]
 
-    @property
+    @cached_property
     def name(self) -> str:
         return self.candidate.name
 

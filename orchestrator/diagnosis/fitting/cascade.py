@@ -100,7 +100,7 @@ def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
 
 
 def _plus(signals: Signals, change: Change) -> Signals:
-    return signals.model_copy(update={name: getattr(signals, name) + d for name, d in change.items()})
+    return signals.replaced({name: getattr(signals, name) + d for name, d in change.items()})
 
 
 def _less(one: Signals, other: Signals, names: frozenset[str]) -> Change:

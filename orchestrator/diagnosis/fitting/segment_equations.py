@@ -205,7 +205,7 @@ class SegmentEquations:
         corrected, r_s = at.cascade.corrected, at.base.resistance_ohm[0]
         known, resistance = voltage_and_resistance(
             at.piece,
-            corrected.model_copy(update={"resistance_ohm": corrected.resistance_ohm / r_s}),
+            corrected.replaced({"resistance_ohm": corrected.resistance_ohm / r_s}),
             at.local,
             self.pm_flux_wb,
         )

@@ -126,7 +126,10 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
         if other is None or set(other.free) != set(one.free):
             continue
         active = [other if a.name == one.name else a for a in fit.model.active]
-        trial = refitted(fitter, fit.model.with_active(active), fit)
+        model = fit.model.with_active(active)
+        if glanced(fitter, model, fit).chi2_per_dof > limits.hopeless_form * fit.chi2_per_dof:
+            continue
+        trial = refitted(fitter, model, fit)
         if _evidence_gain(trial, fit) > limits.tie:
             fit = trial
     return fit
