@@ -20,7 +20,7 @@ from orchestrator.diagnosis.selection.joint_search import (
 )
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
-from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
+from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import as_much, beside_scatter, doubting_zeros
@@ -133,7 +133,7 @@ def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
     It stays in the model.
     """
     first, last = search.steps[0].fit, search.fit
-    if not search.shares or verdict_of(first, last, 1) == "explained":
+    if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)
     steady = last.criteria.selection.least_constancy

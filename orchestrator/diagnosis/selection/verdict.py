@@ -25,8 +25,16 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     only the held-out part shows. What no engineer would miss is forgiven near the noise, and not far beyond it: what
     nobody has named may be small where it was measured, and not elsewhere.
     """
+    return _judged(before, after, effects, remainder(after))
+
+
+def fitted_verdict(before: Fit, after: Fit) -> Verdict:
+    """The same of what was fitted alone, for decisions on names: what was held out judges them, and makes none."""
+    return _judged(before, after, len(after.model.active), after.chi2_per_dof - 1.0)
+
+
+def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
     limits = after.criteria.selection
-    left = remainder(after)
     if after.chi2_per_dof <= limits.detected_chi2 and left <= limits.explained_left:
         return "explained" if effects else "clean"
     fraction = left_fraction(before.chi2_per_dof, after)

@@ -22,7 +22,7 @@ from orchestrator.diagnosis.selection.forward_search import Search, Step, forwar
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
-from orchestrator.diagnosis.selection.verdict import verdict_of
+from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
 from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter
 from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
@@ -169,9 +169,9 @@ def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, lis
     """
     doubtful: list[str] = []
     first, steady = search.steps[0].fit, setup.prepared.criteria.selection.least_constancy
-    while search.fit.model.active and verdict_of(first, search.fit, 1) != "explained":
+    while search.fit.model.active and fitted_verdict(first, search.fit) != "explained":
         drift = block_scatter_ratio(search.fit)
-        if verdict_of(first, search.fit, 1) == "unknown_remains":
+        if fitted_verdict(first, search.fit) == "unknown_remains":
             drift = {name: max(size, steady * _left_over_own(search, name)) for name, size in drift.items()}
         worst = max(drift, key=lambda name: drift[name])
         if drift[worst] <= steady:
@@ -256,17 +256,10 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
         return True
     if gained < asked_to_stay(full, active.candidate):
         return True
-    undetected = without.chi2_per_dof < limits.detected_chi2
-    if undetected and (size < limits.undetected_size or not improves_held_out(without, full)):
+    if without.chi2_per_dof < limits.detected_chi2 and size < limits.undetected_size:
         return True
     # Another effect's slightly wrong form leaves something; what takes all of it away is itself.
     to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > limits.noteworthy_chi2
     if len(full.model.active) < 2 or to_the_noise:
         return False
     return without.chi2_per_dof - 1.0 < _spare(first)
-
-
-def improves_held_out(without: Fit, full: Fit) -> bool:
-    """Whether an effect that the fitted part asks for makes the held-out part fit better too."""
-    before, after = (f.chi2_of(lambda p: p.held_out) for f in (without, full))
-    return before is None or after is None or after < before

@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.shares import left_of_excitation
-from orchestrator.diagnosis.selection.verdict import left_fraction, remainder, verdict_of
+from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, remainder, verdict_of
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
 
@@ -69,3 +69,4 @@ def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:
     assert remainder(worse) > worse.criteria.selection.mostly_left
     assert verdict_of(_with_chi2(fit, 900.0), _with_chi2(fit, 1.0), 1) == "explained"
     assert verdict_of(_with_chi2(fit, 900.0), worse, 1) != "explained"
+    assert fitted_verdict(_with_chi2(fit, 900.0), worse) == "explained"  # and decides on no name
