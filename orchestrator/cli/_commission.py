@@ -112,9 +112,8 @@ def _with_crew(commission: Callable[[Crew], RunResult], audience: Audience) -> i
             stack.enter_context(operator.listening(interrupts))
         result = commission(Crew(operator, interrupts, audience.options()))
     troubles = [tally.trouble for tally in result.streams if tally.trouble]
-    if result.outcome.error is None:
-        for trouble in troubles:
-            _warn(trouble)
+    if troubles and result.outcome.error is None:
+        _warn("; ".join(troubles))
     report = result.path / "report.html"
     if audience.console_mode == "auto" and report.is_file():
         _tell(f"report: {report}")
