@@ -189,6 +189,7 @@ def test_a_recording_that_cannot_be_a_motor_s_is_refused(
     assert not (copy / "model.json").exists()
 
 
+@pytest.mark.slow
 def test_a_model_is_held_against_a_recording_and_exported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_app(["add", str(DATA), "voltage_bias", "--model", "linear", "--out", str(tmp_path)]) == 0
     file = str(tmp_path / "model.json")

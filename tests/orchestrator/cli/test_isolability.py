@@ -11,6 +11,7 @@ from tests.support.processes import called
 from tests.support.tiny import tiny_file
 
 
+@pytest.mark.slow
 def test_what_a_plan_will_tell_fits_a_terminal_and_energises_nothing(tmp_path: Path) -> None:
     done = called("check", tiny_file(tmp_path), "--isolability", "--noise", "0.02")
     assert done.returncode == 0, done.stderr

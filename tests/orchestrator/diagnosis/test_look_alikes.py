@@ -32,6 +32,7 @@ def test_with_one_pwm_frequency_each_is_the_other_s_twin(one: Diagnosis) -> None
     assert effect.parameters["lost_v"].value == pytest.approx(0.8, rel=0.01)
 
 
+@pytest.mark.slow
 def test_holds_at_a_second_pwm_frequency_are_proposed(one: Diagnosis) -> None:
     proposal = one.report.next_experiment
     assert proposal is not None

@@ -111,6 +111,7 @@ def test_new_tasks_may_come_of_answers(client: Client) -> None:
     assert results == [2, 4, 8, 16]
 
 
+@pytest.mark.slow
 def test_a_dead_worker_costs_its_task_one_retry_and_its_neighbours_nothing(client: Client, tmp_path: Path) -> None:
     """And the rest of the job goes on: a row each for good and bad recordings afterwards."""
     tasks = [Task(f"t{n}", double, (n,)) for n in range(12)]

@@ -69,6 +69,7 @@ def test_results_go_where_they_are_wanted(tmp_path: Path) -> None:
         estimate(DATA, out=tmp_path / "results" / "estimates.json")
 
 
+@pytest.mark.slow
 def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
     said: list[str] = []
     found = diagnose(DATA, out=tmp_path, material_flux_percent=0.4, tell=said.append)

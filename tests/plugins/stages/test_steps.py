@@ -84,6 +84,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "run"
 
 
+@pytest.mark.slow
 def test_the_voltage_turns_where_the_current_has_passed_its_limit(run: Path) -> None:
     recording = open_recording(run)
     segment = next(s for s in recording.segments() if s.id == "steps-000")

@@ -101,6 +101,7 @@ def run(package: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_every_point_is_measured_once_whatever_happened(run: Path) -> None:
     assert soaked(run) == [f"thermal_soak-{k:03d}" for k in range(POINTS)]
     segments = open_recording(run).segments(SegmentStage.RESISTANCE)

@@ -37,6 +37,7 @@ def test_an_estimation_says_the_same_and_that_its_map_is_not_usable(right: Rewri
     assert estimate_recording(right, [Resistance(), Ripples()], tmp_path).usable
 
 
+@pytest.mark.slow
 def test_who_compares_or_adds_all_the_same_is_told_first(right: Rewritten, tmp_path: Path) -> None:
     wrong = right.mapped("i_ab", np.sqrt(0.5) * np.eye(2))
     held = compare_recording(wrong, model="linear", out=tmp_path)  # type: ignore[arg-type]

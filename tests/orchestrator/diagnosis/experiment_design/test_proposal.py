@@ -48,6 +48,7 @@ def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]
     return one, two
 
 
+@pytest.mark.slow
 def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_one_does_not(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:

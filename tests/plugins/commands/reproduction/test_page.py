@@ -34,6 +34,7 @@ def material(tmp_path_factory: pytest.TempPathFactory) -> Material:
     return collect(run(load_procedure("paper", overrides=SHORT), tmp_path_factory.mktemp("paper") / "run"))
 
 
+@pytest.mark.slow
 def test_loops_are_wide_without_compensation_and_narrow_with_it(material: Material) -> None:
     for loop in material.loops:
         assert np.ptp(loop.uncompensated) > 10.0 * np.ptp(loop.compensated)

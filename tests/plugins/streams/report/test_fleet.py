@@ -77,6 +77,7 @@ def test_the_command_writes_both_into_the_tables_folder_and_says_what_it_found(t
     assert told["pairs"]["changes"] == []
 
 
+@pytest.mark.slow
 def test_a_table_in_a_folder_is_a_table_still_beside_its_report(tmp_path: Path) -> None:
     (tmp_path / "table").mkdir()
     written(Fleet(12).rows(), tmp_path / "table" / "part-000000.parquet")
