@@ -141,13 +141,16 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
 
 
 def coarse(prepared: PreparedRecording) -> PreparedRecording:
-    """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points."""
+    """A part of the recording, to search in: a period of each trapezoid, less than a turn of some injection points.
+
+    What is held out is for the whole to be judged by, and is not in it.
+    """
     cutting = prepared.criteria.weak_form
     points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
     most = min(cutting.coarse_points, len(points))
     spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
     pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
-    return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces), remarks=())
+    return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
 
 
 def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
