@@ -42,7 +42,7 @@ def mat_arrays(path: Path) -> dict[str, Any]:
         with path.open("rb") as opened:
             stream: Any = opened  # the published stubs of loadmat know paths only
             content: dict[str, Any] = loadmat(stream, simplify_cells=True)
-    except NotImplementedError:
+    except NotImplementedError:  # what scipy says of HDF5
         raise InputError(str(path), "", "a MATLAB 7.3 file; save it with -v7") from None
     except (*_DAMAGE, MatReadError) as error:
         raise InputError(str(path), "", f"not a MATLAB file: {first_line(error)}") from None

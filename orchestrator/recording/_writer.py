@@ -64,7 +64,7 @@ class SegmentWriter:
     @staticmethod
     def warm_up() -> None:
         """Load what encodes: on a busy machine that takes seconds, and no drive shall be energised meanwhile."""
-        import pyarrow.parquet  # noqa: F401
+        import pyarrow.parquet  # noqa: F401 - to be imported is all that is wanted
 
     def __enter__(self) -> Self:
         try:

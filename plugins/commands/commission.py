@@ -58,4 +58,4 @@ def command(arguments: Sequence[str]) -> int:
     return int(app(list(arguments), prog_name="fluxbench commission", standalone_mode=False) or 0)
 
 
-command.energises = True  # type: ignore[attr-defined]
+command.energises = True  # type: ignore[attr-defined]  # a function may have any
