@@ -128,9 +128,11 @@ from protocols._model import (
     ModelEffect,
     ModelNoise,
     ModelParameter,
+    ModulatorTimer,
     MotorModel,
     Nameplate,
     Saturated,
+    TimerPhases,
 )
 from protocols._motor import (
     Motor,
@@ -289,6 +291,7 @@ __all__ = [
     "ModelEffect",
     "ModelNoise",
     "ModelParameter",
+    "ModulatorTimer",
     "Motor",
     "MotorModel",
     "Nameplate",
@@ -360,6 +363,7 @@ __all__ = [
     "Strict",
     "Telemetry",
     "ThermometerChoice",
+    "TimerPhases",
     "Trapezoid",
     "Unexplained",
     "Vectors",

@@ -119,6 +119,25 @@ class ModelNoise(Strict):
         return self.offset_scatter_a > 0.0 or self.voltage_scatter_v > 0.0
 
 
+class TimerPhases(Strict):
+    """Where the steps of a modulator's timer lie at one PWM frequency."""
+
+    pwm_frequency_hz: Positive
+    rise: Annotated[float, Field(ge=0, lt=1)]
+    fall: Annotated[float, Field(ge=0, lt=1)]
+    """Commands of a leg that its rising, and its falling, edge meets exactly: parts of a step above a whole number."""
+
+
+class ModulatorTimer(Strict):
+    """What rounds a modulator's edges, as a recording shows it."""
+
+    step_s: Positive
+    """The timer's; it moves a leg's mean voltage by 2 step_s f_pwm V_dc where both edges of a pulse move."""
+    centred: bool
+    """Whether the legs' commands are centred, half the sum of the largest and the least taken off all three."""
+    phases: tuple[TimerPhases, ...]
+
+
 class MotorModel(Strict):
     """The model of a recording: what `fluxbench diagnose`, `add` and `remove` keep as `model.json`."""
 
@@ -133,6 +152,7 @@ class MotorModel(Strict):
     """At the start of the experiment."""
     pm_flux_wb: float
     noise: ModelNoise = ModelNoise()
+    timer: ModulatorTimer | None = None
     magnetics: CoEnergySpline
     effects: tuple[ModelEffect, ...]
     """In the order in which they were added."""

@@ -45,6 +45,7 @@ from orchestrator.diagnosis.selection.workflow import (
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
+from orchestrator.diagnosis.weak_form.timer import bus_v_of, leg_step_of
 from orchestrator.recording import Recording, write_model
 from protocols import (
     DiagnosisReport,
@@ -53,6 +54,7 @@ from protocols import (
     EstimationReport,
     FoundEffect,
     Materiality,
+    ModulatorTimer,
     MotorModel,
     Nameplate,
     NextExperiment,
@@ -287,7 +289,15 @@ def _remarks(
     if scatter.offset_scatter_a > 0.0:
         text = "as if the readings' zero differed by {scatter_ma:.2g} mA rms from segment to segment: taken for noise"
         remarks.append(Remark.of("offset_scatter", text, scatter_ma=1e3 * scatter.offset_scatter_a))
-    if scatter.voltage_scatter_v > 0.0:
+    timer = setup.prepared.timer
+    if timer is not None:
+        text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: taken out"
+        sizes = {"step_ns": 1e9 * timer.step_s, "leg_mv": 0.5e3 * _leg_step_v(setup, timer)}
+        remarks.append(Remark.of("timer", text, **sizes))
+    if scatter.voltage_scatter_v > 0.0 and timer is not None:
+        text = "as if held voltages were off by another {scatter_mv:.2g} mV rms each: taken for noise"
+        remarks.append(Remark.of("voltage_scatter", text, scatter_mv=1e3 * scatter.voltage_scatter_v))
+    elif scatter.voltage_scatter_v > 0.0:
         text = (
             "as if a timer's step of {step_ns:.2g} ns put held voltages off by {scatter_mv:.2g} mV rms: taken for noise"
         )
@@ -305,6 +315,12 @@ def _remarks(
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=chi2))
     return remarks
+
+
+def _leg_step_v(setup: DiagnosisSetup, timer: ModulatorTimer) -> float:
+    """The timer's step as a leg's mean voltage at the drive's own PWM frequency."""
+    drive = setup.prepared.manifest.drive
+    return leg_step_of(timer.step_s, drive.pwm_frequency_hz or drive.sampling_frequency_hz, bus_v_of(setup.prepared))
 
 
 def _show(

@@ -299,6 +299,8 @@ class UncertaintyCriteria(Strict):
     sound sensor's does, in warm-up and over minutes; more is a fault, and has to be found as one."""
     most_timer_step_s: float = _is(3.5e-8, "s", "practice")
     """Step of a modulator's timer that scatters held voltages and is noise: those of drives run at 30 MHz and more."""
+    least_timer_step_s: float = _is(2e-9, "s", "practice")
+    """The finest step of a timer that is looked for: those of half a gigahertz are finer than control trembles."""
     scatter_chance: float = _is(1e-4, "1", "practice")
     """Probability below which voltages that scatter more at one PWM frequency than at another are no timer's."""
     form_doubt: float = _is(5e-4, "1", "simulated")

@@ -7,5 +7,7 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 """Real numbers; shapes and units stand where one is used."""
+Indices = NDArray[np.intp]
+"""Places in an array."""
 Mask = NDArray[np.bool_]
 """Which of an array's elements are meant."""

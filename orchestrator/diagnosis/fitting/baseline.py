@@ -15,6 +15,7 @@ from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.timer import with_timer
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -23,6 +24,7 @@ from protocols import (
     FluxMap,
     GivenMap,
     ModelNoise,
+    ModulatorTimer,
     Nameplate,
     NotMeasuredError,
     Remark,
@@ -51,6 +53,16 @@ class DiagnosisSetup:
             return self
         whole, part = (f.with_noise(of_model) for f in (self.fitter, self.coarse_fitter))
         return replace(self, fitter=whole, coarse_fitter=part)
+
+    @property
+    def bare(self) -> DiagnosisSetup:
+        """The same with the voltages as they were commanded."""
+        return self if self.prepared.timer is None else self.with_timer(None)
+
+    def with_timer(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
+        """The same with the voltages that a modulator's timer lets through, or as they were commanded."""
+        whole, part = (replace(f, prepared=with_timer(f.prepared, timer)) for f in (self.fitter, self.coarse_fitter))
+        return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
 
     @property
     def unweighed(self) -> DiagnosisSetup:

@@ -43,6 +43,7 @@ def kept_model(
         r_s_ohm=fit.model.r_s,
         pm_flux_wb=setup.fitter.pm_flux_wb,
         noise=setup.fitter.noise.of_model,
+        timer=setup.prepared.timer,
         magnetics=CoEnergySpline(
             d_low_a=grid.low,
             d_high_a=grid.high,
@@ -178,8 +179,11 @@ def flux_of(model: object) -> float | None:
 
 
 def with_noise_of(setup: DiagnosisSetup, model: object) -> DiagnosisSetup:
-    """The setup with what is noise to a whole model; as it is for everything else."""
-    return setup.with_noise(model.noise) if isinstance(model, MotorModel) else setup
+    """The setup with what is noise to a whole model, and its modulator's timer; as it is for everything else."""
+    if not isinstance(model, MotorModel):
+        return setup
+    timed = setup if model.timer is None else setup.with_timer(model.timer)
+    return timed.with_noise(model.noise)
 
 
 def _inside(points: Array, corners: Array) -> Mask:

@@ -23,7 +23,14 @@ from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
-from orchestrator.diagnosis.uncertainty.scatter import as_much, beside_scatter, doubting_zeros
+from orchestrator.diagnosis.uncertainty.scatter import (
+    Likelihood,
+    as_much,
+    beside_scatter,
+    doubting_zeros,
+    likelihood_of,
+)
+from orchestrator.diagnosis.uncertainty.timer_search import timer_of
 
 
 def all_together(
@@ -33,9 +40,10 @@ def all_together(
 
     What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
-    doubting, fit = formed_together(setup, together(setup.coarse_fitter, quick.fit.model, library), library)
+    bare = setup
+    setup, doubting, fit = formed_together(setup, together(setup.coarse_fitter, quick.fit.model, library), library)
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
-    if set(fit.model.names) <= set(quick.fit.model.names):
+    if doubting is bare and set(fit.model.names) <= set(quick.fit.model.names):
         return None
     before, limits = setup.fitter.noise.of_model, fit.criteria.selection
     if doubting is not setup or _formless(fit):
@@ -53,18 +61,33 @@ def all_together(
             setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
     if not whole.model.active:
         return None
-    if setup.fitter.noise.of_model != before:
+    if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
         steps = refitted_steps(setup.unweighed, steps)
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
 
 
-def formed_together(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
-    """All effects in their own forms, and what scatters beside them as noise, each in the light of the other."""
-    doubting = setup
+def formed_together(
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit]:
+    """All effects in their own forms, and what scatters beside them as noise, each in the light of the other.
+
+    Returns
+    -------
+    setup : DiagnosisSetup
+        With the modulator's timer, where the scatter is its doing.
+    doubting : DiagnosisSetup
+        That with what scatters as noise.
+    fit : Fit
+    """
+    bare, doubting, start = setup.bare, setup, setup
     for turn in range(fit.criteria.selection.formings):
         before = doubting
-        if _formless(fit) or before is not setup:
-            doubting = doubting_zeros(setup, setup.coarse_fitter, fit, library)
+        if _formless(fit) or before is not start:
+            likelihood = likelihood_of(setup.coarse_fitter, fit, library)
+            doubting = doubting_zeros(setup, likelihood)
+            if setup is not bare:
+                likelihood = likelihood_of(bare.coarse_fitter, fit, library)
+            setup, doubting = with_its_timer(setup, doubting, likelihood)
         if turn:
             if as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
                 break
@@ -72,7 +95,25 @@ def formed_together(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate
             if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
                 break
         fit = in_own_forms(doubting.coarse_fitter, fit)
-    return doubting, fit
+    return setup, doubting, fit
+
+
+def with_its_timer(
+    setup: DiagnosisSetup, doubting: DiagnosisSetup, likelihood: Likelihood
+) -> tuple[DiagnosisSetup, DiagnosisSetup]:
+    """Both setups with the modulator's timer where what scatters is its doing, and with what scatters still.
+
+    Parameters
+    ----------
+    likelihood : Likelihood
+        Of the recording without a timer.
+    """
+    scatter = doubting.fitter.noise.of_model
+    found = timer_of(setup.bare.coarse_fitter, likelihood, scatter, setup.prepared.timer)
+    if found is None:
+        return setup, doubting
+    timed = setup.with_timer(found[0])
+    return timed, timed.with_noise(found[1])
 
 
 def _formless(fit: Fit) -> bool:

@@ -24,7 +24,8 @@ from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
-from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter
+from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter, likelihood_of
+from orchestrator.diagnosis.uncertainty.timer_search import timer_of
 from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -98,7 +99,7 @@ def search_effects(
     """
     quick = _quick_search(setup, steps, library)
     if quick.fit.chi2_per_dof > quick.fit.criteria.selection.detected_chi2:
-        wider = explained_by_scatter(setup, quick.fit, library)
+        wider = with_its_scatter(setup, quick.fit, library)
         if wider is not None:
             return with_scatter_as_found(*search_effects(wider, refitted_steps(wider, steps), library), library)
         if len(library) > 1 and (together := all_together(setup, steps, quick, library)) is not None:
@@ -112,6 +113,18 @@ def search_effects(
     search = forward(setup.fitter, fits, library, rivals=quick.rivals)
     search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
     return setup, search
+
+
+def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
+    """The setup with the modulator's timer in its voltages, or what scatters as noise; None where neither helps."""
+    if setup.fitter.noise.of_model.scatters:
+        return None
+    likelihood = likelihood_of(setup.coarse_fitter, fit, library)
+    if setup.prepared.timer is None:
+        found = timer_of(setup.coarse_fitter, likelihood)
+        if found is not None:
+            return setup.with_timer(found[0])
+    return explained_by_scatter(setup, likelihood)
 
 
 def with_scatter_as_found(

@@ -15,11 +15,12 @@ P being the priors and h the gradient at b = 0: the restricted likelihood (H. D.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
@@ -67,14 +68,20 @@ class _Segment:
 
 
 @dataclass(frozen=True)
-class _Likelihood:
+class Likelihood:
     """The restricted likelihood of a scatter; costs are minus twice its logarithm."""
 
+    criteria: Criteria
     segments: Sequence[_Segment]
     normal: Array
     gradient: Array
     chi2: float
     dof: float
+
+    @property
+    def rests(self) -> int:
+        """In which a voltage is held."""
+        return sum(len(one.timer.steps) for one in self.segments)
 
     def cost(self, noise: ModelNoise) -> float:
         """Of what scatters."""
@@ -105,6 +112,69 @@ class _Likelihood:
                 chances.append(float(f.sf(ratio, len(squares), len(rest))))
         return min(chances)
 
+    def held_volts(self, noise: ModelNoise) -> tuple[Array, Array]:
+        """What the data say of volts on either axis of each rest, with this scatter as noise and all else following.
+
+        Returns
+        -------
+        normal : array, shape (2 rests, 2 rests)
+        gradient : array, shape (2 rests,)
+        """
+        _, _, normal, gradient, _ = self._reduced(noise)
+        own, shared, pull = [], [], []
+        for one in self.segments:
+            scale = scatter_sizes(one.timer, noise)
+            inside = np.linalg.inv(np.eye(len(scale)) + scale[:, None] * one.own * scale)
+            less = np.eye(len(scale)) - one.own @ (scale[:, None] * inside * scale)
+            own.append((less @ one.own)[2:, 2:])
+            shared.append((less @ one.shared)[2:])
+            pull.append((less @ one.pull)[2:])
+        told = np.concatenate(shared)
+        follow = np.linalg.solve(normal, np.column_stack([told.T, gradient]))
+        volts = np.zeros((len(told), len(told)))
+        at = 0
+        for block in own:
+            volts[at : at + len(block), at : at + len(block)] = block
+            at += len(block)
+        return volts - told @ follow[:, :-1], np.concatenate(pull) - told @ follow[:, -1]
+
+    def with_volts(self, volts: Array) -> Likelihood:
+        """Where so many volts on either axis of each rest are in the equations, in the rests' order."""
+        at, moved, shift = 0, list[_Segment](), np.zeros_like(self.gradient)
+        squares = 0.0
+        for one in self.segments:
+            count = len(one.own) - 2
+            here = np.concatenate([np.zeros(2), volts[at : at + count]])
+            at += count
+            moved.append(replace(one, pull=one.pull + one.own @ here))
+            shift += one.shared.T @ here
+            squares += float(here @ (2.0 * one.pull + one.own @ here))
+        return replace(self, segments=moved, gradient=self.gradient + shift, chi2=self.chi2 + squares)
+
+    def likeliest(self, which: tuple[bool, bool], *, dithered: bool, near: ModelNoise | None = None) -> ModelNoise:
+        """The scatter of the largest likelihood, those of its two standard deviations that are not asked for at nil.
+
+        It is looked for from `near` on, or all over.
+        """
+        from scipy.optimize import minimize
+
+        def noise(decades: Array) -> ModelNoise:
+            given = iter(decades.tolist())
+            offset, voltage = (10.0 ** next(given) if asked else 0.0 for asked in which)
+            return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage, dithered=dithered)
+
+        def cost(decades: Array) -> float:
+            return self.cost(noise(decades))
+
+        if near is None:
+            grid = [np.array(place, dtype=np.float64) for place in product(DECADES, repeat=sum(which))]
+            start = min(grid, key=cost)
+        else:
+            sizes = np.array([near.offset_scatter_a, near.voltage_scatter_v])[list(which)]
+            start = np.log10(np.maximum(sizes, 10.0 ** DECADES[0]))
+        found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
+        return noise(np.asarray(found.x))
+
     def _reduced(self, noise: ModelNoise) -> tuple[list[Array], list[Array], Array, Array, float]:
         """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
         roots, factors = list[Array](), list[Array]()
@@ -127,12 +197,10 @@ class _Likelihood:
         return squares, log_det + float(np.linalg.slogdet(normal)[1])
 
 
-def explained_by_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
+def explained_by_scatter(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
-    if setup.fitter.noise.of_model.scatters:
-        return None
-    scatter = scatter_of(setup.coarse_fitter, fit, library)
-    enough = scatter.chi2 <= 1.0 + fit.criteria.selection.explained_left
+    scatter = _likeliest_of(likelihood)
+    enough = scatter.chi2 <= 1.0 + likelihood.criteria.selection.explained_left
     return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
 
 
@@ -144,12 +212,12 @@ def beside_scatter(
     return setup.with_noise(scatter.noise) if _is_noise(scatter, setup) else None
 
 
-def doubting_zeros(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+def doubting_zeros(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup:
     """The setup with as much scatter as there may be, at most a sound sensor's and modulator's, while forms are sought.
 
     A hold's mean is known to microvolts, and what its timer does to it would be taken for an inverter's knee.
     """
-    limits, noise = setup.prepared.criteria.uncertainty, scatter_of(fitter, fit, library, may_be_dithered=False).noise
+    limits, noise = likelihood.criteria.uncertainty, _likeliest_of(likelihood, may_be_dithered=False).noise
     most_a = limits.most_offset_scatter * setup.current_a
     most_v = limits.most_timer_step_s / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
     sizes = {
@@ -195,38 +263,33 @@ def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate], *, may_be
     may_be_dithered : bool
         Whether what trembles in held voltages may take of their scatter, where it is not alike at all PWM frequencies.
     """
-    likelihood = _likelihood(fitter.with_noise(ModelNoise()), fit, library)
-    least = 2.0 * fit.criteria.selection.log_evidence
+    return _likeliest_of(likelihood_of(fitter, fit, library), may_be_dithered=may_be_dithered)
+
+
+def _likeliest_of(likelihood: Likelihood, *, may_be_dithered: bool = True) -> Scatter:
+    criteria = likelihood.criteria
+    least = 2.0 * criteria.selection.log_evidence
     # The simpler one stays unless the data ask for more.
     best = ModelNoise()
     cost = none = likelihood.cost(best)
     for which in ((True, False), (False, True), (True, True)):
-        found = _likeliest(likelihood, which, dithered=False)
-        if may_be_dithered and likelihood.chance(found) <= fit.criteria.uncertainty.scatter_chance:
-            found = _likeliest(likelihood, which, dithered=True)
+        found = likelihood.likeliest(which, dithered=False)
+        if may_be_dithered and likelihood.chance(found) <= criteria.uncertainty.scatter_chance:
+            found = likelihood.likeliest(which, dithered=True)
         if cost - likelihood.cost(found) > least:
             best, cost = found, likelihood.cost(found)
     return Scatter(best, 0.5 * (none - cost), likelihood.chi2_per_dof(best), likelihood.chance(best))
 
 
-def _likeliest(likelihood: _Likelihood, which: tuple[bool, bool], *, dithered: bool) -> ModelNoise:
-    """The scatter of the largest likelihood, those of its two standard deviations that are not asked for at nil."""
-    from scipy.optimize import minimize
+def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Likelihood:
+    """What there is to be said of any scatter around a fit's model, all effects of the library following.
 
-    def noise(decades: Array) -> ModelNoise:
-        given = iter(decades.tolist())
-        offset, voltage = (10.0 ** next(given) if asked else 0.0 for asked in which)
-        return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage, dithered=dithered)
-
-    def cost(decades: Array) -> float:
-        return likelihood.cost(noise(decades))
-
-    grid = [np.array(place, dtype=np.float64) for place in product(DECADES, repeat=sum(which))]
-    found = minimize(cost, min(grid, key=cost), method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
-    return noise(np.asarray(found.x))
-
-
-def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Likelihood:
+    Parameters
+    ----------
+    fitter : Fitter
+        Whatever scatter it allows for is not.
+    """
+    fitter = fitter.with_noise(ModelNoise())
     absent = absent_columns([c for c in library if c.name not in fit.model.names])
     loose = fitter.evaluate(fit.model, fitter.frame(fit.model), absent)
     normal, pulls = loose.system()
@@ -241,4 +304,4 @@ def _likelihood(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> _Like
         u = fitter.equations.common(loose.model, piece, frame)
         timer, pwm_hz = TimerScatter.of(piece), piece.signals.pwm_frequency_hz
         segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, timer, pwm_hz))
-    return _Likelihood(segments, normal, gradient, loose.chi2, loose.dof)
+    return Likelihood(fitter.prepared.criteria, segments, normal, gradient, loose.chi2, loose.dof)

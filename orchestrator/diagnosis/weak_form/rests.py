@@ -11,9 +11,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals, block_means
 from orchestrator.numerics.types import Array
-from protocols import RealArray, SegmentStage
+from protocols import SegmentStage
 
 
 def rests(piece: SegmentSignals, *, still: float = 0.02, certain: float = 4.0, least: int = 3) -> tuple[slice, ...]:
@@ -33,7 +33,7 @@ def rests(piece: SegmentSignals, *, still: float = 0.02, certain: float = 4.0, l
     if piece.stage is not SegmentStage.CLASSICAL:
         return ()
     step = max(round(piece.windows.step), 1)
-    means = _block_means(piece.signals.i_ab, step)
+    means = block_means(np.asarray(piece.signals.i_ab), step)
     moved = np.hypot(*np.diff(means, axis=0).T)
     noise_a = math.sqrt(2.0 * float(np.trace(piece.scatter.covariance)) / (step * piece.averaged))
     stands = moved < max(still * float(moved.max(initial=0.0)), certain * noise_a)
@@ -86,9 +86,3 @@ HARMONICS = 20
 def leg_step_v(voltage_v: float) -> float:
     """A leg's step whose error, anywhere in it, is that much on an axis [V]: an axis has sqrt(2/3) of sqrt(1/12)."""
     return math.sqrt(18.0) * voltage_v
-
-
-def _block_means(x: RealArray, size: int) -> Array:
-    """Means of blocks of so many samples; what is left over at the end is left out."""
-    blocks = len(x) // size
-    return np.asarray(x[: blocks * size].reshape(blocks, size, -1).mean(axis=1))

@@ -26,6 +26,7 @@ from orchestrator.numerics.types import Array
 from protocols import (
     LossHistory,
     Manifest,
+    ModulatorTimer,
     NotMeasuredError,
     RealArray,
     RecordingReader,
@@ -66,6 +67,10 @@ class SegmentSignals:
     averaged : int
     before_ab : array, shape (2,)
         Current at the first readings, ripple aside: what had flowed until then [A].
+    command_ab : array, shape (readings, 2)
+        Voltages as they were commanded, each when it was.
+    delay_samples : float
+        By how much each acts later.
     """
 
     segment: Segment
@@ -75,6 +80,8 @@ class SegmentSignals:
     scatter: Scatter
     averaged: int
     before_ab: Array
+    command_ab: Array
+    delay_samples: float
 
     @property
     def stage(self) -> SegmentStage:
@@ -91,6 +98,8 @@ class PreparedRecording:
     criteria: Criteria
     fleet: FleetPriors | None = None
     """What other motors of its kind let expect."""
+    timer: ModulatorTimer | None = None
+    """Whose rounding is in the pieces' voltages."""
 
     @property
     def current_range(self) -> tuple[float, float, float]:
@@ -167,7 +176,8 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
     signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"]})
     windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
-    return piece if windows is None else replace(piece, signals=signals, windows=windows)
+    command_ab = piece.command_ab[: stop * piece.averaged]
+    return piece if windows is None else replace(piece, signals=signals, windows=windows, command_ab=command_ab)
 
 
 def _thinned(
@@ -194,8 +204,9 @@ def _piece(
     capture = recording.load(segment)
     fs = drive.sampling_frequency_hz
     i_ab = np.ascontiguousarray(capture.i_ab[:samples], dtype=np.float64)
-    v_ab = np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
-    v_ab = _delayed(v_ab, drive.voltage_delay_samples or 0.0)
+    command_ab = np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
+    delay = drive.voltage_delay_samples or 0.0
+    v_ab = _delayed(command_ab, delay)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
     if len(i_ab) < criteria.least_samples:
         return None
@@ -208,7 +219,8 @@ def _piece(
     before, start = (i_ab if ripple else i_ab[: criteria.first_readings]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
     if width > 1:
-        i_ab, v_ab, v_dc = _averaged(i_ab, v_ab, v_dc, width)
+        i_ab, v_dc = block_means(i_ab, width), block_means(v_dc[:, None], width)[:, 0]
+        v_ab = mean_between(command_ab, width, delay)
         start, fs = start + 0.5 * (width - 1) / fs, fs / width
     windows = windows_of(segment, fs, i_ab, v_ab, criteria)
     if windows is None:
@@ -232,7 +244,7 @@ def _piece(
         **what_is_logged(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab, criteria) == "dq"
-    return SegmentSignals(segment, held_out or diagonal, signals, windows, scatter, width, before)
+    return SegmentSignals(segment, held_out or diagonal, signals, windows, scatter, width, before, command_ab, delay)
 
 
 def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:
@@ -250,22 +262,25 @@ def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormC
     return int(min(most, max(1.0, allowed / max(usual, 1e-12))))
 
 
-def _averaged(i_ab: Array, v_ab: Array, v_dc: Array, width: int) -> tuple[Array, Array, Array]:
-    """Means of `width` readings, and the voltage that acts between the middles of these means.
+def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
+    """The voltage that acts between the middles of means of `width` readings, shape (readings // width, 2).
 
     dpsi/dt = v - R i holds for means as for samples: the mean current of one block and the next differ by what
     the voltage does in between, and each v_k of 2 width - 1 intervals counts by the share of readings it moves.
     """
-    blocks = len(i_ab) // width
-    used = blocks * width
+    v_ab = _delayed(command_ab, delay_samples)
+    if width == 1:
+        return v_ab
+    used = len(v_ab) // width * width
     impulse = np.concatenate([np.zeros((1, 2)), np.cumsum(v_ab[:used], axis=0)])[:-1]
-    mean = impulse.reshape(blocks, width, 2).mean(axis=1)
-    between = np.diff(mean, axis=0) / width
-    return (
-        i_ab[:used].reshape(blocks, width, 2).mean(axis=1),
-        np.concatenate([between, v_ab[used - width : used].mean(axis=0)[None]]),
-        v_dc[:used].reshape(blocks, width).mean(axis=1),
-    )
+    between = np.diff(block_means(impulse, width), axis=0) / width
+    return np.concatenate([between, v_ab[used - width : used].mean(axis=0)[None]])
+
+
+def block_means(x: Array, width: int) -> Array:
+    """Means of blocks of so many rows; what is left over at the end is left out."""
+    blocks = len(x) // width
+    return np.asarray(x[: blocks * width].reshape(blocks, width, -1).mean(axis=1), dtype=np.float64)
 
 
 def swept_axis(segment: Segment, i_ab: RealArray, criteria: WeakFormCriteria) -> Axis:

@@ -20,8 +20,9 @@ from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothn
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, injection_period, windows_of
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
+from orchestrator.diagnosis.weak_form.timer import leg_step_of, rounded_by
 from orchestrator.numerics.tensor_spline import EvenSpline
-from protocols import DriveRecord, Manifest, Motor, Segment, SegmentStage, Signals
+from protocols import DriveRecord, Manifest, ModulatorTimer, Motor, Segment, SegmentStage, Signals, TimerPhases
 
 Array = NDArray[np.float64]
 
@@ -133,7 +134,7 @@ def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array
     windows = windows_of(segment, FS, i_ab, v_ab, cutting)
     assert windows is not None
     period = injection_period(segment, FS, v_ab, cutting) if asked.stage is SegmentStage.INJECTION else None
-    return SegmentSignals(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0])
+    return SegmentSignals(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], v_ab, 0.0)
 
 
 def prepared(
@@ -166,6 +167,27 @@ def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -
         extra = change.get(p.segment.id, np.zeros(2)) if isinstance(change, Mapping) else change
         v_ab = p.signals.v_ab + (extra if p.signals.bridge_on else 0.0)
         pieces.append(replace(p, signals=p.signals.model_copy(update={"v_ab": v_ab})))
+    return replace(made, pieces=tuple(pieces))
+
+
+def timer(step_s: float, rise: float, fall: float, *, centred: bool = True, pwm_hz: float = FS) -> ModulatorTimer:
+    phases = TimerPhases(pwm_frequency_hz=pwm_hz, rise=rise, fall=fall)
+    return ModulatorTimer(step_s=step_s, centred=centred, phases=(phases,))
+
+
+def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan]) -> PreparedRecording:
+    """The readings of what a modulator's timer lets through, beside the voltages that were commanded."""
+    (at,) = modulator.phases
+    step_v = leg_step_of(modulator.step_s, FS, 540.0)
+
+    def felt(v_dq: Array) -> Array:
+        return v_dq + rounded_by(v_dq, step_v, at.rise, at.fall, centred=modulator.centred)
+
+    made = prepared([p if p.stage is SegmentStage.GATES_OFF else replace(p, v_dq=felt(p.v_dq)) for p in plans])
+    pieces = []
+    for piece, asked in zip(made.pieces, plans, strict=True):
+        signals = piece.signals.model_copy(update={"v_ab": asked.v_dq})
+        pieces.append(replace(piece, signals=signals, command_ab=asked.v_dq))
     return replace(made, pieces=tuple(pieces))
 
 

@@ -7,11 +7,25 @@ import pytest
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.selection.forward_search import Search, Step
-from orchestrator.diagnosis.selection.workflow import pruned
+from orchestrator.diagnosis.selection.workflow import pruned, with_its_scatter
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
+from protocols import SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import L_D, L_Q, R_S, fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import (
+    L_D,
+    L_Q,
+    R_S,
+    Plan,
+    felt_through,
+    fitter,
+    free_model,
+    hold,
+    plan,
+    prepared,
+    timer,
+    with_voltage,
+)
 
 
 @pytest.mark.parametrize(("of_resistance", "spared"), [(4e-4, []), (0.0, ["phase_resistance_imbalance"])])
@@ -29,3 +43,32 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
     assert steps[0].fit.chi2_per_dof > 1e5 > 1e4 * steps[-1].fit.chi2_per_dof
     setup = DiagnosisSetup(maker.prepared, maker, maker, L_D, L_Q, 2.5, ())
     assert pruned(setup, Search(steps))[1] == spared
+
+
+def test_what_scatters_is_a_timer_s_doing_where_it_repeats_and_noise_where_it_does_not() -> None:
+    turn = 2.0 * np.pi * np.arange(36) / 36
+    held = [
+        Plan(SegmentStage.RESISTANCE, hold(a * np.cos(t), a * np.sin(t)))
+        for t, a in zip(turn, np.linspace(0.5, 2.4, 36), strict=True)
+    ]
+    plans = [*(p for p in plan() if p.stage is not SegmentStage.CLASSICAL), *held]
+    made, rng = prepared(plans), np.random.default_rng(6)
+    by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
+    found = []
+    rounded = felt_through(timer(21.7e-9, 0.35, 0.35), plans)
+    for recording in (rounded, with_voltage(made, by_chance)):
+        maker = fitter(recording)
+        setup = DiagnosisSetup(recording, maker, maker, L_D, L_Q, 2.5, ())
+        wider = with_its_scatter(setup, maker.fit(free_model()), [])
+        assert wider is not None
+        assert wider.fitter.fit(free_model()).chi2_per_dof < 1.2
+        found.append(wider)
+    timed, noisy = found
+    assert timed.prepared.timer is not None
+    assert timed.coarse_fitter.prepared.timer == timed.prepared.timer
+    assert not timed.fitter.noise.of_model.scatters
+    assert noisy.prepared.timer is None
+    assert noisy.fitter.noise.of_model.scatters
+    # As commanded again, the timer is not in the voltages.
+    for piece, first in zip(timed.bare.prepared.pieces, rounded.pieces, strict=True):
+        np.testing.assert_array_equal(piece.signals.v_ab, first.signals.v_ab)

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
-from orchestrator.diagnosis.weak_form.segments import _averaged, _delayed, coarse, injection_period, prepare, swept_axis
+from orchestrator.diagnosis.weak_form.segments import (
+    _delayed,
+    block_means,
+    coarse,
+    injection_period,
+    mean_between,
+    prepare,
+    swept_axis,
+)
 from orchestrator.recording import Recording
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Plan, piece, plan, prepared, ripple, sweep
@@ -20,7 +28,7 @@ def test_flux_changes_between_means_by_what_the_averaged_voltage_does() -> None:
     rng = np.random.default_rng(1)
     v = rng.normal(size=(1000, 2))
     psi = np.concatenate([np.zeros((1, 2)), np.cumsum(v, axis=0)])[:-1]
-    means, voltage, _ = _averaged(psi, v, np.zeros(1000), 10)
+    means, voltage = block_means(psi, 10), mean_between(v, 10, 0.0)
     np.testing.assert_allclose(np.diff(means, axis=0), 10.0 * voltage[:-1], atol=1e-9)
 
 

@@ -1,0 +1,117 @@
+"""What a modulator's timer makes of a command: each edge of a pulse meets the timer's next step. Looks for nothing.
+
+A leg's command x, in steps of its mean voltage q = 2 t_q f_pwm V_dc, is met exactly where x is a whole number and a
+part: of the rising edge one, of the falling edge another (the same, where one comparison makes both). In between, the
+leg's mean is off by
+
+    -q/2 (S(x - x_rise) + S(x - x_fall)),    S(x) = x - floor(x) - 1/2
+
+(B. Widrow, I. Kollar, Quantization Noise, doi:10.1017/CBO9780511754661, chapter 1). It is exact from command to
+command, so that nothing needs to be averaged out. Zero sequences: D. G. Holmes, T. A. Lipo, Pulse Width Modulation for
+Power Converters, IEEE Press 2003, doi:10.1109/9780470546284, section 6.3.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TypeVar
+
+import numpy as np
+from numba import njit
+
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
+from orchestrator.numerics.kernels import phases_of, vector_of
+from orchestrator.numerics.types import Array
+from protocols import ModulatorTimer, RealArray
+
+Numbers = TypeVar("Numbers", float, Array)
+
+
+def with_timer(prepared: PreparedRecording, timer: ModulatorTimer | None) -> PreparedRecording:
+    """The recording with the voltages that the timer lets through, where its phases are known at the PWM frequency.
+
+    As commanded, where there is no timer.
+    """
+    pieces = tuple(_impressed(p, timer, bus_v_of(prepared)) for p in prepared.pieces)
+    return replace(prepared, pieces=pieces, timer=timer)
+
+
+def bus_v_of(prepared: PreparedRecording) -> float:
+    """The voltage that commands are divided by: the bus's nominal one, or what was logged of it."""
+    known = prepared.manifest.drive.dc_bus_voltage_v
+    return known or float(np.median([float(np.median(p.signals.v_dc)) for p in prepared.pieces]))
+
+
+def leg_step_of(step_s: float, pwm_frequency_hz: Numbers, bus_v: float) -> Numbers:
+    """By how much both edges' moving on by a step of the timer moves a leg's mean voltage [V]."""
+    return 2.0 * step_s * pwm_frequency_hz * bus_v
+
+
+def _impressed(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float) -> SegmentSignals:
+    impressed = _let_through(piece, timer, bus_v)
+    if impressed is None:
+        return piece
+    v_ab = mean_between(impressed, piece.averaged, piece.delay_samples)
+    return replace(piece, signals=piece.signals.model_copy(update={"v_ab": v_ab}))
+
+
+def _let_through(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float) -> Array | None:
+    """Each reading's voltage; None where it is what the piece has."""
+    if timer is None:
+        return piece.command_ab
+    pwm_hz = piece.signals.pwm_frequency_hz
+    phases = next((p for p in timer.phases if math.isclose(p.pwm_frequency_hz, pwm_hz)), None)
+    if phases is None or not piece.signals.bridge_on:
+        return None
+    step_v = leg_step_of(timer.step_s, pwm_hz, bus_v)
+    return piece.command_ab + rounded_by(piece.command_ab, step_v, phases.rise, phases.fall, centred=timer.centred)
+
+
+def rounded_by(v_ab: RealArray, step_v: float, rise: float, fall: float, *, centred: bool) -> Array:
+    """What the timer adds to each command (n, 2) [V].
+
+    Parameters
+    ----------
+    v_ab : array, shape (n, 2)
+    step_v : float
+        `leg_step_of` its timer.
+    rise, fall : float
+        Parts of a step at which either edge meets a command exactly.
+    centred : bool
+        See `ModulatorTimer`.
+    """
+    out = _rounded_by(np.ascontiguousarray(v_ab, dtype=np.float64), step_v, rise, fall, centred)
+    return np.asarray(out, dtype=np.float64)
+
+
+@njit(cache=True, nogil=True)
+def legs_of(v_ab: Array, centred: bool) -> Array:
+    """Commands of the three legs (n, 3)."""
+    out = np.empty((v_ab.shape[0], 3))
+    for k in range(v_ab.shape[0]):
+        a, b, c = phases_of(v_ab[k, 0], v_ab[k, 1])
+        zero = 0.5 * (max(a, b, c) + min(a, b, c)) if centred else 0.0
+        out[k, 0], out[k, 1], out[k, 2] = a - zero, b - zero, c - zero
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _rounded_by(v_ab: Array, step_v: float, rise: float, fall: float, centred: bool) -> Array:
+    out = np.empty_like(v_ab)
+    legs = legs_of(v_ab, centred)
+    for k in range(v_ab.shape[0]):
+        alpha, beta = vector_of(
+            _off(legs[k, 0] / step_v, rise, fall),
+            _off(legs[k, 1] / step_v, rise, fall),
+            _off(legs[k, 2] / step_v, rise, fall),
+        )
+        out[k, 0], out[k, 1] = step_v * alpha, step_v * beta
+    return out
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _off(x: float, rise: float, fall: float) -> float:
+    """A leg's mean over its command, in steps."""
+    up, down = x - rise, x - fall
+    return -0.5 * (up - math.floor(up) + down - math.floor(down) - 1.0)
