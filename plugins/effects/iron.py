@@ -29,7 +29,8 @@ class EddyCurrents:
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
     A sample taken just before the voltage changes has seen the voltage of the interval before. In the flexible form
-    the eddy current's path has an inductance too, and follows within `lag_s`; and its conductance is
+    the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods (read
+    in the zero vector, a current without a lag is hardly there); and its conductance is
     (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on one axis alone.
     Source: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
     """
@@ -45,7 +46,7 @@ class EddyCurrents:
         core_loss_ohm: float = amplitude(
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
-        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=1e-3)
+        lag_s: float = refinement("s", neutral=0.0, prior_width=1e-4, low=0.0, high=1e-3, other_form=1e-4)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
-from orchestrator.diagnosis.fitting.candidates import Active, typical_coordinate
+from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
 from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
 from orchestrator.diagnosis.fitting.gauss_newton import is_stuck
 from orchestrator.numerics.types import Array
@@ -87,9 +87,14 @@ class Cascade:
 
 
 def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
-    """The step of one parameter's coordinate that its secant is taken over; to typical size where it is absent."""
+    """The step of one parameter's coordinate that its secant is taken over.
+
+    To typical size where its effect is absent; from the first form to the second, for no descent leads there.
+    """
     p = active.candidate.named(name)
     x = active.coordinate(name)
+    if p.other_form is not None and active.values[name] == p.neutral:
+        return coordinate_of(p, p.other_form) - x
     if p.role is not ParameterRole.AMPLITUDE:
         step = criteria.column_step * max(abs(x), 1.0)
     elif active.is_absent:
