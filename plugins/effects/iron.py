@@ -29,8 +29,8 @@ class EddyCurrents:
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
     A sample taken just before the voltage changes has seen the voltage of the interval before. In the flexible form
-    the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods (read
-    in the zero vector, a current without a lag is hardly there); and its conductance is
+    the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods:
+    read in the zero vector, a current without a lag is hardly there. And its conductance is
     (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on one axis alone.
     Source: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
     """
