@@ -16,6 +16,9 @@ from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
+STEP_OF_DECAY = 0.2
+"""Largest step, in time constants of the winding: a mean of ten readings spans two of a small servo's."""
+
 
 def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple[Array, Array]:
     """Predicted and measured magnetising current of one piece in the true frame, each (n, 2) [A].
@@ -30,20 +33,32 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     angle = np.asarray(corrected.theta_rad, dtype=np.float64)[:n]
     grid = fit.model.magnetics.grid
     numbers, _ = grid.layout
+    ts = 1.0 / piece.signals.sampling_frequency_hz
+    resistance = np.ascontiguousarray(corrected.resistance_ohm[:n]) * (
+        fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]
+    )
+    inductances = fit.frame.pieces[index].local.inductance[:, [0, 2]]
+    least = 0.2 * float(np.median(inductances))
+    decay = ts * float(resistance.max()) / max(float(inductances.min()), least)
     predicted = _simulate(
         np.ascontiguousarray(corrected.v_ab[:n]),
         np.ascontiguousarray((corrected.i_ab - corrected.i_m_ab)[:n]),
-        np.ascontiguousarray(corrected.resistance_ohm[:n])
-        * (fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]),
+        resistance,
         np.ascontiguousarray(angle),
         i_dq[:n],
         fit.model.magnetics.patches,
         numbers,
-        1.0 / piece.signals.sampling_frequency_hz,
-        0.2 * float(np.median(fit.frame.pieces[index].local.inductance[:, [0, 2]])),
+        ts,
+        parts_of(decay),
+        least,
         np.array([grid.low, grid.high, grid.reach]),
     )
     return predicted, i_dq[:n]
+
+
+def parts_of(decay: float) -> int:
+    """Of a sample, that an integration takes where the current decays by so many time constants in it."""
+    return max(1, math.ceil(decay / STEP_OF_DECAY))
 
 
 def current_rms(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True) -> float | None:
@@ -70,10 +85,11 @@ def _simulate(
     patches: Array,
     numbers: Array,
     ts: float,
+    parts: int,
     least: float,
     box: Array,
 ) -> Array:
-    """Steps psi by the voltage; after each, one Newton step for the current that belongs to it.
+    """Steps psi by the voltage, in so many parts of a sample; after each, one Newton step for the current with it.
 
     A model far off drives the current out of the map's box (lowest and highest i_d, highest i_q); there the map goes on
     with the inductances of its edge, and well outside the current is held.
@@ -85,7 +101,9 @@ def _simulate(
     i_q = measured[0, 1]
     psi_d = 0.0
     psi_q = 0.0
-    for k in range(n):
+    h = ts / parts
+    for step in range((n - 1) * parts + 1):
+        k = step // parts
         i_d = min(max(i_d, -reach), reach)
         i_q = min(max(i_q, -reach), reach)
         edge_d = min(max(i_d, box[0]), box[1])
@@ -100,7 +118,7 @@ def _simulate(
             det = ldd * lqq
         pd += ldd * (i_d - edge_d) + ldq * (i_q - edge_q)
         pq += ldq * (i_d - edge_d) + lqq * (i_q - edge_q)
-        if k == 0:
+        if step == 0:
             psi_d = pd
             psi_q = pq
         # What the explicit guess missed of the flux, corrected with the inductance there.
@@ -108,8 +126,9 @@ def _simulate(
         i_q += (ldd * (psi_q - pq) - ldq * (psi_d - pd)) / det
         i_d = min(max(i_d, -reach), reach)
         i_q = min(max(i_q, -reach), reach)
-        out[k, 0] = i_d
-        out[k, 1] = i_q
+        if step % parts == 0:
+            out[k, 0] = i_d
+            out[k, 1] = i_q
         if k == n - 1:
             break
         co = math.cos(angle[k])
@@ -120,11 +139,11 @@ def _simulate(
         vq = -si * va + co * vb
         ed = vd - resistance[k] * i_d
         eq = vq - resistance[k] * i_q
-        gd = ts * (lqq * ed - ldq * eq) / det
-        gq = ts * (ldd * eq - ldq * ed) / det
+        gd = h * (lqq * ed - ldq * eq) / det
+        gq = h * (ldd * eq - ldq * ed) / det
         # Heun: the resistive drop at the middle of the step.
-        dd = ts * (ed - 0.5 * resistance[k] * gd)
-        dq = ts * (eq - 0.5 * resistance[k] * gq)
+        dd = h * (ed - 0.5 * resistance[k] * gd)
+        dq = h * (eq - 0.5 * resistance[k] * gq)
         if abs(i_d) < reach and abs(i_q) < reach:
             psi_d += dd
             psi_q += dq
