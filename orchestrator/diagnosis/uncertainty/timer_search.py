@@ -27,6 +27,8 @@ MOST_COMMANDS = 400
 """Of each rest: they tremble alike all through."""
 PARTS = 12
 """Of a step, of either edge, that are tried before the descent."""
+SAME = 0.25
+"""Of a step, by which two commands may differ and be off by much the same."""
 HALF = 0.5
 """Of what the best gains so: what gains less is no rival."""
 BEST = 4
@@ -57,9 +59,13 @@ def timer_of(
         return told.timer, told.scatter
     scatter = likelihood.likeliest((True, True), dithered=False, near=scatter)
     promising, tried = _promising(fitter, *likelihood.held_volts(scatter))
-    sharpened = [_sharpened(likelihood, p.held, p.timer, scatter) for p in promising]
-    asked = likelihood.cost(scatter) - 2.0 * (likelihood.criteria.selection.log_evidence + math.log(tried))
-    best = min((told for told in sharpened if told.cost < asked), key=lambda told: told.cost, default=None)
+    found = list[_Sharpened]()
+    for one in promising:
+        told = _sharpened(likelihood, one.held, one.timer, scatter)
+        asked = (likelihood.criteria.selection.log_evidence + math.log(tried)) * one.held.repeated(told.timer)
+        if likelihood.cost(scatter) - told.cost > 2.0 * asked:
+            found.append(told)
+    best = min(found, key=lambda told: told.cost, default=None)
     return None if best is None else (best.timer, best.scatter)
 
 
@@ -171,6 +177,20 @@ class _HeldCommands:
         """Rests in a row at a PWM frequency, from the first on to before the last."""
         at = np.flatnonzero(np.diff(np.concatenate([[0], self.pwm_hz == pwm_hz, [0]])))
         return list(zip(at[::2].tolist(), at[1::2].tolist(), strict=True))
+
+    def repeated(self, timer: ModulatorTimer) -> float:
+        """How many rests there are of each command, or of its opposite.
+
+        Whatever a form leaves there is the same in all of them: only one of them bears witness.
+        """
+        steps = self.mean_v / leg_step_of(timer.step_s, self.pwm_hz, self.bus_v)[:, None]
+        different = list[int]()
+        for k, legs in enumerate(steps):
+            there = [j for j in different if self.pwm_hz[j] == self.pwm_hz[k]]
+            apart = [min(np.abs(steps[j] - legs).max(), np.abs(steps[j] + legs).max()) for j in there]
+            if min(apart, default=np.inf) > SAME:
+                different.append(k)
+        return len(steps) / len(different)
 
     def finest(self, step_s: float) -> float:
         """Part of a step by which the largest command is one step more."""

@@ -93,3 +93,18 @@ def test_where_nothing_scatters_none_is_looked_for() -> None:
     maker = fitter(prepared(_plans()))
     fit = maker.fit(free_model())
     assert timer_of(maker, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise) is None
+
+
+def test_what_is_off_at_the_same_commands_again_and_again_bears_witness_once() -> None:
+    # Six currents along each axis, of both signs, measured six times; each is off by its own, as a form may be.
+    rng, sizes = np.random.default_rng(5), np.linspace(0.3, 2.4, 6)
+    off = {(axis, a): rng.normal(0.0, 0.02, 2) for axis in (0, 1) for a in sizes}
+    points = [(axis, sign, a) for axis, a in off for sign in (1.0, -1.0)] * 6
+    held = [Plan(SegmentStage.RESISTANCE, hold(*(np.eye(2)[axis] * sign * a))) for axis, sign, a in points]
+    made = prepared([*(p for p in plan() if p.stage is not SegmentStage.CLASSICAL), *held])
+    rests = made.pieces[len(made.pieces) - len(held) :]
+    error = {p.segment.id: sign * off[axis, a] for p, (axis, sign, a) in zip(rests, points, strict=True)}
+    maker = fitter(with_voltage(made, error))
+    fit = maker.fit(free_model())
+    assert fit.chi2_per_dof > 2.0
+    assert timer_of(maker, likelihood_of(maker, fit, [])) is None
