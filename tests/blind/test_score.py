@@ -93,6 +93,18 @@ def test_what_nothing_explains_has_to_be_flagged(kind: str) -> None:
     assert judge(answered(case, report("bus_sag"))).wrong != []
 
 
+def test_one_slow_leg_is_told_by_its_size_or_flagged() -> None:
+    case = draw_case("switched_foreign", 1, SEED)
+    bridge = case.bench.bridge
+    longer = bridge.dead_a_s / ((bridge.dead_a_s + 2.0 * bridge.dead_s) / 3.0) - 1.0
+    for size, right in ((longer, True), (1.1 * longer, True), (1.3 * longer, False), (0.0, False)):
+        found = report("dead_time")
+        found["effects"][0]["parameters"] = {"leg_a": {"value": size, "low": size, "high": size, "unit": "1"}}
+        assert (judge(answered(case, found)).wrong == []) is right
+    assert judge(answered(case, report("dead_time"))).wrong != []
+    assert judge(answered(case, report("dead_time", verdict="unknown_remains"))).wrong == []
+
+
 def test_a_twin_is_the_right_name_for_what_was_left_out() -> None:
     case = draw_case("left_out", 3, SEED)
     assert case.without == ("voltage_delay",)
