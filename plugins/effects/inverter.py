@@ -120,7 +120,7 @@ class DeadTime:
     each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
     C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing;
     `grading` is by which power their capacitances fall with the voltage.
-    `leg_a` and `leg_b` are by how much of the mean dead time those legs' own differs; leg c makes up for both.
+    `leg_a_longer` and `leg_b_longer` are by how much of the mean dead time those legs' own is; leg c makes up for both.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -136,8 +136,8 @@ class DeadTime:
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=3.0)
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
         grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
-        leg_a: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
-        leg_b: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
+        leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
+        leg_b_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
@@ -147,7 +147,7 @@ class DeadTime:
         volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
         commanded = v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
         i_ab = _without_noise(signals)
-        legs = np.maximum([1.0 + p.leg_a, 1.0 + p.leg_b, 1.0 - p.leg_a - p.leg_b], 0.0)
+        legs = np.maximum([1.0 + p.leg_a_longer, 1.0 + p.leg_b_longer, 1.0 - p.leg_a_longer - p.leg_b_longer], 0.0)
         if p.switched < 1.0:
             v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p, legs)
         if p.switched > 0.0:

@@ -178,7 +178,7 @@ def _slow_leg_told(case: Case, report: dict[str, Any]) -> bool:
     if case.foreign != SLOW_LEG or said is None:
         return False
     longer = 3.0 * bridge.dead_a_s / (bridge.dead_a_s + 2.0 * bridge.dead_s) - 1.0
-    leg = said["parameters"].get("leg_a")
+    leg = said["parameters"].get("leg_a_longer")
     return leg is not None and abs(leg["value"] - longer) <= WITHIN * longer
 
 

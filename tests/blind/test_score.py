@@ -99,7 +99,7 @@ def test_one_slow_leg_is_told_by_its_size_or_flagged() -> None:
     longer = bridge.dead_a_s / ((bridge.dead_a_s + 2.0 * bridge.dead_s) / 3.0) - 1.0
     for size, right in ((longer, True), (1.1 * longer, True), (1.3 * longer, False), (0.0, False)):
         found = report("dead_time")
-        found["effects"][0]["parameters"] = {"leg_a": {"value": size, "low": size, "high": size, "unit": "1"}}
+        found["effects"][0]["parameters"] = {"leg_a_longer": {"value": size, "low": size, "high": size, "unit": "1"}}
         assert (judge(answered(case, found)).wrong == []) is right
     assert judge(answered(case, report("dead_time"))).wrong != []
     assert judge(answered(case, report("dead_time", verdict="unknown_remains"))).wrong == []

@@ -27,6 +27,7 @@ def test_slots_that_are_filled_come_in_their_order() -> None:
         ("gain_a_minus_b", "gain a minus b"),
         ("per_watt", "per watt"),
         ("rad_per_nm", "rad per nm"),
+        ("leg_a_longer", "leg a longer"),
     ],
 )
 def test_a_parameter_is_told_without_its_unit(name: str, words: str) -> None:

@@ -84,7 +84,7 @@ def test_without_ripple_what_is_lost_is_odd_where_the_current_holds() -> None:
 def test_a_leg_with_more_dead_time_loses_more_and_its_neighbours_less(switched: float) -> None:
     signals = _signals(np.tile([2.0, 2.0, -4.0], (10, 1)), known=False)
     effect = DeadTime()
-    p = effect.Parameters(voltage_v=VOLTS, threshold_a=1e-3, switched=switched, leg_a=0.3, leg_b=-0.1)
+    p = effect.Parameters(voltage_v=VOLTS, threshold_a=1e-3, switched=switched, leg_a_longer=0.3, leg_b_longer=-0.1)
     v_ab = effect.correct(signals, p).v_ab
     assert v_ab is not None
     lost = to_phases(signals.v_ab - v_ab)[0]
