@@ -61,7 +61,11 @@ class DiagnosisSetup:
 
     def with_timer(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
         """The same with the voltages that a modulator's timer lets through, or as they were commanded."""
-        whole, part = (replace(f, prepared=with_timer(f.prepared, timer)) for f in (self.fitter, self.coarse_fitter))
+        # No frame of the old voltages is one of the new ones: they are told apart by the noise's identity.
+        whole, part = (
+            replace(f, prepared=with_timer(f.prepared, timer), noise=replace(f.noise))
+            for f in (self.fitter, self.coarse_fitter)
+        )
         return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
 
     @property

@@ -31,6 +31,8 @@ from orchestrator.diagnosis.uncertainty.scatter import (
     likelihood_of,
 )
 from orchestrator.diagnosis.uncertainty.timer_search import timer_of
+from orchestrator.presentation.names import plain as plain_name
+from orchestrator.presentation.quantities import number
 
 
 def all_together(
@@ -109,6 +111,7 @@ def with_its_timer(
         Of the recording without a timer.
     """
     scatter = doubting.fitter.noise.of_model
+    setup.fitter.tell("does what scatters repeat itself? A modulator's timer")
     found = timer_of(setup.bare.coarse_fitter, likelihood, scatter, setup.prepared.timer)
     if found is None:
         return setup, doubting
@@ -160,7 +163,9 @@ def ladder_of(
     for count, name in enumerate(causes[:-1], 1):
         still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
         rungs.append(Step(name, plain.fitter.evaluate(still, judged.frame), factors[name]))
+        setup.fitter.tell(f"+ {plain_name(name)}: chi2 {number(rungs[-1].fit.chi2_per_dof)}")
     rungs.append(Step(causes[-1], judged, factors[causes[-1]]))
+    setup.fitter.tell(f"+ {plain_name(causes[-1])}: chi2 {number(judged.chi2_per_dof)}")
     tied = {name: list(other) for name, other in rivals.items() if name in known}
     view = LinearView(whole, (), tuple(whole.model.free), *whole.projected())
     left = [name for name in traces if name not in known]
