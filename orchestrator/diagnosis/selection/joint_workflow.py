@@ -26,6 +26,7 @@ from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import (
     Likelihood,
     as_much,
+    at_most_sound,
     beside_scatter,
     doubting_zeros,
     likelihood_of,
@@ -42,10 +43,10 @@ def all_together(
 
     What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
-    bare = setup
+    given = setup
     setup, doubting, fit = formed_together(setup, together(setup.coarse_fitter, quick.fit.model, library), library)
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
-    if doubting is bare and set(fit.model.names) <= set(quick.fit.model.names):
+    if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
         return None
     before, limits = setup.fitter.noise.of_model, fit.criteria.selection
     if doubting is not setup or _formless(fit):
@@ -116,7 +117,7 @@ def with_its_timer(
     if found is None:
         return setup, doubting
     timed = setup.with_timer(found[0])
-    return timed, timed.with_noise(found[1])
+    return timed, timed.with_noise(at_most_sound(timed, found[1]))
 
 
 def _formless(fit: Fit) -> bool:

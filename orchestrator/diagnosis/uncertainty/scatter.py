@@ -217,14 +217,19 @@ def doubting_zeros(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSe
 
     A hold's mean is known to microvolts, and what its timer does to it would be taken for an inverter's knee.
     """
-    limits, noise = likelihood.criteria.uncertainty, _likeliest_of(likelihood, may_be_dithered=False).noise
+    return setup.with_noise(at_most_sound(setup, _likeliest_of(likelihood, may_be_dithered=False).noise))
+
+
+def at_most_sound(setup: DiagnosisSetup, noise: ModelNoise) -> ModelNoise:
+    """The scatter, or as much of it as a sound sensor and modulator have."""
+    limits = setup.prepared.criteria.uncertainty
     most_a = limits.most_offset_scatter * setup.current_a
     most_v = limits.most_timer_step_s / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
     sizes = {
         "offset_scatter_a": min(noise.offset_scatter_a, most_a),
         "voltage_scatter_v": min(noise.voltage_scatter_v, most_v),
     }
-    return setup.with_noise(noise.model_copy(update=sizes))
+    return noise.model_copy(update=sizes)
 
 
 def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> bool:

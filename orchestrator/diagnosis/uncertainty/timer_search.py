@@ -23,6 +23,8 @@ from protocols import ModelNoise, ModulatorTimer, TimerPhases
 
 FINEST = 0.1
 """Of a step: by how much the largest command may miss it from one step that is tried to the next."""
+MOST_STEPS = 20_000
+"""That are tried, whatever the bus."""
 MOST_COMMANDS = 400
 """Of each rest: they tremble alike all through."""
 PARTS = 12
@@ -145,6 +147,7 @@ class _HeldCommands:
         """Steps so near to each other that the saw of the largest command is not missed."""
         reach = float((np.abs(self.mean_v) / self.pwm_hz[:, None]).max())
         apart = FINEST * 2.0 * self.bus_v / reach if reach > 0.0 else 1.0 / least_s
+        apart = max(apart, (1.0 / least_s - 1.0 / most_s) / MOST_STEPS)
         # The saw's phase is the command over the step: evenly spread over one over the step.
         return np.asarray(1.0 / np.arange(1.0 / most_s, 1.0 / least_s, apart), dtype=np.float64)
 
