@@ -45,6 +45,7 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
     assert pruned(setup, Search(steps))[1] == spared
 
 
+@pytest.mark.slow
 def test_what_scatters_is_a_timer_s_doing_where_it_repeats_and_noise_where_it_does_not() -> None:
     turn = 2.0 * np.pi * np.arange(36) / 36
     held = [

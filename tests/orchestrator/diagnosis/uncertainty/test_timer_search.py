@@ -42,7 +42,7 @@ def _recording(step_s: float, centred: bool) -> PreparedRecording:
     return felt_through(timer(step_s, PART, PART, centred=centred), _plans())
 
 
-@pytest.mark.parametrize(("step_s", "centred"), [(21.7e-9, True), (9.3e-9, False)])
+@pytest.mark.parametrize(("step_s", "centred"), [(21.7e-9, True), pytest.param(9.3e-9, False, marks=pytest.mark.slow)])
 def test_a_timer_is_found_with_its_step_and_phase(step_s: float, centred: bool) -> None:
     made = _recording(step_s, centred)
     maker = fitter(made)
@@ -95,6 +95,7 @@ def test_where_nothing_scatters_none_is_looked_for() -> None:
     assert timer_of(maker, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise) is None
 
 
+@pytest.mark.slow
 def test_what_is_off_at_the_same_commands_again_and_again_bears_witness_once() -> None:
     # Six currents along each axis, of both signs, measured six times; each is off by its own, as a form may be.
     rng, sizes = np.random.default_rng(5), np.linspace(0.3, 2.4, 6)
