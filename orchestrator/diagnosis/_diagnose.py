@@ -45,7 +45,7 @@ from orchestrator.diagnosis.selection.workflow import (
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
-from orchestrator.diagnosis.weak_form.timer import bus_v_of, leg_step_of
+from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
 from orchestrator.recording import Recording, write_model
 from protocols import (
     DiagnosisReport,
@@ -54,7 +54,6 @@ from protocols import (
     EstimationReport,
     FoundEffect,
     Materiality,
-    ModulatorTimer,
     MotorModel,
     Nameplate,
     NextExperiment,
@@ -292,7 +291,10 @@ def _remarks(
     timer = setup.prepared.timer
     if timer is not None:
         text = "the modulator's timer rounds edges to {step_ns:.4g} ns, a leg by up to {leg_mv:.2g} mV: taken out"
-        sizes = {"step_ns": 1e9 * timer.step_s, "leg_mv": 0.5e3 * _leg_step_v(setup, timer)}
+        sizes = {
+            "step_ns": 1e9 * timer.step_s,
+            "leg_mv": 0.5e3 * own_leg_step_of(timer.step_s, setup.prepared.manifest.drive),
+        }
         remarks.append(Remark.of("timer", text, **sizes))
     if scatter.voltage_scatter_v > 0.0 and timer is not None:
         text = "as if held voltages were off by another {scatter_mv:.2g} mV rms each: taken for noise"
@@ -315,12 +317,6 @@ def _remarks(
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=chi2))
     return remarks
-
-
-def _leg_step_v(setup: DiagnosisSetup, timer: ModulatorTimer) -> float:
-    """The timer's step as a leg's mean voltage at the drive's own PWM frequency."""
-    drive = setup.prepared.manifest.drive
-    return leg_step_of(timer.step_s, drive.pwm_frequency_hz or drive.sampling_frequency_hz, bus_v_of(setup.prepared))
 
 
 def _show(

@@ -113,7 +113,7 @@ def with_its_timer(
     """
     scatter = doubting.fitter.noise.of_model
     setup.fitter.tell("does what scatters repeat itself? A modulator's timer")
-    found = timer_of(setup.bare.coarse_fitter, likelihood, scatter, setup.prepared.timer)
+    found = timer_of(setup.coarse_fitter.prepared, likelihood, scatter, setup.prepared.timer)
     if found is None:
         return setup, doubting
     timed = setup.with_timer(found[0])

@@ -122,7 +122,7 @@ def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidat
     likelihood = likelihood_of(setup.coarse_fitter, fit, library)
     if setup.prepared.timer is None:
         setup.fitter.tell("does what scatters repeat itself? A modulator's timer")
-        found = timer_of(setup.coarse_fitter, likelihood)
+        found = timer_of(setup.coarse_fitter.prepared, likelihood)
         if found is not None:
             return setup.with_timer(found[0])
     return explained_by_scatter(setup, likelihood)

@@ -27,6 +27,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.segment_equations import scatter_sizes
 from orchestrator.diagnosis.weak_form.rests import TimerScatter, leg_step_v
+from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
 
@@ -252,10 +253,7 @@ def timer_step_s(noise: ModelNoise, setup: DiagnosisSetup) -> float:
 
     A step of t_q moves both edges of a symmetric carrier's pulse, and a leg's mean voltage by 2 t_q f V_dc.
     """
-    drive = setup.prepared.manifest.drive
-    bus_v = drive.dc_bus_voltage_v or float(np.median([p.signals.v_dc[0] for p in setup.prepared.pieces]))
-    pwm_hz = drive.pwm_frequency_hz or drive.sampling_frequency_hz
-    return 0.5 * leg_step_v(noise.voltage_scatter_v) / (bus_v * pwm_hz)
+    return leg_step_v(noise.voltage_scatter_v) / own_leg_step_of(1.0, setup.prepared.manifest.drive)
 
 
 def scatter_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate], *, may_be_dithered: bool = True) -> Scatter:

@@ -13,10 +13,10 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.uncertainty.scatter import Likelihood, as_much
 from orchestrator.diagnosis.weak_form.rests import rests
-from orchestrator.diagnosis.weak_form.timer import bus_v_of, leg_step_of, legs_of, rounded_by
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.diagnosis.weak_form.timer import leg_step_of, legs_of, rounded_by
 from orchestrator.numerics.frames import from_phases
 from orchestrator.numerics.types import Array, Indices
 from protocols import ModelNoise, ModulatorTimer, TimerPhases
@@ -40,14 +40,19 @@ SHARPENINGS = 6
 
 
 def timer_of(
-    fitter: Fitter, likelihood: Likelihood, scatter: ModelNoise | None = None, known: ModulatorTimer | None = None
+    prepared: PreparedRecording,
+    likelihood: Likelihood,
+    scatter: ModelNoise | None = None,
+    known: ModulatorTimer | None = None,
 ) -> tuple[ModulatorTimer, ModelNoise] | None:
     """The timer whose rounding is what scatters in held voltages, and what still does; None where there is no timer.
 
     Parameters
     ----------
-    fitter : Fitter
-        Of the recording without a timer, as is the likelihood.
+    prepared : PreparedRecording
+        Whose commands the rests' are.
+    likelihood : Likelihood
+        Of the same recording with its voltages as they were commanded.
     scatter : ModelNoise, optional
         What there is beside `known`, or without any timer: where it is looked for from on. In holds alone it may be
         told as the readings' as well as as the voltages'.
@@ -57,10 +62,10 @@ def timer_of(
     if not likelihood.rests or (scatter is not None and not scatter.scatters):
         return None
     if known is not None and scatter is not None:
-        told = _sharpened(likelihood, _HeldCommands.of(fitter, known.centred), known, scatter)
+        told = _sharpened(likelihood, _HeldCommands.of(prepared, known.centred), known, scatter)
         return told.timer, told.scatter
     scatter = likelihood.likeliest((True, True), dithered=False, near=scatter)
-    promising, tried = _promising(fitter, *likelihood.held_volts(scatter))
+    promising, tried = _promising(prepared, *likelihood.held_volts(scatter))
     found = list[_Sharpened]()
     for one in promising:
         told = _sharpened(likelihood, one.held, one.timer, scatter)
@@ -71,11 +76,11 @@ def timer_of(
     return None if best is None else (best.timer, best.scatter)
 
 
-def _promising(fitter: Fitter, normal: Array, pull: Array) -> tuple[list[_Promising], int]:
+def _promising(prepared: PreparedRecording, normal: Array, pull: Array) -> tuple[list[_Promising], int]:
     """Those timers that gain most, with the scatter as large as without, and how many were tried."""
-    limits, tried, found = fitter.prepared.criteria.uncertainty, 0, list[_Promising]()
+    limits, tried, found = prepared.criteria.uncertainty, 0, list[_Promising]()
     for centred in (True, False):
-        held = _HeldCommands.of(fitter, centred)
+        held = _HeldCommands.of(prepared, centred)
         steps = held.candidates(limits.least_timer_step_s, limits.most_timer_step_s)
         tried += len(steps)
         gains = np.array([_gain(held.harmonic(step), normal, pull) for step in steps])
@@ -126,9 +131,9 @@ class _HeldCommands:
     centred: bool
 
     @classmethod
-    def of(cls, fitter: Fitter, centred: bool) -> _HeldCommands:
+    def of(cls, prepared: PreparedRecording, centred: bool) -> _HeldCommands:
         commands, mean, trembling, pwm = list[Array](), list[Array](), list[Array](), list[float]()
-        for piece in fitter.prepared.pieces:
+        for piece in prepared.pieces:
             if piece.held_out:
                 continue
             for rest in rests(piece):
@@ -140,7 +145,7 @@ class _HeldCommands:
                 trembling.append(legs.std(axis=0))
                 pwm.append(piece.signals.pwm_frequency_hz)
         starts = np.concatenate([[0], np.cumsum([len(held) for held in commands])[:-1]])
-        spread, bus_v = np.array(trembling), bus_v_of(fitter.prepared)
+        spread, bus_v = np.array(trembling), prepared.manifest.drive.dc_bus_voltage_v
         return cls(np.concatenate(commands), starts, np.array(mean), spread, np.array(pwm), bus_v, centred)
 
     def candidates(self, least_s: float, most_s: float) -> Array:

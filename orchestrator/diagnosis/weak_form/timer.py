@@ -23,7 +23,7 @@ from numba import njit
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from protocols import ModulatorTimer, RealArray
+from protocols import DriveRecord, ModulatorTimer, RealArray
 
 Numbers = TypeVar("Numbers", float, Array)
 
@@ -33,19 +33,19 @@ def with_timer(prepared: PreparedRecording, timer: ModulatorTimer | None) -> Pre
 
     As commanded, where there is no timer.
     """
-    pieces = tuple(_impressed(p, timer, bus_v_of(prepared)) for p in prepared.pieces)
+    bus_v = prepared.manifest.drive.dc_bus_voltage_v
+    pieces = tuple(_impressed(p, timer, bus_v) for p in prepared.pieces)
     return replace(prepared, pieces=pieces, timer=timer)
-
-
-def bus_v_of(prepared: PreparedRecording) -> float:
-    """The voltage that commands are divided by: the bus's nominal one, or what was logged of it."""
-    known = prepared.manifest.drive.dc_bus_voltage_v
-    return known or float(np.median([float(np.median(p.signals.v_dc)) for p in prepared.pieces]))
 
 
 def leg_step_of(step_s: float, pwm_frequency_hz: Numbers, bus_v: float) -> Numbers:
     """By how much both edges' moving on by a step of the timer moves a leg's mean voltage [V]."""
     return 2.0 * step_s * pwm_frequency_hz * bus_v
+
+
+def own_leg_step_of(step_s: float, drive: DriveRecord) -> float:
+    """The same at the drive's own PWM frequency."""
+    return leg_step_of(step_s, drive.pwm_frequency_hz or drive.sampling_frequency_hz, drive.dc_bus_voltage_v)
 
 
 def _impressed(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float) -> SegmentSignals:

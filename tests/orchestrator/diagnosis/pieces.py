@@ -99,6 +99,16 @@ def plan(*, sparse: bool = False) -> list[Plan]:
     return made + [Plan(SegmentStage.INJECTION, ripple(*point, 40.0), settings=settings) for point in points]
 
 
+def many_holds() -> list[Plan]:
+    """Without the sweeps, but with holds all around at currents that no other has."""
+    turn = 2.0 * np.pi * np.arange(36) / 36
+    held = [hold(a * np.cos(t), a * np.sin(t)) for t, a in zip(turn, np.linspace(0.5, 2.4, 36), strict=True)]
+    return [
+        *(p for p in plan() if p.stage is not SegmentStage.CLASSICAL),
+        *(Plan(SegmentStage.RESISTANCE, v_dq) for v_dq in held),
+    ]
+
+
 def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array | None = None) -> SegmentSignals:
     """A segment as the diagnosis has it; `noise` (n, 2) is added to the readings in the stator frame."""
     c, s = math.cos(angle), math.sin(angle)

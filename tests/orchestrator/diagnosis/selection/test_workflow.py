@@ -16,11 +16,10 @@ from tests.orchestrator.diagnosis.pieces import (
     L_D,
     L_Q,
     R_S,
-    Plan,
     felt_through,
     fitter,
     free_model,
-    hold,
+    many_holds,
     plan,
     prepared,
     timer,
@@ -47,12 +46,7 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
 
 @pytest.mark.slow
 def test_what_scatters_is_a_timer_s_doing_where_it_repeats_and_noise_where_it_does_not() -> None:
-    turn = 2.0 * np.pi * np.arange(36) / 36
-    held = [
-        Plan(SegmentStage.RESISTANCE, hold(a * np.cos(t), a * np.sin(t)))
-        for t, a in zip(turn, np.linspace(0.5, 2.4, 36), strict=True)
-    ]
-    plans = [*(p for p in plan() if p.stage is not SegmentStage.CLASSICAL), *held]
+    plans = many_holds()
     made, rng = prepared(plans), np.random.default_rng(6)
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     found = []

@@ -19,6 +19,7 @@ from tests.orchestrator.diagnosis.pieces import (
     fitter,
     free_model,
     hold,
+    many_holds,
     plan,
     prepared,
     timer,
@@ -28,18 +29,9 @@ from tests.orchestrator.diagnosis.pieces import (
 PART = 0.35
 
 
-def _plans() -> list[Plan]:
-    turn = 2.0 * np.pi * np.arange(36) / 36
-    held = [hold(a * np.cos(t), a * np.sin(t)) for t, a in zip(turn, np.linspace(0.5, 2.4, 36), strict=True)]
-    return [
-        *(p for p in plan() if p.stage is not SegmentStage.CLASSICAL),
-        *(Plan(SegmentStage.RESISTANCE, v_dq) for v_dq in held),
-    ]
-
-
 @cache
 def _recording(step_s: float, centred: bool) -> PreparedRecording:
-    return felt_through(timer(step_s, PART, PART, centred=centred), _plans())
+    return felt_through(timer(step_s, PART, PART, centred=centred), many_holds())
 
 
 @pytest.mark.parametrize(("step_s", "centred"), [(21.7e-9, True), pytest.param(9.3e-9, False, marks=pytest.mark.slow)])
@@ -48,7 +40,7 @@ def test_a_timer_is_found_with_its_step_and_phase(step_s: float, centred: bool) 
     maker = fitter(made)
     fit = maker.fit(free_model())
     assert fit.chi2_per_dof > 2.0
-    found = timer_of(maker, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise)
+    found = timer_of(maker.prepared, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise)
     assert found is not None
     made_out, left = found
     assert made_out.step_s == pytest.approx(step_s, rel=1e-3)
@@ -74,25 +66,25 @@ def test_a_timer_that_is_known_is_told_again_nearby() -> None:
     maker = fitter(made)
     fit = maker.fit(free_model())
     rough = timer(21.7e-9 * (1.0 + 3e-4), PART, PART)
-    found = timer_of(maker, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise, rough)
+    found = timer_of(maker.prepared, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise, rough)
     assert found is not None
     assert abs(found[0].step_s / 21.7e-9 - 1.0) < 1e-4
 
 
 def test_voltages_that_are_off_by_chance_have_no_timer() -> None:
-    made, rng = prepared(_plans()), np.random.default_rng(8)
+    made, rng = prepared(many_holds()), np.random.default_rng(8)
     steps = {p.segment.id: rng.normal(0.0, 0.05, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     maker = fitter(with_voltage(made, steps))
     fit = maker.fit(free_model())
     scatter = scatter_of(maker, fit, []).noise
     assert scatter.voltage_scatter_v == pytest.approx(0.05, rel=0.3)
-    assert timer_of(maker, likelihood_of(maker, fit, []), scatter) is None
+    assert timer_of(maker.prepared, likelihood_of(maker, fit, []), scatter) is None
 
 
 def test_where_nothing_scatters_none_is_looked_for() -> None:
-    maker = fitter(prepared(_plans()))
+    maker = fitter(prepared(many_holds()))
     fit = maker.fit(free_model())
-    assert timer_of(maker, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise) is None
+    assert timer_of(maker.prepared, likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise) is None
 
 
 @pytest.mark.slow
@@ -108,4 +100,4 @@ def test_what_is_off_at_the_same_commands_again_and_again_bears_witness_once() -
     maker = fitter(with_voltage(made, error))
     fit = maker.fit(free_model())
     assert fit.chi2_per_dof > 2.0
-    assert timer_of(maker, likelihood_of(maker, fit, [])) is None
+    assert timer_of(maker.prepared, likelihood_of(maker, fit, [])) is None

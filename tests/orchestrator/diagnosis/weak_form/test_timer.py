@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
-from orchestrator.diagnosis.weak_form.timer import bus_v_of, leg_step_of, rounded_by, with_timer
+from orchestrator.diagnosis.weak_form.timer import leg_step_of, own_leg_step_of, rounded_by, with_timer
 from orchestrator.numerics.frames import from_phases, to_phases
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import FS, Array, plan, prepared, timer
@@ -61,7 +61,7 @@ def test_a_recording_gets_the_voltages_that_its_timer_lets_through_once() -> Non
     made = _campaign()
     once = with_timer(made, timer(STEP_S, 0.3, 0.6))
     twice = with_timer(once, timer(STEP_S, 0.3, 0.6))
-    step_v = leg_step_of(STEP_S, FS, bus_v_of(made))
+    step_v = own_leg_step_of(STEP_S, made.manifest.drive)
     for before, after, again in zip(made.pieces, once.pieces, twice.pieces, strict=True):
         np.testing.assert_array_equal(after.signals.v_ab, again.signals.v_ab)
         moved = np.abs(_lines(after.signals.v_ab - before.signals.v_ab)).max()
