@@ -118,7 +118,7 @@ class EffectParameter:
     """Relative size is typical / value instead of value / typical."""
     role: ParameterRole = ParameterRole.AMPLITUDE
     other_form: float | None = None
-    """Of a refinement: where a second form stands, so unlike the first that a fit begins at each of them."""
+    """Of a refinement or a shape: where a second form stands, so unlike the first that a fit begins at each of them."""
 
     def problem(self) -> str | None:
         """What would make no sense to a fit, in a few words; None where all is well."""
@@ -160,9 +160,12 @@ def amplitude(
     )
 
 
-def shape(unit: str, *, typical: float, prior_width: float, low: float, high: float) -> Any:
+def shape(
+    unit: str, *, typical: float, prior_width: float, low: float, high: float, other_form: float | None = None
+) -> Any:
     """A positive field of `EffectParameters` that says how the amplitude acts; its default is the typical value."""
-    return _declared(ParameterRole.SHAPE, typical, unit, typical, prior_width, low, high, typical)
+    facts = (unit, typical, prior_width, low, high, typical, False)
+    return _declared(ParameterRole.SHAPE, typical, *facts, other_form)
 
 
 def refinement(

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
-from orchestrator.diagnosis.weak_form.timer import with_timer
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
@@ -46,6 +46,8 @@ class DiagnosisSetup:
     current_a: float
     """Rated current, or the largest used; no more than twice that [A peak]."""
     remarks: tuple[Remark, ...]
+    timers: tuple[BorneTimer, ...] = ()
+    """The modulator's, as the readings bear it, and those that round much like it."""
 
     def with_noise(self, of_model: ModelNoise) -> DiagnosisSetup:
         """The same where this is noise beside the readings' own."""

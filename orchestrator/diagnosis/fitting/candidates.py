@@ -63,6 +63,14 @@ class Candidate:
         values = {p.name: p.typical if p.role is ParameterRole.SHAPE else p.neutral for p in self.parameters}
         return Active(self, values, self.amplitudes)
 
+    def absent_in_other_form(self) -> Active | None:
+        """The same at its second form, from which no descent leads to the first; None where its shapes have but one."""
+        there = {p.name: p.other_form for p in self.parameters if p.other_form is not None}
+        if not any(self.named(name).role is ParameterRole.SHAPE for name in there):
+            return None
+        absent = self.absent()
+        return replace(absent, values={**absent.values, **there})
+
 
 @dataclass(frozen=True)
 class Active:
@@ -92,10 +100,9 @@ class Active:
 
     def in_other_form(self) -> Active | None:
         """The same with its refinements free, begun at the second form; None where it has but one."""
-        others = [p for p in self.candidate.parameters if p.other_form is not None]
-        there = {p.name: p.other_form for p in others if p.other_form is not None}
-        freed = self.freeing(*self.candidate.of_role(ParameterRole.REFINEMENT))
-        return replace(freed, values={**self.values, **there}) if others else None
+        names = self.candidate.of_role(ParameterRole.REFINEMENT)
+        there = {n: p.other_form for n in names if (p := self.candidate.named(n)).other_form is not None}
+        return replace(self.freeing(*names), values={**self.values, **there}) if there else None
 
     @cached_property
     def parameters(self) -> EffectParameters:

@@ -93,7 +93,8 @@ def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
     """
     p = active.candidate.named(name)
     x = active.coordinate(name)
-    if p.other_form is not None and active.values[name] == p.neutral:
+    refines = p.role is ParameterRole.REFINEMENT
+    if refines and p.other_form is not None and active.values[name] == p.neutral:
         return coordinate_of(p, p.other_form) - x
     if p.role is not ParameterRole.AMPLITUDE:
         step = criteria.column_step * max(abs(x), 1.0)

@@ -58,5 +58,9 @@ class MachineScale:
     def scaled(self, p: EffectParameter) -> EffectParameter:
         """The parameter at this machine's size; a shape's prior is in its logarithm and stays."""
         factor = self.of_unit(p.unit)
-        names = ("typical", "low", "high", "neutral", *(() if p.role is ParameterRole.SHAPE else ("prior_width",)))
+        names = ["typical", "low", "high", "neutral"]
+        if p.role is not ParameterRole.SHAPE:
+            names.append("prior_width")
+        if p.other_form is not None:
+            names.append("other_form")
         return dataclasses.replace(p, **{name: getattr(p, name) * factor for name in names})

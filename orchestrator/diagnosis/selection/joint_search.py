@@ -34,7 +34,7 @@ from protocols import Effect, ParameterRole
 
 
 def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
-    """The amplitudes of everything in the library fitted together.
+    """The amplitudes of everything in the library fitted together, each effect in the better of its forms.
 
     Parameters
     ----------
@@ -44,7 +44,17 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
     limits = fitter.prepared.criteria.selection
     known = {active.name: active for active in start.active}
     everything = start.with_active([known.get(c.name, c.absent()) for c in library])
-    return fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+    fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+    for other in (c.absent_in_other_form() for c in library):
+        if other is None or fit.chi2_per_dof <= limits.detected_chi2:
+            continue
+        model = fit.model.with_active([other if a.name == other.name else a for a in fit.model.active])
+        if glanced(fitter, model, fit).chi2_per_dof <= limits.hopeless_form * fit.chi2_per_dof:
+            trial = fit_along_chords(
+                fitter, model, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=fit
+            )
+            fit = trial if trial.objective < fit.objective else fit
+    return fit
 
 
 def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:

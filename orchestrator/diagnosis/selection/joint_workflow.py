@@ -24,14 +24,13 @@ from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fracti
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import (
-    Likelihood,
     as_much,
     at_most_sound,
     beside_scatter,
     doubting_zeros,
     likelihood_of,
 )
-from orchestrator.diagnosis.uncertainty.timer_search import timer_of
+from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
 from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
 
@@ -77,20 +76,17 @@ def formed_together(
     Returns
     -------
     setup : DiagnosisSetup
-        With the modulator's timer, where the scatter is its doing.
+        With the modulator's timer, where there is one, as the rests tell it.
     doubting : DiagnosisSetup
         That with what scatters as noise.
     fit : Fit
     """
-    bare, doubting, start = setup.bare, setup, setup
+    doubting, start = setup, setup
     for turn in range(fit.criteria.selection.formings):
         before = doubting
         if _formless(fit) or before is not start:
-            likelihood = likelihood_of(setup.coarse_fitter, fit, library)
-            doubting = doubting_zeros(setup, likelihood)
-            if setup is not bare:
-                likelihood = likelihood_of(bare.coarse_fitter, fit, library)
-            setup, doubting = with_its_timer(setup, doubting, likelihood)
+            doubting = doubting_zeros(setup, likelihood_of(setup.coarse_fitter, fit, library))
+            setup, doubting = with_sharper_timer(setup, doubting, fit, library)
         if turn:
             if as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
                 break
@@ -101,23 +97,17 @@ def formed_together(
     return setup, doubting, fit
 
 
-def with_its_timer(
-    setup: DiagnosisSetup, doubting: DiagnosisSetup, likelihood: Likelihood
+def with_sharper_timer(
+    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
 ) -> tuple[DiagnosisSetup, DiagnosisSetup]:
-    """Both setups with the modulator's timer where what scatters is its doing, and with what scatters still.
-
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of the recording without a timer.
-    """
-    scatter = doubting.fitter.noise.of_model
-    setup.fitter.tell("does what scatters repeat itself? A modulator's timer")
-    found = timer_of(setup.coarse_fitter.prepared, likelihood, scatter, setup.prepared.timer)
-    if found is None:
+    """Both setups with the modulator's timer as the rests tell it beside a fit, and with what scatters still."""
+    if not setup.timers:
         return setup, doubting
-    timed = setup.with_timer(found[0])
-    return timed, timed.with_noise(at_most_sound(timed, found[1]))
+    setup.fitter.tell("the modulator's timer, by what holds the currents that rest")
+    likelihood = likelihood_of(setup.bare.coarse_fitter, fit, library)
+    timer, scatter = timer_near(setup.coarse_fitter.prepared, likelihood, doubting.fitter.noise.of_model, setup.timers)
+    timed = setup.with_timer(timer)
+    return timed, timed.with_noise(at_most_sound(timed, scatter))
 
 
 def _formless(fit: Fit) -> bool:

@@ -24,8 +24,10 @@ from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
+from orchestrator.diagnosis.uncertainty.command_traces import command_traces
 from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter, likelihood_of
-from orchestrator.diagnosis.uncertainty.timer_search import timer_of
+from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
+from orchestrator.diagnosis.uncertainty.timer_search import timers_in
 from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -89,7 +91,38 @@ def map_steps(
     return steps
 
 
+def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+    """The setup with the voltages that the modulator's timer lets through, where the readings bear one.
+
+    Where currents only rest at a PWM frequency, the phases there are told beside a fit, all effects following.
+    """
+    prepared = setup.prepared
+    setup.fitter.tell("is a command rounded? A modulator's timer")
+    resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
+    traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
+    limits, bus_v = prepared.criteria, prepared.manifest.drive.dc_bus_voltage_v
+    timers = timers_in(traces, bus_v, limits.uncertainty, limits.selection.log_evidence)
+    if not timers:
+        return setup
+    likelihood = likelihood_of(setup.coarse_fitter, fit, library)
+    scatter = likelihood.likeliest((True, True), dithered=False)
+    timer, _ = timer_near(setup.coarse_fitter.prepared, likelihood, scatter, timers)
+    return replace(setup.with_timer(timer), timers=timers)
+
+
 def search_effects(
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, Search]:
+    """Look for a modulator's timer where the baseline leaves something, then for effects with its rounding known."""
+    first = steps[-1].fit
+    if setup.prepared.timer is None and first.chi2_per_dof > first.criteria.selection.detected_chi2:
+        timed = with_its_timer(setup, first, library)
+        if timed is not setup:
+            setup, steps = timed, refitted_steps(timed, steps)
+    return _searched(setup, steps, library)
+
+
+def _searched(
     setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
 ) -> tuple[DiagnosisSetup, Search]:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small.
@@ -101,7 +134,7 @@ def search_effects(
     if quick.fit.chi2_per_dof > quick.fit.criteria.selection.detected_chi2:
         wider = with_its_scatter(setup, quick.fit, library)
         if wider is not None:
-            return with_scatter_as_found(*search_effects(wider, refitted_steps(wider, steps), library), library)
+            return with_scatter_as_found(*_searched(wider, refitted_steps(wider, steps), library), library)
         if len(library) > 1 and (together := all_together(setup, steps, quick, library)) is not None:
             return together
     fits = list(steps)
@@ -116,16 +149,10 @@ def search_effects(
 
 
 def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
-    """The setup with the modulator's timer in its voltages, or what scatters as noise; None where neither helps."""
+    """The setup with what scatters as noise; None where that does not help."""
     if setup.fitter.noise.of_model.scatters:
         return None
-    likelihood = likelihood_of(setup.coarse_fitter, fit, library)
-    if setup.prepared.timer is None:
-        setup.fitter.tell("does what scatters repeat itself? A modulator's timer")
-        found = timer_of(setup.coarse_fitter.prepared, likelihood)
-        if found is not None:
-            return setup.with_timer(found[0])
-    return explained_by_scatter(setup, likelihood)
+    return explained_by_scatter(setup, likelihood_of(setup.coarse_fitter, fit, library))
 
 
 def with_scatter_as_found(

@@ -1,103 +1,217 @@
-"""Whether what is off in held voltages is a modulator's timer, and which: its step, and where its steps lie.
+"""Whether readings bear a modulator's timer, and which: its step, and where its steps lie. Asks no model.
 
-What looks like chance repeats at the same command. The likelihood has a peak for every step that meets a few rests, and
-the true one stands out: thousands are tried by the first harmonic of the rounding's saw, each rest's weakened by what
-trembles in it, and the best are then told by the rounding itself, command by command, with its own amplitude.
+Over a tenth of a second a machine at rest is linear: the next reading is a combination of the last readings and
+commands, whatever it saturates, heats or loses. What such a combination, fitted block by block, leaves of the current
+is noise, and what the rounding of the last commands moved. Rounding is a function of the command alone: gathered by
+command, what is left has a line in its Fourier transform where the frequency is one over the timer's step, and of that
+line's harmonics the two phases are told. Every part of a recording has to bear it: a pattern that one sweep or
+injection happens to make is none.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations_with_replacement
+from typing import Any
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.uncertainty.scatter import Likelihood, as_much
-from orchestrator.diagnosis.weak_form.rests import rests
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.diagnosis.weak_form.timer import leg_step_of, legs_of, rounded_by
-from orchestrator.numerics.frames import from_phases
-from orchestrator.numerics.types import Array, Indices
-from protocols import ModelNoise, ModulatorTimer, TimerPhases
+from orchestrator.diagnosis.criteria import UncertaintyCriteria
+from orchestrator.diagnosis.uncertainty.command_traces import CommandTrace
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, rounded_by
+from orchestrator.numerics.frames import to_phases
+from orchestrator.numerics.types import Array
+from protocols import ModulatorTimer, TimerPhases
 
-FINEST = 0.1
-"""Of a step: by how much the largest command may miss it from one step that is tried to the next."""
-MOST_STEPS = 20_000
-"""That are tried, whatever the bus."""
-MOST_COMMANDS = 400
-"""Of each rest: they tremble alike all through."""
-PARTS = 12
-"""Of a step, of either edge, that are tried before the descent."""
-SAME = 0.25
-"""Of a step, by which two commands may differ and be off by much the same."""
-HALF = 0.5
-"""Of what the best gains so: what gains less is no rival."""
+APART = 0.1
+"""Of a line's width, from one step that is tried to the next."""
+FINER = 8
+"""Lines in a Fourier transform, over those of the commands' own span."""
+SOME = 10
+"""Every so manieth command tells how much a block's commands move."""
+BACKGROUND = 400
+"""Steps on either side of one that tell what chance, and everything that is no timer, comes to there."""
 BEST = 4
-"""Steps that are told by the rounding itself."""
-SHARPENINGS = 6
-"""How often timer and scatter are told, each in the light of the other."""
+"""Lines that are told by the saw itself."""
+HARMONICS = 4
+"""Of the saw: sixteen parts in seventeen of its power."""
+PARTS = 64
+"""Of a step, that either phase is told in."""
+ALIKE = 0.5
+"""Of what the likeliest gains: what gains less is no rival."""
+SAME = 1e-3
+"""Of a step: what differs by less is one."""
+WITNESS = 300
+"""Readings that are one witness: longer than a machine remembers a command."""
 
 
-def timer_of(
-    prepared: PreparedRecording,
-    likelihood: Likelihood,
-    scatter: ModelNoise | None = None,
-    known: ModulatorTimer | None = None,
-) -> tuple[ModulatorTimer, ModelNoise] | None:
-    """The timer whose rounding is what scatters in held voltages, and what still does; None where there is no timer.
+def timers_in(
+    traces: Sequence[CommandTrace], bus_v: float, limits: UncertaintyCriteria, least: float
+) -> tuple[BorneTimer, ...]:
+    """The timer that readings bear, and those that round much like it, the likeliest first; none where they bear none.
 
     Parameters
     ----------
-    prepared : PreparedRecording
-        Whose commands the rests' are.
-    likelihood : Likelihood
-        Of the same recording with its voltages as they were commanded.
-    scatter : ModelNoise, optional
-        What there is beside `known`, or without any timer: where it is looked for from on. In holds alone it may be
-        told as the readings' as well as as the voltages'.
-    known : ModulatorTimer, optional
-        As an earlier fit told it: it is looked for in its neighbourhood alone, and is there.
+    traces : sequence of CommandTrace
+    bus_v : float
+        The nominal bus voltage that pulses are made for [V].
+    limits : UncertaintyCriteria
+        The steps that are looked for.
+    least : float
+        Evidence that is asked for one step; that of all that are tried comes on top [nat].
     """
-    if not likelihood.rests or (scatter is not None and not scatter.scatters):
-        return None
-    if known is not None and scatter is not None:
-        told = _sharpened(likelihood, _HeldCommands.of(prepared, known.centred), known, scatter)
-        return told.timer, told.scatter
-    scatter = likelihood.likeliest((True, True), dithered=False, near=scatter)
-    promising, tried = _promising(prepared, *likelihood.held_volts(scatter))
-    found = list[_Sharpened]()
-    for one in promising:
-        told = _sharpened(likelihood, one.held, one.timer, scatter)
-        asked = (likelihood.criteria.selection.log_evidence + math.log(tried)) * one.held.repeated(told.timer)
-        if likelihood.cost(scatter) - told.cost > 2.0 * asked:
-            found.append(told)
-    best = min(found, key=lambda told: told.cost, default=None)
-    return None if best is None else (best.timer, best.scatter)
-
-
-def _promising(prepared: PreparedRecording, normal: Array, pull: Array) -> tuple[list[_Promising], int]:
-    """Those timers that gain most, with the scatter as large as without, and how many were tried."""
-    limits, tried, found = prepared.criteria.uncertainty, 0, list[_Promising]()
+    if not traces:
+        return ()
+    found = list[BorneTimer]()
     for centred in (True, False):
-        held = _HeldCommands.of(prepared, centred)
-        steps = held.candidates(limits.least_timer_step_s, limits.most_timer_step_s)
-        tried += len(steps)
-        gains = np.array([_gain(held.harmonic(step), normal, pull) for step in steps])
-        found += [_with_phases(held, float(steps[k]), normal, pull) for k in _highest(gains)]
-    best = sorted(found, key=lambda one: -one.gain)[:BEST]
-    return [one for one in best if one.gain > HALF * best[0].gain], tried
+        combs = _combs(traces, centred, bus_v, limits)
+        frequency, gain = _spectrum(combs, limits)
+        chance = np.maximum(_background(gain, len(combs)), 1.0)
+        asked = least + math.log(2 * len(frequency))
+        for k in _highest(gain / chance):
+            # Where the two phases are half a step apart, the first harmonic is none.
+            for tried in (frequency[k], 0.5 * frequency[k]):
+                if tried < frequency[0]:
+                    continue
+                timer, likelier = _told(combs, centred, float(tried), float(frequency[1] - frequency[0]))
+                if likelier > asked * chance[k] and (witnessed := _witnessed(traces, timer, bus_v)) > asked:
+                    found.append(_borne(combs, timer, likelier, min(likelier / float(chance[k]), witnessed)))
+    best = list[BorneTimer]()
+    for one in sorted(found, key=lambda one: -one.gain):
+        if one.gain > ALIKE * max(other.gain for other in found) and not any(
+            _same(one.timer, other.timer) for other in best
+        ):
+            best.append(one)
+    return tuple(best)
 
 
-def _sharpened(likelihood: Likelihood, held: _HeldCommands, timer: ModulatorTimer, scatter: ModelNoise) -> _Sharpened:
-    """The likeliest timer near one and the scatter beside it, each told in the light of the other."""
-    for _ in range(SHARPENINGS):
-        timer = _near(held, timer, *likelihood.held_volts(scatter))
-        with_it = likelihood.with_volts(held.rounded_by(timer))
-        before, scatter = scatter, with_it.likeliest((True, True), dithered=False, near=scatter)
-        if as_much(before, scatter):
-            break
-    return _Sharpened(timer, scatter, with_it.cost(scatter))
+def _same(one: ModulatorTimer, other: ModulatorTimer) -> bool:
+    return one.centred == other.centred and math.isclose(one.step_s, other.step_s, rel_tol=SAME)
+
+
+@dataclass(frozen=True)
+class _Comb:
+    """What the readings at one PWM frequency say of the legs' volts, by the legs' commands.
+
+    Attributes
+    ----------
+    pull : array, shape (n,)
+        Gradient of the log likelihood by a leg's volts, summed over commands of about the same pulse width [1/V].
+    apart_s : float
+        From one width to the next; the first is none, those of the second half are below it.
+    widths_s : sequence of array, shape (readings, 3)
+        Of each block.
+    information : array, shape (blocks,)
+        About the volts of a leg, summed over all legs' commands [1/V^2].
+    volts_per_s : float
+        A leg's mean voltage, over the pulse's width.
+    pwm_hz : float
+    """
+
+    pull: Array
+    apart_s: float
+    widths_s: Sequence[Array]
+    information: Array
+    volts_per_s: float
+    pwm_hz: float
+
+    @property
+    def reach_s(self) -> float:
+        """From the narrowest pulse to the widest."""
+        return max(float(w.max()) for w in self.widths_s) - min(float(w.min()) for w in self.widths_s)
+
+    @cached_property
+    def spectrum(self) -> Array:
+        """Of the pull, complex; its lines are `apart_hz` apart."""
+        return np.asarray(np.fft.rfft(self.pull))
+
+    @property
+    def apart_hz(self) -> float:
+        return 1.0 / (len(self.pull) * self.apart_s)
+
+    def gains(self, frequency: Array) -> Array:
+        """What a sine of each frequency [1/s] in the volts by pulse width gains in log likelihood."""
+        return np.asarray(np.abs(self._at(frequency)) ** 2 / float(self.information.sum()), dtype=np.float64)
+
+    def _at(self, frequency: Array) -> Array:
+        """Amplitudes (n,), complex, between the lines of the spectrum: cubics through four of them."""
+        place = frequency / self.apart_hz
+        first = np.clip(place.astype(np.int64) - 1, 0, len(self.spectrum) - 4)
+        u, lines = place - first, self.spectrum
+        weights = (
+            -(u - 1.0) * (u - 2.0) * (u - 3.0) / 6.0,
+            u * (u - 2.0) * (u - 3.0) / 2.0,
+            -u * (u - 1.0) * (u - 3.0) / 2.0,
+            u * (u - 1.0) * (u - 2.0) / 6.0,
+        )
+        return np.asarray(sum(w * lines[first + k] for k, w in enumerate(weights)))
+
+    def informed(self, step_s: float) -> Array:
+        """About each harmonic of a step's saw (HARMONICS,); a command that stands still in a block tells nothing."""
+        told, m = np.zeros(HARMONICS), np.arange(1, 1 + HARMONICS)[:, None, None]
+        for width_s, information in zip(self.widths_s, self.information, strict=True):
+            turns = np.exp(2j * np.pi / step_s * m * width_s[::SOME])
+            told += information * (1.0 - (np.abs(turns.mean(axis=1)) ** 2).mean(axis=1))
+        return told
+
+    def rounding(self, step_s: float, rise: Array, fall: Array, informed: Array) -> tuple[Array, Array]:
+        """What speaks for the rounding of a step with these phases, and the information about its size."""
+        m = np.arange(1, 1 + HARMONICS)
+        turns = np.exp(-2j * np.pi * rise[..., None] * m) + np.exp(-2j * np.pi * fall[..., None] * m)
+        scale = 0.5 * step_s * self.volts_per_s / np.pi
+        towards = scale * ((np.conj(self._at(m / step_s)) * turns).imag / m).sum(axis=-1)
+        size = 0.5 * scale**2 * (np.abs(turns) ** 2 * informed / m**2).sum(axis=-1)
+        return towards, np.maximum(size, np.finfo(np.float64).tiny)
+
+    def phases(self, step_s: float, informed: Array) -> tuple[TimerPhases, float, float]:
+        """The likeliest phases of a step, what speaks for its rounding, and the information about its size."""
+        parts = np.arange(PARTS) / PARTS
+        towards, size = self.rounding(step_s, parts[:, None], parts[None], informed)
+        gain = np.where(towards > 0.0, towards**2 / size, 0.0)
+        rise, fall = np.unravel_index(int(np.argmax(gain)), gain.shape)
+        told = TimerPhases(pwm_frequency_hz=self.pwm_hz, rise=parts[rise], fall=parts[fall])
+        return told, float(towards[rise, fall]), float(size[rise, fall])
+
+
+def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float, limits: UncertaintyCriteria) -> list[_Comb]:
+    combs = []
+    for pwm_hz in sorted({trace.pwm_hz for trace in traces}):
+        there = [trace for trace in traces if trace.pwm_hz == pwm_hz]
+        volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
+        widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in there]
+        # To a quarter of the finest saw's last harmonic.
+        apart_s = limits.least_timer_step_s / (4.0 * HARMONICS)
+        place = np.round(np.concatenate(widths_s) / apart_s).astype(np.int64)
+        count = FINER * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
+        # Of the three legs' volts the machine feels the two-axis vector: the transpose of `from_phases`.
+        pull_legs = 2.0 / 3.0 * to_phases(np.concatenate([trace.pull_ab for trace in there]))
+        pull = np.bincount(np.mod(place, count).ravel(), weights=pull_legs.ravel(), minlength=count).astype(np.float64)
+        information = 4.0 / 3.0 * np.array([trace.information for trace in there])
+        combs.append(_Comb(pull, apart_s, widths_s, information, volts_per_s, pwm_hz))
+    return combs
+
+
+def _spectrum(combs: Sequence[_Comb], limits: UncertaintyCriteria) -> tuple[Array, Array]:
+    """Frequencies of the steps that are tried, and what a line of each gains in log likelihood."""
+    apart = APART / max(comb.reach_s for comb in combs)
+    frequency = np.arange(1.0 / limits.most_timer_step_s, 1.0 / limits.least_timer_step_s, apart)
+    gains = [comb.gains(frequency) for comb in combs]
+    return frequency, np.sum(gains, axis=0)
+
+
+def _background(gain: Array, frequencies: int) -> Array:
+    """By how many times chance alone the median is, around each line."""
+    from scipy.stats import gamma
+
+    reach = min(BACKGROUND, len(gain) - 1)
+    around = sliding_window_view(np.pad(gain, reach, mode="reflect"), 2 * reach + 1)
+    places = np.arange(0, len(gain), max(1, reach // 4))
+    medians = np.median(around[places], axis=1) / float(gamma.median(frequencies))
+    return np.interp(np.arange(len(gain)), places, medians)
 
 
 def _highest(gains: Array) -> list[int]:
@@ -106,165 +220,83 @@ def _highest(gains: Array) -> list[int]:
     return [int(k) for k in np.argsort(np.where(gains >= beside, gains, -np.inf))[: -1 - BEST : -1]]
 
 
-def _gain(columns: Array, normal: Array, pull: Array) -> float:
-    """What columns in held volts gain in log likelihood, to first order."""
-    inside = columns.T @ normal @ columns
-    towards = columns.T @ pull
-    ridge = 1e-9 * max(float(np.trace(inside)), np.finfo(np.float64).tiny)
-    return 0.5 * float(towards @ np.linalg.solve(inside + ridge * np.eye(len(inside)), towards))
+def _told(combs: Sequence[_Comb], centred: bool, frequency: float, within: float) -> tuple[ModulatorTimer, float]:
+    """The likeliest timer whose line is there, and what its rounding gains in log likelihood, at its best size."""
+    from scipy.optimize import minimize_scalar
+
+    informed = [comb.informed(1.0 / frequency) for comb in combs]
+
+    def there(at: float) -> tuple[ModulatorTimer, float]:
+        parts = [comb.phases(1.0 / at, told) for comb, told in zip(combs, informed, strict=True)]
+        towards, size = sum(part[1] for part in parts), sum(part[2] for part in parts)
+        timer = ModulatorTimer(step_s=1.0 / at, centred=centred, phases=tuple(part[0] for part in parts))
+        return timer, 0.5 * towards**2 / size if size > 0.0 else 0.0
+
+    bounds = (frequency - within, frequency + within)
+    best = minimize_scalar(lambda at: -there(at)[1], bounds=bounds, method="bounded", options={"maxiter": 20})
+    return there(float(best.x))
 
 
-@dataclass(frozen=True)
-class _HeldCommands:
-    """The commands of every rest, in the order of what the likelihood says of their volts."""
+def _witnessed(traces: Sequence[CommandTrace], timer: ModulatorTimer, bus_v: float) -> float:
+    """How well all parts of the readings agree that the rounding is there, as a log likelihood.
 
-    commands: Array
-    """Of all rests, evenly spread in each (n, 2) [V]."""
-    starts: Indices
-    """Where each rest's begin (rests,)."""
-    mean_v: Array
-    """Of its legs (rests, 3)."""
-    trembling_v: Array
-    """rms around that (rests, 3)."""
-    pwm_hz: Array
-    bus_v: float
-    centred: bool
-
-    @classmethod
-    def of(cls, prepared: PreparedRecording, centred: bool) -> _HeldCommands:
-        commands, mean, trembling, pwm = list[Array](), list[Array](), list[Array](), list[float]()
-        for piece in prepared.pieces:
-            if piece.held_out:
-                continue
-            for rest in rests(piece):
-                held: Array = piece.command_ab[rest.start * piece.averaged : rest.stop * piece.averaged]
-                held = held[:: max(1, len(held) // MOST_COMMANDS)].copy()
-                legs = legs_of(held, centred)
-                commands.append(held)
-                mean.append(legs.mean(axis=0))
-                trembling.append(legs.std(axis=0))
-                pwm.append(piece.signals.pwm_frequency_hz)
-        starts = np.concatenate([[0], np.cumsum([len(held) for held in commands])[:-1]])
-        spread, bus_v = np.array(trembling), prepared.manifest.drive.dc_bus_voltage_v
-        return cls(np.concatenate(commands), starts, np.array(mean), spread, np.array(pwm), bus_v, centred)
-
-    def candidates(self, least_s: float, most_s: float) -> Array:
-        """Steps so near to each other that the saw of the largest command is not missed."""
-        reach = float((np.abs(self.mean_v) / self.pwm_hz[:, None]).max())
-        apart = FINEST * 2.0 * self.bus_v / reach if reach > 0.0 else 1.0 / least_s
-        apart = max(apart, (1.0 / least_s - 1.0 / most_s) / MOST_STEPS)
-        # The saw's phase is the command over the step: evenly spread over one over the step.
-        return np.asarray(1.0 / np.arange(1.0 / most_s, 1.0 / least_s, apart), dtype=np.float64)
-
-    def harmonic(self, step_s: float) -> Array:
-        """First harmonic of the rounding, sine and cosine for each PWM frequency, shape (2 rests, 2 frequencies)."""
-        step_v = leg_step_of(step_s, self.pwm_hz, self.bus_v)[:, None]
-        angle = 2.0 * np.pi * self.mean_v / step_v
-        size = step_v / np.pi * np.exp(-2.0 * (np.pi * self.trembling_v / step_v) ** 2)
-        columns = []
-        for frequency in np.unique(self.pwm_hz):
-            there = (self.pwm_hz == frequency)[:, None]
-            for wave in np.sin(angle), np.cos(angle):
-                columns.append(from_phases(there * size * wave).ravel())
-        return np.stack(columns, axis=1)
-
-    def rounded_by(self, timer: ModulatorTimer) -> Array:
-        """Mean of what the rounding adds in each rest (2 rests,)."""
-        out = np.empty((len(self.starts), 2))
-        ends = np.append(self.starts[1:], len(self.commands))
-        for phases in timer.phases:
-            step_v = leg_step_of(timer.step_s, phases.pwm_frequency_hz, self.bus_v)
-            for first, last in self.runs(phases.pwm_frequency_hz):
-                there = slice(self.starts[first], ends[last - 1])
-                off = rounded_by(self.commands[there], step_v, phases.rise, phases.fall, centred=self.centred)
-                sums = np.add.reduceat(off, self.starts[first:last] - self.starts[first], axis=0)
-                out[first:last] = sums / (ends[first:last] - self.starts[first:last])[:, None]
-        return out.ravel()
-
-    def runs(self, pwm_hz: float) -> list[tuple[int, int]]:
-        """Rests in a row at a PWM frequency, from the first on to before the last."""
-        at = np.flatnonzero(np.diff(np.concatenate([[0], self.pwm_hz == pwm_hz, [0]])))
-        return list(zip(at[::2].tolist(), at[1::2].tolist(), strict=True))
-
-    def repeated(self, timer: ModulatorTimer) -> float:
-        """How many rests there are of each command, or of its opposite.
-
-        Whatever a form leaves there is the same in all of them: only one of them bears witness.
-        """
-        steps = self.mean_v / leg_step_of(timer.step_s, self.pwm_hz, self.bus_v)[:, None]
-        different = list[int]()
-        for k, legs in enumerate(steps):
-            there = [j for j in different if self.pwm_hz[j] == self.pwm_hz[k]]
-            apart = [min(np.abs(steps[j] - legs).max(), np.abs(steps[j] + legs).max()) for j in there]
-            if min(apart, default=np.inf) > SAME:
-                different.append(k)
-        return len(steps) / len(different)
-
-    def finest(self, step_s: float) -> float:
-        """Part of a step by which the largest command is one step more."""
-        steps = np.abs(self.mean_v) / leg_step_of(step_s, self.pwm_hz, self.bus_v)[:, None]
-        return 1.0 / max(float(steps.max()), 1.0)
+    Each is as uncertain as they differ: where few of them speak for it, it is theirs and no timer's.
+    """
+    phases, said = {p.pwm_frequency_hz: p for p in timer.phases}, list[Array]()
+    for trace in traces:
+        at, step_v = phases[trace.pwm_hz], leg_step_of(timer.step_s, trace.pwm_hz, bus_v)
+        off = rounded_by(trace.command_ab, step_v, at.rise, at.fall, centred=timer.centred)
+        each = np.einsum("ij,ij->i", trace.pull_ab, off)
+        said.append(np.add.reduceat(each, np.arange(0, len(each), WITNESS)))
+    witnesses = np.concatenate(said)
+    squares = float(witnesses @ witnesses)
+    return 0.5 * float(witnesses.sum()) ** 2 / squares if squares > 0.0 else 0.0
 
 
-@dataclass(frozen=True)
-class _Promising:
-    """A timer, and what it gains in log likelihood."""
+def _borne(combs: Sequence[_Comb], timer: ModulatorTimer, likelier: float, certain: float) -> BorneTimer:
+    """The likeliest timer near one, its phases between the parts that are tried, and how well it is known.
 
-    held: _HeldCommands
-    timer: ModulatorTimer
-    gain: float
-
-
-@dataclass(frozen=True)
-class _Sharpened:
-    """A timer, what scatters beside it, and minus twice the log likelihood of both."""
-
-    timer: ModulatorTimer
-    scatter: ModelNoise
-    cost: float
-
-
-def _gained(volts: Array, normal: Array, pull: Array) -> float:
-    """What volts in the rests gain in log likelihood, everything else following."""
-    return -float(volts @ pull + 0.5 * volts @ normal @ volts)
-
-
-def _with_phases(held: _HeldCommands, step_s: float, normal: Array, pull: Array) -> _Promising:
-    """The likeliest phases of a step, of those that are tried: for one PWM frequency after the other, twice."""
-    frequencies = np.unique(held.pwm_hz).tolist()
-    phases = {pwm_hz: TimerPhases(pwm_frequency_hz=pwm_hz, rise=0.0, fall=0.0) for pwm_hz in frequencies}
-    told = list[_Promising]()
-    for pwm_hz in frequencies * 2:
-        told = []
-        for rise, fall in combinations_with_replacement(range(PARTS), 2):
-            phases[pwm_hz] = TimerPhases(pwm_frequency_hz=pwm_hz, rise=rise / PARTS, fall=fall / PARTS)
-            timer = ModulatorTimer(step_s=step_s, centred=held.centred, phases=tuple(phases.values()))
-            told.append(_Promising(held, timer, _gained(held.rounded_by(timer), normal, pull)))
-        best = max(told, key=lambda one: one.gain)
-        phases = {p.pwm_frequency_hz: p for p in best.timer.phases}
-    return max(told, key=lambda one: one.gain)
-
-
-def _near(held: _HeldCommands, timer: ModulatorTimer, normal: Array, pull: Array) -> ModulatorTimer:
-    """The likeliest timer in the neighbourhood of one."""
+    Parameters
+    ----------
+    likelier : float
+        By how much its rounding is likelier than none, were chance all that there is beside it.
+    certain : float
+        By how much it is, with all that there is.
+    """
     from scipy.optimize import minimize
 
-    def there(x: Array) -> ModulatorTimer:
-        parts = np.mod(x[1:], 1.0).reshape(-1, 2).tolist()
-        moved = [p.model_copy(update={"rise": r, "fall": f}) for p, (r, f) in zip(timer.phases, parts, strict=True)]
-        return timer.model_copy(update={"step_s": timer.step_s * (1.0 + float(x[0])), "phases": tuple(moved)})
+    informed = [comb.informed(timer.step_s) for comb in combs]
+    start = BorneTimer(timer, certain, np.eye(1 + 2 * len(combs)))
 
     def cost(x: Array) -> float:
-        return -_gained(held.rounded_by(there(x)), normal, pull)
+        there = start.moved(x)
+        told = [
+            comb.rounding(there.step_s, np.array(p.rise), np.array(p.fall), about)
+            for comb, p, about in zip(combs, there.phases, informed, strict=True)
+        ]
+        towards, size = (float(np.sum([one[k] for one in told])) for k in (0, 1))
+        return -0.5 * towards**2 / size * certain / likelier
 
-    start = np.array([0.0, *(part for p in timer.phases for part in (p.rise, p.fall))])
-    # Across the simplex the largest command moves by no more than a part of a step.
-    size = np.array([FINEST * held.finest(timer.step_s), *[0.5 / PARTS] * (len(start) - 1)])
-    simplex = np.concatenate([start[None], start + np.diag(size)])
-    found = minimize(
-        cost,
-        start,
-        method="Nelder-Mead",
-        options={"initial_simplex": simplex, "xatol": 1e-5, "fatol": 0.05, "maxfev": 100 * len(start)},
-    )
-    return there(np.asarray(found.x))
+    # Across the simplex the widest pulse moves by a tenth of a step.
+    reach = max(comb.reach_s for comb in combs) / timer.step_s
+    sizes = np.array([0.1 / reach, *[0.5 / PARTS] * (2 * len(combs))])
+    simplex = np.concatenate([np.zeros((1, len(sizes))), np.diag(sizes)])
+    options: Any = {"initial_simplex": simplex, "xatol": 1e-6, "fatol": 0.01, "maxfev": 60 * len(sizes)}
+    best = np.asarray(minimize(cost, np.zeros(len(sizes)), method="Nelder-Mead", options=options).x, dtype=np.float64)
+    return BorneTimer(start.moved(best), -cost(best), _curvature(cost, best, sizes))
+
+
+def _curvature(cost: Callable[[Array], float], at: Array, sizes: Array) -> Array:
+    """Second derivatives by differences of these sizes; no direction is taken for a hill."""
+    count, middle = len(at), cost(at)
+    second = np.empty((count, count))
+    for j, k in combinations_with_replacement(range(count), 2):
+        one, other = np.eye(count)[j] * sizes, np.eye(count)[k] * sizes
+        if j == k:
+            value = cost(at + one) - 2.0 * middle + cost(at - one)
+        else:
+            ends = cost(at + one + other) - cost(at + one - other) - cost(at - one + other) + cost(at - one - other)
+            value = 0.25 * ends
+        second[j, k] = second[k, j] = value
+    size, turn = np.linalg.eigh(second)
+    return np.asarray((turn * np.maximum(size, 0.0)) @ turn.T / np.outer(sizes, sizes), dtype=np.float64)

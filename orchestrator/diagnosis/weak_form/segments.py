@@ -67,6 +67,8 @@ class SegmentSignals:
     averaged : int
     before_ab : array, shape (2,)
         Current at the first readings, ripple aside: what had flowed until then [A].
+    current_ab : array, shape (readings, 2)
+        Currents as they were read.
     command_ab : array, shape (readings, 2)
         Voltages as they were commanded, each when it was.
     delay_samples : float
@@ -80,6 +82,7 @@ class SegmentSignals:
     scatter: Scatter
     averaged: int
     before_ab: Array
+    current_ab: Array
     command_ab: Array
     delay_samples: float
 
@@ -176,8 +179,10 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
     signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"]})
     windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
-    command_ab = piece.command_ab[: stop * piece.averaged]
-    return piece if windows is None else replace(piece, signals=signals, windows=windows, command_ab=command_ab)
+    if windows is None:
+        return piece
+    read = {name: getattr(piece, name)[: stop * piece.averaged] for name in ("current_ab", "command_ab")}
+    return replace(piece, signals=signals, windows=windows, **read)
 
 
 def _thinned(
@@ -204,7 +209,7 @@ def _piece(
     capture = recording.load(segment)
     fs = drive.sampling_frequency_hz
     i_ab = np.ascontiguousarray(capture.i_ab[:samples], dtype=np.float64)
-    command_ab = np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
+    current_ab, command_ab = i_ab, np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
     delay = drive.voltage_delay_samples or 0.0
     v_ab = _delayed(command_ab, delay)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
@@ -244,7 +249,9 @@ def _piece(
         **what_is_logged(capture, n, width),
     )
     diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab, criteria) == "dq"
-    return SegmentSignals(segment, held_out or diagonal, signals, windows, scatter, width, before, command_ab, delay)
+    return SegmentSignals(
+        segment, held_out or diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay
+    )
 
 
 def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:

@@ -14,7 +14,7 @@ Power Converters, IEEE Press 2003, doi:10.1109/9780470546284, section 6.3.
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
@@ -26,6 +26,33 @@ from orchestrator.numerics.types import Array
 from protocols import DriveRecord, ModulatorTimer, RealArray
 
 Numbers = TypeVar("Numbers", float, Array)
+
+
+@dataclass(frozen=True)
+class BorneTimer:
+    """A timer as readings bear it.
+
+    Attributes
+    ----------
+    timer : ModulatorTimer
+    gain : float
+        In log likelihood, by its rounding.
+    curvature : array, shape (1 + 2 frequencies, same)
+        Of minus the log likelihood, by the step's relative change and each frequency's two phases.
+    """
+
+    timer: ModulatorTimer
+    gain: float
+    curvature: Array
+
+    def moved(self, x: Array) -> ModulatorTimer:
+        """The timer whose step and phases are changed by so much."""
+        timer, parts = self.timer, x[1:].reshape(-1, 2).tolist()
+        phases = tuple(
+            p.model_copy(update={"rise": (p.rise + rise) % 1.0, "fall": (p.fall + fall) % 1.0})
+            for p, (rise, fall) in zip(timer.phases, parts, strict=True)
+        )
+        return timer.model_copy(update={"step_s": timer.step_s * (1.0 + float(x[0])), "phases": phases})
 
 
 def with_timer(prepared: PreparedRecording, timer: ModulatorTimer | None) -> PreparedRecording:

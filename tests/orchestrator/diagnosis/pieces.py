@@ -144,7 +144,9 @@ def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array
     windows = windows_of(segment, FS, i_ab, v_ab, cutting)
     assert windows is not None
     period = injection_period(segment, FS, v_ab, cutting) if asked.stage is SegmentStage.INJECTION else None
-    return SegmentSignals(segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], v_ab, 0.0)
+    return SegmentSignals(
+        segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], i_ab, v_ab, 0.0
+    )
 
 
 def prepared(
@@ -185,7 +187,7 @@ def timer(step_s: float, rise: float, fall: float, *, centred: bool = True, pwm_
     return ModulatorTimer(step_s=step_s, centred=centred, phases=(phases,))
 
 
-def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan]) -> PreparedRecording:
+def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan], *, noise_a: float = NOISE_A) -> PreparedRecording:
     """The readings of what a modulator's timer lets through, beside the voltages that were commanded."""
     (at,) = modulator.phases
     step_v = leg_step_of(modulator.step_s, FS, 540.0)
@@ -193,7 +195,8 @@ def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan]) -> PreparedRe
     def felt(v_dq: Array) -> Array:
         return v_dq + rounded_by(v_dq, step_v, at.rise, at.fall, centred=modulator.centred)
 
-    made = prepared([p if p.stage is SegmentStage.GATES_OFF else replace(p, v_dq=felt(p.v_dq)) for p in plans])
+    let_through = [p if p.stage is SegmentStage.GATES_OFF else replace(p, v_dq=felt(p.v_dq)) for p in plans]
+    made = prepared(let_through, noise_a=noise_a)
     pieces = []
     for piece, asked in zip(made.pieces, plans, strict=True):
         signals = piece.signals.model_copy(update={"v_ab": asked.v_dq})

@@ -1,0 +1,153 @@
+"""What a recording's readings say of the volts of each command, beyond what the last readings and commands foretell.
+
+In a block of readings the next one is fitted as a combination of the last LAGS readings and commands. A volt on top of
+one command moves the current by what the nameplate's inductance and resistance say, and by what the fit says of the
+commands where that is certain; what a reading is off by tells of it as far as the combination does not follow.
+Source: L. Ljung, System Identification, 2nd edition, section 4.2 (ARX models), Prentice Hall 1999.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.timer import leg_step_of
+from orchestrator.numerics.frames import rotation
+from orchestrator.numerics.types import Array
+from protocols import SegmentStage
+
+MOVING = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
+"""Stages whose commands move on purpose. Those of a hold move with the readings' own noise."""
+LAGS = 12
+"""Readings and commands that the next reading is a combination of: about a millisecond."""
+BLOCK = 3000
+"""Readings over which a machine is linear, and which are plenty for a combination of 48."""
+LEAST_BLOCK = 20 * LAGS
+MOST_BLOCKS = 300
+"""That are looked at, evenly spread: a million readings tell as well as all of them."""
+RIDGE = 1e-7
+"""Of a regressor's variance: what stands still in a block foretells nothing there."""
+NAMEPLATE = 0.3
+"""Standard deviation of what a volt does in a sample by the nameplate, as a part of it."""
+
+
+@dataclass(frozen=True)
+class CommandTrace:
+    """What a block of readings says.
+
+    Attributes
+    ----------
+    command_ab : array, shape (n, 2)
+    pull_ab : array, shape (n, 2)
+        Gradient of the log likelihood by each command's volts [1/V].
+    information : float
+        About a command's volts on either axis, summed over the block [1/V^2].
+    pwm_hz : float
+    """
+
+    command_ab: Array
+    pull_ab: Array
+    information: float
+    pwm_hz: float
+
+
+def command_traces(
+    prepared: PreparedRecording, inductance_h: tuple[float, float], resistance_ohm: float
+) -> list[CommandTrace]:
+    """What the readings say, block by block, where commands move by what a modulator's timer might round.
+
+    Parameters
+    ----------
+    prepared : PreparedRecording
+    inductance_h : tuple of float
+        Along d and q, roughly.
+    resistance_ohm : float
+        Roughly.
+    """
+    bus_v, limits = prepared.manifest.drive.dc_bus_voltage_v, prepared.criteria.uncertainty
+    fs = prepared.manifest.drive.sampling_frequency_hz
+    blocks = [
+        (piece, slice(start, start + BLOCK))
+        for piece in prepared.pieces
+        if piece.stage in MOVING and not piece.held_out
+        for start in range(0, len(piece.command_ab) - LEAST_BLOCK, BLOCK)
+        if _moves(piece.command_ab[start : start + BLOCK])
+        > leg_step_of(limits.least_timer_step_s, piece.signals.pwm_frequency_hz, bus_v)
+    ]
+    decay = np.exp(-resistance_ohm / (np.array(inductance_h) * fs))
+    stride = max(1.0, len(blocks) / MOST_BLOCKS)
+    chosen = [blocks[int(k * stride)] for k in range(int(len(blocks) / stride))]
+    return [_trace(piece, there, (1.0 - decay) / resistance_ohm, decay) for piece, there in chosen]
+
+
+def _moves(command_ab: Array) -> float:
+    """rms of a command around its mean, along the axis on which it moves more [V]."""
+    return float(command_ab.std(axis=0).max())
+
+
+def _trace(piece: SegmentSignals, there: slice, per_volt_dq: Array, decay_dq: Array) -> CommandTrace:
+    i_ab, command_ab = piece.current_ab[there], piece.command_ab[there]
+    turn = rotation(piece.segment.rotor_angle_rad)
+    per_volt, decay = (turn @ np.diag(x) @ turn.T for x in (per_volt_dq, decay_dq))
+    residual, readings, commands, doubt = _foretold(i_ab, _late(command_ab, math.floor(piece.delay_samples)))
+    floor = np.spacing(np.abs(i_ab).max()) ** 2 + np.finfo(np.float64).tiny
+    weight = np.linalg.inv(residual.T @ residual / len(residual) + floor * np.eye(2))
+    weighed, pull, information = residual @ weight, np.zeros_like(command_ab), 0.0
+    # By the nameplate the current has moved and decays; the combination takes off what it foretells from that.
+    moved, certain = np.eye(2), (NAMEPLATE * float(np.abs(per_volt).max())) ** 2
+    for lag in range(LAGS):
+        if lag:
+            moved = moved @ decay - readings[lag - 1] - (np.eye(2) if lag == 1 else 0.0)
+        share = certain / (certain + doubt[lag])
+        answer = share * commands[lag] + (1.0 - share) * (moved @ per_volt)
+        pull[LAGS - 1 - lag : len(pull) - 1 - lag] += weighed @ answer
+        information += 0.5 * float(np.trace(answer.T @ weight @ answer)) * len(residual)
+    pull = _of_commands(pull, piece.delay_samples)
+    return CommandTrace(command_ab, pull, information, piece.signals.pwm_frequency_hz)
+
+
+def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array]:
+    """What the last readings and commands do not foretell of the next reading, and what they do.
+
+    Returns
+    -------
+    residual : array, shape (n - LAGS, 2)
+        From reading LAGS on.
+    readings, commands : array, shape (LAGS, 2, 2)
+        By how much the step to the next reading follows each, the newest first.
+    doubt : array, shape (LAGS, 2, 2)
+        Variance of what is said of the commands.
+    """
+    both = np.hstack([i_ab, acting_ab])
+    # Row k has readings and commands k + LAGS - 1, k + LAGS - 2, ..., k.
+    rows = sliding_window_view(both, LAGS, axis=0)[:-1, :, ::-1].transpose(0, 2, 1)
+    past = rows.reshape(len(rows), -1)
+    past = past - past.mean(axis=0)
+    size = past.std(axis=0)
+    size[size == 0.0] = 1.0
+    past /= size
+    step = np.diff(i_ab, axis=0)[LAGS - 1 :]
+    step = step - step.mean(axis=0)
+    inverse = np.linalg.inv(past.T @ past / len(past) + RIDGE * np.eye(past.shape[1]))
+    followed = inverse @ (past.T @ step / len(past))
+    residual = step - past @ followed
+    variance = np.outer(np.diag(inverse) / size**2, residual.var(axis=0)) / len(past)
+    by, doubt = ((x.reshape(LAGS, 4, 2).transpose(0, 2, 1)) for x in (followed / size[:, None], variance))
+    return residual, by[:, :, :2], by[:, :, 2:], doubt[:, :, 2:]
+
+
+def _late(command_ab: Array, samples: int) -> Array:
+    """The commands by when they act, whole samples later."""
+    return command_ab[np.maximum(np.arange(len(command_ab)) - samples, 0)]
+
+
+def _of_commands(pull_ab: Array, delay_samples: float) -> Array:
+    """What is said of the volts that act, as said of the commands, which act so many samples later."""
+    whole = math.floor(delay_samples)
+    part = delay_samples - whole
+    later = np.concatenate([pull_ab[whole:], np.zeros((whole + 1, 2))])
+    return np.asarray((1.0 - part) * later[:-1] + part * later[1:], dtype=np.float64)

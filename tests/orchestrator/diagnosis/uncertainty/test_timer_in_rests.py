@@ -1,0 +1,95 @@
+"""A modulator's timer told by what holds currents at rest: more sharply than the readings, and with what scatters."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.uncertainty.scatter import likelihood_of, scatter_of
+from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
+from protocols import ModelNoise, ModulatorTimer, SegmentStage
+from tests.orchestrator.diagnosis.pieces import (
+    FS,
+    R_S,
+    Array,
+    felt_through,
+    fitter,
+    free_model,
+    many_holds,
+    prepared,
+    timer,
+)
+
+STEP_S, PART = 21.7e-9, 0.35
+NOTHING = np.zeros((3, 3))
+
+
+@cache
+def _recording() -> PreparedRecording:
+    return felt_through(timer(STEP_S, PART, PART), many_holds())
+
+
+def _near(borne: ModulatorTimer, curvature: Array = NOTHING) -> tuple[ModulatorTimer, ModelNoise, ModelNoise]:
+    """The timer, what scatters beside it, and without one."""
+    maker = fitter(_recording())
+    fit = maker.fit(free_model())
+    before = scatter_of(maker, fit, []).noise
+    likelihood = likelihood_of(maker, fit, [])
+    told, left = timer_near(maker.prepared, likelihood, before, [BorneTimer(borne, 0.0, curvature)])
+    return told, left, before
+
+
+def _off(told: ModulatorTimer) -> float:
+    (at,) = told.phases
+    return max(abs((part - PART + 0.5) % 1.0 - 0.5) for part in (at.rise, at.fall))
+
+
+def test_a_timer_that_is_roughly_known_is_told_sharply() -> None:
+    told, left, before = _near(timer(STEP_S * (1.0 + 3e-4), PART + 0.04, PART - 0.04))
+    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
+    assert _off(told) < 0.1
+    with_it = fitter(with_timer(_recording(), told)).fit(free_model())
+    without = fitter(_recording()).fit(free_model())
+    assert without.chi2_per_dof > 2.0
+    assert with_it.chi2_per_dof < 1.0 + 0.1 * (without.chi2_per_dof - 1.0)
+    assert _volts(left) < 0.2 * _volts(before)
+
+
+def test_phases_that_no_reading_has_told_are_found() -> None:
+    unknown = ModulatorTimer(step_s=STEP_S, centred=True, phases=())
+    told, _, _ = _near(unknown, NOTHING[:1, :1])
+    assert [p.pwm_frequency_hz for p in told.phases] == [FS]
+    assert _off(told) < 0.1
+
+
+def test_readings_that_are_certain_have_the_last_word() -> None:
+    borne = timer(STEP_S * (1.0 + 3e-4), 0.8, 0.8)
+    told, _, _ = _near(borne, 1e12 * np.eye(3))
+    assert told.step_s == pytest.approx(borne.step_s, rel=1e-6)
+    assert told.phases[0].rise == pytest.approx(0.8, abs=1e-3)
+
+
+def test_of_timers_that_round_alike_the_one_that_leaves_less_is_taken() -> None:
+    maker = fitter(_recording())
+    fit = maker.fit(free_model())
+    likelihood, scatter = likelihood_of(maker, fit, []), scatter_of(maker, fit, []).noise
+    both = [BorneTimer(timer(step_s, PART, PART), 0.0, NOTHING) for step_s in (2.0 * STEP_S, STEP_S)]
+    assert timer_near(maker.prepared, likelihood, scatter, both)[0].step_s == pytest.approx(STEP_S, rel=1e-3)
+
+
+def test_where_nothing_rests_the_readings_are_taken_at_their_word() -> None:
+    moving = [p for p in many_holds() if p.stage is not SegmentStage.RESISTANCE]
+    maker = fitter(prepared(moving))
+    fit = maker.fit(free_model())
+    borne = BorneTimer(timer(STEP_S, PART, PART), 1.0, NOTHING)
+    told, _ = timer_near(maker.prepared, likelihood_of(maker, fit, []), ModelNoise(), [borne])
+    assert told == borne.timer
+
+
+def _volts(noise: ModelNoise) -> float:
+    """What scatters of a hold's voltage: of holds alone, readings and voltages cannot be told apart."""
+    return max(noise.voltage_scatter_v, R_S * noise.offset_scatter_a)
