@@ -50,6 +50,11 @@ class FluxTable:
         """Largest current that the table knows on both axes."""
         return float(np.abs(self.i_dq).max(axis=0).min())
 
+    @property
+    def holds_zero(self) -> bool:
+        """Whether zero current lies within the table's range on both axes, or at its end."""
+        return bool(((self.i_dq.min(axis=0) <= 0.0) & (self.i_dq.max(axis=0) >= 0.0)).all())
+
 
 def map_names() -> tuple[str, ...]:
     """Names of the maps that come with the package."""
@@ -106,8 +111,11 @@ def _on_the_magnet(table: FluxTable, near: float = 0.1, least_share: float = 0.0
     """The table in the frame of its magnet.
 
     The plant is even about its d axis, on which the magnet lies. Where that is, the flux at the point nearest to zero
-    current tells: a current `near` zero, relative to the largest, and a flux of `least_share` of the largest.
+    current tells: a current `near` zero, relative to the largest, and a flux of `least_share` of the largest. A table
+    that begins beside zero tells nothing: iron that saturates on the way there would pass for a turn.
     """
+    if not table.holds_zero:
+        return table
     length = np.linalg.norm(table.i_dq, axis=1)
     at = int(np.argmin(length))
     flux = np.linalg.norm(table.psi_dq, axis=1)
@@ -133,6 +141,8 @@ def _inductance(table: FluxTable) -> Array:
 def map_energy(table: FluxTable) -> Magnetics:
     """Spline energy of a flux map.
 
+    It is convex at the table's points, and between them and their mirror images, where no point may be.
+
     Raises
     ------
     InputError
@@ -140,9 +150,10 @@ def map_energy(table: FluxTable) -> Magnetics:
     """
     i_dq, psi_dq = _symmetrised(table)
     box = _box(psi_dq, i_dq)
+    asked = np.vstack((psi_dq, _on_the_axis(psi_dq)))
     for factor in SMOOTHER:
         spline = _fit(box, i_dq, psi_dq, factor * table.smoothing)
-        points = np.array([hessian(box, spline, float(d), float(q)) for d, q in psi_dq])
+        points = np.array([hessian(box, spline, float(d), float(q)) for d, q in asked])
         if ((points[:, 0] > 0) & (points[:, 0] * points[:, 2] > points[:, 1] ** 2)).all():
             break
     else:
@@ -194,9 +205,17 @@ def misfit_in_words(table: FluxTable, magnetics: Magnetics) -> str:
     share = 100.0 * fit_error(table, magnetics) / math.sqrt(float((table.i_dq**2).sum(axis=1).mean()))
     points = f"{len(table.i_dq)} points within {share:.2g} % of the current, rms"
     told = f"{table.source}: the motor's smooth map meets its {points}"
+    if not table.holds_zero:
+        told += "; they begin beside zero current, which does not tell where the magnet lies: on d, as in the file"
     if abs(table.turned_rad) > math.radians(0.05):
         told += f"; turned by {-math.degrees(table.turned_rad):+.1f} degrees, so that the magnet lies on d"
     return told
+
+
+def _on_the_axis(psi_dq: Array) -> Array:
+    """Flux linkages without a q component over the range of the points', one a cell of the spline."""
+    psi_d = np.linspace(psi_dq[:, 0].min(), psi_dq[:, 0].max(), CELLS[0])
+    return np.column_stack((psi_d, np.zeros(len(psi_d))))
 
 
 def _symmetrised(table: FluxTable) -> tuple[Array, Array]:
