@@ -84,12 +84,16 @@ class InjectionEstimator:
         Of the most points: with fewer an injection makes no map, however small its ripple.
     probes : int
         Points that are asked how long a transient lasts; the slowest counts.
+    steepest : float
+        Ratio of an inductance at two points that follow each other, beyond which they are said to be too far apart:
+        with up to 1.6 maps came out within 0.2 % of the rated flux, rms, with 2.6 1.8 % off.
     """
 
     same_frequency: float = 0.03
     same_ripple: float = 0.2
     coverage: float = 0.8
     probes: int = 3
+    steepest: float = 2.0
 
     name: ClassVar[str] = "injection"
     summary: ClassVar[str] = "flux map by demodulated signal injection, independent of R_s"
@@ -114,7 +118,11 @@ class InjectionEstimator:
             map=flux_map,
             points=FluxPoints(i_dq=points.current, psi_dq=flux.psi + magnet, segment=tuple(chosen.segments)),
             checks=check_map(flux_map, rated, _misfit(points)),
-            remarks=(*_remarks(groups, chosen, points, flux), *(Remark(code="skipped", text=one) for one in skipped)),
+            remarks=(
+                *_too_far_apart(points, self.steepest),
+                *_remarks(groups, chosen, points, flux),
+                *(Remark(code="skipped", text=one) for one in skipped),
+            ),
             inductances=points,
             incremental=tuple(_seen(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
         )
@@ -246,6 +254,26 @@ def _misfit(points: Inductances) -> Array | None:
         psi = np.concatenate([np.zeros((1, 2)), np.cumsum(rise, axis=0)])
         paths.append(FluxPath(points.current[line], psi, np.zeros(2)))
     return join_paths(paths).misfit if len(paths) > 1 else None
+
+
+def _too_far_apart(points: Inductances, steepest: float) -> list[Remark]:
+    """Where an inductance changes so much between two points of a line that no rule of integration knows the flux."""
+    found = []
+    for line in straight_lines(points.current):
+        diagonal = np.einsum("nii->ni", points.matrix[line])
+        ratio = np.maximum(diagonal[1:] / diagonal[:-1], diagonal[:-1] / diagonal[1:])
+        step, axis = divmod(int(np.argmax(ratio)), 2)
+        found.append((float(ratio[step, axis]), axis, points.current[line[step]], points.current[line[step + 1]]))
+    if not found or (worst := max(found, key=lambda one: one[0]))[0] <= steepest:
+        return []
+    ratio_there, axis, start, end = worst
+    text = (
+        "{inductance} at ({from_d_a:+.3g}, {from_q_a:+.3g}) A and at the next point, ({to_d_a:+.3g}, {to_q_a:+.3g}) A, "
+        "differ {ratio:.2g} times: the flux between them is not known; points closer together are wanted there"
+    )
+    places = {"from_d_a": start[0], "from_q_a": start[1], "to_d_a": end[0], "to_q_a": end[1]}
+    figures = {name: float(value) for name, value in places.items()}
+    return [Remark.of("too_far_apart", text, inductance=("L_dd", "L_qq")[axis], ratio=ratio_there, **figures)]
 
 
 def _remarks(groups: list[_Group], chosen: _Group, points: Inductances, flux: IntegratedFlux) -> list[Remark]:

@@ -57,6 +57,19 @@ def test_the_smaller_ripple_makes_the_map_and_the_other_is_compared() -> None:
     assert str(told["other_injection"].values["by"]).startswith("40 V rms")
 
 
+def test_points_between_which_the_motor_saturates_are_said_to_be_too_far_apart() -> None:
+    found = injection_of(False)
+    assert "too_far_apart" not in {remark.code for remark in found.remarks}
+    strict = InjectionEstimator(steepest=1.05).estimate(clean(), EstimationContext())
+    (told,) = [remark for remark in strict.remarks if remark.code == "too_far_apart"]
+    assert float(told.values["ratio"] or 0.0) > 1.05
+    apart = [
+        abs(float(told.values[f"to_{axis}_a"] or 0.0) - float(told.values[f"from_{axis}_a"] or 0.0)) for axis in "dq"
+    ]
+    assert max(apart) > 0.5  # two points of the grid, not one of them twice
+    assert "points closer together are wanted there" in told.text
+
+
 @pytest.mark.slow
 def test_frequencies_are_kept_apart_as_well() -> None:
     at_500, at_300 = (
