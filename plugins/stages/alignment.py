@@ -15,6 +15,7 @@ from protocols import (
     EnergisedStage,
     Excitation,
     Hold,
+    Note,
     Positive,
     RecordingReader,
     Segment,
@@ -85,9 +86,22 @@ class AlignmentStage(EnergisedStage):
             return excitation
         return excitation.model_copy(update={"current_d_a": d, "current_q_a": q})
 
+    least_offset: ClassVar[float] = 0.001
+    """Part of the current from which on an offset is told to turn a free rotor: 1 % has turned one by 5.6 degrees."""
+
     def after_point(self, run: StageRun, segment: Segment) -> None:
         if self.brake is not None:
             run.set_brake(True)
+            if run.capabilities.has_brake:
+                return
+        reading = _without_current(run.recording())
+        size = 0.0 if reading is None else float(np.linalg.norm(reading))
+        if size > self.least_offset * given(self.current_a):
+            told = f"the sensors read {size:.2g} A without current: as the current goes to the zero that they measure, "
+            told += (
+                "that much is left, and turns a rotor which is free; the brake should engage while the current flows"
+            )
+            run.say(Note(level="warning", text=told))
 
     @property
     def believed_angle_rad(self) -> float:

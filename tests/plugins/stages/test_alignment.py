@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any, Literal, cast
 
 import numpy as np
 import pytest
@@ -16,12 +16,14 @@ from plugins.drives.simulated._state import THETA
 from plugins.drives.simulated.rig import Rig
 from plugins.stages.alignment import AlignmentStage
 from protocols import (
+    Capabilities,
     Capture,
     DriveRecord,
     Hold,
     Limits,
     Manifest,
     Motor,
+    Note,
     Procedure,
     Segment,
     SegmentStage,
@@ -49,6 +51,22 @@ def test_the_believed_angle_is_that_of_the_last_alignment(pm400: Bench) -> None:
     assert [p.excitation.rotor_angle_rad for p in plan_of(pm400, *stages).points] == [0.0, 0.5, 0.5, 0.5, -1.0, -1.0]
 
 
+def with_a_brake(moved: bool) -> Capabilities:
+    """Of a drive that moves a brake, or not."""
+    return Capabilities(
+        name="d",
+        sampling_frequency_hz=1e4,
+        pwm_frequency_hz=1e4,
+        pwm_frequencies_hz=(1e4,),
+        dc_bus_voltage_v=540.0,
+        max_current_a=5.0,
+        max_voltage_v=300.0,
+        excitations=frozenset(("hold",)),
+        watchdog_s=0.2,
+        has_brake=moved,
+    )
+
+
 @dataclass
 class Run:
     """What the stage may do with the brake, done to a rig whose current still flows."""
@@ -57,6 +75,11 @@ class Run:
     moved: list[bool] = field(default_factory=list)
     read: MemoryRecording | None = None
     procedure: Procedure | None = None
+    capabilities: Capabilities = field(default_factory=lambda: with_a_brake(True))
+    said: list[str] = field(default_factory=list)
+
+    def say(self, message: Note) -> None:
+        self.said.append(message.text)
 
     def recording(self) -> MemoryRecording:
         assert self.read is not None
@@ -151,6 +174,22 @@ def asked_for(pm400: Bench, *readings: tuple[float, float]) -> PlannedPoint:
     run = cast(StageRun, Run(cast(Rig, None), [], read, procedure))
     (excitation,) = stage.as_run(run, [point.excitation])
     return point.run_as(excitation)
+
+
+@pytest.mark.parametrize(
+    ("reading_a", "brake", "has_brake", "warned"),
+    [(0.02, None, True, True), (0.02, "engage", False, True), (0.02, "engage", True, False), (1e-4, None, True, False)],
+)
+def test_an_offset_that_will_turn_the_rotor_on_the_way_down_is_told(
+    pm400: Bench, reading_a: float, brake: Literal["engage"] | None, has_brake: bool, warned: bool
+) -> None:
+    rig = Rig(SimulatedOptions(dc_bus_voltage_v=pm400.bus_v), Motor.model_validate(pm400.motor), 3)
+    run = Run(rig, read=read_without_current(pm400, (reading_a, 0.0)))
+    run.capabilities = with_a_brake(has_brake)
+    segment = Segment(id="alignment-000", stage=SegmentStage.ALIGNMENT, start_s=0.0, samples=1)
+    AlignmentStage(current_a=2.0, brake=brake).after_point(cast(StageRun, run), segment)
+    assert bool(run.said) == warned
+    assert all("turns a rotor which is free" in text for text in run.said)
 
 
 def test_what_the_sensors_read_without_current_is_added_in_the_rotors_frame(pm400: Bench) -> None:
