@@ -57,7 +57,12 @@ def first_problem(error: ValidationError, model: type[BaseModel] | None, raw: ob
     errors = error.errors(include_url=False)
     # A misspelt key is unknown and missing at once: the first says more.
     found = next((e for e in errors if e["type"] == "extra_forbidden"), errors[0])
-    path = _path_in(raw, found["loc"], missing=found["type"] == "missing")
+    path = _path_of(found, raw)
+    if _is_list_for_number(found):
+        # A number or some of them, and some were given: what is wrong is with these.
+        others = (e for e in errors if not _is_list_for_number(e) and _path_of(e, raw)[: len(path)] == path)
+        found = next(others, found)
+        path = _path_of(found, raw)
     if found["type"] == "union_tag_invalid":
         path = (*path, _discriminator(found))
     return Problem(path, _text(found, path, model))
@@ -76,6 +81,14 @@ def suggestion(name: str, candidates: Iterable[str]) -> str:
     if near is not None:
         return f"did you mean {near!r}?"
     return f"valid: {', '.join(names)}" if names else "none is valid here"
+
+
+def _is_list_for_number(found: Any) -> bool:
+    return found["type"] in _NUMBER_ERRORS and isinstance(found["input"], list | tuple)
+
+
+def _path_of(found: Any, raw: Any) -> KeyPath:
+    return _path_in(raw, found["loc"], missing=found["type"] == "missing")
 
 
 def _path_in(raw: Any, location: Sequence[str | int], *, missing: bool) -> KeyPath:

@@ -26,6 +26,7 @@ class Drawing(Strict):
     shapes: tuple[Annotated[Round | Square, Field(discriminator="kind")], ...]
     frame: Square | None = None
     count: int = 0
+    delay_s: float | tuple[float, float, float] = 0.0
 
 
 def problem_of(raw: dict[str, Any]) -> Problem:
@@ -53,6 +54,14 @@ def problem_of(raw: dict[str, Any]) -> Problem:
             {"shapes": [{"kind": "square", "side_m": 1, "offsets_m": [[0, 0], [0, "x"]]}]},
             "shapes.0.offsets_m.1.1",
             "expected a number, got 'x'",
+        ),
+        ({"shapes": [], "delay_s": "x"}, "delay_s", "expected a number in s, got 'x'"),
+        ({"shapes": [], "delay_s": [1, "x", 3]}, "delay_s.1", "expected a number in s, got 'x'"),
+        ({"shapes": [], "delay_s": [1, 2]}, "delay_s.2", "missing"),
+        (
+            {"shapes": [], "delay_s": [1, 2, 3, 4]},
+            "delay_s",
+            "tuple should have at most 3 items after validation, not 4, got [1, 2, 3, 4]",
         ),
     ],
 )
