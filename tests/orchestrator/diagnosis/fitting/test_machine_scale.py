@@ -31,3 +31,10 @@ def test_a_shape_s_prior_is_in_its_logarithm_and_stays() -> None:
     scaled, bent = TWICE.scaled(p), TWICE.scaled(knee)
     assert (scaled.typical, scaled.low, scaled.high, scaled.neutral, scaled.prior_width) == (2.0, 0.2, 18.0, 2.0, 1.0)
     assert (bent.typical, bent.prior_width) == (2.0, 0.5)
+
+
+def test_a_second_form_is_where_it_is_for_the_machine() -> None:
+    p = EffectParameter(
+        "x", "A", typical=1.0, prior_width=0.5, low=0.1, high=9.0, neutral=1.0, role=ParameterRole.SHAPE, other_form=3.0
+    )
+    assert TWICE.scaled(p).other_form == 6.0

@@ -88,3 +88,25 @@ def test_an_effect_of_no_size_can_go(maker: Fitter, library: tuple[Candidate, ..
 
 def test_what_is_left_without_an_effect_is_more(maker: Fitter, fit: Fit) -> None:
     assert without_effect(maker, fit, "voltage_bias").chi2 > 10.0 * fit.chi2
+
+
+def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form() -> None:
+    made = prepared(plan(), noise_a=0.002)
+    library = scaled_library([DeadTime(), PhaseResistanceImbalance()], made.manifest)
+    (dead_time, _), drive = library, made.pieces[0].signals.drive
+    assert drive is not None
+    true = DeadTime.Parameters(voltage_v=2.0, threshold_a=2.5, switched=1.0, grading=0.5)
+    lost = {p.segment.id: p.signals.v_ab - DeadTime().correct(p.signals, true).v_ab for p in made.pieces}
+    maker = fitter(with_voltage(made, lost))
+    fit = together(maker, free_model(), library)
+    (begun,) = (a for a in fit.model.active if a.name == "dead_time")
+    assert begun.values["threshold_a"] == dead_time.named("threshold_a").other_form
+    told = next(a for a in in_own_forms(maker, fit).model.active if a.name == "dead_time")
+    assert told.values["voltage_v"] == pytest.approx(2.0, rel=0.1)
+    assert told.values["threshold_a"] == pytest.approx(2.5, rel=0.1)
+
+
+def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: Fitter) -> None:
+    library = scaled_library([DeadTime(), VoltageBias()], maker.prepared.manifest)
+    both = together(maker, free_model(), library)
+    assert both.model.active[0].values["threshold_a"] == library[0].named("threshold_a").typical
