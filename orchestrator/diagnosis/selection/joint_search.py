@@ -211,6 +211,8 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
         lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
         kept = fit.model.with_active([a for a in fit.model.active if a.name != lesser])
         trial = refitted(fitter, kept, fit)
+        # What two of one kind make good may be the form of either.
+        trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
         if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, lesser)):
             fit = trial
             gone.setdefault(stays, []).append(lesser)

@@ -17,12 +17,14 @@ from orchestrator.diagnosis.selection.joint_search import (
     joint_search,
     log_bayes_factors,
     probabilities,
+    refitted,
     together,
+    without_doubles,
     without_effect,
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from plugins.effects.frame import RotorMisalignment
-from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from protocols import Effect
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
@@ -110,3 +112,20 @@ def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: F
     library = scaled_library([DeadTime(), VoltageBias()], maker.prepared.manifest)
     both = together(maker, free_model(), library)
     assert both.model.active[0].values["threshold_a"] == library[0].named("threshold_a").typical
+
+
+@pytest.mark.parametrize("softness", [0.15, 0.9])
+def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: float) -> None:
+    made = prepared(plan(), noise_a=0.002)
+    library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)
+    true = DeadTime.Parameters(voltage_v=0.8, threshold_a=0.1, softness=softness)
+    lost = {p.segment.id: p.signals.v_ab - DeadTime().correct(p.signals, true).v_ab for p in made.pieces}
+    maker = fitter(with_voltage(made, lost))
+    # One PWM frequency: only their forms tell them apart.
+    both = [
+        c.absent().moved(c.amplitudes[0], x).freeing("threshold_a") for c, x in zip(library, (-0.1, 0.6), strict=True)
+    ]
+    fit, gone = without_doubles(maker, refitted(maker, free_model().with_active(both)))
+    assert len(fit.model.active) == 1
+    assert gone == {fit.model.names[0]: [next(c.name for c in library if c.name != fit.model.names[0])]}
+    assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / fit.dof))
