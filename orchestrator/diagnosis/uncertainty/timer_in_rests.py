@@ -1,7 +1,8 @@
 """A modulator's timer told more sharply, by what currents at rest say of the voltages that hold them.
 
-Readings tell a step to some thousandths of itself; a hold's mean voltage is known to microvolts where the forms of all
-effects are. Timer and what still scatters are told in turn, each in the light of the other.
+Readings tell a step to a ten-thousandth of itself, and its phases to some hundredths; a hold's mean voltage is known to
+microvolts where the forms of all effects are. Timer and what still scatters are told in turn, each in the light of the
+other.
 """
 
 from __future__ import annotations
@@ -89,29 +90,25 @@ class _HeldCommands:
     """Where each rest's begin (rests,)."""
     mean_v: Array
     """Of its legs (rests, 3)."""
-    trembling_v: Array
-    """rms around that (rests, 3)."""
     pwm_hz: Array
     bus_v: float
     centred: bool
 
     @classmethod
     def of(cls, prepared: PreparedRecording, centred: bool) -> _HeldCommands:
-        commands, mean, trembling, pwm = list[Array](), list[Array](), list[Array](), list[float]()
+        commands, mean, pwm = list[Array](), list[Array](), list[float]()
         for piece in prepared.pieces:
             if piece.held_out:
                 continue
             for rest in rests(piece):
                 held: Array = piece.command_ab[rest.start * piece.averaged : rest.stop * piece.averaged]
                 held = held[:: max(1, len(held) // MOST_COMMANDS)].copy()
-                legs = legs_of(held, centred)
                 commands.append(held)
-                mean.append(legs.mean(axis=0))
-                trembling.append(legs.std(axis=0))
+                mean.append(legs_of(held, centred).mean(axis=0))
                 pwm.append(piece.signals.pwm_frequency_hz)
         starts = np.concatenate([[0], np.cumsum([len(held) for held in commands])[:-1]])
-        spread, bus_v = np.array(trembling), prepared.manifest.drive.dc_bus_voltage_v
-        return cls(np.concatenate(commands), starts, np.array(mean), spread, np.array(pwm), bus_v, centred)
+        bus_v = prepared.manifest.drive.dc_bus_voltage_v
+        return cls(np.concatenate(commands), starts, np.array(mean), np.array(pwm), bus_v, centred)
 
     def rounded_by(self, timer: ModulatorTimer) -> Array:
         """Mean of what the rounding adds in each rest (2 rests,)."""

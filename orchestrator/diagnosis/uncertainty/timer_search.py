@@ -32,7 +32,7 @@ APART = 0.1
 FINER = 8
 """Lines in a Fourier transform, over those of the commands' own span."""
 SOME = 10
-"""Every so manieth command tells how much a block's commands move."""
+"""Commands of which one is asked how much a block's move."""
 BACKGROUND = 400
 """Steps on either side of one that tell what chance, and everything that is no timer, comes to there."""
 BEST = 4
@@ -80,13 +80,16 @@ def timers_in(
                 timer, likelier = _told(combs, centred, float(tried), float(frequency[1] - frequency[0]))
                 if likelier > asked * chance[k] and (witnessed := _witnessed(traces, timer, bus_v)) > asked:
                     found.append(_borne(combs, timer, likelier, min(likelier / float(chance[k]), witnessed)))
+    return _rivals(found)
+
+
+def _rivals(found: Sequence[BorneTimer]) -> tuple[BorneTimer, ...]:
+    """The likeliest, and what comes near it, each once."""
     best = list[BorneTimer]()
     for one in sorted(found, key=lambda one: -one.gain):
-        if one.gain > ALIKE * max(other.gain for other in found) and not any(
-            _same(one.timer, other.timer) for other in best
-        ):
+        if not any(_same(one.timer, other.timer) for other in best):
             best.append(one)
-    return tuple(best)
+    return tuple(one for one in best if one.gain > ALIKE * best[0].gain)
 
 
 def _same(one: ModulatorTimer, other: ModulatorTimer) -> bool:
