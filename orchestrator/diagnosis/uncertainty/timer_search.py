@@ -39,7 +39,7 @@ BEST = 4
 """Lines that are told by the saw itself."""
 HARMONICS = 4
 """Of the saw: sixteen parts in seventeen of its power."""
-PARTS = 64
+PARTS = 32
 """Of a step, that either phase is told in."""
 ALIKE = 0.5
 """Of what the likeliest gains: what gains less is no rival."""

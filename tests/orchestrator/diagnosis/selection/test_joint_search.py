@@ -125,7 +125,7 @@ def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: F
     assert both.model.active[0].values["threshold_a"] == library[0].named("threshold_a").typical
 
 
-@pytest.mark.parametrize("softness", [0.15, 0.75])
+@pytest.mark.parametrize("softness", [0.15, pytest.param(0.75, marks=pytest.mark.slow)])
 def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: float) -> None:
     made = prepared(plan(), noise_a=0.002)
     library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)

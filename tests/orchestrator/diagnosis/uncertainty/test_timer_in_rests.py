@@ -73,6 +73,7 @@ def test_readings_that_are_certain_have_the_last_word() -> None:
     assert told.phases[0].rise == pytest.approx(0.8, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_of_timers_that_round_alike_the_one_that_leaves_less_is_taken() -> None:
     maker = fitter(_recording())
     fit = maker.fit(free_model())
