@@ -132,7 +132,7 @@ def test_commands_go_on_past_the_wrap_however_many_reads_are_between() -> None:
 def test_arming_issues_a_session_and_closes_the_one_before() -> None:
     ledger, host = opened()
     arm, stale = host.command(Op.ARM), Conversation(host.session)
-    while stale.command(Op.TIME_SYNC).seq in ((arm.seq - 1) % 256, arm.seq):
+    while (arm.seq - stale.command(Op.TIME_SYNC).seq) % 256 <= 2:
         pass  # Its numbers begin anywhere; the arming's own would be that, asked again.
     assert ledger.judge(arm) is Verdict.NEW
     reply = ledger.store(arm, ack(arm, ledger.issue()))
