@@ -44,15 +44,13 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
     limits = fitter.prepared.criteria.selection
     known = {active.name: active for active in start.active}
     everything = start.with_active([known.get(c.name, c.absent()) for c in library])
-    fit = fit_along_chords(fitter, everything, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance)
+    fit = _briefly(fitter, everything)
     for other in (c.absent_in_other_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
         model = fit.model.with_active([other if a.name == other.name else a for a in fit.model.active])
         if glanced(fitter, model, fit).chi2_per_dof <= limits.hopeless_form * fit.chi2_per_dof:
-            trial = fit_along_chords(
-                fitter, model, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=fit
-            )
+            trial = _briefly(fitter, model, fit)
             fit = trial if trial.objective < fit.objective else fit
     return fit
 
@@ -82,6 +80,12 @@ def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model with many effects fitted to its end, as far as that is worth its time."""
     limits = fitter.prepared.criteria.selection
     return fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance, known=known)
+
+
+def _briefly(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
+    """The model fitted in as few rounds as amplitudes need."""
+    limits = fitter.prepared.criteria.selection
+    return fit_along_chords(fitter, model, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=known)
 
 
 def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Fit:
@@ -147,10 +151,9 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:
     """The fit without those effects that the data do not ask for, refitted; asked again until all that stay are."""
-    limits = fit.criteria.selection
     while out := dispensable(fit):
         kept = fit.model.with_active([a for a in fit.model.active if a.name not in out])
-        fit = fit_along_chords(fitter, kept, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=fit)
+        fit = _briefly(fitter, kept, fit)
     return fit
 
 
@@ -188,9 +191,7 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         trial = glanced(fitter, replaced, fit)
         if _evidence_gain(trial, fit) < -limits.tie - limits.hopeless * log_bayes_factors(fit)[name]:
             continue
-        trial = fit_along_chords(
-            fitter, replaced, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=trial
-        )
+        trial = _briefly(fitter, replaced, trial)
         gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
         if gain > 0.0:
             effect = _effect(fit, name)

@@ -18,6 +18,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     refitted,
     together,
 )
+from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
@@ -25,12 +26,10 @@ from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import (
     as_much,
-    at_most_sound,
     beside_scatter,
     doubting_zeros,
     likelihood_of,
 )
-from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
 from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
 
@@ -95,19 +94,6 @@ def formed_together(
                 break
         fit = in_own_forms(doubting.coarse_fitter, fit)
     return setup, doubting, fit
-
-
-def with_sharper_timer(
-    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
-) -> tuple[DiagnosisSetup, DiagnosisSetup]:
-    """Both setups with the modulator's timer as the rests tell it beside a fit, and with what scatters still."""
-    if not setup.timers:
-        return setup, doubting
-    setup.fitter.tell("the modulator's timer, by what holds the currents that rest")
-    likelihood = likelihood_of(setup.bare.coarse_fitter, fit, library)
-    timer, scatter = timer_near(setup.coarse_fitter.prepared, likelihood, doubting.fitter.noise.of_model, setup.timers)
-    timed = setup.with_timer(timer)
-    return timed, timed.with_noise(at_most_sound(timed, scatter))
 
 
 def _formless(fit: Fit) -> bool:

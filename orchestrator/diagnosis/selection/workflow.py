@@ -20,14 +20,12 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
 from orchestrator.diagnosis.selection.joint_workflow import all_together
+from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
 from orchestrator.diagnosis.selection.refining import settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
-from orchestrator.diagnosis.uncertainty.command_traces import command_traces
 from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter, likelihood_of
-from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
-from orchestrator.diagnosis.uncertainty.timer_search import timers_in
 from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
@@ -89,25 +87,6 @@ def map_steps(
             steps.append(Step(name, fit, gain))
             baseline = freed
     return steps
-
-
-def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
-    """The setup with the voltages that the modulator's timer lets through, where the readings bear one.
-
-    Where currents only rest at a PWM frequency, the phases there are told beside a fit, all effects following.
-    """
-    prepared = setup.prepared
-    setup.fitter.tell("is a command rounded? A modulator's timer")
-    resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
-    traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
-    limits, bus_v = prepared.criteria, prepared.manifest.drive.dc_bus_voltage_v
-    timers = timers_in(traces, bus_v, limits.uncertainty, limits.selection.log_evidence)
-    if not timers:
-        return setup
-    likelihood = likelihood_of(setup.coarse_fitter, fit, library)
-    scatter = likelihood.likeliest((True, True), dithered=False)
-    timer, _ = timer_near(setup.coarse_fitter.prepared, likelihood, scatter, timers)
-    return replace(setup.with_timer(timer), timers=timers)
 
 
 def search_effects(

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, delayed
 from orchestrator.diagnosis.weak_form.timer import leg_step_of
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
@@ -93,7 +93,7 @@ def _trace(piece: SegmentSignals, there: slice, per_volt_dq: Array, decay_dq: Ar
     i_ab, command_ab = piece.current_ab[there], piece.command_ab[there]
     turn = rotation(piece.segment.rotor_angle_rad)
     per_volt, decay = (turn @ np.diag(x) @ turn.T for x in (per_volt_dq, decay_dq))
-    residual, readings, commands, doubt = _foretold(i_ab, _late(command_ab, math.floor(piece.delay_samples)))
+    residual, readings, commands, doubt = _foretold(i_ab, delayed(command_ab, math.floor(piece.delay_samples)))
     floor = np.spacing(np.abs(i_ab).max()) ** 2 + np.finfo(np.float64).tiny
     weight = np.linalg.inv(residual.T @ residual / len(residual) + floor * np.eye(2))
     weighed, pull, information = residual @ weight, np.zeros_like(command_ab), 0.0
@@ -138,11 +138,6 @@ def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array
     variance = np.outer(np.diag(inverse) / size**2, residual.var(axis=0)) / len(past)
     by, doubt = ((x.reshape(LAGS, 4, 2).transpose(0, 2, 1)) for x in (followed / size[:, None], variance))
     return residual, by[:, :, :2], by[:, :, 2:], doubt[:, :, 2:]
-
-
-def _late(command_ab: Array, samples: int) -> Array:
-    """The commands by when they act, whole samples later."""
-    return command_ab[np.maximum(np.arange(len(command_ab)) - samples, 0)]
 
 
 def _of_commands(pull_ab: Array, delay_samples: float) -> Array:

@@ -211,7 +211,7 @@ def _piece(
     i_ab = np.ascontiguousarray(capture.i_ab[:samples], dtype=np.float64)
     current_ab, command_ab = i_ab, np.ascontiguousarray(capture.v_ab[:samples], dtype=np.float64)
     delay = drive.voltage_delay_samples or 0.0
-    v_ab = _delayed(command_ab, delay)
+    v_ab = delayed(command_ab, delay)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
     if len(i_ab) < criteria.least_samples:
         return None
@@ -275,7 +275,7 @@ def mean_between(command_ab: Array, width: int, delay_samples: float) -> Array:
     dpsi/dt = v - R i holds for means as for samples: the mean current of one block and the next differ by what
     the voltage does in between, and each v_k of 2 width - 1 intervals counts by the share of readings it moves.
     """
-    v_ab = _delayed(command_ab, delay_samples)
+    v_ab = delayed(command_ab, delay_samples)
     if width == 1:
         return v_ab
     used = len(v_ab) // width * width
@@ -341,7 +341,7 @@ def injection_period(segment: Segment, fs: float, v_ab: RealArray, criteria: Wea
     return fs / frequency if 4.0 * fs / n < frequency < highest else None
 
 
-def _delayed(v_ab: Array, samples: float) -> Array:
+def delayed(v_ab: Array, samples: float) -> Array:
     """The voltage that acts over [t_k, t_k+1) when each command is `samples` late."""
     if samples == 0.0:
         return v_ab

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from types import SimpleNamespace
 from typing import Any, Literal, cast
 
 import numpy as np
@@ -16,7 +17,6 @@ from plugins.drives.simulated._state import THETA
 from plugins.drives.simulated.rig import Rig
 from plugins.stages.alignment import AlignmentStage
 from protocols import (
-    Capabilities,
     Capture,
     DriveRecord,
     Hold,
@@ -51,22 +51,6 @@ def test_the_believed_angle_is_that_of_the_last_alignment(pm400: Bench) -> None:
     assert [p.excitation.rotor_angle_rad for p in plan_of(pm400, *stages).points] == [0.0, 0.5, 0.5, 0.5, -1.0, -1.0]
 
 
-def with_a_brake(moved: bool) -> Capabilities:
-    """Of a drive that moves a brake, or not."""
-    return Capabilities(
-        name="d",
-        sampling_frequency_hz=1e4,
-        pwm_frequency_hz=1e4,
-        pwm_frequencies_hz=(1e4,),
-        dc_bus_voltage_v=540.0,
-        max_current_a=5.0,
-        max_voltage_v=300.0,
-        excitations=frozenset(("hold",)),
-        watchdog_s=0.2,
-        has_brake=moved,
-    )
-
-
 @dataclass
 class Run:
     """What the stage may do with the brake, done to a rig whose current still flows."""
@@ -75,8 +59,12 @@ class Run:
     moved: list[bool] = field(default_factory=list)
     read: MemoryRecording | None = None
     procedure: Procedure | None = None
-    capabilities: Capabilities = field(default_factory=lambda: with_a_brake(True))
+    has_brake: bool = True
     said: list[str] = field(default_factory=list)
+
+    @property
+    def capabilities(self) -> SimpleNamespace:
+        return SimpleNamespace(has_brake=self.has_brake)
 
     def say(self, message: Note) -> None:
         self.said.append(message.text)
@@ -184,8 +172,7 @@ def test_an_offset_that_will_turn_the_rotor_on_the_way_down_is_told(
     pm400: Bench, reading_a: float, brake: Literal["engage"] | None, has_brake: bool, warned: bool
 ) -> None:
     rig = Rig(SimulatedOptions(dc_bus_voltage_v=pm400.bus_v), Motor.model_validate(pm400.motor), 3)
-    run = Run(rig, read=read_without_current(pm400, (reading_a, 0.0)))
-    run.capabilities = with_a_brake(has_brake)
+    run = Run(rig, read=read_without_current(pm400, (reading_a, 0.0)), has_brake=has_brake)
     segment = Segment(id="alignment-000", stage=SegmentStage.ALIGNMENT, start_s=0.0, samples=1)
     AlignmentStage(current_a=2.0, brake=brake).after_point(cast(StageRun, run), segment)
     assert bool(run.said) == warned

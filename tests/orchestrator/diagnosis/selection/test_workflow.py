@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.selection.forward_search import Search, Step
-from orchestrator.diagnosis.selection.workflow import pruned, with_its_scatter, with_its_timer
+from orchestrator.diagnosis.selection.workflow import pruned, with_its_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
@@ -19,13 +17,11 @@ from tests.orchestrator.diagnosis.pieces import (
     L_D,
     L_Q,
     R_S,
-    felt_through,
     fitter,
     free_model,
     many_holds,
     plan,
     prepared,
-    timer,
     with_voltage,
 )
 
@@ -52,37 +48,12 @@ def _setup(recording: PreparedRecording) -> DiagnosisSetup:
     return DiagnosisSetup(recording, maker, maker, L_D, L_Q, 2.5, ())
 
 
-def test_voltages_that_differ_by_chance_are_noise_and_no_timer() -> None:
+def test_voltages_that_differ_by_chance_are_noise() -> None:
     made, rng = prepared(many_holds()), np.random.default_rng(6)
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     setup = _setup(with_voltage(made, by_chance))
     fit = setup.fitter.fit(free_model())
-    assert with_its_timer(setup, fit, []) is setup
     noisy = with_its_scatter(setup, fit, [])
     assert noisy is not None
     assert noisy.fitter.noise.of_model.scatters
     assert noisy.fitter.fit(free_model()).chi2_per_dof < 1.2
-
-
-@pytest.mark.slow
-def test_a_timer_is_taken_out_of_every_voltage() -> None:
-    rng, plans = np.random.default_rng(4), [*many_holds(), *(p for p in plan() if p.stage is SegmentStage.CLASSICAL)]
-    # Current control trembles with the readings' noise.
-    trembling = [
-        p
-        if p.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE)
-        else replace(p, v_dq=np.tile(p.v_dq, (4, 1)) + rng.normal(0.0, 0.3, (4 * len(p.v_dq), 2)))
-        for p in plans
-    ]
-    rounded = felt_through(timer(21.7e-9, 0.35, 0.35), trembling, noise_a=0.001)
-    setup = _setup(rounded)
-    fit = setup.fitter.fit(free_model())
-    timed = with_its_timer(setup, fit, [])
-    assert timed.prepared.timer is not None
-    assert timed.prepared.timer.step_s == pytest.approx(21.7e-9, rel=1e-4)
-    assert timed.coarse_fitter.prepared.timer == timed.prepared.timer
-    with_it = timed.fitter.fit(free_model())
-    assert with_it.chi2_per_dof - 1.0 < 0.1 * (fit.chi2_per_dof - 1.0)
-    # As commanded again, the timer is not in the voltages.
-    for piece, first in zip(timed.bare.prepared.pieces, rounded.pieces, strict=True):
-        np.testing.assert_array_equal(piece.signals.v_ab, first.signals.v_ab)

@@ -1,0 +1,46 @@
+"""When a modulator's timer is asked for, and beside which fit: at first, and again as forms become right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.uncertainty.command_traces import command_traces
+from orchestrator.diagnosis.uncertainty.scatter import at_most_sound, likelihood_of
+from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
+from orchestrator.diagnosis.uncertainty.timer_search import timers_in
+
+
+def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
+    """The setup with the voltages that the modulator's timer lets through, where the readings bear one.
+
+    Where currents only rest at a PWM frequency, the phases there are told beside a fit, all effects following.
+    """
+    prepared = setup.prepared
+    setup.fitter.tell("is a command rounded? A modulator's timer")
+    resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
+    traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
+    limits, bus_v = prepared.criteria, prepared.manifest.drive.dc_bus_voltage_v
+    timers = timers_in(traces, bus_v, limits.uncertainty, limits.selection.log_evidence)
+    if not timers:
+        return setup
+    likelihood = likelihood_of(setup.coarse_fitter, fit, library)
+    scatter = likelihood.likeliest((True, True), dithered=False)
+    timer, _ = timer_near(setup.coarse_fitter.prepared, likelihood, scatter, timers)
+    return replace(setup.with_timer(timer), timers=timers)
+
+
+def with_sharper_timer(
+    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, DiagnosisSetup]:
+    """Both setups with the modulator's timer as the rests tell it beside a fit, and with what scatters still."""
+    if not setup.timers:
+        return setup, doubting
+    setup.fitter.tell("the modulator's timer, by what holds the currents that rest")
+    likelihood = likelihood_of(setup.bare.coarse_fitter, fit, library)
+    timer, scatter = timer_near(setup.coarse_fitter.prepared, likelihood, doubting.fitter.noise.of_model, setup.timers)
+    timed = setup.with_timer(timer)
+    return timed, timed.with_noise(at_most_sound(timed, scatter))
