@@ -157,6 +157,8 @@ class FittingCriteria(Strict):
     """Relative change of a column below which it is not made anew on all segments: a step misses by as little."""
     silent_answer: float = _is(0.005, "1", "practice")
     """Share of an inner effect's answer in a column below which it is not asked: all of a dozen make some percent."""
+    asked_again: float = _is(2.0, "1", "practice")
+    """Growth of an effect beyond which it is asked again whether it answers."""
     evaluation_columns: int = _is(3, "1", "budget")
     """What an evaluation without effects costs, in columns."""
     most_effort: float = _is(3e8, "1", "budget")

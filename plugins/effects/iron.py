@@ -8,16 +8,14 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
-from plugins.effects._filters import held_lag, lagged_steps
+from plugins.effects._filters import lagged_steps
 from protocols import (
     Contrast,
     Correction,
     EffectLayer,
     EffectParameters,
-    RealArray,
     Signals,
     amplitude,
     refinement,
@@ -51,26 +49,63 @@ class EddyCurrents:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the eddy current from the magnetising current, and its steps from the resistive drop."""
-        before = np.concatenate([signals.v_ab[:1], signals.v_ab[:-1]])
-        ohm = signals.resistance_ohm[:, None]
-        felt = before - ohm * signals.i_ab
         late = p.lag_s * signals.sampling_frequency_hz
         decay = math.exp(-1.0 / late) if late > 1e-2 else 0.0
-        if late > 0.0:
-            # Voltage held over an interval: at its end the current has come this much nearer to it.
-            felt = held_lag(np.ascontiguousarray(felt), decay)
         # What the exponential within an interval has beside the chord between its samples.
         bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
-        step = bend * ohm * (signals.v_ab - ohm * signals.i_ab - felt)
-        eddy, drop = (_by_axis(x, signals.theta_rad, p.saliency) / p.core_loss_ohm for x in (felt, step))
-        return Correction(i_m_ab=signals.i_m_ab - eddy, v_ab=signals.v_ab - drop)
+        theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
+        i_m_ab, v_ab = _without_eddies(
+            np.ascontiguousarray(signals.i_m_ab, dtype=np.float64),
+            np.ascontiguousarray(signals.v_ab, dtype=np.float64),
+            np.ascontiguousarray(signals.i_ab, dtype=np.float64),
+            np.ascontiguousarray(signals.resistance_ohm, dtype=np.float64),
+            unit_vectors(theta_rad) if p.saliency != 0.0 else np.zeros((0, 2)),
+            np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
+            decay,
+            bend,
+        )
+        return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
 
 
-def _by_axis(x_ab: RealArray, theta_rad: RealArray, saliency: float) -> RealArray:
-    """Vectors (n, 2) times 1 + saliency along the d axis and 1 - saliency along the q axis."""
-    if saliency == 0.0:
-        return x_ab
-    return to_ab(to_dq(x_ab, theta_rad) * np.array([1.0 + saliency, 1.0 - saliency]), theta_rad)
+@njit(cache=True, nogil=True)
+def _without_eddies(
+    i_m_ab: Array, v_ab: Array, i_ab: Array, ohm: Array, axis: Array, siemens: Array, decay: float, bend: float
+) -> tuple[Array, Array]:
+    """The magnetising current without the eddies', and the voltage without what their steps drop, shapes (n, 2).
+
+    Parameters
+    ----------
+    axis : array, shape (n, 2) or (0, 2)
+        Cosine and sine of the d axis' angle; empty where both axes are alike.
+    siemens : array, shape (2,)
+        Conductance on d and on q.
+    decay : float
+        Of the current's lag, in a sample period: the voltage is held over an interval, and at its end the current has
+        come this much nearer to it.
+    """
+    i_out, v_out = np.empty_like(i_m_ab), np.empty_like(v_ab)
+    felt_a, felt_b = 0.0, 0.0
+    for k in range(v_ab.shape[0]):
+        # The sample has seen the voltage of the interval before.
+        before = max(k - 1, 0)
+        drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
+        kept = decay if k > 0 else 0.0
+        felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] - drop_a)
+        felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] - drop_b)
+        step_a = bend * ohm[k] * (v_ab[k, 0] - drop_a - felt_a)
+        step_b = bend * ohm[k] * (v_ab[k, 1] - drop_b - felt_b)
+        if axis.shape[0] == 0:
+            i_out[k, 0], i_out[k, 1] = i_m_ab[k, 0] - siemens[0] * felt_a, i_m_ab[k, 1] - siemens[0] * felt_b
+            v_out[k, 0], v_out[k, 1] = v_ab[k, 0] - siemens[0] * step_a, v_ab[k, 1] - siemens[0] * step_b
+            continue
+        cos, sin = axis[k, 0], axis[k, 1]
+        d, q = dq_of(felt_a, felt_b, cos, sin)
+        i_out[k, 0] = i_m_ab[k, 0] - (siemens[0] * d * cos - siemens[1] * q * sin)
+        i_out[k, 1] = i_m_ab[k, 1] - (siemens[0] * d * sin + siemens[1] * q * cos)
+        d, q = dq_of(step_a, step_b, cos, sin)
+        v_out[k, 0] = v_ab[k, 0] - (siemens[0] * d * cos - siemens[1] * q * sin)
+        v_out[k, 1] = v_ab[k, 1] - (siemens[0] * d * sin + siemens[1] * q * cos)
+    return i_out, v_out
 
 
 @njit(cache=True, nogil=True)

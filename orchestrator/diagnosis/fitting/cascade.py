@@ -62,7 +62,7 @@ class Cascade:
         -------
         change : dict
         answers : dict
-            What each inner effect that was asked added to the change.
+            What each inner effect added to the change, where all were asked.
         """
         at = next((k for k, a in enumerate(self.effects) if a.name == moved.name), None)
         if at is None:
@@ -81,7 +81,8 @@ class Cascade:
             if not names:
                 continue
             carried = _less(other.signals, self.stages[k + 1].signals, names | change.keys())
-            answers[inner.name] = {n: d - change[n] if n in change else d for n, d in carried.items()}
+            if answering is None:
+                answers[inner.name] = {n: d - change[n] if n in change else d for n, d in carried.items()}
             change = carried
         return change, answers
 

@@ -8,25 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
-from orchestrator.diagnosis.fitting.model import ColumnName, Fit
+from orchestrator.diagnosis.fitting.model import Answers, ColumnName, Fit, Model
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
 
 
 @dataclass(frozen=True)
 class ColumnProbe:
-    """All columns of one segment, every effect asked.
+    """All columns of one segment.
 
     Attributes
     ----------
     columns : array, shape (rows, columns)
         Whitened.
     answers : dict
-        Squared norm of what an inner effect added to a column, by the column's place and the effect's name.
+        Squared norm of what an inner effect added to a column, by the column's place and the effect's name, where all
+        effects were asked.
     """
 
     columns: Array
@@ -71,11 +73,21 @@ def probed_segments(pieces: Sequence[SegmentSignals], criteria: FittingCriteria)
     return tuple(sorted(k for places in stages.values() for k in places[min(every, len(places)) // 2 :: every]))
 
 
+def answers_so_far(model: Model, known: Fit | None, criteria: FittingCriteria) -> Answers:
+    """What an earlier fit has asked of these effects; nothing where they are others, or have grown since."""
+    there = {a.name: a.relative_size for a in model.active if not a.is_absent}
+    asked = Answers() if known is None else known.answers
+    if any(size > criteria.asked_again * asked.sizes.get(name, 0.0) for name, size in there.items()):
+        return Answers({}, there)
+    return asked
+
+
 def column_plan(
     names: Sequence[ColumnName],
     probes: Mapping[int, ColumnProbe],
     known: Fit | None,
     criteria: FittingCriteria,
+    told: Mapping[ColumnName, frozenset[str]] = MappingProxyType({}),
 ) -> ColumnPlan:
     """What the probes say of columns on all other segments.
 
@@ -87,6 +99,8 @@ def column_plan(
         By the segments' places.
     known : Fit, optional
         An earlier one, whose columns are kept where they are the same on the probed segments.
+    told : dict
+        Of columns that were asked before, the inner effects that answer to them.
     """
     power = sum((np.sum(p.columns**2, axis=0) for p in probes.values()), np.zeros(len(names)))
     answers: dict[tuple[int, str], float] = {}
@@ -94,7 +108,10 @@ def column_plan(
         for key, value in probe.answers.items():
             answers[key] = answers.get(key, 0.0) + value
     heard = {key for key, value in answers.items() if value > criteria.silent_answer**2 * power[key[0]]}
-    answering = tuple(frozenset(name for j, name in heard if j == k) for k in range(len(names)))
+    answering = tuple(
+        told[column] if column in told else frozenset(name for j, name in heard if j == k)
+        for k, column in enumerate(names)
+    )
     return ColumnPlan({} if known is None else _kept(names, probes, power, known, criteria), answering)
 
 

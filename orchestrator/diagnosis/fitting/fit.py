@@ -16,9 +16,9 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import answers_so_far, column_plan, probed_segments
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Fit, Frame, Model, SegmentRows
+from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, Model, SegmentRows
 from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
@@ -183,26 +183,28 @@ class Fitter:
         """
         self.poll()
         wanted = [*model.free, *extra] if known is None or renew else []
-        rows = self._rows(model, frame, wanted, known)
+        rows, answers = self._rows(model, frame, wanted, known)
         fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
         if known is not None and not renew:
-            return replace(fit, columns=known.columns, parameters=known.parameters)
-        return fit
+            return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
+        return replace(fit, answers=answers)
 
     def _rows(
         self, model: Model, frame: Frame, wanted: Sequence[tuple[Active, str]], known: Fit | None
-    ) -> list[SegmentRows]:
-        """The equations of every segment, with columns on those that are not held out."""
+    ) -> tuple[list[SegmentRows], Answers]:
+        """The equations of every segment, with columns on those that are not held out, and what answers to these."""
         jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * self.criteria.evaluation_columns
         if len(wanted) <= self.criteria.few_columns:
             self.effort.spent += samples * len(wanted)
-            return [self.equations.rows(model, p, f, () if p.held_out else wanted) for p, f in jobs]
-        at = probed_segments(self.prepared.pieces, self.criteria)
-        probed = {k: self.equations.probed(model, *jobs[k], wanted) for k in at}
+            rows = [self.equations.rows(model, p, f, () if p.held_out else wanted) for p, f in jobs]
+            return rows, Answers() if known is None else known.answers
         names = [(a.name, n) for a, n in wanted]
-        plan = column_plan(names, {k: probe for k, (_, probe) in probed.items()}, known, self.criteria)
+        asked = answers_so_far(model, known, self.criteria)
+        at = probed_segments(self.prepared.pieces, self.criteria)
+        probed = {k: self.equations.probed(model, *jobs[k], wanted, [asked.of.get(n) for n in names]) for k in at}
+        plan = column_plan(names, {k: probe for k, (_, probe) in probed.items()}, known, self.criteria, asked.of)
         anew = [wanted[k] for k in plan.anew]
         self.effort.spent += samples * (len(anew) + len(wanted) / self.criteria.probe_every)
         answering = [plan.answering[k] for k in plan.anew]
@@ -216,7 +218,8 @@ class Fitter:
             columns = plan.whole(rows.columns, None if known is None else known.columns[k])
             return replace(rows, white=np.column_stack([rows.white[:, :2], columns]))
 
-        return [made(k) for k in range(len(jobs))]
+        answers = Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
+        return [made(k) for k in range(len(jobs))], answers
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.

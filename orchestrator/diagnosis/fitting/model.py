@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -113,6 +113,22 @@ class SegmentRows:
 
 
 @dataclass(frozen=True)
+class Answers:
+    """Which inner effects answer to which columns, as asked on a few segments.
+
+    Attributes
+    ----------
+    of : dict
+        By column.
+    sizes : dict
+        Relative size of every effect that was there to be asked.
+    """
+
+    of: Mapping[ColumnName, frozenset[str]] = field(default_factory=dict)
+    sizes: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Fit:
     """A model fitted, and how well."""
 
@@ -139,6 +155,8 @@ class Fit:
     """What the columns belong to."""
     resistance: tuple[Array, ...]
     """Whitened R_s columns."""
+    answers: Answers = field(default_factory=Answers)
+    """Which effects the columns pass through."""
 
     @property
     def criteria(self) -> Criteria:

@@ -180,13 +180,18 @@ class SegmentEquations:
         return self._white(at, frame, sums)
 
     def probed(
-        self, model: Model, piece: SegmentSignals, frame: SegmentFrame, parameters: Sequence[tuple[Active, str]]
+        self,
+        model: Model,
+        piece: SegmentSignals,
+        frame: SegmentFrame,
+        parameters: Sequence[tuple[Active, str]],
+        answering: Sequence[frozenset[str] | None],
     ) -> tuple[SegmentRows, ColumnProbe]:
-        """The same, and what each inner effect has to do with each column."""
+        """The same, and what each inner effect has to do with each column of which that is not known."""
         at = self._place(model, piece, frame)
         sums, keys, heard = [], [], []
-        for k, (active, name) in enumerate(parameters):
-            column, answers = self._column(at, active, name)
+        for k, ((active, name), inner) in enumerate(zip(parameters, answering, strict=True)):
+            column, answers = self._column(at, active, name, inner)
             sums.append(column)
             for effect, added in answers.items():
                 keys.append((k, effect))
@@ -219,8 +224,7 @@ class SegmentEquations:
         """Derivative of y by one parameter's coordinate, summed over samples, and what inner effects had in it."""
         step = step_of(active, name, self.criteria.fitting)
         change, answers = at.cascade.change_by(active.moved(name, active.coordinate(name) + step), answering)
-        told = answers if answering is None else {}
-        said = {n: self._sums(at, c, step) for n, c in told.items() if _beyond_rounding(c, at.cascade.corrected)}
+        said = {n: self._sums(at, c, step) for n, c in answers.items() if _beyond_rounding(c, at.cascade.corrected)}
         return self._sums(at, change, step), said
 
     def _sums(self, at: _Place, change: Change, step: float) -> Array:

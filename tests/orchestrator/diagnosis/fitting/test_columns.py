@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
-from orchestrator.diagnosis.fitting.columns import ColumnProbe, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.types import Array
@@ -68,6 +68,17 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     assert last not in probed_segments(maker.prepared.pieces, LIMITS)
     same = [np.array_equal(a, b) for a, b in zip(kept.columns[last].T, known.columns[last].T, strict=True)]
     assert any(same)
+
+
+def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_grown(maker: Fitter) -> None:
+    first = all_effects(maker)
+    known = maker.evaluate(first, maker.frame(first))
+    assert set(known.answers.of) == set(known.parameters)
+    assert answers_so_far(all_effects(maker, 1.05), known, LIMITS) is known.answers
+    grown = answers_so_far(all_effects(maker, 1.1 * LIMITS.asked_again), known, LIMITS)
+    assert not grown.of
+    assert set(grown.sizes) == {candidate.name for candidate in scaled_library(EFFECTS, maker.prepared.manifest)}
+    assert not answers_so_far(first, None, LIMITS).of
 
 
 @pytest.mark.slow
