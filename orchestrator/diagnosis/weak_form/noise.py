@@ -30,6 +30,9 @@ from orchestrator.numerics.quieting import quieted
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise, SegmentStage
 
+_MOST_ALIKE = 0.98
+"""Beyond this the readings' noise cannot be told from a current that moves."""
+
 
 @dataclass(frozen=True)
 class SensorNoise:
@@ -115,8 +118,7 @@ def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
     steady = steady or _quietest([s for s in of[SegmentStage.STEPS] if np.isfinite(s.covariance).all()])
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
-    lags = [s.lag for s in steady if math.isfinite(s.lag)]
-    rho = _correlation(float(np.median(lags)), criteria.least_correlation) if lags else 0.0
+    rho = _correlation(steady, of[SegmentStage.GATES_OFF], criteria.least_correlation)
     # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)
@@ -143,19 +145,16 @@ def _typical(scatters: Sequence[Scatter]) -> Array:
     return np.asarray(covariance + (1e-12 + 1e-6 * float(np.trace(covariance))) * np.eye(2))
 
 
-def _correlation(lag: float, least: float) -> float:
-    """rho of a first-order process whose second differences have this first autocorrelation; 0 where that is chance."""
-    low, high = -0.98, 0.98
-    if _lag(-least) < lag < _lag(least):
+def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], least: float) -> float:
+    """rho of the readings' noise as a first-order process; 0 where it may be chance.
+
+    Current control answers to noise that is alike for long; with the gates off nothing does.
+    """
+    held, free = ([s.correlation for s in some if math.isfinite(s.correlation)] for some in (steady, off))
+    rho = float(np.median(held)) if held else 0.0
+    if abs(rho) < least:
         return 0.0
-    for _ in range(40):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if _lag(middle) < lag else (low, middle)
-    return 0.5 * (low + high)
-
-
-def _lag(rho: float) -> float:
-    return (-4.0 + 7.0 * rho - 4.0 * rho**2 + rho**3) / (6.0 - 8.0 * rho + 2.0 * rho**2)
+    return min(max(float(np.median(free)) if free else rho, -_MOST_ALIKE), _MOST_ALIKE)
 
 
 @dataclass(frozen=True)

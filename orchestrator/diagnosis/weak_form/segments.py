@@ -219,7 +219,8 @@ def _piece(
     if segment.stage is SegmentStage.STEPS:
         scatter = scatter_between(i_ab, v_ab)
     else:
-        scatter = scatter_of(i_ab, injection_period(segment, fs, v_ab, criteria) if ripple else None)
+        period = injection_period(segment, fs, v_ab, criteria) if ripple else None
+        scatter = scatter_of(i_ab, period, rests=segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE))
     # An injected ripple moves the current at once; its mean is what the drive had settled to.
     before, start = (i_ab if ripple else i_ab[: criteria.first_readings]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)

@@ -18,19 +18,18 @@ class Scatter:
     ----------
     covariance : array, shape (2, 2)
         Of the noise of (i_alpha, i_beta) if each reading's were independent [A^2].
-    lag : float
-        First autocorrelation of the second differences: -2/3 where readings are independent, nearer to -1/2
-        where they are alike. NaN where the current's own ripple forbids to look.
+    correlation : float
+        From each reading to the next, as of a first-order process; NaN where the current's own ripple forbids to look.
     spectrum : array
         `spectrum_of` the readings; empty where something is injected.
     """
 
     covariance: Array
-    lag: float
+    correlation: float
     spectrum: Array
 
 
-def scatter_of(i_ab: Array, period: float | None) -> Scatter:
+def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Scatter:
     """Scatter of a segment's readings.
 
     Parameters
@@ -38,13 +37,16 @@ def scatter_of(i_ab: Array, period: float | None) -> Scatter:
     i_ab : array, shape (n, 2)
     period : float, optional
         Samples in a period of injected ripple; its repetitions are compared where it is a whole number.
+    rests : bool
+        The current does not move: then how alike successive readings are shows in their differences, which see a
+        correlation four times as well as differences of these do.
     """
     if period is None:
         # Coefficients (1, -2, 1) cancel what is linear in time, and multiply the variance of white noise by six.
         d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
-        power = float(np.einsum("ij,ij->", d, d))
-        lag = float(np.einsum("ij,ij->", d[1:], d[:-1])) / power if power > 0.0 else float("nan")
-        return Scatter(d.T @ d / (6.0 * len(d)), lag, spectrum_of(i_ab))
+        # A hold may begin before its current has settled.
+        alike = 1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0)) if rests else _of_second_differences(_lag(d))
+        return Scatter(d.T @ d / (6.0 * len(d)), alike, spectrum_of(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]
     if abs(p - period) > 1e-6 or len(settled) < 6 * p:
@@ -73,3 +75,24 @@ def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
     if len(d) < 8:
         return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
     return Scatter(d.T @ d / (70.0 * len(d)), float("nan"), np.zeros(0))
+
+
+def _lag(d: Array) -> float:
+    """First autocorrelation of differences (n, 2); NaN where there are none but zeros."""
+    power = float(np.einsum("ij,ij->", d, d))
+    return float(np.einsum("ij,ij->", d[1:], d[:-1])) / power if power > 0.0 else float("nan")
+
+
+def _of_second_differences(lag: float) -> float:
+    """rho of a first-order process whose second differences have this first autocorrelation.
+
+    That is -2/3 where readings are independent, nearer to -1/2 where they are alike.
+    """
+    if np.isnan(lag):
+        return lag
+    low, high = -0.98, 0.98
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        wanted = (-4.0 + 7.0 * middle - 4.0 * middle**2 + middle**3) / (6.0 - 8.0 * middle + 2.0 * middle**2)
+        low, high = (middle, high) if wanted < lag else (low, middle)
+    return 0.5 * (low + high)

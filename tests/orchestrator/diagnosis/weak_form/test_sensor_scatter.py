@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_between, scatter_of
 
@@ -23,8 +24,22 @@ def test_covariance_of_a_ramp_is_the_noises_alone(ramp: float) -> None:
     i_ab = _noise(n) + ramp * np.linspace(0.0, 1.0, n)[:, None]
     scatter = scatter_of(i_ab, None)
     np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.1)
-    # Second differences of independent readings: (-1)(-2) + (-2)(1) ... over 6.
-    assert scatter.lag == pytest.approx(-2.0 / 3.0, abs=0.02)
+    assert scatter.correlation == pytest.approx(0.0, abs=0.07)
+
+
+@pytest.mark.parametrize("rho", [-0.4, 0.0, 0.3, 0.7, 0.9])
+def test_how_alike_successive_readings_are_is_seen_under_a_ramp_and_better_at_rest(rho: float) -> None:
+    n = 20_000
+    noise = lfilter([math.sqrt(1.0 - rho**2)], [1.0, -rho], _noise(n + 200), axis=0)[200:]
+    ramp = noise + 50.0 * np.linspace(0.0, 1.0, n)[:, None]
+    assert scatter_of(ramp, None).correlation == pytest.approx(rho, abs=0.12)
+    assert scatter_of(noise, None, rests=True).correlation == pytest.approx(rho, abs=0.025)
+    late = noise + np.exp(-np.arange(n) / 50.0)[:, None]
+    assert scatter_of(late, None, rests=True).correlation == pytest.approx(rho, abs=0.025)
+
+
+def test_readings_that_never_change_do_not_tell_how_alike_they_are() -> None:
+    assert math.isnan(scatter_of(np.zeros((100, 2)), None, rests=True).correlation)
 
 
 def test_a_ripple_that_repeats_cancels_between_its_periods() -> None:
@@ -40,7 +55,7 @@ def test_a_ripple_that_repeats_cancels_between_its_periods() -> None:
 def test_periods_that_do_not_repeat_whole_or_often_enough_say_nothing(n: int, period: float) -> None:
     scatter = scatter_of(_noise(n), period)
     assert np.isnan(scatter.covariance).all()
-    assert math.isnan(scatter.lag)
+    assert math.isnan(scatter.correlation)
     assert scatter.spectrum.size == 0
 
 
