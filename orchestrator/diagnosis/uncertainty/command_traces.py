@@ -47,12 +47,15 @@ class CommandTrace:
     information : float
         About a command's volts on either axis, summed over the block [1/V^2].
     pwm_hz : float
+    angle_rad : float
+        Of the rotor's d axis, as it is believed.
     """
 
     command_ab: Array
     pull_ab: Array
     information: float
     pwm_hz: float
+    angle_rad: float = 0.0
 
 
 def command_traces(
@@ -107,7 +110,8 @@ def _trace(piece: SegmentSignals, there: slice, per_volt_dq: Array, decay_dq: Ar
         pull[LAGS - 1 - lag : len(pull) - 1 - lag] += weighed @ answer
         information += 0.5 * float(np.trace(answer.T @ weight @ answer)) * len(residual)
     pull = _of_commands(pull, piece.delay_samples)
-    return CommandTrace(command_ab, pull, information, piece.signals.pwm_frequency_hz)
+    angle_rad = float(piece.segment.rotor_angle_rad)
+    return CommandTrace(command_ab, pull, information, piece.signals.pwm_frequency_hz, angle_rad)
 
 
 def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array]:
