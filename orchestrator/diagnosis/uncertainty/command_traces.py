@@ -22,13 +22,15 @@ from protocols import SegmentStage
 
 MOVING = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
 """Stages whose commands move on purpose. Those of a hold move with the readings' own noise."""
-LAGS = 12
-"""Readings and commands that the next reading is a combination of: about a millisecond."""
-BLOCK = 3000
-"""Readings over which a machine is linear, and which are plenty for a combination of 48."""
+LAGS = 30
+"""Readings and commands that the next reading is a combination of: some milliseconds."""
+BLOCK = 20_000
+"""Readings of one combination, many for its 120 numbers; what a machine does as it saturates is noise to it."""
 LEAST_BLOCK = 20 * LAGS
-MOST_BLOCKS = 300
+MOST_BLOCKS = 45
 """That are looked at, evenly spread: a million readings tell as well as all of them."""
+STRAIGHT = 300
+"""Readings, evenly dividing a block, in which a machine hardly turns into another."""
 RIDGE = 1e-7
 """Of a regressor's variance: what stands still in a block foretells nothing there."""
 NAMEPLATE = 0.3
@@ -47,15 +49,12 @@ class CommandTrace:
     information : float
         About a command's volts on either axis, summed over the block [1/V^2].
     pwm_hz : float
-    angle_rad : float
-        Of the rotor's d axis, as it is believed.
     """
 
     command_ab: Array
     pull_ab: Array
     information: float
     pwm_hz: float
-    angle_rad: float = 0.0
 
 
 def command_traces(
@@ -109,9 +108,8 @@ def _trace(piece: SegmentSignals, there: slice, per_volt_dq: Array, decay_dq: Ar
         answer = share * commands[lag] + (1.0 - share) * (moved @ per_volt)
         pull[LAGS - 1 - lag : len(pull) - 1 - lag] += weighed @ answer
         information += 0.5 * float(np.trace(answer.T @ weight @ answer)) * len(residual)
-    pull = _of_commands(pull, piece.delay_samples)
-    angle_rad = float(piece.segment.rotor_angle_rad)
-    return CommandTrace(command_ab, pull, information, piece.signals.pwm_frequency_hz, angle_rad)
+    pull = _bent(_of_commands(pull, piece.delay_samples), command_ab)
+    return CommandTrace(command_ab, pull, information, piece.signals.pwm_frequency_hz)
 
 
 def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array]:
@@ -150,3 +148,20 @@ def _of_commands(pull_ab: Array, delay_samples: float) -> Array:
     part = delay_samples - whole
     later = np.concatenate([pull_ab[whole:], np.zeros((whole + 1, 2))])
     return np.asarray((1.0 - part) * later[:-1] + part * later[1:], dtype=np.float64)
+
+
+def _bent(pull_ab: Array, command_ab: Array) -> Array:
+    """What is said of the commands' volts but for what is linear in the command, a part of a block at a time.
+
+    The combination is a whole block's; where the machine saturates on the way, it foretells too much or too little of
+    what a command does: a slope, which a part of a saw is too. And the commands at which sweeps rest lie as regularly
+    as their plan, so that one saw would stand for the slopes at all of them.
+    """
+    left = np.empty_like(pull_ab)
+    for start in range(0, len(pull_ab), STRAIGHT):
+        there = slice(start, start + STRAIGHT)
+        moved = command_ab[there] - command_ab[there].mean(axis=0)
+        size = float(np.einsum("ij,ij->", moved, moved))
+        slope = np.linalg.solve(moved.T @ moved + (RIDGE * size + 1e-300) * np.eye(2), moved.T @ pull_ab[there])
+        left[there] = pull_ab[there] - pull_ab[there].mean(axis=0) - moved @ slope
+    return left

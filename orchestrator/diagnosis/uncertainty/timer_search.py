@@ -5,8 +5,7 @@ commands, whatever it saturates, heats or loses. What such a combination, fitted
 is noise, and what the rounding of the last commands moved. Rounding is a function of the command alone: gathered by
 command, what is left has a line in its Fourier transform where the frequency is one over the timer's step, and of that
 line's harmonics the two phases are told. Every part of a recording has to bear it: a pattern that one sweep or
-injection happens to make is none. And where the machine's own map is wavy, as one that was read from a grid, there is
-a line along the rotor's axes, and a shorter one along the legs.
+injection happens to make is none.
 """
 
 from __future__ import annotations
@@ -22,9 +21,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from orchestrator.diagnosis.criteria import UncertaintyCriteria
-from orchestrator.diagnosis.uncertainty.command_traces import CommandTrace
+from orchestrator.diagnosis.uncertainty.command_traces import STRAIGHT, CommandTrace
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, rounded_by
-from orchestrator.numerics.frames import to_dq, to_phases
+from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
 from protocols import ModulatorTimer, TimerPhases
 
@@ -33,7 +32,7 @@ APART = 0.1
 FINER = 8
 """Lines in a Fourier transform, over those of the commands' own span."""
 SOME = 10
-"""Commands of which one is asked how much a block's move."""
+"""Commands of which one is asked how much they move."""
 BACKGROUND = 400
 """Steps on either side of one that tell what chance, and everything that is no timer, comes to there."""
 BEST = 4
@@ -46,10 +45,6 @@ ALIKE = 0.5
 """Of what the likeliest gains: what gains less is no rival."""
 SAME = 1e-3
 """Of a step: what differs by less is one."""
-NEAR = 0.2
-"""Of a line's frequency, within which a map's waves may lie whose projection it is."""
-TALLER = 2.0
-"""Than such waves a timer's line has to be, whose harmonics count too."""
 WITNESS = 300
 """Readings that are one witness: longer than a machine remembers a command."""
 
@@ -67,12 +62,12 @@ def timers_in(
     limits : UncertaintyCriteria
         The steps that are looked for.
     least : float
-        Evidence that is asked for one step; that of all that are tried comes on top [nat].
+        Evidence that is asked for one step, by the line and by those who witness it; that of all steps that are tried
+        comes on top for the line [nat].
     """
     if not traces:
         return ()
     found = list[BorneTimer]()
-    machine = [_along_rotor(traces, axis, bus_v, limits) for axis in (0, 1)]
     for centred in (True, False):
         combs = _combs(traces, centred, bus_v, limits)
         frequency, gain = _spectrum(combs, limits)
@@ -84,10 +79,7 @@ def timers_in(
                 if tried < frequency[0]:
                     continue
                 timer, likelier = _told(combs, centred, float(tried), float(frequency[1] - frequency[0]))
-                if likelier <= asked * chance[k] or (witnessed := _witnessed(traces, timer, bus_v)) <= asked:
-                    continue
-                waves = _of_the_machine(machine, timer, float(frequency[1] - frequency[0]))
-                if likelier > TALLER * waves:
+                if likelier > asked * chance[k] and (witnessed := _witnessed(traces, timer, bus_v)) > least:
                     found.append(_borne(combs, timer, likelier, min(likelier / float(chance[k]), witnessed)))
     return _rivals(found)
 
@@ -163,11 +155,13 @@ class _Comb:
         return np.asarray(sum(w * lines[first + k] for k, w in enumerate(weights)))
 
     def informed(self, step_s: float) -> Array:
-        """About each harmonic of a step's saw (HARMONICS,); a command that stands still in a block tells nothing."""
-        told, m = np.zeros(HARMONICS), np.arange(1, 1 + HARMONICS)[:, None, None]
+        """About each harmonic of a step's saw (HARMONICS,); a command that stands still for a while tells nothing."""
+        told, m, some = np.zeros(HARMONICS), np.arange(1, 1 + HARMONICS)[:, None, None, None], STRAIGHT // SOME
         for width_s, information in zip(self.widths_s, self.information, strict=True):
-            turns = np.exp(2j * np.pi / step_s * m * width_s[::SOME])
-            told += information * (1.0 - (np.abs(turns.mean(axis=1)) ** 2).mean(axis=1))
+            asked = width_s[::SOME]
+            parts = asked[: len(asked) // some * some].reshape(-1, some, 3)
+            still = np.abs(np.exp(2j * np.pi / step_s * m * parts).mean(axis=2)) ** 2
+            told += information * (1.0 - still.mean(axis=(1, 2)))
         return told
 
     def rounding(self, step_s: float, rise: Array, fall: Array, informed: Array) -> tuple[Array, Array]:
@@ -195,48 +189,16 @@ def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float, limits: 
         there = [trace for trace in traces if trace.pwm_hz == pwm_hz]
         volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
         widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in there]
+        # To a quarter of the finest saw's last harmonic.
+        apart_s = limits.least_timer_step_s / (4.0 * HARMONICS)
+        place = np.round(np.concatenate(widths_s) / apart_s).astype(np.int64)
+        count = FINER * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
         # Of the three legs' volts the machine feels the two-axis vector: the transpose of `from_phases`.
-        pulls = [2.0 / 3.0 * to_phases(trace.pull_ab) for trace in there]
-        combs.append(_comb(widths_s, pulls, 4.0 / 3.0 * _informed(there), volts_per_s, pwm_hz, limits))
+        pull_legs = 2.0 / 3.0 * to_phases(np.concatenate([trace.pull_ab for trace in there]))
+        pull = np.bincount(np.mod(place, count).ravel(), weights=pull_legs.ravel(), minlength=count).astype(np.float64)
+        information = 4.0 / 3.0 * np.array([trace.information for trace in there])
+        combs.append(_Comb(pull, apart_s, widths_s, information, volts_per_s, pwm_hz))
     return combs
-
-
-def _along_rotor(traces: Sequence[CommandTrace], axis: int, bus_v: float, limits: UncertaintyCriteria) -> list[_Comb]:
-    """The same where not the legs' commands count but what is commanded along d (axis 0) or q."""
-    combs = []
-    for pwm_hz in sorted({trace.pwm_hz for trace in traces}):
-        there = [trace for trace in traces if trace.pwm_hz == pwm_hz]
-        volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
-        widths_s = [to_dq(trace.command_ab, trace.angle_rad)[:, axis] / volts_per_s for trace in there]
-        pulls = [to_dq(trace.pull_ab, trace.angle_rad)[:, axis] for trace in there]
-        combs.append(_comb(widths_s, pulls, _informed(there), volts_per_s, pwm_hz, limits))
-    return combs
-
-
-def _informed(traces: Sequence[CommandTrace]) -> Array:
-    return np.array([trace.information for trace in traces])
-
-
-def _comb(
-    widths_s: Sequence[Array],
-    pulls: Sequence[Array],
-    information: Array,
-    volts_per_s: float,
-    pwm_hz: float,
-    limits: UncertaintyCriteria,
-) -> _Comb:
-    """Pulls (readings, few) gathered by width, to a quarter of the finest saw's last harmonic."""
-    apart_s = limits.least_timer_step_s / (4.0 * HARMONICS)
-    place = np.round(np.concatenate(widths_s) / apart_s).astype(np.int64)
-    count = FINER * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
-    pull = np.bincount(np.mod(place, count).ravel(), weights=np.concatenate(pulls).ravel(), minlength=count)
-    return _Comb(pull.astype(np.float64), apart_s, widths_s, information, volts_per_s, pwm_hz)
-
-
-def _of_the_machine(machine: Sequence[Sequence[_Comb]], timer: ModulatorTimer, apart_hz: float) -> float:
-    """What the best line near a timer's gains where the rotor's axes stand for the legs: a wavy map has one there."""
-    frequency = np.arange((1.0 - NEAR) / timer.step_s, (1.0 + NEAR) / timer.step_s, apart_hz)
-    return max(float(np.sum([comb.gains(frequency) for comb in combs], axis=0).max()) for combs in machine)
 
 
 def _spectrum(combs: Sequence[_Comb], limits: UncertaintyCriteria) -> tuple[Array, Array]:

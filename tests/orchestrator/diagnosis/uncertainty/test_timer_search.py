@@ -8,12 +8,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.uncertainty import timer_search
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
 from orchestrator.diagnosis.uncertainty.timer_search import timers_in
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.diagnosis.weak_form.timer import BorneTimer
-from orchestrator.numerics.frames import to_ab, to_dq
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     CRITERIA,
@@ -97,24 +95,6 @@ def test_a_loss_that_repeats_with_the_command_is_no_timer() -> None:
         lost = 2.0 * np.tanh(piece.current_ab / 0.1) + 0.05 * np.sin(piece.command_ab / 3.0)
         pieces.append(replace(piece, command_ab=piece.command_ab + lost))
     assert _found(replace(made, pieces=tuple(pieces))) == ()
-
-
-def _wavy(size_v: float, apart_v: float) -> PreparedRecording:
-    """Commands that the machine's own map, as one read from a grid is, answers with waves along its d axis."""
-    made = prepared(_moving(), noise_a=0.001)
-    pieces = []
-    for piece in made.pieces:
-        angle = float(piece.segment.rotor_angle_rad)
-        along = size_v * np.sin(2.0 * np.pi / apart_v * to_dq(piece.command_ab, angle)[:, :1])
-        pieces.append(replace(piece, command_ab=piece.command_ab + to_ab(np.hstack([along, 0.0 * along]), angle)))
-    return replace(made, pieces=tuple(pieces))
-
-
-def test_waves_in_the_machines_own_map_are_no_timer(monkeypatch: pytest.MonkeyPatch) -> None:
-    made = _wavy(0.05, 0.34)
-    assert _found(made) == ()
-    monkeypatch.setattr(timer_search, "TALLER", 0.0)
-    assert _found(made) != ()
 
 
 def test_what_one_segment_alone_bears_is_no_timer() -> None:
