@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
+from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import lagged_steps
@@ -109,38 +110,71 @@ def _without_eddies(
 
 
 @njit(cache=True, nogil=True)
-def _stops(psi: Array, stiffness: Array, limits: Array) -> Array:
-    """Sum of vector stop operators of the flux (n, 2), after a first pass that brings them to their loop."""
+def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: float) -> Array:
+    """Sum of vector stop operators of the flux (n, 2), which had its first `before` values before.
+
+    Where it began, the iron remembered nothing.
+
+    Parameters
+    ----------
+    softness : float
+        Outwards a stop moves by 1 - (size / limit)^(1 / softness) of what is elastic; 0: as long as it is below its
+        limit, by all of it.
+
+    Returns
+    -------
+    array, shape (n - before, 2)
+    """
     n = psi.shape[0]
-    out = np.zeros((n, 2))
+    out = np.zeros((n - before, 2))
     for m in range(limits.shape[0]):
-        limit = limits[m]
         a = 0.0
         b = 0.0
-        for turn in range(2):
-            # The end of a periodic record is what came before its start.
-            start = n - n // 4 if turn == 0 else 0
-            for k in range(start, n):
-                if k > start:
-                    a += stiffness[m] * (psi[k, 0] - psi[k - 1, 0])
-                    b += stiffness[m] * (psi[k, 1] - psi[k - 1, 1])
-                size = math.sqrt(a * a + b * b)
-                if size > limit:
-                    a *= limit / size
-                    b *= limit / size
-                if turn == 1:
-                    out[k, 0] += a
-                    out[k, 1] += b
+        for k in range(n):
+            if k > 0:
+                da = stiffness[m] * (psi[k, 0] - psi[k - 1, 0])
+                db = stiffness[m] * (psi[k, 1] - psi[k - 1, 1])
+                # A step of the flux may be as large as what a stop yields in.
+                parts = 1
+                if softness > 0.0:
+                    parts += min(int(8.0 * math.sqrt(da * da + db * db) / limits[m]), 3)
+                for _ in range(parts):
+                    a, b = _moved(a, b, da / parts, db / parts, limits[m], softness)
+            if k >= before:
+                out[k - before, 0] += a
+                out[k - before, 1] += b
     return out
+
+
+@njit(cache=True, nogil=True)
+def _moved(a: float, b: float, da: float, db: float, limit: float, softness: float) -> tuple[float, float]:
+    """A stop (a, b) that its flux would move by (da, db), were it elastic."""
+    size = math.sqrt(a * a + b * b)
+    outwards = (a * da + b * db) / size if size > 0.0 else 0.0
+    if softness > 0.0 and outwards > 0.0:
+        # Half of the way out stands for all of it.
+        yielding = min((size + 0.5 * outwards) / limit, 1.0) ** (1.0 / softness) * outwards / size
+        da -= yielding * a
+        db -= yielding * b
+    a += da
+    b += db
+    size = math.sqrt(a * a + b * b)
+    if size > limit:
+        a *= limit / size
+        b *= limit / size
+    return a, b
 
 
 class Hysteresis:
     """Hysteresis of the iron: i = grad H(psi) + sum of vector stop operators of psi [A].
 
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
-    loop's width; small loops see 1/L + kappa instead of 1/L, so `reversible_ratio` = 1 / (1 + kappa L).
-    In the flexible form the two stops have limits 1 -+ sqrt(`variance`), and the first has `early_share` of kappa.
-    Source: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0.
+    loop's width; small loops see 1/L + kappa instead of 1/L, so `reversible_ratio` = 1 / (1 + kappa L). What a stop
+    holds as a segment begins is what the way there left in it.
+    In the flexible form the two stops have limits 1 -+ sqrt(`variance`), and the first has `early_share` of kappa; and
+    with a `softness` they yield before their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi.
+    Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
+    Mech. Div. 102 (1976) 249.
     """
 
     name: ClassVar[str] = "hysteresis"
@@ -155,17 +189,39 @@ class Hysteresis:
         reversible_ratio: float = shape("1", typical=0.93, prior_width=1.0, low=0.6, high=0.999)
         variance: float = refinement("1", neutral=0.0, prior_width=0.25, low=0.0, high=0.9)
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
+        softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
         stiffness = (1.0 / p.reversible_ratio - 1.0) / _inductance(signals)
         spread = math.sqrt(p.variance)
+        psi, way = _flux(signals), _way_here(signals)
         held = _stops(
-            _flux(signals),
+            np.concatenate([way, psi]),
+            len(way),
             stiffness * np.array([p.early_share, 1.0 - p.early_share]),
             0.5 * p.half_width_a * np.array([1.0 - spread, 1.0 + spread]),
+            p.softness if p.softness > 1e-2 else 0.0,
         )
         return Correction(i_m_ab=signals.i_m_ab - held)
+
+
+def _way_here(signals: Signals, steps: int = 16) -> Array:
+    """The flux (m, 2) on its way to where a segment begins: straight from where the current was before.
+
+    Where that is not known, the end of a periodic record is what came before its start.
+    """
+    psi, came_from = _flux(signals), signals.came_from_ab
+    if came_from is None:
+        end = psi[len(psi) - len(psi) // 4 :]
+        return np.asarray(end + (psi[0] - end[-1]), dtype=np.float64)
+    motor, theta_rad = signals.motor, signals.theta_rad[:1]
+    if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
+        inductance = np.full(2, _inductance(signals))
+    else:
+        inductance = np.array([motor.d_inductance_h, motor.q_inductance_h])
+    moved = to_ab(to_dq((signals.i_ab[0] - came_from)[None], theta_rad) * inductance, theta_rad)
+    return np.asarray(psi[0] + np.linspace(-1.0, 0.0, steps)[:, None] * moved, dtype=np.float64)
 
 
 def _flux(signals: Signals) -> Array:

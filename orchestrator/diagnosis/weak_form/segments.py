@@ -46,6 +46,8 @@ USABLE = (
     SegmentStage.INJECTION,
     SegmentStage.STEPS,
 )
+_LAST_READINGS = 20
+"""Whose mean is where a current was as a segment ended."""
 _SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j", "i_quiet_ab", "i_abc", "temperature_c")
 
 
@@ -146,6 +148,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
+    pieces = [_coming_from(before, p) for before, p in zip([None, *pieces], pieces, strict=False)]
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
@@ -350,6 +353,18 @@ def delayed(v_ab: Array, samples: float) -> Array:
     part = samples - whole
     last = np.maximum(np.arange(len(v_ab)) - whole, 0)
     return np.ascontiguousarray((1.0 - part) * v_ab[last] + part * v_ab[np.maximum(last - 1, 0)])
+
+
+def _coming_from(before: SegmentSignals | None, piece: SegmentSignals) -> SegmentSignals:
+    """The piece with the current at the end of what was measured before it; none flows while a rotor is turned."""
+    if before is None:
+        return piece
+    last = np.zeros(2)
+    if before.segment.rotor_angle_rad == piece.segment.rotor_angle_rad and before.signals.bridge_on:
+        # An injected ripple's mean is where the drive holds the current.
+        readings = before.current_ab
+        last = (readings if before.stage is SegmentStage.INJECTION else readings[-_LAST_READINGS:]).mean(axis=0)
+    return replace(piece, signals=piece.signals.model_copy(update={"came_from_ab": last}))
 
 
 def _with_heat(

@@ -259,3 +259,50 @@ def test_small_hysteresis_loops_are_reversible() -> None:
     slope = np.polyfit(psi, held, 1)[0]
     inductance = math.sqrt(0.043 * 0.069)
     assert slope == pytest.approx((1.0 / 0.9 - 1.0) / inductance, rel=1e-6)
+
+
+def test_a_soft_stop_yields_before_its_limit_and_the_softer_the_sooner() -> None:
+    sizes = {"half_width_a": 0.03, "reversible_ratio": 0.9}
+    psi, sharp = _loop(sizes, 0.2)
+    _, nearly = _loop({**sizes, "softness": 0.02}, 0.2)
+    _, soft = _loop({**sizes, "softness": 0.6}, 0.2)
+    _, softer = _loop({**sizes, "softness": 1.0}, 0.2)
+    assert_close(nearly, sharp, 0.05, of=sharp)
+    assert soft.max() == pytest.approx(0.03, rel=0.02)
+    # On the way up, before the limit is reached, less is held the softer the stop; on the way back all are elastic.
+    rising = (np.diff(psi, append=psi[:1]) > 0.0) & (sharp > 0.015) & (sharp < 0.025)
+    assert rising[3000:].any()
+    assert (softer < soft)[3000:][rising[3000:]].all()
+    assert (soft < sharp)[3000:][rising[3000:]].all()
+    turn = 3000 + 250
+    stiff = (sharp[turn] - sharp[turn + 20]) / (psi[turn] - psi[turn + 20])
+    assert (soft[turn] - soft[turn + 20]) / (psi[turn] - psi[turn + 20]) == pytest.approx(stiff, rel=1e-3)
+
+
+def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps() -> None:
+    k = np.arange(4000)
+    fine = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), 0.1 * np.cos(2 * np.pi * k / 1000)], axis=1)
+    held = []
+    for every in (1, 10):
+        psi = np.ascontiguousarray(fine[::every])
+        signals = _signals(len(psi)).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros(2)})
+        out = _corrected(Hysteresis(), signals, half_width_a=0.03, reversible_ratio=0.9, softness=0.6)
+        held.append((signals.i_m_ab - out.i_m_ab)[:: 10 // every])
+    assert_close(held[1][100:], held[0][100:], 0.03, of=held[0])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_iron_remembers_from_where_the_current_came(side: float) -> None:
+    k = np.arange(4000)
+    psi = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    signals = _signals(4000).model_copy(update={"psi_smooth_ab": psi})
+    far = signals.i_ab[0] - side * np.array([3.0, 0.0])
+    held = []
+    for came_from in (far, signals.i_ab[0]):
+        coming = signals.model_copy(update={"came_from_ab": came_from})
+        out = _corrected(Hysteresis(), coming, half_width_a=0.03, reversible_ratio=0.9)
+        held.append((coming.i_m_ab - out.i_m_ab)[:, 0])
+    assert held[0][0] == pytest.approx(side * 0.03, rel=0.05)
+    assert held[1][0] == 0.0
+    # After half a loop nothing is left of that.
+    assert_close(held[0][1000:], held[1][1000:], 1e-9, of=held[0])

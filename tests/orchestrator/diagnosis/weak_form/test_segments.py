@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -18,7 +19,7 @@ from orchestrator.diagnosis.weak_form.segments import (
     swept_axis,
 )
 from orchestrator.recording import Recording
-from protocols import SegmentStage
+from protocols import Segment, SegmentStage
 from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Plan, piece, plan, prepared, ripple, sweep
 
 CUTTING = CRITERIA.weak_form
@@ -83,3 +84,30 @@ def test_range_of_currents_is_the_believed_frames_with_gates_off_aside() -> None
     assert low == pytest.approx(-2.5, rel=0.05)
     assert high == pytest.approx(2.5, rel=0.1)
     assert q == pytest.approx(2.5, rel=0.1)
+
+
+def test_each_segment_knows_where_the_current_was_before(clean: Recording) -> None:
+    pieces = prepare(clean, Criteria()).pieces
+    assert pieces[0].signals.came_from_ab is None
+    for before, after in pairwise(pieces):
+        came_from = after.signals.came_from_ab
+        assert came_from is not None
+        if before.stage is SegmentStage.GATES_OFF:
+            assert not came_from.any()
+        elif before.stage is SegmentStage.RESISTANCE:
+            assert np.abs(came_from - before.signals.i_ab.mean(axis=0)).max() < 0.05
+
+
+def test_a_turned_rotor_was_left_without_current(clean: Recording) -> None:
+    holds = [s for s in clean.segments() if s.stage is SegmentStage.RESISTANCE]
+    turned = [s.model_copy(update={"rotor_angle_rad": s.rotor_angle_rad + 1.0}) if s is holds[-1] else s for s in holds]
+
+    class Turned(Recording):
+        def segments(self, *_: SegmentStage) -> list[Segment]:
+            return turned
+
+    made = prepare(Turned(clean.path, clean.manifest), Criteria())
+    last = made.pieces[-1].signals.came_from_ab
+    assert last is not None
+    assert not last.any()
+    assert made.pieces[-2].signals.came_from_ab is not None
