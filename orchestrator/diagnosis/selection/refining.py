@@ -5,12 +5,13 @@ The wrong shape of the right effect causes most spurious second ones.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.scoring import log_evidence, loss_without
+from orchestrator.diagnosis.selection.scoring import evidence_for, log_evidence, loss_without
 from protocols import ParameterRole
 
 
@@ -30,24 +31,43 @@ def repolished(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def settled(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known."""
+    """The fit taken to its end; each effect in its simple form again where that does as well now that all is known.
+
+    Else without those refinements that can be spared.
+    """
     best = fitter.fit(fit.model, fit.frame, steps=4, renewals=0, tolerance=1e-3)
-    for index, active in enumerate(best.model.active):
-        names = active.candidate.of_role(ParameterRole.REFINEMENT)
-        if fitter.effort.exhausted or not set(names) & set(active.free):
-            continue
-        if loss_without(best, active, names) > fit.criteria.selection.flexible_form_needed:
-            continue
-        simple = replace(active, free=tuple(n for n in active.free if n not in names))
-        for name in names:
-            simple = simple.moved(name, 0.0)
-        models = list(best.model.active)
-        models[index] = simple
-        trial = fitter.fit(best.model.with_active(models), best.frame, steps=8, renewals=0, tolerance=3e-4)
-        inflation = max(1.0, min(best.chi2_per_dof, trial.chi2_per_dof))
-        if log_evidence(trial, inflation) > log_evidence(best, inflation) - fit.criteria.selection.tie:
-            best = trial
+    for index in range(len(best.model.active)):
+        active = best.model.active[index]
+        free = [n for n in active.candidate.of_role(ParameterRole.REFINEMENT) if n in active.free]
+        for spared in (free, _to_spare(best, active, free)):
+            if spared and not fitter.effort.exhausted and (trial := _rigid(fitter, best, index, spared)) is not None:
+                best = trial
+                break
     return best
+
+
+def _to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
+    """Refinements of an effect that the data do not ask for together, the least asked for first; not all of them."""
+    spared = list[str]()
+    for name in sorted(free, key=lambda n: evidence_for(fit, active, [n]))[:-1]:
+        if evidence_for(fit, active, [*spared, name]) <= fit.criteria.selection.tie:
+            spared.append(name)
+    return spared
+
+
+def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | None:
+    """The fit without some refinements of one effect; None where they are needed."""
+    active, limits = fit.model.active[index], fit.criteria.selection
+    if loss_without(fit, active, names) > limits.flexible_form_needed:
+        return None
+    simple = replace(active, free=tuple(n for n in active.free if n not in names))
+    for name in names:
+        simple = simple.moved(name, 0.0)
+    models = list(fit.model.active)
+    models[index] = simple
+    trial = fitter.fit(fit.model.with_active(models), fit.frame, steps=8, renewals=0, tolerance=3e-4)
+    inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
+    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) - limits.tie else None
 
 
 def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
