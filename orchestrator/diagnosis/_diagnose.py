@@ -30,7 +30,7 @@ from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.measured import with_measured
-from orchestrator.diagnosis.selection.shares import can_tell, rated_flux_wb, shares, visited
+from orchestrator.diagnosis.selection.shares import can_tell, left_of_excitation, rated_flux_wb, shares, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.selection.workflow import (
@@ -310,6 +310,9 @@ def _remarks(
     if verdict in ("explained", "mostly_explained") and chi2 > limits.noteworthy_chi2 and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=left.shape[0].group))
+    if verdict == "clean" and chi2 > limits.detected_chi2:
+        text = "chi2 {chi2:.3g} is more than noise, but immaterial: {left_percent:.2g} % of the voltage"
+        remarks.append(Remark.of("immaterial", text, chi2=chi2, left_percent=100.0 * left_of_excitation(search.fit)))
     # What fits all together takes what it takes.
     if setup.fitter.effort.exhausted and not search.shares:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))

@@ -186,6 +186,9 @@ class SelectionCriteria(Strict):
     immaterial_left: float = _is(4.0, "1", "practice")
     """... and where that is under ``explained`` of the first error and ``material_voltage`` of the excitation besides:
     a hidden effect that nobody had named was left over at 7.8."""
+    noise_known: float = _is(0.15, "1", "practice")
+    """chi2 - 1 up to which what no effect explains is how well the noise is known, where it is immaterial besides:
+    quantum, colour and ripple of a reading are told to some percent each."""
     most_floor: float = _is(0.1, "1", "practice")
     """Noise over the excitation's rms voltage beyond which a good fit says nothing, ..."""
     most_current_error: float = _is(0.05, "1", "practice")

@@ -23,7 +23,8 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
 
     The fraction alone would forgive a large second error beside a huge first one; so would the fitted part alone what
     only the held-out part shows. What no engineer would miss is forgiven near the noise, and not far beyond it: what
-    nobody has named may be small where it was measured, and not elsewhere.
+    nobody has named may be small where it was measured, and not elsewhere. Where nothing was named, noise that is a
+    little more than the readings say is noise.
     """
     return _judged(before, after, effects, remainder(after))
 
@@ -37,6 +38,8 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
     limits = after.criteria.selection
     if after.chi2_per_dof <= limits.detected_chi2 and left <= limits.explained_left:
         return "explained" if effects else "clean"
+    if not effects and left <= limits.noise_known and left_of_excitation(after) <= limits.material_voltage:
+        return "clean"
     fraction = left_fraction(before.chi2_per_dof, after)
     if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
         return "unknown_remains"

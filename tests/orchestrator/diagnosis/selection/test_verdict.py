@@ -57,6 +57,22 @@ def test_what_no_engineer_would_miss_is_forgiven_near_the_noise_and_not_far_beyo
     assert verdict_of(_with_chi2(fit, 1e6), replace(left, volts=tuple(volt * e for e in left.volts)), 1) == verdict
 
 
+@pytest.mark.parametrize(
+    ("part", "chi2", "verdict"), [(0.5, 1.12, "clean"), (2.0, 1.12, "unknown_remains"), (0.5, 1.2, "unknown_remains")]
+)
+def test_noise_a_little_larger_than_the_readings_say_is_noise_where_it_does_not_matter(
+    fit: Fit, part: float, chi2: float, verdict: str
+) -> None:
+    left = replace(
+        _with_chi2(fit, chi2),
+        volts=tuple(np.ones_like(e) for e in fit.volts),
+        residual=tuple(np.full_like(e, np.sqrt(chi2)) for e in fit.residual),
+    )
+    volt = part * fit.criteria.selection.material_voltage / left_of_excitation(left)
+    left = replace(left, volts=tuple(volt * e for e in left.volts))
+    assert verdict_of(left, left, 0) == verdict
+
+
 def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
     assert left_fraction(101.0, _with_chi2(fit, 2.0)) == pytest.approx(0.1)
     assert left_fraction(1.05, _with_chi2(fit, 1.05)) == 0.0
