@@ -163,7 +163,7 @@ def _factor(unit: str) -> float:
 def _scaled(signals: Signals) -> Signals:
     """The same on the other machine."""
     units = {
-        **dict.fromkeys(("i_ab", "i_m_ab", "i_abc", "i_smooth_ab", "i_quiet_ab"), "A"),
+        **dict.fromkeys(("i_ab", "i_m_ab", "i_abc", "i_smooth_ab", "i_quiet_ab", "came_from_ab"), "A"),
         **dict.fromkeys(("v_ab", "v_dc"), "V"),
         **dict.fromkeys(("psi_ab", "psi_smooth_ab"), "Wb"),
         "resistance_ohm": "ohm",
