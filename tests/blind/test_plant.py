@@ -9,6 +9,7 @@ from tests.blind.drive import CONTROL, OFF, OPEN, run
 from tests.blind.magnetics import POINTS, REACH, Array, Table, tabulated
 from tests.blind.plant import HEALTHY, LOOSE, MEMORY, STATES, Plant
 from tests.blind.switched import NO_BRIDGE
+from tests.blind.switched_bench import FIRM
 
 TS = 1e-4
 R, L_D, L_Q = 4.0, 0.04, 0.07
@@ -123,6 +124,23 @@ def test_a_hysteresis_loop_does_not_depend_on_its_speed(linear: Table) -> None:
         areas.append(float((rise[last] * i[last, 1]).sum()))
     assert areas[0] == pytest.approx(areas[1], rel=0.05)
     assert areas[0] > 1e-3
+
+
+@pytest.mark.parametrize(("power", "low", "high"), [(1.1, 0.0, 0.5), (FIRM, 0.7, 1.0)])
+def test_a_firm_hysteresis_keeps_its_loop_under_a_bridges_ripple(
+    linear: Table, power: float, low: float, high: float
+) -> None:
+    t = TS * np.arange(4000)
+    wave = 3.0 * np.sin(2 * np.pi * 20.0 * t)[:, None] * [[0.0, 1.0]]
+    plant = HEALTHY_400._replace(substeps=8, loop_a=0.012, loop_per_wb=0.7, loop_power=power)
+    held = []
+    for ripple in (0.0, 20.0):
+        v = wave + ripple * np.where(np.arange(4000) % 2 == 0, 1.0, -1.0)[:, None] * [[0.0, 1.0]]
+        i, _, _ = respond(plant, linear, v)
+        healthy, _, _ = respond(HEALTHY_400._replace(substeps=8), linear, v)
+        off = (i - healthy)[2000:, 1].reshape(-1, 2).mean(axis=1)
+        held.append(float(np.sqrt(np.mean(off**2))))
+    assert low < held[1] / held[0] < high
 
 
 def test_a_warm_winding_has_more_resistance(linear: Table) -> None:
