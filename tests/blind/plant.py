@@ -289,7 +289,8 @@ def _hysteresis(p: Plant, y: Array, n: int, rise_d: float, rise_q: float, out: A
     if length > 1e-15:
         outwards = (d * rise_d + q * rise_q) / length
         if outwards > 0.0:
-            brake = slope * outwards * (length / limit) ** p.loop_power
+            # Beyond its limit, where a step of the integration may have led, it is as at its limit.
+            brake = slope * outwards * min(length / limit, 1.0) ** p.loop_power
             out_d -= brake * d / length
             out_q -= brake * q / length
     out[Z + 2 * n], out[Z + 2 * n + 1] = out_d, out_q
