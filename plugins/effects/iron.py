@@ -83,6 +83,8 @@ def _without_eddies(
     decay : float
         Of the current's lag, in a sample period: the voltage is held over an interval, and at its end the current has
         come this much nearer to it.
+    bend : float
+        Of a step of the current, what its mean over an interval is beside the mean of both samples.
     """
     i_out, v_out = np.empty_like(i_m_ab), np.empty_like(v_ab)
     felt_a, felt_b = 0.0, 0.0
@@ -195,23 +197,25 @@ class Hysteresis:
         """Take what the stops hold from the magnetising current."""
         stiffness = (1.0 / p.reversible_ratio - 1.0) / _inductance(signals)
         spread = math.sqrt(p.variance)
-        psi, way = _flux(signals), _way_here(signals)
+        psi = _flux(signals)
+        way = _way_here(signals, psi)
         held = _stops(
             np.concatenate([way, psi]),
             len(way),
             stiffness * np.array([p.early_share, 1.0 - p.early_share]),
             0.5 * p.half_width_a * np.array([1.0 - spread, 1.0 + spread]),
+            # A hundredth power is as sharp as none, and costs one.
             p.softness if p.softness > 1e-2 else 0.0,
         )
         return Correction(i_m_ab=signals.i_m_ab - held)
 
 
-def _way_here(signals: Signals, steps: int = 16) -> Array:
-    """The flux (m, 2) on its way to where a segment begins: straight from where the current was before.
+def _way_here(signals: Signals, psi: Array, steps: int = 16) -> Array:
+    """The flux (m, 2) on its way to where that of a segment, psi (n, 2), begins: straight from where the current was.
 
     Where that is not known, the end of a periodic record is what came before its start.
     """
-    psi, came_from = _flux(signals), signals.came_from_ab
+    came_from = signals.came_from_ab
     if came_from is None:
         end = psi[len(psi) - len(psi) // 4 :]
         return np.asarray(end + (psi[0] - end[-1]), dtype=np.float64)

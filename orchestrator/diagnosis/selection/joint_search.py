@@ -25,6 +25,7 @@ from orchestrator.diagnosis.selection.scoring import (
     gain_with,
     linear_gain,
     linear_view,
+    log_density_ratio,
     log_evidence,
     score,
 )
@@ -283,8 +284,7 @@ def probabilities(fit: Fit) -> dict[str, float]:
 
 def _log_bayes_factor(mean: Array, covariance: Array, candidate: Candidate) -> float:
     """Savage and Dickey's density ratio at zero, for amplitudes with priors of unit variance."""
-    ratio = 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
-    return ratio - 0.5 * float(candidate.standing @ candidate.standing)
+    return log_density_ratio(mean, covariance) - 0.5 * float(candidate.standing @ candidate.standing)
 
 
 def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:

@@ -122,8 +122,12 @@ def evidence_for(fit: Fit, active: Active, names: Sequence[str]) -> float:
 
     To first order, by Savage and Dickey's ratio (doi:10.1214/aoms/1177693507), for priors of unit variance.
     """
-    away, block = _away(fit, active, names)
-    return 0.5 * float(np.linalg.slogdet(block)[1] + away @ np.linalg.solve(block, away))
+    return log_density_ratio(*_away(fit, active, names))
+
+
+def log_density_ratio(mean: Array, covariance: Array) -> float:
+    """Of a prior of unit variance over this distribution, both normal, at zero; as a logarithm."""
+    return 0.5 * float(np.linalg.slogdet(covariance)[1] + mean @ np.linalg.solve(covariance, mean))
 
 
 def _away(fit: Fit, active: Active, names: Sequence[str]) -> tuple[Array, Array]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
@@ -206,6 +207,11 @@ def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan], *, noise_a: f
 
 def fitter(made: PreparedRecording) -> Fitter:
     return Fitter(made, sensor_noise(made.pieces, CRITERIA.weak_form), PM_WB)
+
+
+def setup_of(maker: Fitter) -> DiagnosisSetup:
+    """What a diagnosis has at hand, searching in the whole of a recording."""
+    return DiagnosisSetup(maker.prepared, maker, maker, L_D, L_Q, 2.5, ())
 
 
 def free_model() -> Model:

@@ -15,7 +15,16 @@ from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
 from protocols import Effect, SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import L_D, L_Q, Plan, fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import (
+    L_D,
+    Plan,
+    fitter,
+    free_model,
+    plan,
+    prepared,
+    setup_of,
+    with_voltage,
+)
 
 BIAS_V = np.array([0.05, 0.0])
 PLANS = [p for p in plan(sparse=True) if p.stage is not SegmentStage.GATES_OFF]
@@ -32,8 +41,7 @@ def _fitted(maker: Fitter, effect: Effect) -> Fit:
 
 @pytest.fixture(scope="module")
 def setup() -> DiagnosisSetup:
-    maker = fitter(_measured(PLANS))
-    return DiagnosisSetup(maker.prepared, maker, maker, L_D, L_Q, 2.5, ())
+    return setup_of(fitter(_measured(PLANS)))
 
 
 def test_gates_off_separates_a_bias_from_an_offset_as_much_as_was_predicted(setup: DiagnosisSetup) -> None:

@@ -14,13 +14,12 @@ from orchestrator.diagnosis.fitting.baseline import (
     given_model,
 )
 from protocols import FluxMap, Nameplate, NotMeasuredError
-from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared
+from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
 
 
 @pytest.fixture(scope="module")
 def setup() -> DiagnosisSetup:
-    maker = fitter(prepared(plan()))
-    return DiagnosisSetup(maker.prepared, maker, maker, L_D, L_Q, 2.5, ())
+    return setup_of(fitter(prepared(plan())))
 
 
 def _flux_map(reach: float, bend: float = 0.0) -> FluxMap:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.ladder import kept_rungs, mean_rms_v, noise_rms_v, rung
 from orchestrator.diagnosis.selection.forward_search import Step
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
 
 MAKER = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
 
@@ -40,6 +39,6 @@ def test_a_rung_is_its_fit_in_numbers(fit: Fit) -> None:
 
 
 def test_a_rung_that_is_kept_is_the_model_held_against_the_recording(fit: Fit) -> None:
-    setup = DiagnosisSetup(MAKER.prepared, MAKER, MAKER, 0.045, 0.07, 2.5, ())
+    setup = setup_of(MAKER)
     (kept,) = kept_rungs(setup, [Step(None, fit)])
     assert kept.chi2 == pytest.approx(fit.chi2_per_dof, rel=0.01)

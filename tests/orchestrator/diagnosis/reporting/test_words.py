@@ -9,7 +9,6 @@ import pytest
 
 from orchestrator.diagnosis import Diagnosis, in_words
 from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.selection.forward_search import Search, Step
@@ -17,7 +16,7 @@ from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset
 from protocols import Contrast
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
-from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 MAKER = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
@@ -40,7 +39,7 @@ def said(search: Search, **changes: Any) -> Any:
     """The words for a report of this search."""
     ladder = [rung(step).model_dump() for step in search.steps]
     report = a_diagnosis(**{"ladder": ladder, "effects": [BIAS], "next_experiment": None, **changes})
-    setup = DiagnosisSetup(MAKER.prepared, MAKER, MAKER, L_D, L_Q, 2.5, ())
+    setup = setup_of(MAKER)
     library = scaled_library([VoltageBias(), CurrentOffset()], MAKER.prepared.manifest)
     return in_words(Diagnosis(report, setup, search, library))
 

@@ -7,33 +7,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
-    L_D,
-    L_Q,
     felt_through,
     fitter,
     free_model,
     many_holds,
     plan,
     prepared,
+    setup_of,
     timer,
     with_voltage,
 )
 
 
-def _setup(recording: PreparedRecording) -> DiagnosisSetup:
-    maker = fitter(recording)
-    return DiagnosisSetup(recording, maker, maker, L_D, L_Q, 2.5, ())
-
-
 def test_voltages_that_differ_by_chance_are_no_timer_s() -> None:
     made, rng = prepared(many_holds()), np.random.default_rng(6)
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
-    setup = _setup(with_voltage(made, by_chance))
+    setup = setup_of(fitter(with_voltage(made, by_chance)))
     assert with_its_timer(setup, setup.fitter.fit(free_model()), []) is setup
 
 
@@ -48,7 +40,7 @@ def test_a_timer_is_taken_out_of_every_voltage() -> None:
         for p in plans
     ]
     rounded = felt_through(timer(21.7e-9, 0.35, 0.35), trembling, noise_a=0.001)
-    setup = _setup(rounded)
+    setup = setup_of(fitter(rounded))
     fit = setup.fitter.fit(free_model())
     timed = with_its_timer(setup, fit, [])
     assert timed.prepared.timer is not None

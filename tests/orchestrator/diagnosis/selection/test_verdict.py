@@ -41,6 +41,17 @@ def test_verdict_asks_for_little_beside_the_first_error_and_little_in_itself(
     assert verdict_of(_with_chi2(fit, before), _with_chi2(fit, after), effects) == verdict
 
 
+def _leaving(fit: Fit, chi2: float, part: float) -> Fit:
+    """A fit that leaves so much of chi2, and of the excitation this part of what is material."""
+    left = replace(
+        _with_chi2(fit, chi2),
+        volts=tuple(np.ones_like(e) for e in fit.volts),
+        residual=tuple(np.full_like(e, np.sqrt(chi2)) for e in fit.residual),
+    )
+    volt = part * fit.criteria.selection.material_voltage / left_of_excitation(left)
+    return replace(left, volts=tuple(volt * e for e in left.volts))
+
+
 @pytest.mark.parametrize(
     ("part", "chi2", "verdict"),
     [(0.5, 4.0, "mostly_explained"), (2.0, 4.0, "unknown_remains"), (1e-3, 9.0, "unknown_remains")],
@@ -48,13 +59,7 @@ def test_verdict_asks_for_little_beside_the_first_error_and_little_in_itself(
 def test_what_no_engineer_would_miss_is_forgiven_near_the_noise_and_not_far_beyond_it(
     fit: Fit, part: float, chi2: float, verdict: str
 ) -> None:
-    left = replace(
-        _with_chi2(fit, chi2),
-        volts=tuple(np.ones_like(e) for e in fit.volts),
-        residual=tuple(np.full_like(e, np.sqrt(chi2)) for e in fit.residual),
-    )
-    volt = part * fit.criteria.selection.material_voltage / left_of_excitation(left)
-    assert verdict_of(_with_chi2(fit, 1e6), replace(left, volts=tuple(volt * e for e in left.volts)), 1) == verdict
+    assert verdict_of(_with_chi2(fit, 1e6), _leaving(fit, chi2, part), 1) == verdict
 
 
 @pytest.mark.parametrize(
@@ -63,13 +68,7 @@ def test_what_no_engineer_would_miss_is_forgiven_near_the_noise_and_not_far_beyo
 def test_noise_a_little_larger_than_the_readings_say_is_noise_where_it_does_not_matter(
     fit: Fit, part: float, chi2: float, verdict: str
 ) -> None:
-    left = replace(
-        _with_chi2(fit, chi2),
-        volts=tuple(np.ones_like(e) for e in fit.volts),
-        residual=tuple(np.full_like(e, np.sqrt(chi2)) for e in fit.residual),
-    )
-    volt = part * fit.criteria.selection.material_voltage / left_of_excitation(left)
-    left = replace(left, volts=tuple(volt * e for e in left.volts))
+    left = _leaving(fit, chi2, part)
     assert verdict_of(left, left, 0) == verdict
 
 

@@ -5,23 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.workflow import pruned, with_its_scatter
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import (
-    L_D,
-    L_Q,
     R_S,
     fitter,
     free_model,
     many_holds,
     plan,
     prepared,
+    setup_of,
     with_voltage,
 )
 
@@ -39,19 +36,14 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
         model = before.with_active([*before.active, *with_free(before, maker, effect).active])
         steps.append(Step(effect.name, maker.fit(model), 100.0))
     assert steps[0].fit.chi2_per_dof > 1e5 > 1e4 * steps[-1].fit.chi2_per_dof
-    setup = DiagnosisSetup(maker.prepared, maker, maker, L_D, L_Q, 2.5, ())
+    setup = setup_of(maker)
     assert pruned(setup, Search(steps))[1] == spared
-
-
-def _setup(recording: PreparedRecording) -> DiagnosisSetup:
-    maker = fitter(recording)
-    return DiagnosisSetup(recording, maker, maker, L_D, L_Q, 2.5, ())
 
 
 def test_voltages_that_differ_by_chance_are_noise() -> None:
     made, rng = prepared(many_holds()), np.random.default_rng(6)
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
-    setup = _setup(with_voltage(made, by_chance))
+    setup = setup_of(fitter(with_voltage(made, by_chance)))
     fit = setup.fitter.fit(free_model())
     noisy = with_its_scatter(setup, fit, [])
     assert noisy is not None
