@@ -152,14 +152,14 @@ def piece_information(
     """Normal matrix of one piece."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations
     amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
-    white = equations.rows(model, piece, frame, amplitudes).white[:, 1:]
+    white = equations.rows(equations.place(model, piece, frame), amplitudes).white[:, 1:]
     columns, taken = [white[:, :1], frame.white_basis], 1
     for e in effects:
         split, end = taken + len(e.amplitudes), taken + len(e.amplitudes) + len(e.others)
         columns.append(white[:, taken:split])
         if e.forms_named:
-            wanted = [(e.there, n) for n in e.forms_named]
-            columns.append(equations.rows(model.with_active([e.there]), piece, frame, wanted).white[:, 2:])
+            there = equations.place(model.with_active([e.there]), piece, frame)
+            columns.append(equations.rows(there, [(e.there, n) for n in e.forms_named]).white[:, 2:])
         columns.append(white[:, split:end])
         taken = end
     together = np.column_stack(columns)

@@ -104,12 +104,12 @@ def _normal(
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
     # Planned segments have no ids of their own: what a fitter remembers of one must not serve the next.
     on_these = replace(fitter, prepared=replace(fitter.prepared, pieces=tuple(pieces)))
-    frame = on_these.frame(model)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
-    for piece, segment_frame in zip(pieces, frame.pieces, strict=True):
-        white = on_these.equations.rows(model, piece, segment_frame, wanted).white
-        rows = np.column_stack([white[:, 1], segment_frame.white_basis, white[:, 2:]])
+    for piece in pieces:
+        place = on_these.equations.renewed(model, piece, None)
+        white = on_these.equations.rows(place, wanted).white
+        rows = np.column_stack([white[:, 1], place.frame.white_basis, white[:, 2:]])
         total += rows.T @ rows
     if with_prior:
         total[1:width, 1:width] += space.prior.T @ space.prior

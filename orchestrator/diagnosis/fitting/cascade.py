@@ -50,6 +50,11 @@ class Cascade:
     def corrected(self) -> Signals:
         return self.stages[-1].signals
 
+    @property
+    def changed(self) -> frozenset[str]:
+        """Names of the arrays that any of the effects changed."""
+        return frozenset[str]().union(*(stage.changed for stage in self.stages))
+
     def change_by(self, moved: Active, answering: Container[str] | None = None) -> tuple[Change, dict[str, Change]]:
         """What changes behind the innermost effect where one effect is as in `moved`, present in the model or not.
 

@@ -27,14 +27,14 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     if known is not None and known.model.space is not model.space:
         known = None
     # Columns may be a little off; a frame that is older than its map leads away from where the fit was.
-    best = fitter.evaluate(model, fitter.frame(model, known.frame if known else None), known=known)
+    best = fitter.renewed(model, known.frame if known else None, known=known)
     for _ in range(rounds if model.free else 0):
         fitter.tell(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
         enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _stepped(fitter, best, radius, enough)
         if trial is best:
             break
-        renewed = fitter.evaluate(trial.model, fitter.frame(trial.model, best.frame), known=trial)
+        renewed = fitter.renewed(trial.model, best.frame, known=trial)
         gain = best.objective - renewed.objective
         if gain < 0.0:
             radius *= limits.shorter_step

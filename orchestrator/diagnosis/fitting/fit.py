@@ -11,15 +11,16 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import answers_so_far, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, Model, SegmentRows
-from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
+from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, Model, SegmentFrame, SegmentRows
+from orchestrator.diagnosis.fitting.segment_equations import Place, SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -91,12 +92,12 @@ class Fitter:
         tolerance : float
             Gain of a step, as a part of the excess chi2, below which the fit ends.
         """
-        if frame is None or frame.space is not model.space:
-            frame = self.frame(model)
-        best = self._descend(self.evaluate(model, frame), steps, tolerance)
+        same = frame is not None and frame.space is model.space
+        begun = self.evaluate(model, frame) if frame is not None and same else self.renewed(model)
+        best = self._descend(begun, steps, tolerance)
         for _ in range(renewals):
             old = best
-            best = self._descend(self.evaluate(best.model, self.frame(best.model, best.frame)), steps, tolerance)
+            best = self._descend(self.renewed(best.model, best.frame), steps, tolerance)
             if abs(best.chi2 - old.chi2) < self.criteria.renewal_change * best.chi2:
                 break
         return best
@@ -146,19 +147,32 @@ class Fitter:
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
-        if old is not None and (old.space is not model.space or old.noise is not self.noise):
-            old = None
-        before = old.pieces if old is not None else (None,) * len(self.prepared.pieces)
-        jobs = list(zip(self.prepared.pieces, before, strict=True))
-        pieces = tuple(self.equations.frame(model, piece, known) for piece, known in jobs)
-        if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
-            return Frame(model.space, self.noise, pieces, old.gram)
-        free = model.space.directions.shape[1]
-        gram = np.zeros((free, free))
-        for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
-            if not piece.held_out:
-                gram += segment_frame.white_basis.T @ segment_frame.white_basis
-        return Frame(model.space, self.noise, pieces, gram)
+        jobs = zip(self.prepared.pieces, self._before(model, old), strict=True)
+        return self._framed(model, [self.equations.frame(model, piece, known) for piece, known in jobs], old)
+
+    def renewed(
+        self,
+        model: Model,
+        old: Frame | None = None,
+        extra: Sequence[tuple[Active, str]] = (),
+        *,
+        held: bool = False,
+        known: Fit | None = None,
+    ) -> Fit:
+        """`evaluate` in a `frame` made anew: signals are led through the effects but once for both.
+
+        Parameters
+        ----------
+        held : bool
+            Nothing is solved for: R_s and the map stay the model's too.
+        """
+        self.poll()
+        wanted = [*model.free, *extra]
+        place = partial(self._renewed_place, model, self._before(model, old))
+        made, answers = self._rows(model, place, wanted, known)
+        frame = self._framed(model, [kept for kept, _ in made], old)
+        fit = solved(self.prepared, model, frame, [r for _, r in made], [(a.name, n) for a, n in wanted], held)
+        return replace(fit, answers=answers)
 
     def evaluate(
         self,
@@ -166,7 +180,6 @@ class Fitter:
         frame: Frame,
         extra: Sequence[tuple[Active, str]] = (),
         *,
-        held: bool = False,
         known: Fit | None = None,
         renew: bool = True,
     ) -> Fit:
@@ -174,8 +187,6 @@ class Fitter:
 
         Parameters
         ----------
-        held : bool
-            Nothing is solved for: R_s and the map stay the model's too.
         known : Fit, optional
             An earlier one, whose columns stand for those that have not moved since.
         renew : bool
@@ -183,50 +194,88 @@ class Fitter:
         """
         self.poll()
         wanted = [*model.free, *extra] if known is None or renew else []
-        rows, answers = self._rows(model, frame, wanted, known)
-        fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
+        made, answers = self._rows(model, partial(self._place, model, frame), wanted, known)
+        fit = solved(self.prepared, model, frame, [r for _, r in made], [(a.name, n) for a, n in wanted], held=False)
         if known is not None and not renew:
             return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
         return replace(fit, answers=answers)
 
+    def _place(self, model: Model, frame: Frame, k: int) -> Place:
+        return self.equations.place(model, self.prepared.pieces[k], frame.pieces[k])
+
+    def _renewed_place(self, model: Model, before: Sequence[SegmentFrame | None], k: int) -> Place:
+        return self.equations.renewed(model, self.prepared.pieces[k], before[k])
+
+    def _before(self, model: Model, old: Frame | None) -> Sequence[SegmentFrame | None]:
+        """What an earlier frame has of each segment, where it is one of the same map and noise."""
+        if old is None or old.space is not model.space or old.noise is not self.noise:
+            return (None,) * len(self.prepared.pieces)
+        return old.pieces
+
+    def _framed(self, model: Model, pieces: Sequence[SegmentFrame], old: Frame | None) -> Frame:
+        """All segments' frames as one."""
+        if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
+            return Frame(model.space, self.noise, tuple(pieces), old.gram)
+        free = model.space.directions.shape[1]
+        gram = np.zeros((free, free))
+        for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
+            if not piece.held_out:
+                gram += segment_frame.white_basis.T @ segment_frame.white_basis
+        return Frame(model.space, self.noise, tuple(pieces), gram)
+
     def _rows(
-        self, model: Model, frame: Frame, wanted: Sequence[tuple[Active, str]], known: Fit | None
-    ) -> tuple[list[SegmentRows], Answers]:
-        """The equations of every segment, with columns on those that are not held out, and what answers to these."""
-        jobs = list(zip(self.prepared.pieces, frame.pieces, strict=True))
-        samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
+        self, model: Model, at: Callable[[int], Place], wanted: Sequence[tuple[Active, str]], known: Fit | None
+    ) -> tuple[list[tuple[SegmentFrame, SegmentRows]], Answers]:
+        """Every segment's frame and equations, with columns where it is not held out, and what answers to these.
+
+        Parameters
+        ----------
+        at : callable
+            Where the model stands in a segment, by its number; one after the other, for places are large.
+        """
+        pieces, samples = self.prepared.pieces, sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * self.criteria.evaluation_columns
         if len(wanted) <= self.criteria.few_columns:
             self.effort.spent += samples * len(wanted)
-            rows = [self.equations.rows(model, p, f, () if p.held_out else wanted) for p, f in jobs]
+            rows = [self._made(at(k), () if p.held_out else wanted) for k, p in enumerate(pieces)]
             return rows, Answers() if known is None else known.answers
         names = [(a.name, n) for a, n in wanted]
         asked = answers_so_far(model, known, self.criteria)
-        at = probed_segments(self.prepared.pieces, self.criteria)
-        probed = {k: self.equations.probed(model, *jobs[k], wanted, [asked.of.get(n) for n in names]) for k in at}
-        plan = column_plan(names, {k: probe for k, (_, probe) in probed.items()}, known, self.criteria, asked.of)
+        probes, done = dict[int, ColumnProbe](), dict[int, tuple[SegmentFrame, SegmentRows]]()
+        for k in probed_segments(pieces, self.criteria):
+            place = at(k)
+            rows_of, probes[k] = self.equations.probed(place, wanted, [asked.of.get(n) for n in names])
+            done[k] = place.frame, rows_of
+        plan = column_plan(names, probes, known, self.criteria, asked.of)
         anew = [wanted[k] for k in plan.anew]
         self.effort.spent += samples * (len(anew) + len(wanted) / self.criteria.probe_every)
         answering = [plan.answering[k] for k in plan.anew]
-
-        def made(k: int) -> SegmentRows:
-            if k in probed:
-                return probed[k][0]
-            if jobs[k][0].held_out:
-                return self.equations.rows(model, *jobs[k], ())
-            rows = self.equations.rows(model, *jobs[k], anew, answering)
-            columns = plan.whole(rows.columns, None if known is None else known.columns[k])
-            return replace(rows, white=np.column_stack([rows.white[:, :2], columns]))
-
+        for k in range(len(pieces)):
+            if k in done:
+                continue
+            if pieces[k].held_out:
+                done[k] = self._made(at(k), ())
+                continue
+            frame, rows_of = self._made(at(k), anew, answering)
+            columns = plan.whole(rows_of.columns, None if known is None else known.columns[k])
+            done[k] = frame, replace(rows_of, white=np.column_stack([rows_of.white[:, :2], columns]))
         answers = Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
-        return [made(k) for k in range(len(jobs))], answers
+        return [done[k] for k in range(len(pieces))], answers
+
+    def _made(
+        self,
+        place: Place,
+        columns: Sequence[tuple[Active, str]],
+        answering: Sequence[frozenset[str]] | None = None,
+    ) -> tuple[SegmentFrame, SegmentRows]:
+        return place.frame, self.equations.rows(place, columns, answering)
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.
 
         chi2 is per degree of freedom as in a fit of the same freedom.
         """
-        return self.evaluate(model, self.frame(model), held=True)
+        return self.renewed(model, held=True)
 
 
 def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:

@@ -33,6 +33,16 @@ from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, ModelNoise, Signals
 
 
+@dataclass(frozen=True)
+class Place:
+    """A segment where a model stands."""
+
+    piece: SegmentSignals
+    frame: SegmentFrame
+    cascade: Cascade
+    local: LocalMap
+
+
 @dataclass
 class SegmentEquations:
     """Makes the equations of any segment of a recording; remembers the columns of those that no effect moves."""
@@ -44,6 +54,10 @@ class SegmentEquations:
 
     def frame(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> SegmentFrame:
         """What is kept of a segment between steps, made anew as far as it changed since `old`."""
+        return self.renewed(model, piece, old).frame
+
+    def renewed(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> Place:
+        """`place` in a `frame` made anew: its signals are led through the effects but once for both."""
         s = piece.signals
         scale = model.r_s / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
         losses = s.losses and s.losses.model_copy(update={"power_w": s.losses.power_w * scale})
@@ -52,20 +66,21 @@ class SegmentEquations:
         )
         flux, seen = self._flux(piece, base, model)
         base = base.model_copy(update=flux)
-        corrected = apply_effects(base, model.active)
-        same = not corrected.changed & {"i_m_ab", "theta_rad"}
-        local = seen if same else local_map(piece, corrected.signals, model.magnetics)
+        cascade = Cascade.of(base, model.active)
+        corrected = cascade.corrected
+        same = not cascade.changed & {"i_m_ab", "theta_rad"}
+        local = seen if same else local_map(piece, corrected, model.magnetics)
         mean = local.inductance.mean(axis=0)
         inverter = self._inverter(piece, model)
         if old is not None and self._same_noise(mean, inverter, old):
             whitener, mean, inverter = old.whitener, old.mean_inductance, old.inverter
         else:
             slopes = self._slopes(piece, base, model) if inverter else None
-            factor = np.asarray(corrected.signals.resistance_ohm / model.r_s, dtype=np.float64)
+            factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
             covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, slopes)
             common, scatter = None, self.noise.of_model
             if scatter.scatters:
-                common = self._common_rows(piece, base, corrected.signals, local, model.active)
+                common = self._common_rows(piece, base, corrected, local, model.active)
                 common *= scatter_sizes(TimerScatter.of(piece), scatter)
             whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
@@ -73,7 +88,12 @@ class SegmentEquations:
             white = old.white_basis
         else:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
-        return SegmentFrame(base, local, whitener, raw, white, mean, inverter)
+        return Place(piece, SegmentFrame(base, local, whitener, raw, white, mean, inverter), cascade, local)
+
+    def place(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Place:
+        """A segment where the model stands, in a frame of before."""
+        cascade = Cascade.of(frame.base, model.active)
+        return Place(piece, frame, cascade, local_map(piece, cascade.corrected, model.magnetics))
 
     def common(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Array:
         """What a segment's readings may have in common, whitened: columns as of `_common_rows`."""
@@ -161,34 +181,26 @@ class SegmentEquations:
 
     def rows(
         self,
-        model: Model,
-        piece: SegmentSignals,
-        frame: SegmentFrame,
-        parameters: Sequence[tuple[Active, str]],
+        at: Place,
+        parameters: Sequence[tuple[Active, str]] = (),
         answering: Sequence[frozenset[str]] | None = None,
     ) -> SegmentRows:
-        """The equations where the model stands, and a column for each of some parameters.
+        """The equations at a place, and a column for each of some parameters.
 
         Parameters
         ----------
         answering : sequence of frozenset of str, optional
             Of every column the inner effects that answer to it; all by default.
         """
-        at = self._place(model, piece, frame)
         asked = answering if answering is not None else repeat(None)
-        sums = [self._column(at, a, n, inner)[0] for (a, n), inner in zip(parameters, asked, strict=False)]
-        return self._white(at, frame, sums)
+        return self._white(
+            at, [self._column(at, a, n, inner)[0] for (a, n), inner in zip(parameters, asked, strict=False)]
+        )
 
     def probed(
-        self,
-        model: Model,
-        piece: SegmentSignals,
-        frame: SegmentFrame,
-        parameters: Sequence[tuple[Active, str]],
-        answering: Sequence[frozenset[str] | None],
+        self, at: Place, parameters: Sequence[tuple[Active, str]], answering: Sequence[frozenset[str] | None]
     ) -> tuple[SegmentRows, ColumnProbe]:
         """The same, and what each inner effect has to do with each column of which that is not known."""
-        at = self._place(model, piece, frame)
         sums, keys, heard = [], [], []
         for k, ((active, name), inner) in enumerate(zip(parameters, answering, strict=True)):
             column, answers = self._column(at, active, name, inner)
@@ -196,18 +208,14 @@ class SegmentEquations:
             for effect, added in answers.items():
                 keys.append((k, effect))
                 heard.append(added)
-        rows = self._white(at, frame, sums)
-        white = frame.whitener(piece.windows.combine(np.stack(heard, axis=-1))) if heard else np.zeros((1, 0))
+        rows = self._white(at, sums)
+        white = at.frame.whitener(at.piece.windows.combine(np.stack(heard, axis=-1))) if heard else np.zeros((1, 0))
         power = np.sum(white**2, axis=0)
         return rows, ColumnProbe(rows.columns, {key: float(p) for key, p in zip(keys, power, strict=True)})
 
-    def _place(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> _Place:
-        cascade = Cascade.of(frame.base, model.active)
-        return _Place(piece, frame.base, cascade, local_map(piece, cascade.corrected, model.magnetics))
-
-    def _white(self, at: _Place, frame: SegmentFrame, sums: Sequence[Array]) -> SegmentRows:
+    def _white(self, at: Place, sums: Sequence[Array]) -> SegmentRows:
         """The equations at a place with sums over samples as columns."""
-        corrected, r_s = at.cascade.corrected, at.base.resistance_ohm[0]
+        corrected, r_s = at.cascade.corrected, at.frame.base.resistance_ohm[0]
         known, resistance = voltage_and_resistance(
             at.piece,
             corrected.replaced({"resistance_ohm": corrected.resistance_ohm / r_s}),
@@ -216,10 +224,10 @@ class SegmentEquations:
         )
         known = known + flux_terms(at.piece, at.local)
         columns = [at.piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
-        return SegmentRows(known, resistance, frame.whitener(np.column_stack([known, resistance, *columns])))
+        return SegmentRows(known, resistance, at.frame.whitener(np.column_stack([known, resistance, *columns])))
 
     def _column(
-        self, at: _Place, active: Active, name: str, answering: frozenset[str] | None = None
+        self, at: Place, active: Active, name: str, answering: frozenset[str] | None = None
     ) -> tuple[Array, dict[str, Array]]:
         """Derivative of y by one parameter's coordinate, summed over samples, and what inner effects had in it."""
         step = step_of(active, name, self.criteria.fitting)
@@ -227,7 +235,7 @@ class SegmentEquations:
         said = {n: self._sums(at, c, step) for n, c in answers.items() if _beyond_rounding(c, at.cascade.corrected)}
         return self._sums(at, change, step), said
 
-    def _sums(self, at: _Place, change: Change, step: float) -> Array:
+    def _sums(self, at: Place, change: Change, step: float) -> Array:
         return difference(at.piece, at.cascade.corrected, change, at.local, self.pm_flux_wb) / step
 
 
@@ -235,16 +243,6 @@ def scatter_sizes(timer: TimerScatter, noise: ModelNoise) -> Array:
     """Standard deviations of what a segment's readings have in common: both phases' zero, and each rest's volts."""
     volts = timer.sizes(noise.voltage_scatter_v, dithered=noise.dithered)
     return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
-
-
-@dataclass(frozen=True)
-class _Place:
-    """A segment where a model stands."""
-
-    piece: SegmentSignals
-    base: Signals
-    cascade: Cascade
-    local: LocalMap
 
 
 def _beyond_rounding(change: Change, signals: Signals) -> bool:

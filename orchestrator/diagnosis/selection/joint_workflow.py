@@ -89,7 +89,7 @@ def formed_together(
         if turn:
             if as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
                 break
-            fit = doubting.coarse_fitter.evaluate(fit.model, doubting.coarse_fitter.frame(fit.model))
+            fit = doubting.coarse_fitter.renewed(fit.model)
             if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
                 break
         fit = in_own_forms(doubting.coarse_fitter, fit)

@@ -51,7 +51,8 @@ def test_shapes_span_those_between() -> None:
     for x in (-1.75, -0.25, 0.25, 1.25, 1.75):
         wanted = [(a, "voltage_v") for a in (library[0].absent().moved("threshold_a", x), *shapes)]
         pairs = zip(fitter.prepared.pieces, frame.pieces, strict=True)
-        white = [fitter.equations.rows(rehearsal.model, piece, kept, wanted).white[:, 2:] for piece, kept in pairs]
+        places = [fitter.equations.place(rehearsal.model, piece, kept) for piece, kept in pairs]
+        white = [fitter.equations.rows(place, wanted).white[:, 2:] for place in places]
         between, spanned = np.split(np.concatenate(white), [1], axis=1)
         left = np.linalg.lstsq(spanned, between, rcond=None)[1]
         assert left[0] < 1e-5 * np.sum(between**2)

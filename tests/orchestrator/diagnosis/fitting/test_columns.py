@@ -37,7 +37,9 @@ def all_effects(maker: Fitter, times: float = 1.0) -> Model:
 def whole(maker: Fitter, model: Model, fit: Fit) -> list[Array]:
     """Every column of every training segment, each led through all effects."""
     pairs = zip(maker.prepared.pieces, fit.frame.pieces, strict=True)
-    return [maker.equations.rows(model, p, f, model.free).columns for p, f in pairs if not p.held_out]
+    return [
+        maker.equations.rows(maker.equations.place(model, p, f), model.free).columns for p, f in pairs if not p.held_out
+    ]
 
 
 def distance(some: list[Array], others: list[Array]) -> Array:

@@ -26,9 +26,7 @@ def test_intervals_hold_what_was_put_in_and_are_as_wide_as_asked_for() -> None:
 
 
 def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() -> None:
-    model = free_model()
-    frame = MAKER.frame(model)
-    fit = MAKER.evaluate(model, frame, held=True)
+    fit = MAKER.renewed(free_model(), held=True)
     saturation, cross = map_effects(fit, {"saturation": 1.0, "cross_saturation": 0.0})
     assert saturation.parameters["relative_change"].value == pytest.approx(0.0, abs=1e-9 * (L_D + L_Q))
     assert cross.relative_size == pytest.approx(0.0, abs=1e-9)
