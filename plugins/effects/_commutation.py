@@ -33,6 +33,8 @@ from numba import njit
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 
+Legs = tuple[float, float, float]
+
 PASSES = 4
 SETTLED = 5e-4
 """Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
@@ -119,66 +121,70 @@ def lost_at_edges(
     """
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    valley, step, commanded, lost = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    up, down = np.ones(3), np.ones(3)
+    by_a = (pull[0, 0], pull[0, 1], pull[0, 2])
+    by_b = (pull[1, 1], pull[1, 2], pull[1, 0])
+    by_c = (pull[2, 2], pull[2, 0], pull[2, 1])
+    up, down = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
     for k in range(n):
         after = min(k + 1, n - 1)
-        valley[0], valley[1], valley[2] = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
-        step[0], step[1], step[2] = phases_of(
-            knees_per_a / cycles * (i_ab[after, 0] - i_ab[k, 0]), knees_per_a / cycles * (i_ab[after, 1] - i_ab[k, 1])
+        a, b, c = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
+        per_cycle = knees_per_a / cycles
+        step_a, step_b, step_c = phases_of(
+            per_cycle * (i_ab[after, 0] - i_ab[k, 0]), per_cycle * (i_ab[after, 1] - i_ab[k, 1])
         )
-        commanded[0], commanded[1], commanded[2] = phases_of(v_ab[k, 0], v_ab[k, 1])
-        for x in range(3):
-            lost[x] = 0.0
+        v_a, v_b, v_c = phases_of(v_ab[k, 0], v_ab[k, 1])
+        lost_a, lost_b, lost_c = 0.0, 0.0, 0.0
         for _ in range(cycles):
-            _settle(valley, step, commanded, volts[k], legs, pull, early, up, down)
-            for x in range(3):
-                lost[x] += (up[x] - down[x]) / cycles
-                valley[x] += step[x]
-        alpha, beta = vector_of(lost[0], lost[1], lost[2])
+            for _ in range(PASSES):
+                (a0, b0, c0), (a1, b1, c1) = up, down
+                a_up, a_down = _edges(
+                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], early
+                )
+                b_up, b_down = _edges(
+                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], early
+                )
+                c_up, c_down = _edges(
+                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], early
+                )
+                up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
+                moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
+                if max(moved_up, abs(a_down - a1), abs(b_down - b1), abs(c_down - c1)) < SETTLED:
+                    break
+            lost_a += (up[0] - down[0]) / cycles
+            lost_b += (up[1] - down[1]) / cycles
+            lost_c += (up[2] - down[2]) / cycles
+            a, b, c = a + step_a, b + step_b, c + step_c
+        alpha, beta = vector_of(lost_a, lost_b, lost_c)
         out[k, 0] = volts[k] * alpha
         out[k, 1] = volts[k] * beta
     return out
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _settle(
-    valley: Array,
-    step: Array,
-    commanded: Array,
+def _edges(
+    valley: float,
+    step: float,
+    pull: Legs,
+    commanded: Legs,
+    rises: Legs,
+    falls: Legs,
     volts: float,
-    legs: Array,
-    pull: Array,
+    leg: float,
     early: Array,
-    up: Array,
-    down: Array,
-) -> None:
-    """How late the three rises and falls of a period are, in parts of the dead time, from what they were before.
+) -> tuple[float, float]:
+    """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
 
-    Times are told by the volts that a pulse gains or loses by them.
+    Of three legs, the leg's own comes first. Times are told by the volts that a pulse gains or loses by them.
     """
-    for _ in range(PASSES):
-        rises, falls = (up[0], up[1], up[2]), (down[0], down[1], down[2])
-        mean_0 = commanded[0] - volts * (up[0] - down[0])
-        mean_1 = commanded[1] - volts * (up[1] - down[1])
-        mean_2 = commanded[2] - volts * (up[2] - down[2])
-        moved = 0.0
-        for x in range(3):
-            drift = step[x] - pull[x, 0] * mean_0 - pull[x, 1] * mean_1 - pull[x, 2] * mean_2
-            rising = valley[x] + 0.25 * drift
-            falling = valley[x] + 0.75 * drift
-            swing_up = volts * min(legs[x], 2.0 * rises[x])
-            swing_down = volts * min(legs[x], 2.0 * falls[x])
-            for y in range(3):
-                if y != x:
-                    ahead = 0.5 * (commanded[y] - commanded[x])
-                    rising += pull[x, y] * _ramp(volts * rises[y] - ahead, swing_up)
-                    late = ahead + volts * (rises[x] - rises[y])
-                    falling += pull[x, y] * (late - _ramp(volts * falls[y] + ahead, swing_down))
-            # The leg's own swing brakes the current that drives it.
-            brake = pull[x, x] * volts / 12.0
-            up[x] = _late(-rising, legs[x], brake, rises[x], early)
-            down[x] = _late(falling, legs[x], brake, falls[x], early)
-            moved = max(moved, abs(up[x] - rises[x]), abs(down[x] - falls[x]))
-        if moved < SETTLED:
-            return
+    drift = step
+    for y in range(3):
+        drift -= pull[y] * (commanded[y] - volts * (rises[y] - falls[y]))
+    swing_up, swing_down = volts * min(leg, 2.0 * rises[0]), volts * min(leg, 2.0 * falls[0])
+    rising, falling = valley + 0.25 * drift, valley + 0.75 * drift
+    for y in range(1, 3):
+        ahead = 0.5 * (commanded[y] - commanded[0])
+        rising += pull[y] * _ramp(volts * rises[y] - ahead, swing_up)
+        falling += pull[y] * (ahead + volts * (rises[0] - rises[y]) - _ramp(volts * falls[y] + ahead, swing_down))
+    # The leg's own swing brakes the current that drives it.
+    brake = pull[0] * volts / 12.0
+    return _late(-rising, leg, brake, rises[0], early), _late(falling, leg, brake, falls[0], early)

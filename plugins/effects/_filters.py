@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.types import Array
+from plugins.effects._vectors import doubles
 from protocols import RealArray
 
 
@@ -23,17 +24,6 @@ def low_pass(x: Array, decay: float) -> Array:
 
 
 @njit(cache=True, nogil=True)
-def held_lag(x: Array, decay: float) -> Array:
-    """y_k = decay y_k-1 + (1 - decay) x_k on each column of (n, m), from y_0 = x_0."""
-    y = np.empty_like(x)
-    for m in range(x.shape[1]):
-        y[0, m] = x[0, m]
-        for k in range(1, x.shape[0]):
-            y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * x[k, m]
-    return y
-
-
-@njit(cache=True, nogil=True)
 def _lagged_steps(times: Array, values: Array, time_constant: float) -> Array:
     y = np.zeros_like(values)
     for m in range(1, values.shape[0]):
@@ -44,7 +34,4 @@ def _lagged_steps(times: Array, values: Array, time_constant: float) -> Array:
 
 def lagged_steps(times: RealArray, values: RealArray, time_constant: float) -> Array:
     """First-order lag of a staircase (value m holds from time m to the next), at the steps, from zero."""
-    lagged: Array = _lagged_steps(
-        np.ascontiguousarray(times, dtype=np.float64), np.ascontiguousarray(values, dtype=np.float64), time_constant
-    )
-    return lagged
+    return _lagged_steps(doubles(times), doubles(values), time_constant)

@@ -13,7 +13,7 @@ from orchestrator.numerics.frames import from_two_phases
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from plugins.effects._commutation import lost_at_edges, swung_early
-from plugins.effects._filters import held_lag
+from plugins.effects._vectors import doubles, less_constant
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
 
@@ -145,7 +145,7 @@ class DeadTime:
         bus = signals.drive.dc_bus_voltage_v if signals.drive is not None else float(np.mean(signals.v_dc))
         scale = p.voltage_v * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz) / bus
         volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
-        commanded = v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+        commanded = v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
         legs = np.maximum([1.0 + p.leg_a_longer, 1.0 + p.leg_b_longer, 1.0 - p.leg_a_longer - p.leg_b_longer], 0.0)
         if p.switched < 1.0:
@@ -163,7 +163,7 @@ class DeadTime:
 def _without_noise(signals: Signals) -> Array:
     """The stator current; a bend near zero would turn its noise into a mean."""
     quiet = signals.i_ab if signals.i_quiet_ab is None else signals.i_quiet_ab
-    return np.ascontiguousarray(quiet, dtype=np.float64)
+    return doubles(quiet)
 
 
 def _pull(signals: Signals) -> Array:
@@ -204,7 +204,7 @@ class DeviceDrop:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
-        v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
+        v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
         rated_a = (signals.motor.rated_current_a if signals.motor is not None else None) or 0.0
         at_knee = p.voltage_v / (1.0 + p.growth * math.asinh(rated_a / p.threshold_a))
@@ -231,7 +231,7 @@ class VoltageBias:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the bias from the commanded voltage."""
-        return Correction(v_ab=signals.v_ab - from_two_phases(p.bias_a_v, p.bias_b_v))
+        return Correction(v_ab=less_constant(signals.v_ab, from_two_phases(p.bias_a_v, p.bias_b_v)))
 
 
 class BusSag:
@@ -254,8 +254,19 @@ class BusSag:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Scale the commanded voltage by what the bus has left."""
-        after = np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]])
-        power = 0.75 * (signals.v_ab * (signals.i_ab + after)).sum(axis=1)
         decay = math.exp(-1.0 / (p.lag_s * signals.sampling_frequency_hz))
-        late = held_lag(np.ascontiguousarray(power[:, None], dtype=np.float64), decay)
-        return Correction(v_ab=signals.v_ab * (1.0 - p.per_watt * late))
+        return Correction(v_ab=_sagged(doubles(signals.v_ab), doubles(signals.i_ab), p.per_watt, decay))
+
+
+@njit(cache=True, nogil=True)
+def _sagged(v_ab: Array, i_ab: Array, per_watt: float, decay: float) -> Array:
+    """The voltage (n, 2) times what a bus has left that sags with the power drawn over each interval, and lags it."""
+    out = np.empty_like(v_ab)
+    late = 0.0
+    for k in range(v_ab.shape[0]):
+        after = min(k + 1, v_ab.shape[0] - 1)
+        power = 0.75 * (v_ab[k, 0] * (i_ab[k, 0] + i_ab[after, 0]) + v_ab[k, 1] * (i_ab[k, 1] + i_ab[after, 1]))
+        late = power if k == 0 else decay * late + (1.0 - decay) * power
+        out[k, 0] = v_ab[k, 0] * (1.0 - per_watt * late)
+        out[k, 1] = v_ab[k, 1] * (1.0 - per_watt * late)
+    return out

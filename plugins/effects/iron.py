@@ -12,6 +12,7 @@ from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import lagged_steps
+from plugins.effects._vectors import doubles, plus_along
 from protocols import (
     Contrast,
     Correction,
@@ -56,10 +57,10 @@ class EddyCurrents:
         bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
         theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
         i_m_ab, v_ab = _without_eddies(
-            np.ascontiguousarray(signals.i_m_ab, dtype=np.float64),
-            np.ascontiguousarray(signals.v_ab, dtype=np.float64),
-            np.ascontiguousarray(signals.i_ab, dtype=np.float64),
-            np.ascontiguousarray(signals.resistance_ohm, dtype=np.float64),
+            doubles(signals.i_m_ab),
+            doubles(signals.v_ab),
+            doubles(signals.i_ab),
+            doubles(signals.resistance_ohm),
             unit_vectors(theta_rad) if p.saliency != 0.0 else np.zeros((0, 2)),
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
             decay,
@@ -151,19 +152,20 @@ def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: f
 @njit(cache=True, nogil=True)
 def _moved(a: float, b: float, da: float, db: float, limit: float, softness: float) -> tuple[float, float]:
     """A stop (a, b) that its flux would move by (da, db), were it elastic."""
-    size = math.sqrt(a * a + b * b)
-    outwards = (a * da + b * db) / size if size > 0.0 else 0.0
-    if softness > 0.0 and outwards > 0.0:
+    if softness > 0.0 and a * da + b * db > 0.0:
+        size = math.sqrt(a * a + b * b)
+        outwards = (a * da + b * db) / size
         # Half of the way out stands for all of it.
         yielding = min((size + 0.5 * outwards) / limit, 1.0) ** (1.0 / softness) * outwards / size
         da -= yielding * a
         db -= yielding * b
     a += da
     b += db
-    size = math.sqrt(a * a + b * b)
-    if size > limit:
-        a *= limit / size
-        b *= limit / size
+    square = a * a + b * b
+    if square > limit * limit:
+        scale = limit / math.sqrt(square)
+        a *= scale
+        b *= scale
     return a, b
 
 
@@ -231,7 +233,7 @@ def _way_here(signals: Signals, psi: Array, steps: int = 16) -> Array:
 def _flux(signals: Signals) -> Array:
     """Flux linkage (n, 2), up to a constant."""
     if signals.psi_smooth_ab is not None:
-        return np.ascontiguousarray(signals.psi_smooth_ab, dtype=np.float64)
+        return doubles(signals.psi_smooth_ab)
     drop = signals.v_ab - signals.resistance_ohm[:, None] * signals.i_ab
     return np.asarray(np.cumsum(drop, axis=0) / signals.sampling_frequency_hz)
 
@@ -274,7 +276,7 @@ class MagnetHeating:
         inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
         slide = p.flux_change_wb / inductance * part
         theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
-        return Correction(i_m_ab=signals.i_m_ab + slide[:, None] * unit_vectors(theta_rad))
+        return Correction(i_m_ab=plus_along(signals.i_m_ab, slide, unit_vectors(theta_rad)))
 
 
 class SlotHarmonics:
@@ -299,8 +301,8 @@ class SlotHarmonics:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the change of this flux from the voltage of each interval."""
         strength = p.relative * _inductance(signals) * signals.sampling_frequency_hz
-        v_ab = np.ascontiguousarray(signals.v_ab, dtype=np.float64)
-        i_m_ab = np.ascontiguousarray(signals.i_m_ab, dtype=np.float64)
+        v_ab = doubles(signals.v_ab)
+        i_m_ab = doubles(signals.i_m_ab)
         axis = unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
         return Correction(v_ab=_without_crossed(v_ab, i_m_ab, axis, strength, p.fading_per_a2))
 

@@ -11,6 +11,7 @@ from numba import njit
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import low_pass
+from plugins.effects._vectors import doubles, less_of_means
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
 
@@ -30,9 +31,8 @@ class PhaseResistanceImbalance:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract what the extra resistances drop, at the mean current of each interval."""
-        mean = 0.5 * (signals.i_ab + np.concatenate([signals.i_ab[1:], signals.i_ab[-1:]]))
-        extra = np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0])
-        return Correction(v_ab=signals.v_ab - mean @ from_phases(to_phases(np.eye(2)) * extra))
+        ohm = from_phases(to_phases(np.eye(2)) * np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0]))
+        return Correction(v_ab=less_of_means(signals.v_ab, signals.i_ab, ohm))
 
 
 class WindingHeating:
@@ -65,8 +65,8 @@ class WindingHeating:
             warm = signals.heat_j / p.time_constant_s
         else:
             warm = _warmth(
-                np.ascontiguousarray(signals.losses.time_s, dtype=np.float64),
-                np.ascontiguousarray(signals.losses.power_w, dtype=np.float64),
+                doubles(signals.losses.time_s),
+                doubles(signals.losses.power_w),
                 p.rise_per_watt,
                 p.time_constant_s * np.array([1.0, p.slow_ratio]),
                 p.slow_share,
@@ -169,8 +169,7 @@ class SkinEffect:
         """Subtract what the extra resistance drops, at the mean current of each interval."""
         rate = 2.0 * math.pi * p.corner_hz / signals.sampling_frequency_hz
         spread = math.sqrt(p.variance)
-        i = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        i = doubles(signals.i_ab)
         slow = [low_pass(i, math.exp(-rate * factor)) for factor in {math.exp(-spread), math.exp(spread)}]
         fast = i - sum(slow) / len(slow)
-        mean = 0.5 * (fast + np.concatenate([fast[1:], fast[-1:]]))
-        return Correction(v_ab=signals.v_ab - p.extra_ohm * mean)
+        return Correction(v_ab=less_of_means(signals.v_ab, fast, p.extra_ohm * np.eye(2)))

@@ -9,6 +9,7 @@ from numba import njit
 
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
+from plugins.effects._vectors import doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
 
 
@@ -43,31 +44,33 @@ class SamplingOffset:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
-        v_ab, i_ab, v_dc = (
-            np.ascontiguousarray(x, dtype=np.float64) for x in (signals.v_ab, signals.i_ab, signals.v_dc)
-        )
-        given = _given(v_ab, v_dc, p.offset_s, 1.0 / signals.pwm_frequency_hz)
-        taken = p.offset_s * signals.resistance_ohm[:, None] * i_ab
-        beside = np.zeros_like(i_ab)
-        if signals.psi_ab is not None:
-            beside = _moved(i_ab, np.ascontiguousarray(signals.psi_ab, dtype=np.float64), taken - given)
-        ahead = _next(given - taken) - (given - taken)
-        lost = 0.5 * signals.resistance_ohm[:, None] * (beside + _next(beside))
-        return Correction(v_ab=v_ab + signals.sampling_frequency_hz * ahead - lost)
-
-
-def _next(x: Array) -> Array:
-    """Each row's successor; the last is its own."""
-    return np.concatenate([x[1:], x[-1:]])
+        v_ab, i_ab, ohm = doubles(signals.v_ab), doubles(signals.i_ab), doubles(signals.resistance_ohm)
+        given = _given(v_ab, i_ab, ohm, doubles(signals.v_dc), p.offset_s, 1.0 / signals.pwm_frequency_hz)
+        beside = np.zeros_like(i_ab) if signals.psi_ab is None else _moved(i_ab, doubles(signals.psi_ab), given)
+        return Correction(v_ab=_between_readings(v_ab, given, beside, ohm, signals.sampling_frequency_hz))
 
 
 @njit(cache=True, nogil=True)
-def _given(v_ab: Array, v_dc: Array, offset_s: float, period_s: float) -> Array:
-    """Volt-seconds (n, 2) that the legs have given from each row's turning point to its reading."""
-    out = np.zeros_like(v_ab)
+def _between_readings(v_ab: Array, given: Array, beside: Array, ohm: Array, rate_hz: float) -> Array:
+    """The mean voltage (n, 2) from each reading to the next: with what was given before it, less what R_s takes."""
+    out = np.empty_like(v_ab)
+    for k in range(v_ab.shape[0]):
+        after = min(k + 1, v_ab.shape[0] - 1)
+        for x in range(2):
+            lost = 0.5 * ohm[k] * (beside[k, x] + beside[after, x])
+            out[k, x] = v_ab[k, x] + rate_hz * (given[after, x] - given[k, x]) + lost
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _given(v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, offset_s: float, period_s: float) -> Array:
+    """Volt-seconds F - tau R i (n, 2) that the winding was given from each row's turning point to its reading."""
+    out = np.empty_like(v_ab)
     beyond = abs(offset_s) - 0.25 * period_s
     sign = 1.0 if offset_s > 0.0 else -1.0
     for k in range(v_ab.shape[0]):
+        out[k, 0] = -offset_s * ohm[k] * i_ab[k, 0]
+        out[k, 1] = -offset_s * ohm[k] * i_ab[k, 1]
         row = k if offset_s > 0.0 else max(k - 1, 0)
         a, b, c = phases_of(v_ab[row, 0], v_ab[row, 1])
         centre = 0.5 * (max(a, b, c) + min(a, b, c))
@@ -80,8 +83,8 @@ def _given(v_ab: Array, v_dc: Array, offset_s: float, period_s: float) -> Array:
             max(0.0, beyond + early * (b - centre)),
             max(0.0, beyond + early * (c - centre)),
         )
-        out[k, 0] = sign * v_dc[row] * alpha
-        out[k, 1] = sign * v_dc[row] * beta
+        out[k, 0] += sign * v_dc[row] * alpha
+        out[k, 1] += sign * v_dc[row] * beta
     return out
 
 
@@ -95,23 +98,35 @@ def _moved(i_ab: Array, psi_ab: Array, flux_ab: Array, window: int = 64, least: 
     out = np.zeros_like(flux_ab)
     for first in range(0, n, window):
         last = min(first + window, n)
-        i, psi = i_ab[first:last], psi_ab[first:last]
-        square, product, mean_i, mean_psi = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2), np.zeros(2)
-        for k in range(last - first):
-            for x in range(2):
-                mean_i[x] += i[k, x] / (last - first)
-                mean_psi[x] += psi[k, x] / (last - first)
-        for k in range(last - first):
-            for x in range(2):
-                for y in range(2):
-                    square[x, y] += (psi[k, x] - mean_psi[x]) * (psi[k, y] - mean_psi[y])
-                    product[x, y] += (i[k, x] - mean_i[x]) * (psi[k, y] - mean_psi[y])
-        det = square[0, 0] * square[1, 1] - square[0, 1] * square[1, 0]
-        if det <= least * (square[0, 0] + square[1, 1]) ** 2:
+        size = last - first
+        mean_i0, mean_i1, mean_0, mean_1 = 0.0, 0.0, 0.0, 0.0
+        for k in range(first, last):
+            mean_i0 += i_ab[k, 0] / size
+            mean_i1 += i_ab[k, 1] / size
+            mean_0 += psi_ab[k, 0] / size
+            mean_1 += psi_ab[k, 1] / size
+        s00, s01, s11, p00, p01, p10, p11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        for k in range(first, last):
+            i0, i1, psi0, psi1 = (
+                i_ab[k, 0] - mean_i0,
+                i_ab[k, 1] - mean_i1,
+                psi_ab[k, 0] - mean_0,
+                psi_ab[k, 1] - mean_1,
+            )
+            s00 += psi0 * psi0
+            s01 += psi0 * psi1
+            s11 += psi1 * psi1
+            p00 += i0 * psi0
+            p01 += i0 * psi1
+            p10 += i1 * psi0
+            p11 += i1 * psi1
+        det = s00 * s11 - s01 * s01
+        if det <= least * (s00 + s11) ** 2:
             continue
-        for x in range(2):
-            by_alpha = (product[x, 0] * square[1, 1] - product[x, 1] * square[1, 0]) / det
-            by_beta = (product[x, 1] * square[0, 0] - product[x, 0] * square[0, 1]) / det
-            for k in range(first, last):
-                out[k, x] = by_alpha * flux_ab[k, 0] + by_beta * flux_ab[k, 1]
+        # The slope: products of both over the fluxes' squares.
+        l00, l01 = (p00 * s11 - p01 * s01) / det, (p01 * s00 - p00 * s01) / det
+        l10, l11 = (p10 * s11 - p11 * s01) / det, (p11 * s00 - p10 * s01) / det
+        for k in range(first, last):
+            out[k, 0] = l00 * flux_ab[k, 0] + l01 * flux_ab[k, 1]
+            out[k, 1] = l10 * flux_ab[k, 0] + l11 * flux_ab[k, 1]
     return out

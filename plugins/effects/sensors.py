@@ -16,6 +16,7 @@ from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
 from orchestrator.numerics.kernels import phases_of
 from orchestrator.numerics.types import Array
 from orchestrator.numerics.zero_sequence import gains_of
+from plugins.effects._vectors import doubles, less_constant, plus_along, stretched
 from protocols import (
     Contrast,
     Correction,
@@ -36,7 +37,7 @@ def _vectors(read: Array, three: bool) -> Array:
 def _ungained(i_ab: RealArray, gains: tuple[float, float, float], three: bool) -> Array:
     """The vectors of which sensors with these gains made `i_ab`."""
     read = _vectors(to_phases(np.eye(2)) * np.array(gains), three)
-    return np.asarray(i_ab @ np.linalg.inv(read))
+    return stretched(i_ab, np.linalg.inv(read))
 
 
 class CurrentGainMismatch:
@@ -118,12 +119,12 @@ class CurrentOffset:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the offsets."""
-        return Correction(i_ab=signals.i_ab - _offset(p.offset_a_a, p.offset_b_a, signals))
+        return Correction(i_ab=less_constant(signals.i_ab, _offset(p.offset_a_a, p.offset_b_a, signals)))
 
 
 def _offset(a: float, b: float, signals: Signals) -> Array:
-    """The vector (1, 2) that sensors a and b show without a current."""
-    return _vectors(np.array([[a, b, 0.0]]), signals.clarke_of_three is True)
+    """The vector (2,) that sensors a and b show without a current."""
+    return np.asarray(_vectors(np.array([[a, b, 0.0]]), signals.clarke_of_three is True)[0])
 
 
 class CurrentOffsetDrift:
@@ -150,7 +151,8 @@ class CurrentOffsetDrift:
         now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
         s = p.settling_per_s
         grown = now if s == 0.0 else -np.expm1(-s * now) / s
-        return Correction(i_ab=signals.i_ab - grown[:, None] * _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals))
+        rates = _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals)
+        return Correction(i_ab=plus_along(signals.i_ab, grown, -rates[None]))
 
 
 class CurrentNonlinearity:
@@ -169,9 +171,7 @@ class CurrentNonlinearity:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Solve m = i + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
         clarke = _vectors(np.eye(3), signals.clarke_of_three is True)
-        return Correction(
-            i_ab=_straightened(np.ascontiguousarray(signals.i_ab, dtype=np.float64), p.cubic_per_a2, clarke)
-        )
+        return Correction(i_ab=_straightened(doubles(signals.i_ab), p.cubic_per_a2, clarke))
 
 
 @njit(cache=True, nogil=True)

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.types import Array
+from plugins.effects._vectors import doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
 
 
@@ -45,7 +46,7 @@ class VoltageDelay:
         """The mean voltage of each interval."""
         late = p.delay_s * signals.sampling_frequency_hz
         whole = math.floor(late)
-        return Correction(v_ab=_acting(np.ascontiguousarray(signals.v_ab, dtype=np.float64), whole, late - whole))
+        return Correction(v_ab=_acting(doubles(signals.v_ab), whole, late - whole))
 
 
 class CurrentFilter:
@@ -68,11 +69,11 @@ class CurrentFilter:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The current before the lag."""
-        read = np.ascontiguousarray(signals.i_ab, dtype=np.float64)
+        read = doubles(signals.i_ab)
         # A slope with the reading's own noise in it would be taken for signal by a fit.
         smooth = read if signals.i_smooth_ab is None else signals.i_smooth_ab
         samples = p.time_constant_s * signals.sampling_frequency_hz
-        return Correction(i_ab=_led(read, np.ascontiguousarray(smooth, dtype=np.float64), samples))
+        return Correction(i_ab=_led(read, doubles(smooth), samples))
 
 
 @njit(cache=True, nogil=True)
