@@ -58,7 +58,7 @@ class WeakFormCriteria(Strict):
     """Turns of the injected direction that a thinned point keeps: one whole, whatever its windows lose at the ends."""
     thinned_least_samples: int = _is(1000, "1", "practice")
     """Samples that a thinned point keeps at least."""
-    coarse_points: int = _is(24, "1", "budget")
+    coarse_points: int = _is(16, "1", "budget")
     """Injection points in the part of a recording that is searched first."""
     coarse_turn: float = _is(0.75, "1", "simulated")
     """Part of a turn of each of them."""
@@ -149,7 +149,7 @@ class FittingCriteria(Strict):
     """Step of a secant, relative to the coordinate: far above rounding, where an effect is still nearly linear."""
     least_amplitude: float = _is(0.02, "1", "practice")
     """Coordinate of an amplitude below which the secant's step does not shrink with it."""
-    probe_every: int = _is(8, "1", "budget")
+    probe_every: int = _is(16, "1", "budget")
     """Every so many-th segment of a stage tells which columns have moved, and which effects answer to which."""
     few_columns: int = _is(6, "1", "budget")
     """Columns that are made throughout without asking, being so few."""

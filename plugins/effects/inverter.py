@@ -79,6 +79,9 @@ def _without_sign(
     return out
 
 
+_PHASES_RAD = np.arange(3) * 2.0 * np.pi / 3.0
+
+
 class Knee(EffectParameters):
     """How the step at zero current is rounded, beside the current within which it happens."""
 
@@ -171,9 +174,9 @@ def _pull(signals: Signals) -> Array:
     motor = signals.motor
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
         return np.zeros((3, 3))
-    phase = np.arange(3) * 2.0 * np.pi / 3.0 - float(np.mean(signals.theta_rad))
+    phase = _PHASES_RAD - float(np.mean(signals.theta_rad))
     d, q = np.cos(phase), -np.sin(phase)
-    inverse = np.outer(d, d) / motor.d_inductance_h + np.outer(q, q) / motor.q_inductance_h
+    inverse = d[:, None] * d / motor.d_inductance_h + q[:, None] * q / motor.q_inductance_h
     return np.asarray(inverse / (1.5 * signals.pwm_frequency_hz), dtype=np.float64)
 
 

@@ -7,6 +7,7 @@ A recording without phase currents is taken for one of two.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import ClassVar
 
 import numpy as np
@@ -22,7 +23,6 @@ from protocols import (
     Correction,
     EffectLayer,
     EffectParameters,
-    RealArray,
     Signals,
     amplitude,
     refinement,
@@ -34,10 +34,10 @@ def _vectors(read: Array, three: bool) -> Array:
     return from_phases(read) if three else from_two_phases(read[:, 0], read[:, 1])
 
 
-def _ungained(i_ab: RealArray, gains: tuple[float, float, float], three: bool) -> Array:
-    """The vectors of which sensors with these gains made `i_ab`."""
-    read = _vectors(to_phases(np.eye(2)) * np.array(gains), three)
-    return stretched(i_ab, np.linalg.inv(read))
+@lru_cache(maxsize=32)
+def _ungaining(gains: tuple[float, float, float], three: bool) -> Array:
+    """The matrix (2, 2) that makes vectors of those which sensors with these gains made of them."""
+    return np.asarray(np.linalg.inv(_vectors(to_phases(np.eye(2)) * np.array(gains), three)))
 
 
 class CurrentGainMismatch:
@@ -56,7 +56,8 @@ class CurrentGainMismatch:
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Divide each sensor's reading by its gain."""
         half = 0.5 * p.gain_a_minus_b
-        return Correction(i_ab=_ungained(signals.i_ab, (1.0 + half, 1.0 - half, 1.0), signals.clarke_of_three is True))
+        gains = (1.0 + half, 1.0 - half, 1.0)
+        return Correction(i_ab=stretched(signals.i_ab, _ungaining(gains, signals.clarke_of_three is True)))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
         """What three readings that do not add up to zero say of it."""
@@ -89,7 +90,7 @@ class ThirdCurrentSensor:
         """Divide the third reading by its gain; nothing where there is none."""
         if not self.shows_in(signals):
             return Correction()
-        return Correction(i_ab=_ungained(signals.i_ab, (1.0, 1.0, 1.0 + p.gain_c_minus_1), True))
+        return Correction(i_ab=stretched(signals.i_ab, _ungaining((1.0, 1.0, 1.0 + p.gain_c_minus_1), True)))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
         """What three readings that do not add up to zero say of it."""
@@ -119,12 +120,14 @@ class CurrentOffset:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the offsets."""
-        return Correction(i_ab=less_constant(signals.i_ab, _offset(p.offset_a_a, p.offset_b_a, signals)))
+        offset = _offset(p.offset_a_a, p.offset_b_a, signals.clarke_of_three is True)
+        return Correction(i_ab=less_constant(signals.i_ab, offset))
 
 
-def _offset(a: float, b: float, signals: Signals) -> Array:
+@lru_cache(maxsize=32)
+def _offset(a: float, b: float, three: bool) -> Array:
     """The vector (2,) that sensors a and b show without a current."""
-    return np.asarray(_vectors(np.array([[a, b, 0.0]]), signals.clarke_of_three is True)[0])
+    return np.asarray(_vectors(np.array([[a, b, 0.0]]), three)[0])
 
 
 class CurrentOffsetDrift:
@@ -151,7 +154,7 @@ class CurrentOffsetDrift:
         now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
         s = p.settling_per_s
         grown = now if s == 0.0 else -np.expm1(-s * now) / s
-        rates = _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals)
+        rates = _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals.clarke_of_three is True)
         return Correction(i_ab=plus_along(signals.i_ab, grown, -rates[None]))
 
 

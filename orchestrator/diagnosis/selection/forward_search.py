@@ -221,7 +221,7 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
     for shape in candidate.of_role(ParameterRole.SHAPE)[:1]:
         variants = [candidate.absent().moved(shape, x) for x in fit.criteria.selection.shape_starts]
         columns = [(v, n) for v in variants for n in candidate.amplitudes]
-        normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+        normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
         fitted, each = len(fit.model.free), len(candidate.amplitudes)
         for k, variant in enumerate(variants):
             amplitudes = list(range(fitted + k * each, fitted + (k + 1) * each))

@@ -118,7 +118,7 @@ def with_shapes(_: Fitter, fit: Fit) -> Model:
 def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
     """The model with those effects' flexible forms free that promise, to first order, to be worth it."""
     rigid = [(a, n) for a in fit.model.active for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
-    normal, right = fitter.evaluate(fit.model, fit.frame, rigid).projected()
+    normal, right = fitter.evaluate(fit.model, fit.frame, rigid, known=fit).projected()
     fitted, least = len(fit.model.free), 2.0 * fit.criteria.selection.tie * max(fit.chi2_per_dof, 1.0)
     active = []
     for one in fit.model.active:
@@ -239,7 +239,7 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
     """Effects that are there, each with an absent one at its best size that makes good most of their loss, linearly."""
     absent = [c for c in library if c.name not in fit.model.names]
     columns = absent_columns(absent)
-    normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+    normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
     free = fit.model.free
     amplitudes = [k for k, (a, n) in enumerate(free) if n in a.candidate.amplitudes]
     pairs = []

@@ -81,7 +81,7 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
     for shape in shapes:
         index[shape.name] = list(range(len(wanted), len(wanted) + len(shape.fields)))
         wanted += shape.columns
-    normal, right = fitter.evaluate(fit.model, fit.frame, wanted).projected()
+    normal, right = fitter.evaluate(fit.model, fit.frame, wanted, known=fit).projected()
     fitted = len(fit.model.free)
     chosen = list(range(fitted))
     shares: list[tuple[ShapeGroup, float]] = []
@@ -260,7 +260,7 @@ def map_breaks(fitter: Fitter, fit: Fit, current_a: float) -> tuple[tuple[float,
     """
     layer = EffectLayer.IRON
     shape = _Shape("breaks", "i_m_ab", (_mixed(1.0), _mixed(-1.0)), current_a, 0.01 * current_a, layer=layer)
-    normal, right = fitter.evaluate(fit.model, fit.frame, shape.columns).projected()
+    normal, right = fitter.evaluate(fit.model, fit.frame, shape.columns, known=fit).projected()
     regular = normal + 1e-12 * np.diag(np.diag(normal) + 1e-300)
     fitted = len(fit.model.free)
     regular[:fitted, :fitted] += np.eye(fitted)

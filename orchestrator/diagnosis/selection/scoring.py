@@ -73,7 +73,7 @@ def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> Li
     """All effects that are not in the model beside those that are, to first order."""
     absent = tuple(c for c in candidates if c.name not in fit.model.names)
     columns = absent_columns(absent)
-    normal, right = fitter.evaluate(fit.model, fit.frame, columns).projected()
+    normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
     return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
 
 

@@ -24,7 +24,7 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     effect's form leaves out: `form_doubt` of it, `ripple_doubt` as far as the ripple alone tells it.
     """
     rigid = [(a, n) for a in fit.model.active for n in _yielding(a)]
-    loose = fitter.evaluate(fit.model, fit.frame, rigid)
+    loose = fitter.evaluate(fit.model, fit.frame, rigid, known=fit)
     normal, _ = loose.projected()
     inverse = np.linalg.inv(normal + np.eye(len(normal)))
     count = len(fit.model.free)

@@ -63,7 +63,7 @@ class MapUncertainty:
         width, count = fit.normal.shape[0], len(fit.model.free)
         absent = [c for c in library if c.name not in fit.model.names]
         columns = absent_columns(absent)
-        loose = fitter.evaluate(fit.model, fit.frame, columns) if columns else fit
+        loose = fitter.evaluate(fit.model, fit.frame, columns, known=fit) if columns else fit
         total, pulls = loose.system()
         own = np.arange(width + count)
         inverse = np.linalg.inv(total[np.ix_(own, own)])
