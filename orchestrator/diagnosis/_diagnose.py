@@ -199,7 +199,7 @@ def _diagnosed(
     steps = with_expected(setup, steps, library)
     setup, search = search_effects(setup, steps, library)
     if search.shares:
-        search, doubtful = without_stand_ins(search)
+        search, doubtful = without_stand_ins(setup.fitter, search)
         spared: list[str] = []
     else:
         search = on_a_finer_map(setup, search, library)

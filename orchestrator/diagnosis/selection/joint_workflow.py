@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
 from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
 from orchestrator.diagnosis.selection.joint_search import (
@@ -23,6 +24,7 @@ from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
+from orchestrator.diagnosis.uncertainty.intervals import perhaps_absent
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import (
     as_much,
@@ -150,18 +152,18 @@ def ladder_of(
     return Search(rungs, left, tied, view, minor=tuple(minor), shares=sizes, weighed=own)
 
 
-def without_stand_ins(search: Search) -> tuple[Search, list[str]]:
+def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
     """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
 
-    It stays in the model.
+    Nor is one whose interval holds nothing at all: it may be balanced by another. Both stay in the model.
     """
     first, last = search.steps[0].fit, search.fit
     if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)
     steady = last.criteria.selection.least_constancy
-    causes = [n for n in last.model.names if n not in search.minor]
-    doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left]
+    causes, absent = [n for n in last.model.names if n not in search.minor], perhaps_absent(fitter, search.sized)
+    doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left or n in absent]
     steps = [s for s in search.steps[:-1] if s.added not in doubtful]
     added = next((n for n in reversed(causes) if n not in doubtful), None)
     steps = [s for s in steps if s.added != added or added is None]

@@ -37,6 +37,17 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     return np.asarray(np.sqrt(np.maximum(plain, np.diag(sandwich))[:count] + between + doubt**2))
 
 
+def perhaps_absent(fitter: Fitter, fit: Fit) -> list[str]:
+    """Active effects of which each amplitude's 95 % interval holds nothing at all."""
+    half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
+    sure = {
+        a.name
+        for (a, n), width in zip(fit.model.free, half, strict=True)
+        if n in a.candidate.amplitudes and abs(a.coordinate(n)) > width
+    }
+    return [name for name in fit.model.names if name not in sure]
+
+
 def form_doubt(fit: Fit, rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:
     """What the effects' forms leave out, as a standard deviation of each free coordinate, shape (free,).
 

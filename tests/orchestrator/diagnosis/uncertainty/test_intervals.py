@@ -14,7 +14,12 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
-from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread, following, ripple_share
+from orchestrator.diagnosis.uncertainty.intervals import (
+    coordinate_spread,
+    following,
+    perhaps_absent,
+    ripple_share,
+)
 from orchestrator.recording import Recording, open_recording, write_manifest
 from plugins.effects.inverter import DeadTime
 from plugins.effects.iron import EddyCurrents
@@ -71,6 +76,15 @@ def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[
     (spread,) = coordinate_spread(fitter, fit)
     assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * DOUBT.ripple_doubt * abs(x)
     assert 0.98 * DOUBT.ripple_doubt * abs(x) < spread < 2.0 * DOUBT.ripple_doubt * abs(x)
+
+
+def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tuple[Fitter, Fit]) -> None:
+    fitter, fit = delayed
+    (late,) = fit.model.active
+    (offset,) = scaled_library([CurrentOffset()], fit.prepared.manifest)
+    model = fit.model.with_active([late, offset.absent().moved("offset_a_a", 1e-6)])
+    both = fitter.evaluate(model, fit.frame)
+    assert perhaps_absent(fitter, both) == ["current_offset"]
 
 
 @pytest.mark.slow
