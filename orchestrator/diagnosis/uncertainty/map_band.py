@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import Candidate, coordinate_of, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.intervals import following, form_doubt
@@ -134,14 +134,23 @@ def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidat
     width, noise = fit.normal.shape[0], max(fit.chi2_per_dof, 1.0)
     both = np.concatenate([own, at])
     inverse = np.linalg.inv(total[np.ix_(both, both)])
-    block, x = inverse[len(own) :, len(own) :], -inverse[:, len(own) :] @ (pull[at] - candidate.standing)
-    size = x[len(own) :]
+    block, across = inverse[len(own) :, len(own) :], inverse[:width, len(own) :]
+    best = -block @ (pull[at] - candidate.standing)
+    # What would have to be beyond its bounds, such as a hysteresis below nothing, is something else.
+    size = _within_bounds(candidate, best)
+    short = size - best
     prior = fit.criteria.selection.prior_probability
-    gain = 0.5 * float(size @ np.linalg.solve(block, size)) / noise
+    gain = 0.5 * float(best @ np.linalg.solve(block, best) - short @ np.linalg.solve(block, short)) / noise
     odds = gain + 0.5 * float(np.linalg.slogdet(block)[1]) + math.log(prior / (1.0 - prior))
     odds += candidate.head_start - 0.5 * float(candidate.standing @ candidate.standing)
     probability = 0.5 * (1.0 + math.tanh(0.5 * odds))
-    return Unseen(probability, x[:width], noise * inverse[:width, :width])
+    return Unseen(probability, across @ np.linalg.solve(block, size), noise * inverse[:width, :width])
+
+
+def _within_bounds(candidate: Candidate, coordinates: Array) -> Array:
+    """Coordinates of an effect's amplitudes, each no further than its bounds."""
+    named = [candidate.named(name) for name in candidate.amplitudes]
+    return np.array([coordinate_of(p, value_at(p, float(x))) for p, x in zip(named, coordinates, strict=True)])
 
 
 def _quadratic(rows: Array, covariance: Array) -> Array:

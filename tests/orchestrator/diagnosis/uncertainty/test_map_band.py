@@ -8,10 +8,10 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.corrections import apply_effects
-from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty, flux_rows
+from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty, Unseen, flux_rows
 from plugins.effects.resistance import WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch
-from plugins.effects.timing import VoltageDelay
+from plugins.effects.timing import CurrentFilter, VoltageDelay
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared
 
@@ -79,3 +79,22 @@ def test_inductances_of_the_truth_lie_within_their_errors() -> None:
     found = fit.model.magnetics.flux_and_inductance(POINTS)[1]
     spreads = MapUncertainty.of(maker, fit).of_map(POINTS)[:, 2:]
     assert (np.abs(found - np.array([L_D, 0.0, L_Q])) <= 5.0 * spreads).all()
+
+
+def test_what_would_have_to_be_less_than_nothing_is_not_there() -> None:
+    """A lag of the sensors is none below zero: a lead of the readings is somebody else's."""
+    lag = CurrentFilter()
+    maker = fitter(prepared(plan()))
+    (candidate,) = scaled_library([lag], maker.prepared.manifest)
+
+    def unseen_beside(delay_s: float) -> Unseen:
+        truth = with_free(free_model(), maker, VoltageDelay(), delay_s=delay_s)
+        late = [replace(p, signals=apply_effects(p.signals, truth.active).signals) for p in maker.prepared.pieces]
+        other = fitter(replace(maker.prepared, pieces=tuple(late)))
+        (unseen,) = MapUncertainty.of(other, other.fit(free_model()), [candidate]).unseen
+        return unseen
+
+    one_way, other_way = sorted((unseen_beside(4e-6), unseen_beside(-4e-6)), key=lambda unseen: unseen.probability)
+    assert other_way.probability > 0.99
+    assert one_way.probability < 0.2
+    assert np.abs(one_way.shift).max() == 0.0
