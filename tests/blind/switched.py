@@ -149,7 +149,9 @@ def go_through(
         later = (memory[OLD_A], memory[OLD_B], -memory[OLD_A] - memory[OLD_B])
         slope_a, slope_b = (later[0] - i_a) / t, (later[1] - i_b) / t
         drawn = 0.5 * (high[0] * (i[0] + later[0]) + high[1] * (i[1] + later[1]) + high[2] * (i[2] + later[2]))
-        memory[SAG] += t * (drawn - memory[SAG] / b.source_ohm) / b.bus_f if b.source_ohm > 0.0 else 0.0
+        if b.source_ohm > 0.0:
+            # A small capacitor on a stiff source settles well within a stretch.
+            memory[SAG] += (drawn * b.source_ohm - memory[SAG]) * -math.expm1(-t / (b.source_ohm * b.bus_f))
         watts = abs(lost[0] * i[0]) + abs(lost[1] * i[1]) + abs(lost[2] * i[2])
         memory[DEVICE] += t / b.heat_s * (b.heat_k_per_w * watts - memory[DEVICE])
         now = then

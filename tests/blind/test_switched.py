@@ -102,6 +102,15 @@ def test_a_bus_behind_a_resistance_sinks_by_what_is_drawn(linear: Table) -> None
     assert memory[SAG] == pytest.approx(3.0 * drawn, rel=1e-2)
 
 
+def test_a_small_capacitor_on_a_stiff_source_settles(linear: Table) -> None:
+    """Its time constant is a hundredth of a carrier's half period."""
+    b = EDGES._replace(source_ohm=5e-3, bus_f=1e-4)
+    i, _, memory = respond(b, linear, still(30.0, 0.0))
+    # Within a half period it follows what is drawn just then: of one leg's current nothing, or all.
+    assert 0.0 <= memory[SAG] <= 5e-3 * abs(i[-1, 0]) * 1.01
+    assert np.isfinite(i).all()
+
+
 def test_a_reading_off_the_valley_is_off_by_the_zero_vector_s_slope(linear: Table) -> None:
     plain, _, _ = respond(EDGES, linear, still(30.0, 0.0))
     late, _, _ = respond(EDGES._replace(late_s=4e-6), linear, still(30.0, 0.0))
