@@ -136,6 +136,7 @@ def derive_bench(
         averaged=options.current_sampling == "averaged",
     )
     _refuse_long(options, switching)
+    _refuse_weak(options, switching, known, plant.resistance_ohm)
     return plant._replace(has_branches=False), BenchParameters(switching, _sensing(options, known))
 
 
@@ -187,6 +188,26 @@ def _refuse_long(options: SimulatedOptions, s: SwitchingParameters) -> None:
         raise InputError(INVERTER, "sampling_offset_s", f"{told}{_us(s.shift_s)} is half the period {words} or more")
 
 
+def _refuse_weak(options: SimulatedOptions, s: SwitchingParameters, known: Ratings, resistance_ohm: float) -> None:
+    """What could not carry the current at which the drive trips: nodes that it does not swing, a bus that gives way."""
+    given, trip_a = options.plant.switching, _trip_a(options, known)
+    at_trip, half_s = f"the {trip_a:.3g} A at which the drive trips", 0.5 / max(carrier_frequencies(options))
+    swing_s = s.bridge.two_capacitances_f * known.dc_bus_v / trip_a
+    if given.output_capacitance_f is not None and swing_s >= half_s:
+        told = f"{at_trip} take {_us(swing_s)} from rail to rail, half the carrier's period is {_us(half_s)}"
+        raise InputError(INVERTER, "output_capacitance_f", told)
+    if not given.bus.resistance_ohm:
+        return
+    most_w, loss_w = known.dc_bus_v**2 / (4.0 * given.bus.resistance_ohm), 1.5 * resistance_ohm * trip_a**2
+    if most_w <= loss_w:
+        told = f"lets no more than {most_w:.3g} W through, and {at_trip} take {loss_w:.3g} W in the winding"
+        raise InputError(INVERTER, "bus.resistance_ohm", f"{given.bus.resistance_ohm:g} ohm {told}")
+
+
+def _trip_a(options: SimulatedOptions, known: Ratings) -> float:
+    return options.trip_ratio * (options.max_current_a or 2.5 * known.rated_a)
+
+
 def _us(seconds: float) -> str:
     return f"{1e6 * seconds:.4g} us"
 
@@ -205,8 +226,7 @@ def _sensing(options: SimulatedOptions, known: Ratings) -> SensingParameters:
         if "quantum_a" in given:
             raise InputError(SENSORS, "bits", "give either bits or quantum_a")
         full_scale = sensors.full_scale_a or 4.0 * known.rated_a
-        trip = options.trip_ratio * (options.max_current_a or 2.5 * known.rated_a)
-        if full_scale < trip:
+        if full_scale < (trip := _trip_a(options, known)):
             told = f"{full_scale:g} A is below the {trip:.4g} A at which the drive trips"
             raise InputError(SENSORS, "full_scale_a", told)
         quantum = 2.0 * full_scale / 2**sensors.bits

@@ -132,6 +132,14 @@ def test_the_converters_bits_are_the_drives(bench: Bench) -> None:
             {"plant": switched(effects={"voltage_delay": {"delay_s": 3e-5}})},
             r"sampling_offset_s: with effects\.voltage_delay",
         ),
+        (
+            {"plant": switched(switching={"output_capacitance_f": 1e-3})},
+            r"output_capacitance_f: the .* A at which the drive trips take .* from rail to rail, half the carrier's",
+        ),
+        (
+            {"plant": switched(switching={"bus": {"resistance_ohm": 1000.0}})},
+            r"bus\.resistance_ohm: 1000 ohm lets no more than .* W through",
+        ),
         ({"plant": switched(sensors={"gain_c_minus_1": 0.01})}, r"gain_c_minus_1: this drive has two sensors"),
         ({"plant": switched(sensors={"offset_c_a": 0.01})}, r"offset_c_a: this drive has two sensors"),
         ({"plant": switched(sensors={"bits": 12, "quantum_a": 0.01})}, "bits: give either bits or quantum_a"),
