@@ -233,13 +233,24 @@ class Fitter:
         at : callable
             Where the model stands in a segment, by its number; one after the other, for places are large.
         """
-        pieces, samples = self.prepared.pieces, sum(len(p.signals.v_dc) for p in self.prepared.pieces)
+        samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * self.criteria.evaluation_columns
-        if len(wanted) <= self.criteria.few_columns:
-            self.effort.spent += samples * len(wanted)
-            rows = [self._made(at(k), () if p.held_out else wanted) for k, p in enumerate(pieces)]
-            return rows, Answers() if known is None else known.answers
-        names = [(a.name, n) for a, n in wanted]
+        if len(wanted) > self.criteria.few_columns:
+            return self._rows_by_plan(model, at, wanted, known, samples)
+        self.effort.spent += samples * len(wanted)
+        rows = [self._made(at(k), () if p.held_out else wanted) for k, p in enumerate(self.prepared.pieces)]
+        return rows, Answers() if known is None else known.answers
+
+    def _rows_by_plan(
+        self,
+        model: Model,
+        at: Callable[[int], Place],
+        wanted: Sequence[tuple[Active, str]],
+        known: Fit | None,
+        samples: int,
+    ) -> tuple[list[tuple[SegmentFrame, SegmentRows]], Answers]:
+        """The same, with those columns alone made anew that have moved on a few segments, which are asked first."""
+        pieces, names = self.prepared.pieces, [(a.name, n) for a, n in wanted]
         asked = answers_so_far(model, known, self.criteria)
         probes, done = dict[int, ColumnProbe](), dict[int, tuple[SegmentFrame, SegmentRows]]()
         for k in probed_segments(pieces, self.criteria):
