@@ -203,7 +203,9 @@ class SelectionCriteria(Strict):
     few_effects: int = _is(2, "1", "budget")
     """Effects that are looked for one by one; where they do not explain the error, all are fitted together."""
     named_share: float = _is(0.05, "1", "practice")
-    """Part of the first model's error, rms in any kind of stage, from which on an effect is named as a cause."""
+    """Part of the first model's error, rms in any kind of stage, from which on an effect is named as a cause, ..."""
+    clear_of_left: float = _is(3.0, "1", "practice")
+    """... and times the part that is left in the end: of one form's error another effect takes about as much."""
     material_flux: float = _is(0.002, "1", "practice")
     """Part of the rated flux by which an effect has to move the map to be material, ..."""
     material_voltage: float = _is(0.005, "1", "practice")

@@ -135,7 +135,8 @@ def ladder_of(
     sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)
-    least = whole.criteria.selection.named_share
+    limits = whole.criteria.selection
+    least = max(limits.named_share, limits.clear_of_left * left_fraction(steps[0].fit.chi2_per_dof, judged))
     causes = [n for n in order if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
     minor = [n for n in order if n not in causes]
     rungs = list(steps)

@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.selection import joint_workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
+from plugins.effects.inverter import VoltageBias
+from plugins.effects.resistance import PhaseResistanceImbalance
+from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import VoltageDelay
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
 
 
@@ -21,3 +28,21 @@ def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkey
     of_a_part = setup.coarse_fitter.fit(free_model().with_active([library[0].absent()]))
     monkeypatch.setattr(joint_workflow, "joint_search", lambda *_: (of_a_part, {}))
     assert joint_workflow.all_together(setup, [Step(None, bare)], Search([Step(None, bare)]), library) is None
+
+
+def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
+    """A biased voltage, and gains that nobody looks for: another resistance in a phase takes some of what they do."""
+    bias, gains, other = VoltageBias(), CurrentGainMismatch(), PhaseResistanceImbalance()
+    made = prepared(plan(sparse=True))
+    maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
+    given = ((bias, {"bias_a_v": 0.2}), (gains, {"gain_a_minus_b": 0.005}))
+    hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
+    pieces = [replace(p, signals=apply_effects(p.signals, hidden).signals) for p in made.pieces]
+    setup = setup_of(replace(made, pieces=tuple(pieces)), maker.noise)
+    bare = setup.fitter.fit(free_model())
+    absent = [c.absent() for c in scaled_library([bias, other], made.manifest)]
+    whole = setup.fitter.fit(bare.model.with_active(absent))
+    search = joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, [])
+    assert search.shares["phase_resistance_imbalance"].of_error > whole.criteria.selection.named_share
+    assert [step.added for step in search.steps] == [None, "voltage_bias"]
+    assert search.minor == ("phase_resistance_imbalance",)
