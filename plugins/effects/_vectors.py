@@ -16,25 +16,31 @@ def doubles(x: RealArray) -> Array:
 
 def less_constant(x: RealArray, constant: RealArray) -> Array:
     """x_k - c, c of shape (2,)."""
-    return _plus_along(doubles(x), -np.ones(1), doubles(constant)[None])
+    return _less_constant(doubles(x), doubles(constant))
+
+
+@njit(cache=True, nogil=True)
+def _less_constant(x: Array, constant: Array) -> Array:
+    out = np.empty_like(x)
+    a, b = constant[0], constant[1]
+    for k in range(x.shape[0]):
+        out[k, 0] = x[k, 0] - a
+        out[k, 1] = x[k, 1] - b
+    return out
 
 
 def plus_along(x: RealArray, sizes: RealArray, along: RealArray) -> Array:
-    """x_k + s_k d_k, s of shape (n,) and d of shape (n, 2); either may be of length 1, the same for all."""
+    """x_k + s_k d_k, s of shape (n,), d of shape (n, 2), or of shape (1, 2): the same for all."""
     return _plus_along(doubles(x), doubles(sizes), doubles(along))
 
 
 @njit(cache=True, nogil=True)
 def _plus_along(x: Array, sizes: Array, along: Array) -> Array:
     out = np.empty_like(x)
-    a, b = sizes[0] * along[0, 0], sizes[0] * along[0, 1]
-    constant = sizes.shape[0] == along.shape[0] == 1
     for k in range(x.shape[0]):
-        if not constant:
-            size, m = sizes[min(k, sizes.shape[0] - 1)], min(k, along.shape[0] - 1)
-            a, b = size * along[m, 0], size * along[m, 1]
-        out[k, 0] = x[k, 0] + a
-        out[k, 1] = x[k, 1] + b
+        m = min(k, along.shape[0] - 1)
+        out[k, 0] = x[k, 0] + sizes[k] * along[m, 0]
+        out[k, 1] = x[k, 1] + sizes[k] * along[m, 1]
     return out
 
 

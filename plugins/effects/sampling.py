@@ -107,12 +107,8 @@ def _moved(i_ab: Array, psi_ab: Array, flux_ab: Array, window: int = 64, least: 
             mean_1 += psi_ab[k, 1] / size
         s00, s01, s11, p00, p01, p10, p11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
         for k in range(first, last):
-            i0, i1, psi0, psi1 = (
-                i_ab[k, 0] - mean_i0,
-                i_ab[k, 1] - mean_i1,
-                psi_ab[k, 0] - mean_0,
-                psi_ab[k, 1] - mean_1,
-            )
+            i0, i1 = i_ab[k, 0] - mean_i0, i_ab[k, 1] - mean_i1
+            psi0, psi1 = psi_ab[k, 0] - mean_0, psi_ab[k, 1] - mean_1
             s00 += psi0 * psi0
             s01 += psi0 * psi1
             s11 += psi1 * psi1

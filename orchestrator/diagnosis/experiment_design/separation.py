@@ -23,6 +23,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Model
+from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
@@ -102,13 +103,13 @@ def _normal(
     """W^T W of R_s, the map, what is free in the model, `more`, and the first effect's amplitudes, which come last."""
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
-    # Planned segments have no ids of their own: what a fitter remembers of one must not serve the next.
-    on_these = replace(fitter, prepared=replace(fitter.prepared, pieces=tuple(pieces)))
+    # Planned segments have no ids of their own: what equations remember of one must not serve the next.
+    equations = SegmentEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
     for piece in pieces:
-        place = on_these.equations.renewed(model, piece, None)
-        white = on_these.equations.rows(place, wanted).white
+        place = equations.renewed(model, piece, None)
+        white = equations.rows(place, wanted).white
         rows = np.column_stack([white[:, 1], place.frame.white_basis, white[:, 2:]])
         total += rows.T @ rows
     if with_prior:

@@ -92,9 +92,8 @@ class Fitter:
         tolerance : float
             Gain of a step, as a part of the excess chi2, below which the fit ends.
         """
-        same = frame is not None and frame.space is model.space
-        begun = self.evaluate(model, frame) if frame is not None and same else self.renewed(model)
-        best = self._descend(begun, steps, tolerance)
+        best = self.renewed(model) if frame is None or frame.space is not model.space else self.evaluate(model, frame)
+        best = self._descend(best, steps, tolerance)
         for _ in range(renewals):
             old = best
             best = self._descend(self.renewed(best.model, best.frame), steps, tolerance)

@@ -111,22 +111,22 @@ def _searched(
     """
     quick = _quick_search(setup, steps, library)
     if _explains(quick.fit) or (wider := with_its_scatter(setup, quick.fit, library)) is None:
-        return _from(setup, steps, quick, library)
+        return _after(quick, setup, steps, library)
     steps = refitted_steps(wider, steps)
     beside = wider.coarse_fitter.fit(quick.fit.model, renewals=1)
     if _explains(beside):
         return with_scatter_as_found(*_searched(wider, steps, library), library)
     # A few effects will not do beside what scatters either.
     quick = replace(quick, steps=[*quick.steps[:-1], replace(quick.steps[-1], fit=beside)])
-    return with_scatter_as_found(*_from(wider, steps, quick, library), library)
+    return with_scatter_as_found(*_after(quick, wider, steps, library), library)
 
 
 def _explains(fit: Fit) -> bool:
     return fit.chi2_per_dof <= fit.criteria.selection.detected_chi2
 
 
-def _from(
-    setup: DiagnosisSetup, steps: Sequence[Step], quick: Search, library: Sequence[Candidate]
+def _after(
+    quick: Search, setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
 ) -> tuple[DiagnosisSetup, Search]:
     """All effects fitted together where a quick search has not explained its part, else what it found to the whole."""
     if not _explains(quick.fit) and len(library) > 1:

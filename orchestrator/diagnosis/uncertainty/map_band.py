@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Candidate, coordinate_of, value_at
+from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.intervals import following, form_doubt
@@ -149,8 +149,8 @@ def _unseen(fit: Fit, total: Array, pull: Array, own: Array, at: Array, candidat
 
 def _within_bounds(candidate: Candidate, coordinates: Array) -> Array:
     """Coordinates of an effect's amplitudes, each no further than its bounds."""
-    named = [candidate.named(name) for name in candidate.amplitudes]
-    return np.array([coordinate_of(p, value_at(p, float(x))) for p, x in zip(named, coordinates, strict=True)])
+    absent, pairs = candidate.absent(), zip(candidate.amplitudes, coordinates, strict=True)
+    return np.array([absent.moved(name, float(x)).coordinate(name) for name, x in pairs])
 
 
 def _quadratic(rows: Array, covariance: Array) -> Array:

@@ -1,0 +1,36 @@
+"""One pass over vectors is what numpy makes of them, whatever the precision and the order in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from orchestrator.numerics.types import Array
+from plugins.effects._vectors import less_constant, less_of_means, plus_along, stretched
+from protocols import RealArray
+
+RNG = np.random.default_rng(5)
+X, Y, SIZES, ALONG = RNG.normal(size=(9, 2)), RNG.normal(size=(9, 2)), RNG.normal(size=9), RNG.normal(size=(9, 2))
+MATRIX, CONSTANT = RNG.normal(size=(2, 2)), RNG.normal(size=2)
+NEXT = np.concatenate([Y[1:], Y[-1:]])
+
+
+@pytest.mark.parametrize(
+    ("work", "expected"),
+    [
+        (lambda x: less_constant(x, CONSTANT), X - CONSTANT),
+        (lambda x: plus_along(x, SIZES, ALONG), X + SIZES[:, None] * ALONG),
+        (lambda x: plus_along(x, SIZES, ALONG[:1]), X + SIZES[:, None] * ALONG[0]),
+        (lambda x: stretched(x, MATRIX), X @ MATRIX),
+        (lambda x: less_of_means(x, Y, MATRIX), X - 0.5 * (Y + NEXT) @ MATRIX),
+    ],
+    ids=["less_constant", "plus_along", "plus_along_one", "stretched", "less_of_means"],
+)
+def test_it_is_what_numpy_makes_of_it(work: Callable[[RealArray], Array], expected: Array) -> None:
+    given = X.copy()
+    np.testing.assert_allclose(work(given), expected, rtol=1e-12)
+    np.testing.assert_allclose(work(np.asfortranarray(given)), expected, rtol=1e-12)
+    np.testing.assert_allclose(work(given.astype(np.float32)), expected, rtol=1e-5, atol=1e-6)
+    assert (given == X).all()
