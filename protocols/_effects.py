@@ -237,6 +237,7 @@ class Correction:
 
     i_ab: RealArray | None = None
     v_ab: RealArray | None = None
+    v_late_ab: RealArray | None = None
     v_dc: RealArray | None = None
     theta_rad: RealArray | None = None
     resistance_ohm: RealArray | None = None
@@ -261,7 +262,7 @@ class Signals(ArrayModel):
     i_ab: Vectors
     """Stator current [A]."""
     v_ab: Vectors
-    """Voltage at the terminals [V]."""
+    """Voltage at the terminals [V], its mean over each interval."""
     v_dc: Samples
     theta_rad: Samples
     """Electrical angle of the d axis."""
@@ -270,6 +271,8 @@ class Signals(ArrayModel):
     """The part of the stator current that magnetises [A]."""
     heat_j: Samples
     """Copper loss since the start of the experiment."""
+    v_late_ab: Vectors | None = None
+    """What an interval's end has beside its mean [V], where the voltage changes within it; None: nothing."""
     psi_ab: Vectors | None = None
     """Flux linkage at the measured current by the model as it stands, magnet included [Wb]; None without a model."""
     psi_smooth_ab: Vectors | None = None

@@ -13,7 +13,7 @@ from protocols import Correction, Effect, EffectLayer, EffectParameter, Paramete
 
 CHANGES: Mapping[EffectLayer, frozenset[str]] = {
     EffectLayer.CURRENT_SENSORS: frozenset({"i_ab"}),
-    EffectLayer.DELAY: frozenset({"v_ab"}),
+    EffectLayer.DELAY: frozenset({"v_ab", "v_late_ab"}),
     EffectLayer.BUS: frozenset({"v_dc", "v_ab"}),
     EffectLayer.INVERTER: frozenset({"v_ab"}),
     EffectLayer.RESISTANCE: frozenset({"resistance_ohm", "v_ab"}),
@@ -164,7 +164,7 @@ def _scaled(signals: Signals) -> Signals:
     """The same on the other machine."""
     units = {
         **dict.fromkeys(("i_ab", "i_m_ab", "i_abc", "i_smooth_ab", "i_quiet_ab", "came_from_ab"), "A"),
-        **dict.fromkeys(("v_ab", "v_dc"), "V"),
+        **dict.fromkeys(("v_ab", "v_late_ab", "v_dc"), "V"),
         **dict.fromkeys(("psi_ab", "psi_smooth_ab"), "Wb"),
         "resistance_ohm": "ohm",
         "heat_j": "W",

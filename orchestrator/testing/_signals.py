@@ -7,7 +7,7 @@ import numpy as np
 from orchestrator.numerics.frames import to_ab, to_phases
 from protocols import DriveRecord, LossHistory, Motor, Signals
 
-SIGNAL_ARRAYS = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab", "heat_j", "psi_ab")
+SIGNAL_ARRAYS = ("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab", "heat_j", "psi_ab")
 
 
 def exciting_signals(seed: int = 1) -> Signals:
@@ -27,6 +27,7 @@ def exciting_signals(seed: int = 1) -> Signals:
     i_dq = slow + 0.02 * triangle[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1) / inductance
     v_dq = 4.0 * i_dq + np.gradient(inductance * i_dq, 1.0 / fs, axis=0)
     theta = 0.4
+    v_ab = to_ab(v_dq, theta)
     i_ab = to_ab(i_dq, theta) + rng.normal(0.0, 4e-3, (n, 2))
     losses = 6.0 * np.sum(i_dq**2, axis=1)
     return Signals(
@@ -34,7 +35,8 @@ def exciting_signals(seed: int = 1) -> Signals:
         sampling_frequency_hz=fs,
         pwm_frequency_hz=fs,
         i_ab=i_ab,
-        v_ab=to_ab(v_dq, theta),
+        v_ab=v_ab,
+        v_late_ab=0.1 * np.diff(v_ab, axis=0, prepend=v_ab[:1]),
         v_dc=np.full(n, 540.0),
         theta_rad=np.full(n, theta),
         resistance_ohm=np.full(n, 4.0),

@@ -28,7 +28,8 @@ from protocols import (
 class EddyCurrents:
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
-    A sample taken just before the voltage changes has seen the voltage of the interval before. In the flexible form
+    A sample taken just before the voltage changes has seen the voltage of the interval before: what it was at its end,
+    where commands act late within it. In the flexible form
     the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods:
     read in the zero vector, a current without a lag is hardly there. And its conductance is
     (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on one axis alone.
@@ -55,13 +56,17 @@ class EddyCurrents:
         decay = math.exp(-1.0 / late) if late > 1e-2 else 0.0
         # What the exponential within an interval has beside the chord between its samples.
         bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
+        # Of what an interval's end has beside its mean: all without a lag, nothing where the lag is long.
+        felt = math.tanh(0.25 / late) if late > 1e-2 else 1.0
         theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
+        nothing = np.zeros((0, 2))
         i_m_ab, v_ab = _without_eddies(
             doubles(signals.i_m_ab),
             doubles(signals.v_ab),
+            nothing if signals.v_late_ab is None else felt * doubles(signals.v_late_ab),
             doubles(signals.i_ab),
             doubles(signals.resistance_ohm),
-            unit_vectors(theta_rad) if p.saliency != 0.0 else np.zeros((0, 2)),
+            unit_vectors(theta_rad) if p.saliency != 0.0 else nothing,
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
             decay,
             bend,
@@ -71,12 +76,22 @@ class EddyCurrents:
 
 @njit(cache=True, nogil=True)
 def _without_eddies(
-    i_m_ab: Array, v_ab: Array, i_ab: Array, ohm: Array, axis: Array, siemens: Array, decay: float, bend: float
+    i_m_ab: Array,
+    v_ab: Array,
+    late_ab: Array,
+    i_ab: Array,
+    ohm: Array,
+    axis: Array,
+    siemens: Array,
+    decay: float,
+    bend: float,
 ) -> tuple[Array, Array]:
     """The magnetising current without the eddies', and the voltage without what their steps drop, shapes (n, 2).
 
     Parameters
     ----------
+    late_ab : array, shape (n, 2) or (0, 2)
+        What the lagging current has felt at an interval's end beside the mean voltage; empty where nothing.
     axis : array, shape (n, 2) or (0, 2)
         Cosine and sine of the d axis' angle; empty where both axes are alike.
     siemens : array, shape (2,)
@@ -89,15 +104,19 @@ def _without_eddies(
     """
     i_out, v_out = np.empty_like(i_m_ab), np.empty_like(v_ab)
     felt_a, felt_b = 0.0, 0.0
+    late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
     for k in range(v_ab.shape[0]):
         # The sample has seen the voltage of the interval before.
         before = max(k - 1, 0)
+        if late_ab.shape[0] > 0:
+            late_a, late_b = late_ab[before, 0], late_ab[before, 1]
+            next_a, next_b = late_ab[k, 0], late_ab[k, 1]
         drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
         kept = decay if k > 0 else 0.0
-        felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] - drop_a)
-        felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] - drop_b)
-        step_a = bend * ohm[k] * (v_ab[k, 0] - drop_a - felt_a)
-        step_b = bend * ohm[k] * (v_ab[k, 1] - drop_b - felt_b)
+        felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] + late_a - drop_a)
+        felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
+        step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
+        step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
         if axis.shape[0] == 0:
             i_out[k, 0], i_out[k, 1] = i_m_ab[k, 0] - siemens[0] * felt_a, i_m_ab[k, 1] - siemens[0] * felt_b
             v_out[k, 0], v_out[k, 1] = v_ab[k, 0] - siemens[0] * step_a, v_ab[k, 1] - siemens[0] * step_b

@@ -14,15 +14,23 @@ from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signa
 
 
 @njit(cache=True, nogil=True)
-def _acting(v_ab: Array, whole: int, part: float) -> Array:
-    """Vectors (n, 2) so many and a part of a sample late; the first and the last stand for those beyond them."""
+def _acting(v_ab: Array, late_ab: Array, late: float) -> tuple[Array, Array]:
+    """Vectors that act so many samples later, and what the end of each interval then has beside them, shapes (n, 2).
+
+    The first and the last stand for those beyond them. What comes a part of a sample early is not yet felt at the
+    end of the interval before: what follows a voltage takes longer than that.
+    """
     last = v_ab.shape[0] - 1
-    out = np.empty_like(v_ab)
+    whole = math.floor(late)
+    part = late - whole
+    out, beside = np.empty_like(v_ab), np.empty_like(v_ab)
     for k in range(last + 1):
         near, far = min(max(k - whole, 0), last), min(max(k - whole - 1, 0), last)
-        out[k, 0] = (1.0 - part) * v_ab[near, 0] + part * v_ab[far, 0]
-        out[k, 1] = (1.0 - part) * v_ab[near, 1] + part * v_ab[far, 1]
-    return out
+        felt = far if whole < 0 and part > 0.0 else near
+        for x in range(2):
+            out[k, x] = (1.0 - part) * v_ab[near, x] + part * v_ab[far, x]
+            beside[k, x] = v_ab[felt, x] + late_ab[felt, x] - out[k, x]
+    return out, beside
 
 
 class VoltageDelay:
@@ -43,10 +51,11 @@ class VoltageDelay:
         delay_s: float = amplitude("s", typical=1e-5, prior_width=2e-5, low=-1e-4, high=3e-4)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
-        """The mean voltage of each interval."""
-        late = p.delay_s * signals.sampling_frequency_hz
-        whole = math.floor(late)
-        return Correction(v_ab=_acting(doubles(signals.v_ab), whole, late - whole))
+        """The mean voltage of each interval, and what its end has beside it."""
+        v_ab = doubles(signals.v_ab)
+        late_ab = np.zeros_like(v_ab) if signals.v_late_ab is None else doubles(signals.v_late_ab)
+        acting, beside = _acting(v_ab, late_ab, p.delay_s * signals.sampling_frequency_hz)
+        return Correction(v_ab=acting, v_late_ab=beside)
 
 
 class CurrentFilter:

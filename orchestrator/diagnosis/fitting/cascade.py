@@ -112,8 +112,14 @@ def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
 
 
 def _plus(signals: Signals, change: Change) -> Signals:
-    return signals.replaced({name: getattr(signals, name) + d for name, d in change.items()})
+    return signals.replaced({name: array_of(signals, name) + d for name, d in change.items()})
 
 
 def _less(one: Signals, other: Signals, names: frozenset[str]) -> Change:
-    return {name: np.ascontiguousarray(getattr(one, name) - getattr(other, name)) for name in names}
+    return {name: np.ascontiguousarray(array_of(one, name) - array_of(other, name)) for name in names}
+
+
+def array_of(signals: Signals, name: str) -> Array | float:
+    """An array of the signals, or nothing for one that is not there."""
+    array: Array | None = getattr(signals, name)
+    return 0.0 if array is None else array

@@ -43,7 +43,8 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
         correction = _correction(item, signals)
         arrays = correction.arrays
         for name, array in arrays.items():
-            _require_array(item.name, name, getattr(signals, name), array)
+            before = getattr(signals, name)
+            _require_array(item.name, name, signals.v_ab if before is None else before, array)
         changed |= arrays.keys()
         if "i_ab" in arrays:
             changed |= {"i_m_ab"} if signals.i_quiet_ab is None else {"i_m_ab", "i_quiet_ab"}

@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import Active
-from orchestrator.diagnosis.fitting.cascade import Cascade, Change, step_of
+from orchestrator.diagnosis.fitting.cascade import Cascade, Change, array_of, step_of
 from orchestrator.diagnosis.fitting.columns import ColumnProbe
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import ColumnName, Model, SegmentFrame, SegmentRows
@@ -248,6 +248,6 @@ def scatter_sizes(timer: TimerScatter, noise: ModelNoise) -> Array:
 def _beyond_rounding(change: Change, signals: Signals) -> bool:
     """Whether there is more in a change than adding something and taking it away again leaves."""
     return any(
-        float(np.abs(array).max()) > 1e3 * np.finfo(np.float64).eps * float(np.abs(getattr(signals, name)).max())
+        float(np.abs(array).max()) > 1e3 * np.finfo(np.float64).eps * float(np.max(np.abs(array_of(signals, name))))
         for name, array in change.items()
     )

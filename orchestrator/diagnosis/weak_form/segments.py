@@ -48,7 +48,10 @@ USABLE = (
 )
 _LAST_READINGS = 20
 """Whose mean is where a current was as a segment ended."""
-_SAMPLED = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j", "i_quiet_ab", "i_abc", "temperature_c")
+_SAMPLED = (
+    *("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j"),
+    *("i_quiet_ab", "i_abc", "temperature_c"),
+)
 
 
 @dataclass(frozen=True)
@@ -242,6 +245,7 @@ def _piece(
         pwm_frequency_hz=float(pwm),
         i_ab=i_ab,
         v_ab=v_ab,
+        v_late_ab=late_beside(command_ab, delay) if width == 1 else None,
         v_dc=v_dc,
         theta_rad=np.full(n, float(segment.rotor_angle_rad)),
         resistance_ohm=np.ones(n),
@@ -349,10 +353,21 @@ def delayed(v_ab: Array, samples: float) -> Array:
     """The voltage that acts over [t_k, t_k+1) when each command is `samples` late."""
     if samples == 0.0:
         return v_ab
-    whole = math.floor(samples)
-    part = samples - whole
-    last = np.maximum(np.arange(len(v_ab)) - whole, 0)
-    return np.ascontiguousarray((1.0 - part) * v_ab[last] + part * v_ab[np.maximum(last - 1, 0)])
+    late_by = math.floor(samples)
+    part = samples - late_by
+    return np.ascontiguousarray((1.0 - part) * _late(v_ab, late_by) + part * _late(v_ab, late_by + 1))
+
+
+def late_beside(v_ab: Array, samples: float) -> Array | None:
+    """What the voltage at t_k+1 then has beside its mean since t_k; None where it does not change in between."""
+    late_by = math.floor(samples)
+    if samples == late_by:
+        return None
+    return np.ascontiguousarray((samples - late_by) * (_late(v_ab, late_by) - _late(v_ab, late_by + 1)))
+
+
+def _late(v_ab: Array, rows: int) -> Array:
+    return v_ab[np.maximum(np.arange(len(v_ab)) - rows, 0)]
 
 
 def _coming_from(before: SegmentSignals | None, piece: SegmentSignals) -> SegmentSignals:

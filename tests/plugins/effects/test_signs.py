@@ -7,6 +7,7 @@ import math
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
 from orchestrator.numerics.types import Array
 from plugins.effects.frame import BrakeBacklash, BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
@@ -227,6 +228,47 @@ def test_a_late_eddy_current_bends_between_samples_as_an_exponential(lag_s: floa
     bend = 4.0 * (mean - 0.5 * (eddy + after))
     assert_close((v - out.v_ab)[:-1], bend[:-1], 1e-9, of=bend)
     assert_close(eddy[1:], after[:-1], 1e-12, of=eddy)
+
+
+@pytest.mark.parametrize(("lag_s", "part", "within"), [(0.0, 0.3, 1e-9), (5e-5, 0.5, 1e-9), (5e-5, 0.2, 0.1)])
+def test_eddies_behind_a_late_voltage_follow_what_it_was_at_the_reading(
+    lag_s: float, part: float, within: float
+) -> None:
+    """Beside an exponential through both voltages of each interval: exact without a lag, and at half of one."""
+    v = np.random.default_rng(2).normal(size=(400, 2))
+    nil = np.zeros((400, 2))
+    signals = _signals().model_copy(update={"v_ab": v, "i_ab": nil, "i_m_ab": nil})
+    late = _corrected(VoltageDelay(), signals, delay_s=part / FS)
+    eddy = -1000.0 * _corrected(EddyCurrents(), late, core_loss_ohm=1000.0, lag_s=lag_s).i_m_ab
+    old, new = (math.exp(-share / (lag_s * FS)) if lag_s > 0.0 else 0.0 for share in (part, 1.0 - part))
+    expected = np.zeros((400, 2))
+    for k in range(1, 399):
+        midway = v[k - 1] + (expected[k] - v[k - 1]) * old
+        expected[k + 1] = v[k] + (midway - v[k]) * new
+    assert_close(eddy[60:], expected[60:], within, of=expected)
+
+
+def test_a_delay_that_the_drive_declares_is_felt_as_one_that_is_found() -> None:
+    signals = _signals()
+    found = _corrected(VoltageDelay(), signals, delay_s=0.4 / FS)
+    command = np.asarray(signals.v_ab, dtype=np.float64)
+    beside = late_beside(command, 0.4)
+    assert beside is not None
+    assert found.v_late_ab is not None
+    assert_close(delayed(command, 0.4), found.v_ab, 1e-12, of=found.v_ab)
+    assert_close(beside, found.v_late_ab, 1e-12, of=found.v_ab)
+    assert late_beside(command, 1.0) is None
+
+
+def test_what_eddies_feel_of_a_small_delay_is_small() -> None:
+    """Early or late: a search walks through none at all without a step."""
+    signals = _signals()
+    felt = [
+        _corrected(EddyCurrents(), _corrected(VoltageDelay(), signals, delay_s=by), core_loss_ohm=1000.0).i_m_ab
+        for by in (-1e-9, 0.0, 1e-9)
+    ]
+    assert_close(felt[0], felt[1], 1e-4, of=signals.i_m_ab)
+    assert_close(felt[2], felt[1], 1e-4, of=signals.i_m_ab)
 
 
 def test_a_damper_may_be_on_one_axis_alone() -> None:
