@@ -24,6 +24,7 @@ from orchestrator.diagnosis.selection.scoring import (
     linear_view,
     log_evidence,
     score,
+    told_apart,
 )
 from orchestrator.diagnosis.selection.shares import Share
 from orchestrator.presentation.names import plain
@@ -118,8 +119,11 @@ def forward(
             rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
             search.traces.append(name)
             continue
-        tied = (n for g, n, t in ranked[1:] if gain - g < limits.tie or _stands_in(fit, trial, t, name, n))
-        search.rivals[name] = list(tied)
+        search.rivals[name] = [
+            n
+            for g, n, t in ranked[1:]
+            if gain - g < limits.tie or not told_apart(trial, t) or _stands_in(fit, trial, t, name, n)
+        ]
         better = polished(fitter, trial, inflation)
         search.steps.append(Step(name, repolished(fitter, better), gain))
         fitter.tell(f"+ {plain(name)}: chi2 {number(search.fit.chi2_per_dof)}")

@@ -28,6 +28,7 @@ from orchestrator.diagnosis.selection.scoring import (
     log_density_ratio,
     log_evidence,
     score,
+    told_apart,
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
@@ -194,11 +195,12 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
             continue
         trial = _briefly(fitter, replaced, trial)
         gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
+        parted = separable(fit.prepared, other.candidate.effect, _effect(fit, name)) and told_apart(trial, fit)
+        tied = abs(gain) < limits.tie or not parted
         if gain > 0.0:
-            effect = _effect(fit, name)
-            fit, tied = trial, gain < limits.tie or not separable(fit.prepared, other.candidate.effect, effect)
+            fit = trial
             rivals[other.name] = [*rivals.pop(name, []), name] if tied else []
-        elif gain > -limits.tie or not separable(fit.prepared, other.candidate.effect, _effect(fit, name)):
+        elif tied:
             rivals.setdefault(name, []).append(other.name)
     return fit, rivals
 

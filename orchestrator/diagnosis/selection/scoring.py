@@ -69,6 +69,15 @@ def asked_to_stay(fit: Fit, candidate: Candidate) -> float:
     return asked(fit, candidate)
 
 
+def told_apart(one: Fit, other: Fit) -> bool:
+    """Whether data and priors together part two fits, each at its best; how many parameters it took does not count.
+
+    What is named, evidence decides; but that a rival has more freedom is nothing that was measured.
+    """
+    inflation = max(1.0, min(one.chi2_per_dof, other.chi2_per_dof))
+    return abs(one.objective - other.objective) >= 2.0 * one.criteria.selection.tie * inflation
+
+
 def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
     """All effects that are not in the model beside those that are, to first order."""
     absent = tuple(c for c in candidates if c.name not in fit.model.names)
