@@ -194,8 +194,10 @@ class Hysteresis:
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
     loop's width; small loops see 1/L + kappa instead of 1/L, so `reversible_ratio` = 1 / (1 + kappa L). What a stop
     holds as a segment begins is what the way there left in it.
-    In the flexible form the two stops have limits 1 -+ sqrt(`variance`), and the first has `early_share` of kappa; and
-    with a `softness` they yield before their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi.
+    In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
+    `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
+    took for the earlier. With a `softness` they yield before their limits, outwards moving by
+    1 - (size / limit)^(1 / softness) of kappa psi.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
     Mech. Div. 102 (1976) 249.
     """
@@ -210,21 +212,22 @@ class Hysteresis:
     class Parameters(EffectParameters):
         half_width_a: float = amplitude("A", typical=0.03, prior_width=0.05, low=0.0, high=0.5)
         reversible_ratio: float = shape("1", typical=0.93, prior_width=1.0, low=0.6, high=0.999)
-        variance: float = refinement("1", neutral=0.0, prior_width=0.25, low=0.0, high=0.9)
+        variance: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=2.5)
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
         stiffness = (1.0 / p.reversible_ratio - 1.0) / _inductance(signals)
-        spread = math.sqrt(p.variance)
+        shares, apart = np.array([p.early_share, 1.0 - p.early_share]), math.sqrt(p.variance)
+        limits = shares * np.exp([-apart, apart])
         psi = _flux(signals)
         way = _way_here(signals, psi)
         held = _stops(
             np.concatenate([way, psi]),
             len(way),
-            stiffness * np.array([p.early_share, 1.0 - p.early_share]),
-            0.5 * p.half_width_a * np.array([1.0 - spread, 1.0 + spread]),
+            stiffness * shares,
+            p.half_width_a / limits.sum() * limits,
             # A hundredth power is as sharp as none, and costs one.
             p.softness if p.softness > 1e-2 else 0.0,
         )
