@@ -303,6 +303,23 @@ def test_small_hysteresis_loops_are_reversible() -> None:
     assert slope == pytest.approx((1.0 / 0.9 - 1.0) / inductance, rel=1e-6)
 
 
+def test_stops_that_hold_out_alike_are_one_however_they_share_and_else_yield_apart() -> None:
+    """What yields first is then no matter of which stop it is: a search is not trapped on the wrong side of none."""
+    sizes = {"half_width_a": 0.03, "reversible_ratio": 0.9}
+    psi, alike = _loop(sizes, 0.2)
+    _, unequal = _loop({**sizes, "early_share": 0.8}, 0.2)
+    assert_close(unequal, alike, 1e-12, of=alike)
+    # 30 mA in all of 1.6 A/Wb: 10 mA of 1 A/Wb and 20 mA of 0.6 A/Wb yield at 10 and 33 mWb.
+    inductance = math.sqrt(0.043 * 0.069)
+    two = {"early_share": 1.0 / 1.6, "variance": (0.5 * math.log(10.0 / 3.0)) ** 2}
+    _, apart = _loop({"half_width_a": 0.03, "reversible_ratio": 1.0 / (1.0 + 1.6 * inductance), **two}, 0.2)
+    falling = slice(3250, 3750)
+    fallen = apart[3250] - apart[falling]
+    swing = psi[3250] - psi[falling]
+    expected = np.minimum(1.0 * swing, 0.02) + np.minimum(0.6 * swing, 0.04)
+    assert_close(fallen, expected, 0.02, of=expected)
+
+
 def test_a_soft_stop_yields_before_its_limit_and_the_softer_the_sooner() -> None:
     sizes = {"half_width_a": 0.03, "reversible_ratio": 0.9}
     psi, sharp = _loop(sizes, 0.2)
