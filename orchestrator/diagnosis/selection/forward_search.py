@@ -20,11 +20,11 @@ from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
     asked,
+    does_as_well,
     gain_with,
     linear_view,
     log_evidence,
     score,
-    told_apart,
 )
 from orchestrator.diagnosis.selection.shares import Share
 from orchestrator.presentation.names import plain
@@ -122,7 +122,7 @@ def forward(
         search.rivals[name] = [
             n
             for g, n, t in ranked[1:]
-            if gain - g < limits.tie or not told_apart(trial, t) or _stands_in(fit, trial, t, name, n)
+            if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
         ]
         better = polished(fitter, trial, inflation)
         search.steps.append(Step(name, repolished(fitter, better), gain))

@@ -22,13 +22,13 @@ from orchestrator.diagnosis.selection.identifiability import separable
 from orchestrator.diagnosis.selection.scoring import (
     asked,
     asked_to_stay,
+    does_as_well,
     gain_with,
     linear_gain,
     linear_view,
     log_density_ratio,
     log_evidence,
     score,
-    told_apart,
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
@@ -195,8 +195,9 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
             continue
         trial = _briefly(fitter, replaced, trial)
         gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
-        parted = separable(fit.prepared, other.candidate.effect, _effect(fit, name)) and told_apart(trial, fit)
-        tied = abs(gain) < limits.tie or not parted
+        better, lesser = (trial, fit) if gain > 0.0 else (fit, trial)
+        parted = separable(fit.prepared, other.candidate.effect, _effect(fit, name))
+        tied = abs(gain) < limits.tie or not parted or does_as_well(lesser, better)
         if gain > 0.0:
             fit = trial
             rivals[other.name] = [*rivals.pop(name, []), name] if tied else []

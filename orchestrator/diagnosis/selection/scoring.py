@@ -69,13 +69,13 @@ def asked_to_stay(fit: Fit, candidate: Candidate) -> float:
     return asked(fit, candidate)
 
 
-def told_apart(one: Fit, other: Fit) -> bool:
-    """Whether data and priors together part two fits, each at its best; how many parameters it took does not count.
+def does_as_well(rival: Fit, named: Fit) -> bool:
+    """Whether data and priors together lose nothing by a rival, whatever number of parameters that takes.
 
     What is named, evidence decides; but that a rival has more freedom is nothing that was measured.
     """
-    inflation = max(1.0, min(one.chi2_per_dof, other.chi2_per_dof))
-    return abs(one.objective - other.objective) >= 2.0 * one.criteria.selection.tie * inflation
+    inflation = max(1.0, min(rival.chi2_per_dof, named.chi2_per_dof))
+    return rival.objective - named.objective < 2.0 * named.criteria.selection.tie * inflation
 
 
 def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:

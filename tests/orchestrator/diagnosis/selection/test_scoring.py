@@ -9,7 +9,7 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.selection.scoring import linear_view, log_evidence, loss_without, score, told_apart
+from orchestrator.diagnosis.selection.scoring import does_as_well, linear_view, log_evidence, loss_without, score
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
@@ -41,15 +41,16 @@ def test_linear_score_is_the_fall_of_the_objective(biased: Fitter) -> None:
     assert best.gain == pytest.approx(bare.objective - fit.objective, rel=1e-3)
 
 
-def test_fits_part_by_what_they_leave_and_not_by_how_many_parameters_it_took(biased: Fitter) -> None:
+def test_a_rival_does_as_well_by_what_it_leaves_and_not_by_how_many_parameters_it_took(biased: Fitter) -> None:
     bare = biased.fit(free_model())
     (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
     full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
-    assert told_apart(full, bare)
+    assert does_as_well(full, bare)
+    assert not does_as_well(bare, full)
     least = 2.0 * bare.criteria.selection.tie * max(full.chi2_per_dof, 1.0)
     near, far = (replace(bare, chi2=full.chi2, objective=full.objective + part * least) for part in (0.9, 1.1))
-    assert not told_apart(full, near)
-    assert told_apart(full, far)
+    assert does_as_well(near, full)
+    assert not does_as_well(far, full)
 
 
 def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> None:
