@@ -75,7 +75,19 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tupl
     fit = in_better_form(fitter, fit)
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
     fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
+    fit = in_forms_still_asked_for(fitter, fit)
     return fit, {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
+
+
+def in_forms_still_asked_for(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit with those shapes and flexible forms free that it asks for only now, all that hid their worth known."""
+    for form in (with_shapes, with_flexible_forms):
+        while fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
+            freed = form(fitter, fit)
+            if len(freed.free) == len(fit.model.free):
+                break
+            fit = refitted(fitter, freed, fit)
+    return fit
 
 
 def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:

@@ -13,6 +13,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
+    in_forms_still_asked_for,
     in_own_forms,
     joint_search,
     log_bayes_factors,
@@ -101,6 +102,17 @@ def _lost_to(dead_time: DeadTime.Parameters, made: PreparedRecording) -> dict[st
         assert left is not None
         taken[piece.segment.id] = np.asarray(piece.signals.v_ab - left, dtype=np.float64)
     return taken
+
+
+def test_a_form_is_asked_for_once_more_where_something_is_left() -> None:
+    made = prepared(plan(sparse=True))
+    (dead_time,) = scaled_library([DeadTime()], made.manifest)
+    maker = fitter(with_voltage(made, _lost_to(DeadTime.Parameters(voltage_v=2.0, threshold_a=0.4), made)))
+    rigid = refitted(maker, free_model().with_active([dead_time.absent()]))
+    formed = in_forms_still_asked_for(maker, rigid)
+    assert rigid.chi2_per_dof > 1.5 > formed.chi2_per_dof
+    assert formed.model.active[0].values["threshold_a"] == pytest.approx(0.4, rel=0.1)
+    assert in_forms_still_asked_for(maker, formed) is formed
 
 
 def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form() -> None:
