@@ -9,9 +9,13 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.scatter import at_most_sound, likelihood_of
+from orchestrator.diagnosis.uncertainty.scatter import as_much, at_most_sound, doubting_zeros, likelihood_of
+from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
 from orchestrator.diagnosis.uncertainty.timer_in_rests import timer_near
 from orchestrator.diagnosis.uncertainty.timer_search import timers_in
+
+TELLINGS = 4
+"""How often timer, scatter and fit are told, each in the light of the others."""
 
 
 def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup:
@@ -44,3 +48,36 @@ def with_sharper_timer(
     timer, scatter = timer_near(setup.coarse_fitter.prepared, likelihood, doubting.fitter.noise.of_model, setup.timers)
     timed = setup.with_timer(timer)
     return timed, timed.with_noise(at_most_sound(timed, scatter))
+
+
+def with_timer_of_fit(
+    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit] | None:
+    """Both setups with the timer as every equation of a part's fit tells it, and what then scatters; and the fit so.
+
+    None where there is no timer, where nothing is left, or where another is hardly likelier.
+    """
+    limits = fit.criteria.selection
+    if not setup.timers or fit.chi2_per_dof <= limits.detected_chi2:
+        return None
+    # A phase that was told beside wrong forms may be anywhere, and no descent leads over a command's jump; rests do.
+    beside = with_sharper_timer(setup, doubting, fit, library)[1]
+    starts = (doubting, fit), (beside, beside.coarse_fitter.renewed(fit.model))
+    timed, told = _told(*min(starts, key=lambda start: start[1].objective), library)
+    if fit.objective - told.objective < 2.0 * limits.log_evidence * fit.chi2_per_dof:
+        return None
+    return timed.with_noise(setup.fitter.noise.of_model), timed, told
+
+
+def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
+    """Timer, what scatters and a part's fit, each in the light of the others."""
+    for _ in range(TELLINGS):
+        doubting.fitter.tell("the modulator's timer, by all that the effects leave")
+        before = doubting.fitter.noise.of_model
+        timer, _ = timer_beside(fit, doubting.timers, doubting.fitter.pm_flux_wb)
+        timed = doubting.with_timer(timer)
+        doubting = doubting_zeros(timed, likelihood_of(timed.coarse_fitter, fit, library))
+        fit = doubting.coarse_fitter.fit(fit.model, steps=2, renewals=0)
+        if as_much(doubting.fitter.noise.of_model, before):
+            break
+    return doubting, fit

@@ -8,7 +8,7 @@ other.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from orchestrator.diagnosis.weak_form.rests import rests
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, rounded_by
 from orchestrator.numerics.types import Array, Indices
-from protocols import ModelNoise, ModulatorTimer, TimerPhases
+from protocols import ModelNoise, ModulatorTimer
 
 NEAR = 0.1
 """Of a step: by how much the largest command may miss it where a search begins."""
@@ -53,17 +53,9 @@ def timer_near(
     told = []
     for one in borne:
         held = _HeldCommands.of(prepared, one.timer.centred)
-        told.append(_sharpened(likelihood, held, _at_all(np.unique(held.pwm_hz).tolist(), one), scatter))
+        told.append(_sharpened(likelihood, held, one.at(np.unique(held.pwm_hz).tolist()), scatter))
     best = min(told, key=lambda one: one.cost)
     return best.timer, best.scatter
-
-
-def _at_all(pwm_hz: Sequence[float], borne: BorneTimer) -> BorneTimer:
-    """The timer with phases at those PWM frequencies too at which the readings tell none: any may be."""
-    there = {p.pwm_frequency_hz for p in borne.timer.phases}
-    unknown = [TimerPhases(pwm_frequency_hz=f, rise=0.0, fall=0.0) for f in pwm_hz if f not in there]
-    timer = borne.timer.model_copy(update={"phases": (*borne.timer.phases, *unknown)})
-    return replace(borne, timer=timer, curvature=np.pad(borne.curvature, (0, 2 * len(unknown))))
 
 
 def _sharpened(likelihood: Likelihood, held: _HeldCommands, borne: BorneTimer, scatter: ModelNoise) -> _Sharpened:

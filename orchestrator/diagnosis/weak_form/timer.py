@@ -14,6 +14,7 @@ Power Converters, IEEE Press 2003, doi:10.1109/9780470546284, section 6.3.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
@@ -23,7 +24,7 @@ from numba import njit
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from protocols import DriveRecord, ModulatorTimer, RealArray
+from protocols import DriveRecord, ModulatorTimer, RealArray, TimerPhases
 
 Numbers = TypeVar("Numbers", float, Array)
 
@@ -54,6 +55,20 @@ class BorneTimer:
         )
         return timer.model_copy(update={"step_s": timer.step_s * (1.0 + float(x[0])), "phases": phases})
 
+    def at(self, pwm_hz: Sequence[float]) -> BorneTimer:
+        """The timer with phases at those PWM frequencies too at which the readings tell none: any may be."""
+        there = {p.pwm_frequency_hz for p in self.timer.phases}
+        unknown = [TimerPhases(pwm_frequency_hz=f, rise=0.0, fall=0.0) for f in pwm_hz if f not in there]
+        timer = self.timer.model_copy(update={"phases": (*self.timer.phases, *unknown)})
+        return replace(self, timer=timer, curvature=np.pad(self.curvature, (0, 2 * len(unknown))))
+
+    def to(self, timer: ModulatorTimer) -> Array:
+        """By how much another, known at the same PWM frequencies, differs: what `moved` takes."""
+        there = {p.pwm_frequency_hz: p for p in timer.phases}
+        parts = [(there[p.pwm_frequency_hz], p) for p in self.timer.phases]
+        off = [d for a, b in parts for d in (a.rise - b.rise, a.fall - b.fall)]
+        return np.array([timer.step_s / self.timer.step_s - 1.0, *((np.array(off) + 0.5) % 1.0 - 0.5)])
+
 
 def with_timer(prepared: PreparedRecording, timer: ModulatorTimer | None) -> PreparedRecording:
     """The recording with the voltages that the timer lets through, where its phases are known at the PWM frequency.
@@ -76,23 +91,24 @@ def own_leg_step_of(step_s: float, drive: DriveRecord) -> float:
 
 
 def _impressed(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float) -> SegmentSignals:
-    impressed = _let_through(piece, timer, bus_v)
-    if impressed is None:
-        return piece
+    impressed = piece.command_ab
+    if timer is not None:
+        added = added_by(timer, piece, bus_v)
+        if added is None:
+            return piece
+        impressed = impressed + added
     v_ab = mean_between(impressed, piece.averaged, piece.delay_samples)
     return replace(piece, signals=piece.signals.model_copy(update={"v_ab": v_ab}))
 
 
-def _let_through(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float) -> Array | None:
-    """Each reading's voltage; None where it is what the piece has."""
-    if timer is None:
-        return piece.command_ab
+def added_by(timer: ModulatorTimer, piece: SegmentSignals, bus_v: float) -> Array | None:
+    """What the timer adds to each command of a piece (readings, 2) [V]; None where its phases are unknown there."""
     pwm_hz = piece.signals.pwm_frequency_hz
     phases = next((p for p in timer.phases if math.isclose(p.pwm_frequency_hz, pwm_hz)), None)
     if phases is None or not piece.signals.bridge_on:
         return None
     step_v = leg_step_of(timer.step_s, pwm_hz, bus_v)
-    return piece.command_ab + rounded_by(piece.command_ab, step_v, phases.rise, phases.fall, centred=timer.centred)
+    return rounded_by(piece.command_ab, step_v, phases.rise, phases.fall, centred=timer.centred)
 
 
 def rounded_by(v_ab: RealArray, step_v: float, rise: float, fall: float, *, centred: bool) -> Array:

@@ -7,7 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
+from orchestrator.diagnosis.selection.modulator_timer import with_its_timer, with_timer_of_fit
+from orchestrator.diagnosis.weak_form.timer import BorneTimer
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     felt_through,
@@ -27,6 +28,25 @@ def test_voltages_that_differ_by_chance_are_no_timer_s() -> None:
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
     setup = setup_of(fitter(with_voltage(made, by_chance)))
     assert with_its_timer(setup, setup.fitter.fit(free_model()), []) is setup
+
+
+def test_a_timer_is_told_again_where_a_fit_with_it_leaves_something() -> None:
+    true, off = timer(21.7e-9, 0.35, 0.62), timer(21.7e-9, 0.40, 0.58)
+    given = replace(setup_of(fitter(felt_through(true, plan()))), timers=(BorneTimer(off, 9.0, np.zeros((3, 3))),))
+    setup = given.with_timer(off)
+    fit = setup.coarse_fitter.fit(free_model())
+    assert fit.chi2_per_dof > 1.08
+    told = with_timer_of_fit(setup, setup, fit, [])
+    assert told is not None
+    timed, doubting, beside = told
+    assert beside.chi2_per_dof < 1.08
+    assert timed.prepared.timer == doubting.prepared.timer == beside.prepared.timer
+    assert timed.prepared.timer is not None
+    (at,) = timed.prepared.timer.phases
+    assert (at.rise, at.fall) == pytest.approx((0.35, 0.62), abs=0.01)
+    assert not timed.fitter.noise.of_model.scatters
+    # Nothing is left beside the right one.
+    assert with_timer_of_fit(timed, doubting, beside, []) is None
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals, mean_between
-from orchestrator.diagnosis.weak_form.timer import leg_step_of, own_leg_step_of, rounded_by, with_timer
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, own_leg_step_of, rounded_by, with_timer
 from orchestrator.numerics.frames import from_phases, to_phases
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import FS, Array, plan, prepared, timer
@@ -101,3 +101,15 @@ def _averaged(piece: SegmentSignals, command: Array, width: int) -> SegmentSigna
         update={"v_ab": mean_between(command, width, 0.0), "i_ab": piece.signals.i_ab[:rows]}
     )
     return replace(piece, signals=signals, averaged=width, command_ab=command)
+
+
+@given(step=st.floats(-0.01, 0.01), phases=st.lists(st.floats(-0.49, 0.49), min_size=2, max_size=2), rise=PART)
+def test_what_leads_from_one_timer_to_another_is_told(step: float, phases: list[float], rise: float) -> None:
+    borne, x = BorneTimer(timer(STEP_S, rise, 0.4), 0.0, np.eye(3)), np.array([step, *phases])
+    np.testing.assert_allclose(borne.to(borne.moved(x)), x, atol=1e-9)
+
+
+def test_a_timer_may_meet_commands_anywhere_at_a_frequency_of_which_readings_tell_nothing() -> None:
+    borne = BorneTimer(timer(STEP_S, 0.2, 0.4), 1.0, np.eye(3)).at([FS, 2.0 * FS])
+    assert [p.pwm_frequency_hz for p in borne.timer.phases] == [FS, 2.0 * FS]
+    np.testing.assert_array_equal(borne.curvature, np.diag([1.0, 1.0, 1.0, 0.0, 0.0]))

@@ -1,0 +1,183 @@
+"""A modulator's timer told beside a whole model: by every equation, where all effects' forms are much as they are.
+
+Rests tell it first, while forms are still wrong (`timer_in_rests`). Then all that holds, sweeps and ripples has its
+say: what a timer's rounding changes in the equations is known exactly, and R_s, the map and all free parameters follow
+to first order (variable projection; G. Golub, V. Pereyra, doi:10.1137/0710036). With g the change of the whitened
+residual e, X the columns of what follows, N their normal matrix and C the readings' own say of x,
+
+    cost(x) = 2 e^T g + g^T g - (X^T g)^T N^-1 (X^T g) + x^T C x
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.fitting.model import Fit, SegmentFrame
+from orchestrator.diagnosis.weak_form.equations import difference
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals, mean_between
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, added_by, leg_step_of
+from orchestrator.numerics.types import Array, Indices
+from protocols import ModulatorTimer
+
+APART = (0.02, 0.004)
+"""Of a step, at the largest command: how far apart differences are taken, one descent after the other.
+
+A hold's command that stands where it jumps by a step hides what lies beyond; far apart, differences see over it.
+"""
+STEPS = 12
+"""At most, of Gauss and Newton."""
+ENOUGH = 1.0
+"""Gain of a step, in chi2, below which the descent ends."""
+FIRST_DAMPING = 0.1
+MOST_DAMPING = 1e3
+
+
+def timer_beside(fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> tuple[ModulatorTimer, float]:
+    """The likeliest timer near a fit's own, all that is free following, and what it takes of chi2.
+
+    Parameters
+    ----------
+    fit : Fit
+        Of a recording with a timer.
+    borne : sequence of BorneTimer
+        What the readings say of that timer, and of those that round much like it.
+    pm_flux_wb : float
+        Magnet flux [Wb].
+
+    Raises
+    ------
+    ValueError
+        The fit is of a recording without a timer.
+    """
+    rounding = _Rounding.of(fit, borne, pm_flux_wb)
+    x = rounding.start
+    for apart in APART:
+        x = _descended(rounding, x, apart)
+    return rounding.borne.moved(x), rounding.cost(rounding.start) - rounding.cost(x)
+
+
+def _descended(rounding: _Rounding, x: Array, apart: float) -> Array:
+    """Where Gauss and Newton lead, damped as by Levenberg and Marquardt (doi:10.1137/0111030)."""
+    cost, damping = rounding.cost(x), 0.0
+    for _ in range(STEPS):
+        curvature, slope = rounding.linear(x, apart)
+        while True:
+            move = -np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
+            trial = rounding.cost(x + move)
+            if trial < cost or damping > MOST_DAMPING:
+                break
+            damping = max(10.0 * damping, FIRST_DAMPING)
+        gain = cost - trial
+        if gain <= 0.0:
+            break
+        x, cost, damping = x + move, trial, 0.1 * damping
+        if gain < ENOUGH:
+            break
+    return x
+
+
+@dataclass(frozen=True)
+class _Segment:
+    """A training segment: what its rows are made of, and the whitened columns of all that follows."""
+
+    piece: SegmentSignals
+    frame: SegmentFrame
+    columns: Array
+    residual: Array
+    added_ab: Array
+    """By the fit's own timer [V]."""
+    heard: Indices
+    """Which of a timer's numbers matter at its PWM frequency: the step, and two phases."""
+
+    def added_by(self, timer: ModulatorTimer, bus_v: float) -> Array:
+        added = added_by(timer, self.piece, bus_v)
+        return np.zeros_like(self.added_ab) if added is None else added
+
+    def rows_of(self, added_ab: Array, pm_flux_wb: float) -> Array:
+        """What an added voltage (readings, 2) changes of the whitened residual (rows,)."""
+        v_ab = mean_between(added_ab, self.piece.averaged, self.piece.delay_samples)
+        sums = difference(self.piece, self.frame.base, {"v_ab": v_ab}, self.frame.local, pm_flux_wb)
+        return self.frame.whitener(self.piece.windows.combine(sums)[:, None])[:, 0]
+
+
+@dataclass(frozen=True)
+class _Rounding:
+    """What a change of the timer does to a fit's equations.
+
+    Attributes
+    ----------
+    normal : array
+        Of R_s, the map and all free parameters, with their priors.
+    borne : BorneTimer
+        Known wherever the fit's own is; x is how much a timer differs from it.
+    start : array, shape (1 + 2 frequencies,)
+        x of the fit's own timer.
+    unit : array, same shape
+        What moves the largest command by a whole step.
+    """
+
+    segments: Sequence[_Segment]
+    normal: Array
+    borne: BorneTimer
+    start: Array
+    unit: Array
+    bus_v: float
+    pm_flux_wb: float
+
+    @classmethod
+    def of(cls, fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> _Rounding:
+        timer, bus_v = fit.prepared.timer, fit.prepared.manifest.drive.dc_bus_voltage_v
+        if timer is None:
+            raise ValueError("expected a recording with a modulator's timer")
+        pieces = [(p, f) for p, f in zip(fit.prepared.pieces, fit.frame.pieces, strict=True) if not p.held_out]
+        nearest = min(borne, key=lambda one: abs(one.timer.step_s / timer.step_s - 1.0))
+        nearest = nearest.at([p.pwm_frequency_hz for p in timer.phases])
+        place = {p.pwm_frequency_hz: 1 + 2 * k for k, p in enumerate(nearest.timer.phases)}
+        segments, most = [], 1.0
+        for (piece, frame), (linear, columns, residual) in zip(pieces, fit.training(), strict=True):
+            added, pwm_hz = added_by(timer, piece, bus_v), piece.signals.pwm_frequency_hz
+            if added is not None:
+                at = min(place, key=lambda known: abs(known - pwm_hz))
+                heard = np.array([0, place[at], place[at] + 1])
+                segments.append(_Segment(piece, frame, np.column_stack([linear, columns]), residual, added, heard))
+                most = max(most, float(np.abs(piece.command_ab).max()) / leg_step_of(timer.step_s, pwm_hz, bus_v))
+        start = nearest.to(timer)
+        unit = np.array([1.0 / most, *[1.0] * (len(start) - 1)])
+        return cls(segments, fit.system()[0], nearest, start, unit, bus_v, pm_flux_wb)
+
+    def cost(self, x: Array) -> float:
+        """By how much chi2 changes with a timer, all else following, and the readings' say."""
+        pull, squares = np.zeros(len(self.normal)), 0.0
+        timer = self.borne.moved(x)
+        for one in self.segments:
+            change = self._change(one, timer)
+            pull += one.columns.T @ change
+            squares += float(change @ (2.0 * one.residual + change))
+        return squares - float(pull @ np.linalg.solve(self.normal, pull)) + float(x @ self.borne.curvature @ x)
+
+    def linear(self, x: Array, apart: float) -> tuple[Array, Array]:
+        """Half the cost's curvature, as of Gauss and Newton, and half its slope, all else following."""
+        count, width = len(x), len(self.normal)
+        squares, cross = np.zeros((count, count)), np.zeros((width, count))
+        slope, pull = np.zeros(count), np.zeros(width)
+        timer, steps = self.borne.moved(x), np.diag(apart * self.unit)
+        sides = [(self.borne.moved(x + step), self.borne.moved(x - step)) for step in steps]
+        for one in self.segments:
+            change = self._change(one, timer)
+            columns = np.stack([self._column(one, *sides[k]) / (2.0 * steps[k, k]) for k in one.heard], axis=-1)
+            squares[np.ix_(one.heard, one.heard)] += columns.T @ columns
+            cross[:, one.heard] += one.columns.T @ columns
+            slope[one.heard] += columns.T @ (one.residual + change)
+            pull += one.columns.T @ change
+        follow = np.linalg.solve(self.normal, cross)
+        say = self.borne.curvature
+        return squares - cross.T @ follow + say, slope - follow.T @ pull + say @ x
+
+    def _change(self, one: _Segment, timer: ModulatorTimer) -> Array:
+        return one.rows_of(one.added_by(timer, self.bus_v) - one.added_ab, self.pm_flux_wb)
+
+    def _column(self, one: _Segment, ahead: ModulatorTimer, behind: ModulatorTimer) -> Array:
+        return one.rows_of(one.added_by(ahead, self.bus_v) - one.added_by(behind, self.bus_v), self.pm_flux_wb)

@@ -1,0 +1,81 @@
+"""A modulator's timer told by every equation beside a whole model: sharply, as promised, and near the readings' own."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
+from protocols import ModulatorTimer
+from tests.orchestrator.diagnosis.pieces import PM_WB, Array, felt_through, fitter, free_model, plan, timer
+
+STEP_S, RISE, FALL = 21.7e-9, 0.35, 0.62
+NOTHING = np.zeros((3, 3))
+
+
+@cache
+def _recording() -> PreparedRecording:
+    return felt_through(timer(STEP_S, RISE, FALL), plan())
+
+
+def _fit(believed: ModulatorTimer | None) -> Fit:
+    return fitter(with_timer(_recording(), believed)).fit(free_model())
+
+
+def _near(believed: ModulatorTimer, curvature: Array = NOTHING) -> tuple[Fit, ModulatorTimer, float]:
+    """The fit beside a timer as it is believed, the timer that it tells, and what that promises to take of chi2."""
+    fit = _fit(believed)
+    return fit, *timer_beside(fit, [BorneTimer(believed, 0.0, curvature)], PM_WB)
+
+
+def _off(told: ModulatorTimer) -> float:
+    """By how much both edges' mean phase is off: between jumps a command's rounding tells no more."""
+    (at,) = told.phases
+    return abs((0.5 * (at.rise + at.fall - RISE - FALL) + 0.25) % 0.5 - 0.25)
+
+
+@pytest.mark.parametrize("off", [0.03, -0.03])
+def test_a_timer_that_is_a_little_off_is_told_sharply(off: float) -> None:
+    believed = timer(STEP_S * (1.0 + 0.01 * off), RISE + off, FALL + 0.5 * off)
+    fit, told, gain = _near(believed)
+    assert gain > 0.0
+    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
+    assert _off(told) < 0.2 * abs(off)
+    assert _fit(told).chi2_per_dof < fit.chi2_per_dof
+
+
+def test_what_a_timer_promises_is_kept() -> None:
+    fit, told, gain = _near(timer(STEP_S, RISE + 0.05, FALL - 0.05))
+    kept = fit.objective - _fit(told).objective
+    assert gain > 100.0
+    assert kept == pytest.approx(gain, rel=0.05)
+
+
+def test_beside_the_right_timer_there_is_nothing_to_be_told() -> None:
+    _, told, gain = _near(timer(STEP_S, RISE, FALL))
+    assert gain < 20.0  # Chi-square of three numbers, the best of many jumps.
+    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
+    assert _off(told) < 0.01
+
+
+def test_readings_that_are_certain_have_the_last_word() -> None:
+    believed = timer(STEP_S, RISE + 0.05, FALL)
+    _, told, _ = _near(believed, 1e12 * np.eye(3))
+    assert told.step_s == pytest.approx(believed.step_s, rel=1e-6)
+    assert told.phases[0].rise == pytest.approx(RISE + 0.05, abs=1e-4)
+
+
+def test_a_timer_of_another_frequency_has_no_say() -> None:
+    nearest, other = BorneTimer(timer(STEP_S, RISE, FALL), 0.0, NOTHING), timer(0.5 * STEP_S, 0.0, 0.0)
+    told, _ = timer_beside(_fit(nearest.timer), [BorneTimer(other, 9.0, NOTHING), nearest], PM_WB)
+    assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
+
+
+def test_without_a_timer_there_is_none_to_be_told() -> None:
+    with pytest.raises(ValueError, match="modulator's timer"):
+        timer_beside(_fit(None), [BorneTimer(timer(STEP_S, RISE, FALL), 0.0, NOTHING)], PM_WB)
