@@ -5,7 +5,7 @@ as fast as the current i charges the output capacitances of both its devices, to
 i_k = C V_dc / t_d the swing just ends within t_d; below, the other switch cuts it short. In parts of t_d, the mean of
 the edge is late by
 
-    late(x) = 1 where x <= 0,    1 - A(x) / x up to x = 1,    1 / (2x) beyond,    x = i / i_k
+    late(x) = 1 - r x where x <= 0,    1 - A(x) / x up to x = 1,    1 / (2x) beyond,    x = i / i_k
 
 for the current i out of the leg at a falling edge and into it at a rising one; the leg loses
 V_dt (late(-x_rising) - late(x_falling)). A is the integral of the node's part u of the bus over the part x of the
@@ -13,6 +13,9 @@ charge that has flown. With constant capacitances u = x and A = x^2 / 2. Those o
 voltage v across each, and are largest at both rails:
 
     x(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
+
+Against its current, a leg's node stands until the switch that closes has taken that current over, which takes the
+longer the larger it is: r (B. J. Baliga, Fundamentals of Power Semiconductor Devices, doi:10.1007/978-0-387-47314-7).
 
 Source: S. M. Sze, K. K. Ng, Physics of Semiconductor Devices, section 2.2.2 (m = 1/2 of an abrupt junction, 1/3 of a
 graded one; more of a compensated one), doi:10.1002/0470068329.
@@ -60,7 +63,7 @@ def _early(x: float, table: Array) -> float:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _late(knees: float, leg: float, brake: float, before: float, early: Array) -> float:
+def _late(knees: float, leg: float, brake: float, before: float, takeover: float, early: Array) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
     Parameters
@@ -73,12 +76,14 @@ def _late(knees: float, leg: float, brake: float, before: float, early: Array) -
         By how much a swing of all the dead time brakes the current that drives it.
     before : float
         The delay as it was believed, which tells how long the swing is.
+    takeover : float
+        Of the dead time, that a switch takes to take over a knee's current.
     early : array
         See `swung_early`.
     """
     x = knees * leg
     if x <= 0.0:
-        return leg
+        return leg - takeover * knees
     swing = min(leg, 2.0 * before)
     braked = 1.0 + brake * swing * swing
     if x >= braked:
@@ -99,7 +104,15 @@ def _ramp(start: float, width: float) -> float:
 
 @njit(cache=True, nogil=True)
 def lost_at_edges(
-    v_ab: Array, i_ab: Array, volts: Array, legs: Array, knees_per_a: float, pull: Array, cycles: int, early: Array
+    v_ab: Array,
+    i_ab: Array,
+    volts: Array,
+    legs: Array,
+    knees_per_a: float,
+    pull: Array,
+    cycles: int,
+    takeover: float,
+    early: Array,
 ) -> Array:
     """Voltage (n, 2) that dead time takes over each interval.
 
@@ -116,6 +129,8 @@ def lost_at_edges(
         By how many knees a volt on one phase's terminal moves each current over a carrier's period.
     cycles : int
         Carrier periods in an interval.
+    takeover : float
+        r: of the dead time, that a switch takes to take over the current of a knee.
     early : array
         See `swung_early`.
     """
@@ -138,13 +153,13 @@ def lost_at_edges(
             for _ in range(PASSES):
                 (a0, b0, c0), (a1, b1, c1) = up, down
                 a_up, a_down = _edges(
-                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], early
+                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], takeover, early
                 )
                 b_up, b_down = _edges(
-                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], early
+                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], takeover, early
                 )
                 c_up, c_down = _edges(
-                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], early
+                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], takeover, early
                 )
                 up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
                 moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
@@ -170,6 +185,7 @@ def _edges(
     falls: Legs,
     volts: float,
     leg: float,
+    takeover: float,
     early: Array,
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
@@ -187,4 +203,5 @@ def _edges(
         falling += pull[y] * (ahead + volts * (rises[0] - rises[y]) - _ramp(volts * falls[y] + ahead, swing_down))
     # The leg's own swing brakes the current that drives it.
     brake = pull[0] * volts / 12.0
-    return _late(-rising, leg, brake, rises[0], early), _late(falling, leg, brake, falls[0], early)
+    rise = _late(-rising, leg, brake, rises[0], takeover, early)
+    return rise, _late(falling, leg, brake, falls[0], takeover, early)

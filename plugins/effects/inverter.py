@@ -122,7 +122,8 @@ class DeadTime:
     capacitances are not constant; and a share `switched` of the voltage is lost as at the edges of a switching leg,
     each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
     C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing;
-    `grading` is by which power their capacitances fall with the voltage.
+    `grading` is by which power their capacitances fall with the voltage, and `takeover` the part of the dead time by
+    which an edge against the motor's rated current is later still.
     `leg_a_longer` and `leg_b_longer` are by how much of the mean dead time those legs' own is; leg c makes up for both.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
@@ -139,6 +140,7 @@ class DeadTime:
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=10.0, other_form=2.0)
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
         grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
+        takeover: float = refinement("1", neutral=0.0, prior_width=0.05, low=0.0, high=1.0)
         leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
         leg_b_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
 
@@ -158,7 +160,8 @@ class DeadTime:
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
             pull = _pull(signals) / p.threshold_a
             early = swung_early(p.grading)
-            lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles, early)
+            takeover = p.takeover * p.threshold_a / (_rated_a(signals) or p.threshold_a)
+            lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles, takeover, early)
             v_ab = v_ab - p.switched * lost
         return Correction(v_ab=v_ab)
 
@@ -167,6 +170,11 @@ def _without_noise(signals: Signals) -> Array:
     """The stator current; a bend near zero would turn its noise into a mean."""
     quiet = signals.i_ab if signals.i_quiet_ab is None else signals.i_quiet_ab
     return doubles(quiet)
+
+
+def _rated_a(signals: Signals) -> float:
+    """The motor's rated current; 0 if unknown."""
+    return (signals.motor.rated_current_a if signals.motor is not None else None) or 0.0
 
 
 def _pull(signals: Signals) -> Array:
@@ -209,8 +217,7 @@ class DeviceDrop:
         """Subtract the drop from the commanded voltage."""
         v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
-        rated_a = (signals.motor.rated_current_a if signals.motor is not None else None) or 0.0
-        at_knee = p.voltage_v / (1.0 + p.growth * math.asinh(rated_a / p.threshold_a))
+        at_knee = p.voltage_v / (1.0 + p.growth * math.asinh(_rated_a(signals) / p.threshold_a))
         volts = np.full(len(signals.v_dc), at_knee)
         return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3), p.growth))
 

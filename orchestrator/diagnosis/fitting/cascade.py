@@ -6,6 +6,7 @@ measured on a few segments (`orchestrator.diagnosis.fitting.columns`); the other
 
 from __future__ import annotations
 
+import math
 from collections.abc import Container, Sequence
 from dataclasses import dataclass
 
@@ -14,7 +15,6 @@ import numpy as np
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
 from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
-from orchestrator.diagnosis.fitting.gauss_newton import is_stuck
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, Signals
 
@@ -95,7 +95,8 @@ class Cascade:
 def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
     """The step of one parameter's coordinate that its secant is taken over.
 
-    To typical size where its effect is absent; from the first form to the second, for no descent leads there.
+    To typical size where its effect is absent; from the first form to the second, for no descent leads there. Where a
+    bound is nearer than the step, to the other side.
     """
     p = active.candidate.named(name)
     x = active.coordinate(name)
@@ -108,7 +109,14 @@ def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
         step = typical_coordinate(p)
     else:
         step = criteria.column_step * max(abs(x), criteria.least_amplitude)
-    return -step if is_stuck(active, name, x + step) else step
+    return max((_within(active, name, side) for side in (step, -step)), key=abs)
+
+
+def _within(active: Active, name: str, step: float) -> float:
+    """As much of a step of one parameter's coordinate as its bounds let be."""
+    x = active.coordinate(name)
+    moved = active.moved(name, x + step).coordinate(name) - x
+    return step if math.isclose(moved, step, rel_tol=1e-6) else moved
 
 
 def _plus(signals: Signals, change: Change) -> Signals:

@@ -76,7 +76,9 @@ def test_the_kernel_agrees_with_legs_switched_step_by_step(
     pull = PERIOD / 1.5 * (np.outer(towards_d, towards_d) / L_D + np.outer(across, across) / L_Q)
     i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
     early = swung_early(grading)
-    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, pull / knee, 1, early))[0]
+    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, pull / knee, 1, 0.0, early))[
+        0
+    ]
     # How a swing's own course moves the currents is told as of an even one.
     np.testing.assert_allclose(lost, commanded - mean, atol=(0.006 if grading == 0.0 else 0.018) * volts)
 

@@ -35,10 +35,10 @@ def _signals(i_abc: Array, v_abc: Array | None = None, pwm_hz: float = FS, *, kn
     )
 
 
-def _lost(signals: Signals, threshold_a: float, switched: float = 1.0) -> Array:
+def _lost(signals: Signals, threshold_a: float, switched: float = 1.0, takeover: float = 0.0) -> Array:
     """Voltage lost in each phase, shape (n, 3)."""
     effect = DeadTime()
-    p = effect.Parameters(voltage_v=VOLTS, threshold_a=threshold_a, switched=switched)
+    p = effect.Parameters(voltage_v=VOLTS, threshold_a=threshold_a, switched=switched, takeover=takeover)
     v_ab = effect.correct(signals, p).v_ab
     assert v_ab is not None
     return to_phases(signals.v_ab - v_ab)
@@ -78,6 +78,18 @@ def test_without_ripple_what_is_lost_is_odd_where_the_current_holds() -> None:
         there = _lost(_signals(i_abc, v_abc, known=False), 0.3)
         back = _lost(_signals(-i_abc, -v_abc, known=False), 0.3)
         assert np.abs(there + back).max() < 1e-12 * np.abs(there).max()
+
+
+@pytest.mark.parametrize("pwm_hz", [FS, 2.0 * FS])
+@pytest.mark.parametrize("i_a", [0.5, 4.0, -4.0])
+def test_an_edge_against_the_current_is_the_later_the_larger_it_is(i_a: float, pwm_hz: float) -> None:
+    rated_a, takeover = 5.0 * np.sqrt(2.0), 0.04
+    i_abc = i_a * np.array([1.0, 1.0, -2.0])
+    signals = _signals(np.tile(i_abc, (10, 1)), pwm_hz=pwm_hz)
+    there, none = (_lost(signals, 0.1, takeover=part)[0] for part in (takeover, 0.0))
+    # Of each phase one edge is with the current and one against it; the ripple is small beside it.
+    more = takeover * VOLTS * pwm_hz / FS * i_abc / rated_a
+    assert there - none == pytest.approx(more, rel=0.01)
 
 
 @pytest.mark.parametrize("switched", [0.0, 1.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -97,3 +98,12 @@ def test_what_effects_answer_is_all_that_passing_unasked_leaves_out() -> None:
     assert np.abs(added).max() > 0.0
     left_out = whole["v_ab"] - unasked.get("v_ab", 0.0)
     np.testing.assert_allclose(left_out, added, atol=1e-12 * np.abs(signals().v_ab).max())
+
+
+@pytest.mark.parametrize("switched", [0.0, 0.4, 0.96, 0.994, 1.0 - 1e-6, 1.0])
+def test_a_secant_is_over_the_step_that_was_taken(switched: float) -> None:
+    dead_time = next(a for a in ACTIVE if a.name == "dead_time")
+    one = replace(dead_time, values={**dead_time.values, "switched": switched})
+    x, step = one.coordinate("switched"), step_of(one, "switched", CRITERIA.fitting)
+    assert one.moved("switched", x + step).coordinate("switched") - x == pytest.approx(step, rel=1e-6)
+    assert abs(step) >= CRITERIA.fitting.column_step

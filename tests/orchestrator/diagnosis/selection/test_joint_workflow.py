@@ -11,6 +11,7 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.selection import joint_workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
@@ -46,3 +47,22 @@ def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
     assert search.shares["phase_resistance_imbalance"].of_error > whole.criteria.selection.named_share
     assert [step.added for step in search.steps] == [None, "voltage_bias"]
     assert search.minor == ("phase_resistance_imbalance",)
+
+
+def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share() -> None:
+    """Another form's error is left: what an effect takes of it, and others could take as well, may be that form's."""
+    made = prepared(plan(sparse=True))
+    maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
+    bias, other = VoltageBias(), CurrentGainMismatch()
+    given = ((bias, {"bias_a_v": 0.02}), (other, {"gain_a_minus_b": 0.005}))
+    hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
+    pieces = [replace(p, signals=apply_effects(p.signals, hidden).signals) for p in made.pieces]
+    setup = setup_of(replace(made, pieces=tuple(pieces)), maker.noise)
+    bare = setup.fitter.fit(free_model())
+    absent = [c.absent() for c in scaled_library([bias, other], made.manifest)]
+    whole = setup.fitter.fit(bare.model.with_active(absent))
+    assert joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, []).minor == ()
+    lesser, larger = sorted(log_bayes_factors(whole).items(), key=lambda item: item[1])
+    between = 0.5 * (lesser[1] + larger[1])
+    left = replace(whole, chi2=whole.dof + 2.0 * between)
+    assert joint_workflow.ladder_of(setup, [Step(None, bare)], left, {}, []).minor == (lesser[0],)
