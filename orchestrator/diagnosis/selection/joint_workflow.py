@@ -13,6 +13,7 @@ from orchestrator.diagnosis.selection.forward_search import Search, Step, refitt
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
+    in_better_form,
     in_own_forms,
     joint_search,
     log_bayes_factors,
@@ -124,6 +125,10 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     wider = beside_scatter(setup, setup.coarse_fitter, fit, library)
     setup = wider or setup
     if fit.frame.noise is not setup.coarse_fitter.noise:
+        if wider is None:
+            # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
+            fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
+            everything = with_everything(fit, library)
         fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, everything))
     if _formless(fit):
         model = everything if wider is None else fit.model

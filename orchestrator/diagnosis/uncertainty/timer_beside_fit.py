@@ -27,6 +27,8 @@ APART = (0.02, 0.004)
 
 A hold's command that stands where it jumps by a step hides what lies beyond; far apart, differences see over it.
 """
+SCANNED = 96
+"""Phases that are tried at a PWM frequency at which the readings told none: a rest's command jumps that closely."""
 STEPS = 12
 """At most, of Gauss and Newton."""
 ENOUGH = 1.0
@@ -54,6 +56,8 @@ def timer_beside(fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> tu
     """
     rounding = _Rounding.of(fit, borne, pm_flux_wb)
     x = rounding.start
+    for place in rounding.untold:
+        x = rounding.scanned(x, place)
     for apart in APART:
         x = _descended(rounding, x, apart)
     return rounding.borne.moved(x), rounding.cost(rounding.start) - rounding.cost(x)
@@ -65,7 +69,8 @@ def _descended(rounding: _Rounding, x: Array, apart: float) -> Array:
     for _ in range(STEPS):
         curvature, slope = rounding.linear(x, apart)
         while True:
-            move = -np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
+            # A phase that no command meets within a difference changes nothing: a shift of all legs is none.
+            move = -np.linalg.lstsq(curvature + damping * np.diag(np.diag(curvature)), slope, rcond=1e-12)[0]
             trial = rounding.cost(x + move)
             if trial < cost or damping > MOST_DAMPING:
                 break
@@ -147,6 +152,36 @@ class _Rounding:
         start = nearest.to(timer)
         unit = np.array([1.0 / most, *[1.0] * (len(start) - 1)])
         return cls(segments, fit.system()[0], nearest, start, unit, bus_v, pm_flux_wb)
+
+    @property
+    def untold(self) -> Sequence[int]:
+        """Where in x the phases begin of those PWM frequencies at which the readings told none."""
+        known = np.diag(self.borne.curvature) > 0.0
+        return [k for k in range(1, len(known), 2) if known.any() and not known[k : k + 2].any()]
+
+    def scanned(self, x: Array, place: int) -> Array:
+        """x with the likeliest of all phases at one PWM frequency, all else following; x is the fit's own timer's.
+
+        Either edge has half a say in what is added, so that two phases need no more to be tried than one.
+        """
+        own, parts = self.borne.moved(x).phases[place // 2], np.arange(SCANNED) / SCANNED
+        both = np.tile(x, (SCANNED, 1))
+        both[:, place : place + 2] += parts[:, None] - [own.rise, own.fall]
+        timers = [self.borne.moved(one) for one in both]
+        slope, curvature = np.zeros(SCANNED), np.zeros((SCANNED, SCANNED))
+        cross = np.zeros((len(self.normal), SCANNED))
+        for one in self.segments:
+            if place in one.heard:
+                changes = np.stack([self._change(one, timer) for timer in timers], axis=-1)
+                slope += changes.T @ one.residual
+                curvature += changes.T @ changes
+                cross += one.columns.T @ changes
+        curvature -= cross.T @ np.linalg.solve(self.normal, cross)
+        alone = slope + 0.25 * np.diag(curvature)
+        rise, fall = np.unravel_index(np.argmin(alone[:, None] + alone + 0.5 * curvature), curvature.shape)
+        placed = x.copy()
+        placed[place : place + 2] = both[rise, place], both[fall, place + 1]
+        return placed if self.cost(placed) < self.cost(x) else x
 
     def cost(self, x: Array) -> float:
         """By how much chi2 changes with a timer, all else following, and the readings' say."""

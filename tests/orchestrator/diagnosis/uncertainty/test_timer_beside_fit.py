@@ -79,3 +79,24 @@ def test_a_timer_of_another_frequency_has_no_say() -> None:
 def test_without_a_timer_there_is_none_to_be_told() -> None:
     with pytest.raises(ValueError, match="modulator's timer"):
         timer_beside(_fit(None), [BorneTimer(timer(STEP_S, RISE, FALL), 0.0, NOTHING)], PM_WB)
+
+
+def test_phases_that_no_reading_has_told_may_be_anywhere() -> None:
+    """A second PWM frequency in rests alone: whatever its phases are believed to be, they explain as much."""
+    rests = [p for p in many_holds() if p.stage is SegmentStage.RESISTANCE]
+    fast = felt_through(timer(STEP_S, 0.8, 0.3, pwm_hz=2.0 * FS), [replace(p, pwm_hz=2.0 * FS) for p in rests])
+    both = joined(_recording(), fast)
+    phases = TimerPhases(pwm_frequency_hz=FS, rise=RISE, fall=FALL)
+    right, wrong = (
+        ModulatorTimer(
+            step_s=STEP_S,
+            centred=True,
+            phases=(phases, TimerPhases(pwm_frequency_hz=2.0 * FS, rise=rise, fall=fall)),
+        )
+        for rise, fall in ((0.8, 0.3), (0.1, 0.6))
+    )
+    borne = BorneTimer(timer(STEP_S, RISE, FALL), 0.0, np.diag([1e8, 1e4, 1e4]))
+    least = fitter(with_timer(both, right)).fit(free_model()).objective
+    fit = fitter(with_timer(both, wrong)).fit(free_model())
+    told, gain = timer_beside(fit, [borne], PM_WB)
+    assert fit.objective - gain < least + 0.1 * (fit.objective - least)
