@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -11,8 +12,18 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
-from protocols import ModulatorTimer
-from tests.orchestrator.diagnosis.pieces import PM_WB, Array, felt_through, fitter, free_model, plan, timer
+from protocols import ModulatorTimer, SegmentStage, TimerPhases
+from tests.orchestrator.diagnosis.pieces import (
+    FS,
+    PM_WB,
+    Array,
+    felt_through,
+    fitter,
+    free_model,
+    many_holds,
+    plan,
+    timer,
+)
 
 STEP_S, RISE, FALL = 21.7e-9, 0.35, 0.62
 NOTHING = np.zeros((3, 3))
@@ -81,22 +92,34 @@ def test_without_a_timer_there_is_none_to_be_told() -> None:
         timer_beside(_fit(None), [BorneTimer(timer(STEP_S, RISE, FALL), 0.0, NOTHING)], PM_WB)
 
 
-def test_phases_that_no_reading_has_told_may_be_anywhere() -> None:
-    """A second PWM frequency in rests alone: whatever its phases are believed to be, they explain as much."""
+def _with_rests_at_twice_the_frequency(rise: float, fall: float) -> PreparedRecording:
+    """The recording and rests at a second PWM frequency, where the same timer's step is twice as large."""
+    first = _recording()
     rests = [p for p in many_holds() if p.stage is SegmentStage.RESISTANCE]
-    fast = felt_through(timer(STEP_S, 0.8, 0.3, pwm_hz=2.0 * FS), [replace(p, pwm_hz=2.0 * FS) for p in rests])
-    both = joined(_recording(), fast)
-    phases = TimerPhases(pwm_frequency_hz=FS, rise=RISE, fall=FALL)
-    right, wrong = (
-        ModulatorTimer(
-            step_s=STEP_S,
-            centred=True,
-            phases=(phases, TimerPhases(pwm_frequency_hz=2.0 * FS, rise=rise, fall=fall)),
+    later = felt_through(timer(2.0 * STEP_S, rise, fall), rests)
+    fast = (
+        replace(
+            p,
+            segment=p.segment.model_copy(update={"id": f"fast-{k}"}),
+            signals=p.signals.model_copy(update={"pwm_frequency_hz": 2.0 * FS}),
         )
-        for rise, fall in ((0.8, 0.3), (0.1, 0.6))
+        for k, p in enumerate(later.pieces)
     )
+    return replace(first, pieces=(*first.pieces, *fast))
+
+
+def test_phases_that_no_reading_has_told_may_be_anywhere() -> None:
+    made = _with_rests_at_twice_the_frequency(0.8, 0.3)
+
+    def fit_with(rise: float, fall: float) -> Fit:
+        at = (FS, RISE, FALL), (2.0 * FS, rise, fall)
+        phases = tuple(TimerPhases(pwm_frequency_hz=f, rise=up, fall=down) for f, up, down in at)
+        believed = ModulatorTimer(step_s=STEP_S, centred=True, phases=phases)
+        return fitter(with_timer(made, believed)).fit(free_model())
+
+    right, wrong = fit_with(0.8, 0.3), fit_with(0.1, 0.6)
     borne = BorneTimer(timer(STEP_S, RISE, FALL), 0.0, np.diag([1e8, 1e4, 1e4]))
-    least = fitter(with_timer(both, right)).fit(free_model()).objective
-    fit = fitter(with_timer(both, wrong)).fit(free_model())
-    told, gain = timer_beside(fit, [borne], PM_WB)
-    assert fit.objective - gain < least + 0.1 * (fit.objective - least)
+    told, _ = timer_beside(wrong, [borne], PM_WB)
+    assert [p.pwm_frequency_hz for p in told.phases] == [FS, 2.0 * FS]
+    found = fitter(with_timer(made, told)).fit(free_model())
+    assert found.objective - right.objective < 0.1 * (wrong.objective - right.objective)
