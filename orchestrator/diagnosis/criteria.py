@@ -212,6 +212,8 @@ class SelectionCriteria(Strict):
     """... or part of the excitation's rms voltage that it has to make in any kind of stage."""
     widest_band_percent: float = _is(1.0, "%", "practice")
     """Half width of the map's 95 % band, of the rated flux, beyond which the map is no longer one to be relied on."""
+    overlooked_beside: float = _is(0.3, "1", "practice")
+    """Part of the most that an absent effect promises from which on another is tried together with it."""
     joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
     """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
     formings: int = _is(3, "1", "budget")

@@ -61,7 +61,10 @@ def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float) -> tuple[F
         move, promised = bounded_step(best, best.projected(), radius)
         if promised < enough:
             break
-        trial = fitter.evaluate(moved_by(best.model, move), best.frame, known=best, renew=False)
+        # Amplitudes, too: a loop that is wider than a ripple is no multiple of one that is narrower.
+        part = min(radius, 1.0)
+        promised *= part * (2.0 - part)
+        trial = fitter.evaluate(moved_by(best.model, part * move), best.frame, known=best, renew=False)
         kept = (best.objective - trial.objective) / promised
         if kept > limits.good_step:
             best, radius = trial, min(2.0 * radius, limits.widest_step)

@@ -105,18 +105,23 @@ def _briefly(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
 def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Fit:
     """The fit with those absent effects that it asks for, to first order, now that the others are as they are.
 
-    An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there.
+    An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there. Those
+    that ask for much less than another may ask for what that one takes: they are asked when it is there.
     """
-    view = linear_view(fitter, fit, library)
-    noise = max(fit.chi2_per_dof, 1.0)
+    limits, noise = fit.criteria.selection, max(fit.chi2_per_dof, 1.0)
+    asking = [s for s in score(linear_view(fitter, fit, library)) if s.gain > 2.0 * asked(fit, s.candidate) * noise]
+    if not asking:
+        return fit
+    most = max(s.gain for s in asking)
     overlooked = []
-    for one in score(view):
-        if one.gain > 2.0 * asked(fit, one.candidate) * noise:
-            active = one.candidate.absent().freeing(*one.candidate.of_role(ParameterRole.SHAPE))
-            for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
-                active = active.moved(name, float(x))
-            overlooked.append(active)
-    return refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit) if overlooked else fit
+    for one in (s for s in asking if s.gain > limits.overlooked_beside * most):
+        active = one.candidate.absent().freeing(*one.candidate.of_role(ParameterRole.SHAPE))
+        for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
+            active = active.moved(name, float(x))
+        overlooked.append(active)
+    more = refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit)
+    alone = len(overlooked) < len(asking) and more.objective < fit.objective
+    return with_overlooked(fitter, more, library) if alone else more
 
 
 def with_shapes(_: Fitter, fit: Fit) -> Model:
