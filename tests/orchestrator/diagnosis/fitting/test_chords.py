@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 from orchestrator.diagnosis.fitting.chords import fit_along_chords
 from orchestrator.diagnosis.fitting.fit import Fitter
 from plugins.effects.inverter import VoltageBias
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
 
@@ -47,3 +49,27 @@ def test_what_is_taken_from_an_earlier_fit_leads_to_the_same_place(maker: Fitter
     known = fit_along_chords(maker, away, rounds=10, tolerance=1e-6, known=first)
     anew = fit_along_chords(maker, away, rounds=10, tolerance=1e-6)
     assert known.objective == pytest.approx(anew.objective, rel=1e-3)
+
+
+class BentBias:
+    """A voltage along alpha that hardly grows beyond a tenth of its typical size: the secant from nothing is flat."""
+
+    name: ClassVar[str] = "bent_bias"
+    summary: ClassVar[str] = "A voltage that soon stops growing."
+    signature: ClassVar[str] = "A constant residual."
+    layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
+    needs: ClassVar[tuple[Contrast, ...]] = ()
+    gauge: ClassVar[str] = ""
+
+    class Parameters(EffectParameters):
+        size: float = amplitude("1", typical=1.0, prior_width=1.0, low=0.0, high=4.0)
+
+    def correct(self, signals: Signals, p: Parameters) -> Correction:
+        return Correction(v_ab=signals.v_ab - [0.5 * float(np.tanh(10.0 * p.size)), 0.0])
+
+
+def test_an_amplitude_that_is_no_multiple_of_its_secant_is_reached() -> None:
+    maker = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.15, 0.0])))
+    begun = with_free(free_model(), maker, BentBias())
+    reached = fit_along_chords(maker, begun, rounds=10, tolerance=1e-4)
+    assert 0.5 * np.tanh(10.0 * reached.model.active[0].values["size"]) == pytest.approx(0.15, rel=0.02)

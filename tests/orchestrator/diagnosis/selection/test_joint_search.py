@@ -11,6 +11,7 @@ import pytest
 from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection import joint_search as joint_search_module
 from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
     in_forms_still_asked_for,
@@ -20,9 +21,11 @@ from orchestrator.diagnosis.selection.joint_search import (
     probabilities,
     refitted,
     together,
+    with_overlooked,
     without_doubles,
     without_effect,
 )
+from orchestrator.diagnosis.selection.scoring import LinearView, Score, score
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
@@ -102,6 +105,28 @@ def _lost_to(dead_time: DeadTime.Parameters, made: PreparedRecording) -> dict[st
         assert left is not None
         taken[piece.segment.id] = np.asarray(piece.signals.v_ab - left, dtype=np.float64)
     return taken
+
+
+def test_an_effect_that_asks_for_what_another_takes_is_asked_when_that_is_there(
+    maker: Fitter, library: tuple[Candidate, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[list[str]] = []
+
+    def jealous(view: LinearView) -> list[Score]:
+        """The first time a misaligned rotor promises a fifth of what the largest does."""
+        scores = score(view)
+        most = max(s.gain for s in scores)
+        told.append([s.candidate.name for s in scores])
+        return [
+            replace(s, gain=0.2 * most) if len(told) == 1 and s.candidate.name == "rotor_misalignment" else s
+            for s in scores
+        ]
+
+    monkeypatch.setattr(joint_search_module, "score", jealous)
+    found = with_overlooked(maker, maker.fit(free_model()), library)
+    assert found.model.names == ("voltage_bias",)
+    assert "voltage_bias" in told[0]
+    assert "voltage_bias" not in told[1]
 
 
 def test_a_form_is_asked_for_once_more_where_something_is_left() -> None:
