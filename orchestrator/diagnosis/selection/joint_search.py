@@ -120,8 +120,9 @@ def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> F
             active = active.moved(name, float(x))
         overlooked.append(active)
     more = refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit)
-    alone = len(overlooked) < len(asking) and more.objective < fit.objective
-    return with_overlooked(fitter, more, library) if alone else more
+    if more.objective >= fit.objective:
+        return fit
+    return with_overlooked(fitter, more, library) if len(overlooked) < len(asking) else more
 
 
 def with_shapes(_: Fitter, fit: Fit) -> Model:

@@ -63,9 +63,9 @@ class BorneTimer:
         return replace(self, timer=timer, curvature=np.pad(self.curvature, (0, 2 * len(unknown))))
 
     def to(self, timer: ModulatorTimer) -> Array:
-        """By how much another, known at the same PWM frequencies, differs: what `moved` takes."""
+        """By how much another differs, where it is known: what `moved` takes."""
         there = {p.pwm_frequency_hz: p for p in timer.phases}
-        parts = [(there[p.pwm_frequency_hz], p) for p in self.timer.phases]
+        parts = [(there.get(p.pwm_frequency_hz, p), p) for p in self.timer.phases]
         off = [d for a, b in parts for d in (a.rise - b.rise, a.fall - b.fall)]
         return np.array([timer.step_s / self.timer.step_s - 1.0, *((np.array(off) + 0.5) % 1.0 - 0.5)])
 
