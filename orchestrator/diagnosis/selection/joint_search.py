@@ -44,9 +44,7 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
         Its map is where the fit begins; its effects, where they are.
     """
     limits = fitter.prepared.criteria.selection
-    known = {active.name: active for active in start.active}
-    everything = start.with_active([known.get(c.name, c.absent()) for c in library])
-    fit = _briefly(fitter, everything)
+    fit = _briefly(fitter, with_everything(start, library))
     for other in (c.absent_in_other_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
@@ -55,6 +53,12 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
             trial = _briefly(fitter, model, fit)
             fit = trial if trial.objective < fit.objective else fit
     return fit
+
+
+def with_everything(model: Model, library: Sequence[Candidate]) -> Model:
+    """The model with all the rest of the library, absent."""
+    there = {active.name: active for active in model.active}
+    return model.with_active([there.get(c.name, c.absent()) for c in library])
 
 
 def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:

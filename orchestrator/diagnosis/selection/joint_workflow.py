@@ -8,7 +8,7 @@ from dataclasses import replace
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
@@ -19,6 +19,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     log_bayes_factors,
     refitted,
     together,
+    with_everything,
 )
 from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer, with_timer_of_fit
 from orchestrator.diagnosis.selection.scoring import LinearView
@@ -50,15 +51,15 @@ def all_together(
     given = setup
     setup, doubting, fit = formed_together(setup, together(setup.coarse_fitter, quick.fit.model, library), library)
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
-    for once_more in (True, False):
-        told = with_timer_of_fit(setup, doubting, fit, library)
-        if told is None:
-            break
+    told = with_timer_of_fit(setup, doubting, fit, library)
+    if told is not None:
         untold, (setup, doubting, fit) = fit, told
-        if not once_more or untold.objective - fit.objective < TIMED_ANEW * untold.chi2:
-            break
-        fit = in_own_forms(doubting.coarse_fitter, doubting.coarse_fitter.renewed(with_everything(fit, library)))
-        fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
+        if untold.objective - fit.objective > TIMED_ANEW * untold.chi2:
+            everything = doubting.coarse_fitter.renewed(with_everything(fit.model, library))
+            fit, rivals = joint_search(
+                doubting.coarse_fitter, in_own_forms(doubting.coarse_fitter, everything), library
+            )
+            setup, doubting, fit = with_timer_of_fit(setup, doubting, fit, library) or (setup, doubting, fit)
     if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
         return None
     before, limits = setup.fitter.noise.of_model, fit.criteria.selection
@@ -121,14 +122,14 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
 
     All effects are asked once more, for what errs most had the say in what there is; then the errors are.
     """
-    everything = with_everything(fit, library)
+    everything = with_everything(fit.model, library)
     wider = beside_scatter(setup, setup.coarse_fitter, fit, library)
     setup = wider or setup
     if fit.frame.noise is not setup.coarse_fitter.noise:
         if wider is None:
             # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
             fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
-            everything = with_everything(fit, library)
+            everything = with_everything(fit.model, library)
         fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, everything))
     if _formless(fit):
         model = everything if wider is None else fit.model
@@ -137,12 +138,6 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
             fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, model))
             model = fit.model
     return setup, fit
-
-
-def with_everything(fit: Fit, library: Sequence[Candidate]) -> Model:
-    """A fit's model with the rest of the library, to be asked once more."""
-    there = {active.name: active for active in fit.model.active}
-    return fit.model.with_active([there.get(c.name, c.absent()) for c in library])
 
 
 def ladder_of(

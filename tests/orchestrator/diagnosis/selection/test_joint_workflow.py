@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
@@ -17,6 +20,7 @@ from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import VoltageDelay
+from protocols import Effect
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
 
@@ -31,18 +35,22 @@ def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkey
     assert joint_workflow.all_together(setup, [Step(None, bare)], Search([Step(None, bare)]), library) is None
 
 
-def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
-    """A biased voltage, and gains that nobody looks for: another resistance in a phase takes some of what they do."""
-    bias, gains, other = VoltageBias(), CurrentGainMismatch(), PhaseResistanceImbalance()
+def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup, Fit, Fit]:
+    """A biased voltage and unequal gains, and fits without effects and with those that are looked for."""
     made = prepared(plan(sparse=True))
     maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
-    given = ((bias, {"bias_a_v": 0.2}), (gains, {"gain_a_minus_b": 0.005}))
+    given = ((VoltageBias(), {"bias_a_v": bias_v}), (CurrentGainMismatch(), {"gain_a_minus_b": 0.005}))
     hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
     pieces = [replace(p, signals=apply_effects(p.signals, hidden).signals) for p in made.pieces]
     setup = setup_of(replace(made, pieces=tuple(pieces)), maker.noise)
     bare = setup.fitter.fit(free_model())
-    absent = [c.absent() for c in scaled_library([bias, other], made.manifest)]
-    whole = setup.fitter.fit(bare.model.with_active(absent))
+    absent = [c.absent() for c in scaled_library(looked_for, made.manifest)]
+    return setup, bare, setup.fitter.fit(bare.model.with_active(absent))
+
+
+def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
+    """A biased voltage, and gains that nobody looks for: another resistance in a phase takes some of what they do."""
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), PhaseResistanceImbalance()])
     search = joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, [])
     assert search.shares["phase_resistance_imbalance"].of_error > whole.criteria.selection.named_share
     assert [step.added for step in search.steps] == [None, "voltage_bias"]
@@ -51,16 +59,7 @@ def test_what_takes_away_about_as_much_as_is_left_is_no_cause() -> None:
 
 def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share() -> None:
     """Another form's error is left: what an effect takes of it, and others could take as well, may be that form's."""
-    made = prepared(plan(sparse=True))
-    maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
-    bias, other = VoltageBias(), CurrentGainMismatch()
-    given = ((bias, {"bias_a_v": 0.02}), (other, {"gain_a_minus_b": 0.005}))
-    hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
-    pieces = [replace(p, signals=apply_effects(p.signals, hidden).signals) for p in made.pieces]
-    setup = setup_of(replace(made, pieces=tuple(pieces)), maker.noise)
-    bare = setup.fitter.fit(free_model())
-    absent = [c.absent() for c in scaled_library([bias, other], made.manifest)]
-    whole = setup.fitter.fit(bare.model.with_active(absent))
+    setup, bare, whole = _fitted(0.02, [VoltageBias(), CurrentGainMismatch()])
     assert joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, []).minor == ()
     lesser, larger = sorted(log_bayes_factors(whole).items(), key=lambda item: item[1])
     between = 0.5 * (lesser[1] + larger[1])
