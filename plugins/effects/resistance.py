@@ -150,7 +150,7 @@ class SkinEffect:
     """Extra resistance for what changes fast: e = R_x (i - i_slow) [V], i_slow behind a first-order corner.
 
     R_x in ohm, the corner in Hz. It stands for the current that is crowded to the conductors' surface. In the flexible
-    form half of it has its corner below and half above, by the factor exp(sqrt(`variance`)).
+    form `low_share` of it has its corner below, and the rest above, by the factor exp(sqrt(`variance`)).
     """
 
     name: ClassVar[str] = "skin_effect"
@@ -164,12 +164,15 @@ class SkinEffect:
         extra_ohm: float = amplitude("ohm", typical=1.0, prior_width=1.5, low=0.0, high=20.0)
         corner_hz: float = shape("Hz", typical=60.0, prior_width=1.0, low=5.0, high=1000.0)
         variance: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=4.0)
+        low_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract what the extra resistance drops, at the mean current of each interval."""
         rate = 2.0 * math.pi * p.corner_hz / signals.sampling_frequency_hz
         spread = math.sqrt(p.variance)
         i = doubles(signals.i_ab)
-        slow = [low_pass(i, math.exp(-rate * factor)) for factor in {math.exp(-spread), math.exp(spread)}]
-        fast = i - sum(slow) / len(slow)
+        fast = i - low_pass(i, math.exp(-rate * math.exp(-spread)))
+        if spread > 0.0:
+            faster = i - low_pass(i, math.exp(-rate * math.exp(spread)))
+            fast = p.low_share * fast + (1.0 - p.low_share) * faster
         return Correction(v_ab=less_of_means(signals.v_ab, fast, p.extra_ohm * np.eye(2)))

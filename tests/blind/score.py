@@ -56,6 +56,10 @@ class Judgement:
     intervals: tuple[tuple[str, bool], ...] = ()
     sizeable: tuple[tuple[str, bool], ...] = ()
     """Hidden effects of an ordinary bench, switched or not, from `SIZEABLE` on: is each among causes and minor ones?"""
+    stated: tuple[tuple[float, bool], ...] = ()
+    """Probability of every effect that is listed, as a cause or as smaller, and whether it is there."""
+    of_largest: float | None = None
+    """Probability of the largest hidden effect of one, two, or clutter; nil where it is not listed."""
 
     @property
     def wrong(self) -> list[str]:
@@ -77,7 +81,10 @@ def judge(answer: Answer) -> Judgement:
     closed, over_floor = _closed(report)
     in_catalogue = case.kind in ("single", "double", "clutter")
     intervals = tuple(_intervals(case, report)) if case.kind in ("single", "double") else ()
-    known = set().union(*(_or_twins(case, e) for e in (*report["effects"], *report.get("minor", ()))))
+    listed = [(_or_twins(case, e), e.get("probability") or 0.0) for e in (*report["effects"], *report.get("minor", ()))]
+    known = set().union(*(names for names, _ in listed))
+    in_library = case.kind not in ("left_out", *ABOUT_FOREIGN) and case.nuisance is None
+    there = {*(truth.name for truth in case.truths), *case.brought}
     hidden = case.truths if case.kind in ("ordinary", "switched") else ()
     if case.kind in ("switched", "switched_clean"):
         off = math.inf if answer.delivered is None else answer.delivered["map_percent"]
@@ -89,6 +96,8 @@ def judge(answer: Answer) -> Judgement:
         over_floor if in_catalogue else None,
         intervals,
         tuple((truth.name, truth.name in known) for truth in hidden if truth.size >= SIZEABLE),
+        tuple((p, bool(names & there)) for names, p in listed) if in_library else (),
+        max((p for names, p in listed if case.truths[0].name in names), default=0.0) if in_catalogue else None,
     )
 
 

@@ -72,6 +72,7 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
         *_proportions(ordered),
         "",
         *_amounts(ordered),
+        *_probabilities(ordered),
         "",
         "## By effect",
         "",
@@ -134,6 +135,29 @@ def _amounts(judgements: Sequence[Judgement]) -> list[str]:
         f"beside whatever else the machine does; {peak:.0f} MB at most."
     )
     return [*lines, *_maps(judgements), *_beside(judgements)]
+
+
+def _probabilities(judgements: Sequence[Judgement]) -> list[str]:
+    """How far the stated probabilities can be relied on, by tenths."""
+    stated = [one for j in judgements for one in j.stated]
+    if not stated:
+        return []
+    told, there = np.array([p for p, _ in stated]), np.array([right for _, right in stated])
+    tenth = np.minimum((10 * told).astype(int), 9)
+    rows = []
+    for k in np.unique(tenth):
+        own = tenth == k
+        rows.append(
+            f"| {k / 10:.1f} to {(k + 1) / 10:.1f} | {own.sum()} | {told[own].mean():.3f} | {there[own].mean():.3f} |"
+        )
+    largest = [j.of_largest for j in judgements if j.of_largest is not None]
+    about = (
+        "Probabilities that are stated where all that is hidden is in the library, of causes and of smaller ones, and "
+        "how many of these are there (aim: within 0.05 in each tenth):"
+    )
+    mean = f"The largest hidden effect of one, two, or clutter has {np.mean(largest):.3f} at the mean (aim 0.95)."
+    head = ["| stated | effects | mean | there |", "| --- | --- | --- | --- |"]
+    return ["", about, "", *head, *rows, *(["", mean] if largest else [])]
 
 
 def _beside(judgements: Sequence[Judgement]) -> list[str]:

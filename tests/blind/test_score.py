@@ -22,6 +22,7 @@ def report(*names: str, verdict: str = "explained", twins: dict[str, list[str]] 
             "twins": (twins or {}).get(name, []),
             "relative_size": 1.0,
             "log_evidence": 9.0,
+            "probability": 0.97,
         }
         for name in names
     ]
@@ -133,6 +134,16 @@ def test_an_interval_holds_the_truth_or_does_not() -> None:
     found = report("dead_time")
     found["effects"][0]["parameters"] = {"voltage_v": {"value": true, "low": true - 1, "high": true + 1, "unit": "V"}}
     assert judge(answered(case, found)).intervals == (("dead_time.voltage_v", True),)
+
+
+def test_a_stated_probability_is_held_against_what_is_there() -> None:
+    case = draw_case("single", 0, SEED)
+    right, wrong = (judge(answered(case, report(name))) for name in ("dead_time", "hysteresis"))
+    assert (right.stated, right.of_largest) == (((0.97, True),), 0.97)
+    assert (wrong.stated, wrong.of_largest) == (((0.97, False),), 0.0)
+    text = page([right, wrong], SEED, "2026-11-21", 164)
+    assert "| 0.9 to 1.0 | 2 | 0.970 | 0.500 |" in text
+    assert "0.485 at the mean" in text
 
 
 def test_the_interval_of_a_proportion_is_wilsons() -> None:
