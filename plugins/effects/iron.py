@@ -192,8 +192,9 @@ class Hysteresis:
     """Hysteresis of the iron: i = grad H(psi) + sum of vector stop operators of psi [A].
 
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
-    loop's width; small loops see 1/L + kappa instead of 1/L, so `reversible_ratio` = 1 / (1 + kappa L). What a stop
-    holds as a segment begins is what the way there left in it.
+    loop's width, kappa is that over `yield_wb`: so far the flux goes before a stop yields, whatever the loop's width,
+    and all stops are in proportion to that. Small loops see 1/L + kappa instead of 1/L. What a stop holds as a segment
+    begins is what the way there left in it.
     In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
     `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
     took for the earlier. With a `softness` they yield before their limits, outwards moving by
@@ -211,14 +212,13 @@ class Hysteresis:
 
     class Parameters(EffectParameters):
         half_width_a: float = amplitude("A", typical=0.03, prior_width=0.05, low=0.0, high=0.5)
-        reversible_ratio: float = shape("1", typical=0.93, prior_width=1.0, low=0.6, high=0.999)
+        yield_wb: float = shape("Wb", typical=0.02, prior_width=1.0, low=5e-4, high=1.0)
         variance: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=2.5)
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        stiffness = (1.0 / p.reversible_ratio - 1.0) / _inductance(signals)
         shares, apart = np.array([p.early_share, 1.0 - p.early_share]), math.sqrt(p.variance)
         limits = shares * np.exp([-apart, apart])
         psi = _flux(signals)
@@ -226,12 +226,12 @@ class Hysteresis:
         held = _stops(
             np.concatenate([way, psi]),
             len(way),
-            stiffness * shares,
-            p.half_width_a / limits.sum() * limits,
+            shares / p.yield_wb,
+            limits / limits.sum(),
             # A hundredth power is as sharp as none, and costs one.
             p.softness if p.softness > 1e-2 else 0.0,
         )
-        return Correction(i_m_ab=signals.i_m_ab - held)
+        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * held)
 
 
 def _way_here(signals: Signals, psi: Array, steps: int = 16) -> Array:

@@ -289,7 +289,7 @@ def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:
 
 
 def test_hysteresis_loop_is_as_wide_as_said_and_loses_energy() -> None:
-    psi, held = _loop({"half_width_a": 0.03, "reversible_ratio": 0.9}, 0.2)
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015}, 0.2)
     assert held.max() == pytest.approx(0.03, rel=1e-6)
     assert held.min() == pytest.approx(-0.03, rel=1e-6)
     area = float(np.sum(0.5 * (held[3000:-1] + held[3001:]) * np.diff(psi[3000:])))
@@ -297,22 +297,27 @@ def test_hysteresis_loop_is_as_wide_as_said_and_loses_energy() -> None:
 
 
 def test_small_hysteresis_loops_are_reversible() -> None:
-    psi, held = _loop({"half_width_a": 0.03, "reversible_ratio": 0.9}, 0.001)
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015}, 0.001)
     slope = np.polyfit(psi, held, 1)[0]
-    inductance = math.sqrt(0.043 * 0.069)
-    assert slope == pytest.approx((1.0 / 0.9 - 1.0) / inductance, rel=1e-6)
+    assert slope == pytest.approx(0.03 / 0.015, rel=1e-6)
+
+
+def test_a_hysteresis_loop_keeps_its_form_whatever_its_width() -> None:
+    """So the step from none says what any width does, and a search is not led astray by the typical one."""
+    form = {"yield_wb": 0.015, "variance": 0.3, "early_share": 0.4, "softness": 0.5}
+    wide, narrow = (_loop({"half_width_a": width, **form}, 0.02)[1] for width in (0.03, 0.001))
+    assert_close(30.0 * narrow, wide, 1e-9, of=wide)
 
 
 def test_stops_that_hold_out_alike_are_one_however_they_share_and_else_yield_apart() -> None:
     """What yields first is then no matter of which stop it is: a search is not trapped on the wrong side of none."""
-    sizes = {"half_width_a": 0.03, "reversible_ratio": 0.9}
+    sizes = {"half_width_a": 0.03, "yield_wb": 0.015}
     psi, alike = _loop(sizes, 0.2)
     _, unequal = _loop({**sizes, "early_share": 0.8}, 0.2)
     assert_close(unequal, alike, 1e-12, of=alike)
     # 30 mA in all of 1.6 A/Wb: 10 mA of 1 A/Wb and 20 mA of 0.6 A/Wb yield at 10 and 33 mWb.
-    inductance = math.sqrt(0.043 * 0.069)
     two = {"early_share": 1.0 / 1.6, "variance": (0.5 * math.log(10.0 / 3.0)) ** 2}
-    _, apart = _loop({"half_width_a": 0.03, "reversible_ratio": 1.0 / (1.0 + 1.6 * inductance), **two}, 0.2)
+    _, apart = _loop({"half_width_a": 0.03, "yield_wb": 0.03 / 1.6, **two}, 0.2)
     falling = slice(3250, 3750)
     fallen = apart[3250] - apart[falling]
     swing = psi[3250] - psi[falling]
@@ -321,7 +326,7 @@ def test_stops_that_hold_out_alike_are_one_however_they_share_and_else_yield_apa
 
 
 def test_a_soft_stop_yields_before_its_limit_and_the_softer_the_sooner() -> None:
-    sizes = {"half_width_a": 0.03, "reversible_ratio": 0.9}
+    sizes = {"half_width_a": 0.03, "yield_wb": 0.015}
     psi, sharp = _loop(sizes, 0.2)
     _, nearly = _loop({**sizes, "softness": 0.02}, 0.2)
     _, soft = _loop({**sizes, "softness": 0.6}, 0.2)
@@ -345,7 +350,7 @@ def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps()
     for every in (1, 10):
         psi = np.ascontiguousarray(fine[::every])
         signals = _signals(len(psi)).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros(2)})
-        out = _corrected(Hysteresis(), signals, half_width_a=0.03, reversible_ratio=0.9, softness=0.6)
+        out = _corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, softness=0.6)
         held.append((signals.i_m_ab - out.i_m_ab)[:: 10 // every])
     assert_close(held[1][100:], held[0][100:], 0.03, of=held[0])
 
@@ -359,7 +364,7 @@ def test_iron_remembers_from_where_the_current_came(side: float) -> None:
     held = []
     for came_from in (far, signals.i_ab[0]):
         coming = signals.model_copy(update={"came_from_ab": came_from})
-        out = _corrected(Hysteresis(), coming, half_width_a=0.03, reversible_ratio=0.9)
+        out = _corrected(Hysteresis(), coming, half_width_a=0.03, yield_wb=0.015)
         held.append((coming.i_m_ab - out.i_m_ab)[:, 0])
     assert held[0][0] == pytest.approx(side * 0.03, rel=0.05)
     assert held[1][0] == 0.0
