@@ -289,8 +289,9 @@ class Signals(ArrayModel):
     """As logged, where the drive has a thermometer."""
     start_temperature_c: float | None = None
     """The first one that was logged in the experiment."""
-    came_from_ab: RealArray | None = None
-    """Where the stator current was before it went to where the segment begins, shape (2,) [A]; None: not known."""
+    came_from_ab: Vectors | None = None
+    """Where the stator current was on its way to where the segment begins, oldest first, (points, 2) [A]; None: not
+    known."""
     losses: LossHistory | None = None
     motor: Motor | None = None
     """The nameplate."""

@@ -47,7 +47,7 @@ def exciting_signals(seed: int = 1) -> Signals:
         clarke_of_three=True,
         temperature_c=np.linspace(24.0, 26.0, n),
         start_temperature_c=20.0,
-        came_from_ab=np.array([0.5, -0.2]),
+        came_from_ab=np.array([[-0.4, 0.1], [0.5, -0.2]]),
         losses=LossHistory(time_s=np.array([0.0, 10.0, 11.0]), power_w=np.array([10.0, float(losses.mean()), 0.0])),
         motor=Motor(
             name="kit",

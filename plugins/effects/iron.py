@@ -194,7 +194,8 @@ class Hysteresis:
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
     loop's width, kappa is that over `yield_wb`: so far the flux goes before a stop yields, whatever the loop's width,
     and all stops are in proportion to that. Small loops see 1/L + kappa instead of 1/L. What a stop holds as a segment
-    begins is what the way there left in it.
+    begins is what the way there left in it: straight from where the current was, by a controller that goes beyond its
+    aim by the part `overshoot` and back.
     In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
     `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
     took for the earlier. With a `softness` they yield before their limits, outwards moving by
@@ -216,13 +217,14 @@ class Hysteresis:
         variance: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=2.5)
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
+        overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
         shares, apart = np.array([p.early_share, 1.0 - p.early_share]), math.sqrt(p.variance)
         limits = shares * np.exp([-apart, apart])
         psi = _flux(signals)
-        way = _way_here(signals, psi)
+        way = _way_here(signals, psi, p.overshoot)
         held = _stops(
             np.concatenate([way, psi]),
             len(way),
@@ -234,22 +236,26 @@ class Hysteresis:
         return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * held)
 
 
-def _way_here(signals: Signals, psi: Array, steps: int = 16) -> Array:
-    """The flux (m, 2) on its way to where that of a segment, psi (n, 2), begins: straight from where the current was.
+def _way_here(signals: Signals, psi: Array, overshoot: float, steps: int = 8) -> Array:
+    """The flux (m, 2) on its way to where that of a segment, psi (n, 2), begins: from where the current was.
 
-    Where that is not known, the end of a periodic record is what came before its start.
+    Straight from point to point; last it goes beyond, by a part of the way from there, and back. Where the way is not
+    known, the end of a periodic record is what came before its start.
     """
     came_from = signals.came_from_ab
     if came_from is None:
         end = psi[len(psi) - len(psi) // 4 :]
         return np.asarray(end + (psi[0] - end[-1]), dtype=np.float64)
-    motor, theta_rad = signals.motor, signals.theta_rad[:1]
+    motor, theta_rad = signals.motor, float(signals.theta_rad[0])
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
         inductance = np.full(2, _inductance(signals))
     else:
         inductance = np.array([motor.d_inductance_h, motor.q_inductance_h])
-    moved = to_ab(to_dq((signals.i_ab[0] - came_from)[None], theta_rad) * inductance, theta_rad)
-    return np.asarray(psi[0] + np.linspace(-1.0, 0.0, steps)[:, None] * moved, dtype=np.float64)
+    away = to_ab(to_dq(came_from - signals.i_ab[0], theta_rad) * inductance, theta_rad)
+    corners = np.concatenate([away, [-overshoot * away[-1], np.zeros(2)]])
+    at = np.linspace(0.0, len(corners) - 1.0, steps * (len(corners) - 1) + 1)
+    way = np.stack([np.interp(at, np.arange(len(corners)), corners[:, k]) for k in range(2)], axis=1)
+    return np.asarray(psi[0] + way, dtype=np.float64)
 
 
 def _flux(signals: Signals) -> Array:

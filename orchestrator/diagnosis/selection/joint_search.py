@@ -174,16 +174,28 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit without those effects that the data do not ask for, refitted; asked again until all that stay are."""
+    """The fit without those effects that the data do not ask for, refitted; asked again until all that stay are.
+
+    What blocks disagree on may be another effect's form: where too much is lost with it, it stays if noise lets it.
+    """
     while out := dispensable(fit):
-        kept = fit.model.with_active([a for a in fit.model.active if a.name not in out])
-        fit = _briefly(fitter, kept, fit)
+        trial = _without(fitter, fit, out)
+        if _evidence_gain(fit, trial) > fit.criteria.selection.log_evidence * len(out):
+            out = dispensable(fit, doubting_blocks=False)
+            if not out:
+                break
+            trial = _without(fitter, fit, out)
+        fit = trial
     return fit
 
 
-def dispensable(fit: Fit) -> list[str]:
+def _without(fitter: Fitter, fit: Fit, out: Sequence[str]) -> Fit:
+    return _briefly(fitter, fit.model.with_active([a for a in fit.model.active if a.name not in out]), fit)
+
+
+def dispensable(fit: Fit, *, doubting_blocks: bool = True) -> list[str]:
     """Effects that can go, one after the other, the least asked for first, the others following linearly."""
-    mean, covariance, names = _posterior(fit)
+    mean, covariance, names = _posterior(fit, doubting_blocks=doubting_blocks)
     columns, known = _places(names), {active.name: active.candidate for active in fit.model.active}
     out: list[str] = []
     while columns:
@@ -312,16 +324,17 @@ def _log_bayes_factor(mean: Array, covariance: Array, candidate: Candidate) -> f
     return log_density_ratio(mean, covariance) - 0.5 * float(candidate.standing @ candidate.standing)
 
 
-def _posterior(fit: Fit) -> tuple[Array, Array, list[str]]:
+def _posterior(fit: Fit, *, doubting_blocks: bool = True) -> tuple[Array, Array, list[str]]:
     """Mean and covariance of the amplitudes, shapes as they are, and whose each is.
 
-    Noise is as large as it turned out to be, and what blocks disagree by comes on top.
+    Noise is as large as it turned out to be, and what blocks disagree by comes on top, unless that is not to be asked.
     """
     which = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
     free = [fit.model.free[k] for k in which]
     normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)
-    between = block_scatter(fit)[which] ** 2 / fit.criteria.uncertainty.blocks
-    covariance = np.asarray(np.linalg.inv(normal + np.eye(len(which))) + np.diag(between), dtype=np.float64)
+    covariance = np.asarray(np.linalg.inv(normal + np.eye(len(which))), dtype=np.float64)
+    if doubting_blocks:
+        covariance += np.diag(block_scatter(fit)[which] ** 2 / fit.criteria.uncertainty.blocks)
     return np.array([a.coordinate(n) for a, n in free]), covariance, [a.name for a, _ in free]
 
 

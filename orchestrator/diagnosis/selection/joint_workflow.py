@@ -155,7 +155,7 @@ def ladder_of(
     limits = whole.criteria.selection
     least = max(limits.named_share, limits.clear_of_left * left_fraction(steps[0].fit.chi2_per_dof, judged))
     # What nothing else could take away, in the same measure as what is left: less may be the form of another.
-    rest = 0.5 * max(whole.chi2 - whole.dof, 0.0)
+    rest = 0.5 * max(whole.chi2 - whole.dof, judged.chi2 - judged.dof, 0.0)
     clear = [n for n in order if factors[n] > rest]
     causes = [n for n in clear if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
     minor = [n for n in order if n not in causes]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -48,6 +49,8 @@ USABLE = (
 )
 _LAST_READINGS = 20
 """Whose mean is where a current was as a segment ended."""
+_MOST_WAY_POINTS = 24
+"""Of the way to a segment that are kept: a sweep's last period, or the last holds; what was before is wiped out."""
 _SAMPLED = (
     *("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j"),
     *("i_quiet_ab", "i_abc", "temperature_c"),
@@ -151,7 +154,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
-    pieces = [_coming_from(before, p) for before, p in zip([None, *pieces], pieces, strict=False)]
+    pieces = _knowing_their_way(pieces)
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
@@ -370,16 +373,26 @@ def _late(v_ab: Array, rows: int) -> Array:
     return v_ab[np.maximum(np.arange(len(v_ab)) - rows, 0)]
 
 
-def _coming_from(before: SegmentSignals | None, piece: SegmentSignals) -> SegmentSignals:
-    """The piece with the current at the end of what was measured before it; none flows while a rotor is turned."""
-    if before is None:
-        return piece
-    last = np.zeros(2)
-    if before.segment.rotor_angle_rad == piece.segment.rotor_angle_rad and before.signals.bridge_on:
-        # An injected ripple's mean is where the drive holds the current.
-        readings = before.current_ab
-        last = (readings if before.stage is SegmentStage.INJECTION else readings[-_LAST_READINGS:]).mean(axis=0)
-    return replace(piece, signals=piece.signals.model_copy(update={"came_from_ab": last}))
+def _knowing_their_way(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
+    """The pieces with where the current was on the way to each; none flows while a rotor is turned."""
+    way, known = np.zeros((0, 2)), list(pieces[:1])
+    for before, piece in pairwise(pieces):
+        turned = before.segment.rotor_angle_rad != piece.segment.rotor_angle_rad
+        way = np.zeros((1, 2)) if turned else np.concatenate([way, _way_of(before)])[-_MOST_WAY_POINTS:]
+        known.append(replace(piece, signals=piece.signals.model_copy(update={"came_from_ab": way})))
+    return known
+
+
+def _way_of(piece: SegmentSignals) -> Array:
+    """Where the current was in a piece, shape (points, 2): all along a sweep, else as it ended."""
+    readings = piece.current_ab
+    if not piece.signals.bridge_on:
+        return np.zeros((1, 2))
+    # An injected ripple's mean is where the drive holds the current.
+    parts = [readings if piece.stage is SegmentStage.INJECTION else readings[-_LAST_READINGS:]]
+    if piece.stage is SegmentStage.CLASSICAL:
+        parts = [*np.array_split(readings[len(readings) // 2 :], _MOST_WAY_POINTS - 1), *parts]
+    return np.array([part.mean(axis=0) for part in parts if len(part)])
 
 
 def _with_heat(

@@ -349,7 +349,7 @@ def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps()
     held = []
     for every in (1, 10):
         psi = np.ascontiguousarray(fine[::every])
-        signals = _signals(len(psi)).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros(2)})
+        signals = _signals(len(psi)).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros((1, 2))})
         out = _corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, softness=0.6)
         held.append((signals.i_m_ab - out.i_m_ab)[:: 10 // every])
     assert_close(held[1][100:], held[0][100:], 0.03, of=held[0])
@@ -363,7 +363,7 @@ def test_iron_remembers_from_where_the_current_came(side: float) -> None:
     far = signals.i_ab[0] - side * np.array([3.0, 0.0])
     held = []
     for came_from in (far, signals.i_ab[0]):
-        coming = signals.model_copy(update={"came_from_ab": came_from})
+        coming = signals.model_copy(update={"came_from_ab": came_from[None]})
         out = _corrected(Hysteresis(), coming, half_width_a=0.03, yield_wb=0.015)
         held.append((coming.i_m_ab - out.i_m_ab)[:, 0])
     assert held[0][0] == pytest.approx(side * 0.03, rel=0.05)
