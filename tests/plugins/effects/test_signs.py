@@ -12,7 +12,12 @@ from orchestrator.numerics.types import Array
 from plugins.effects.frame import BrakeBacklash, BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis
-from plugins.effects.resistance import PhaseResistanceImbalance, ResistanceWithTemperature, WindingHeating
+from plugins.effects.resistance import (
+    PhaseResistanceImbalance,
+    ResistanceWithTemperature,
+    SkinEffect,
+    WindingHeating,
+)
 from plugins.effects.sensors import (
     CurrentGainMismatch,
     CurrentNonlinearity,
@@ -370,3 +375,38 @@ def test_iron_remembers_from_where_the_current_came(side: float) -> None:
     assert held[1][0] == 0.0
     # After half a loop nothing is left of that.
     assert_close(held[0][1000:], held[1][1000:], 1e-9, of=held[0])
+
+
+def _held_at_first(came_from: Array, **values: float) -> Array:
+    """What a sharp stop holds as a segment begins that the current came to on this way, shape (2,) [A]."""
+    psi = np.repeat([[0.2, 0.0]], 4000, axis=0)
+    signals = _signals(4000).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": came_from})
+    out = _corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, **values)
+    return np.asarray((signals.i_m_ab - out.i_m_ab)[0], dtype=np.float64)
+
+
+def test_iron_remembers_a_sweep_before_a_way_that_is_too_short_to_wipe_it_out() -> None:
+    here = _signals().i_ab[0]
+    near, far = here - [0.01, 0.0], np.array([3.0, 0.0])
+    below, above = (_held_at_first(np.array([here + side * far, near])) for side in (-1.0, 1.0))
+    assert below[0] == pytest.approx(0.03, rel=0.05)
+    assert above[0] == pytest.approx(-0.03, rel=0.1)
+
+
+def test_a_controller_that_goes_beyond_its_aim_leaves_the_iron_on_the_other_branch() -> None:
+    came_from = (_signals().i_ab[0] - [3.0, 0.0])[None]
+    assert _held_at_first(came_from, overshoot=0.3)[0] == pytest.approx(-0.03, rel=0.05)
+    # 15 mWb are 0.27 A or so: a hundredth of 3 A turns little of a loop.
+    assert 0.02 < _held_at_first(came_from, overshoot=0.01)[0] < 0.03
+
+
+def test_skin_effect_drops_what_its_two_corners_let_through() -> None:
+    n, hertz = 20_000, 50.0
+    turn = np.exp(2j * np.pi * hertz * np.arange(n) / FS)
+    i_ab = np.stack([turn.real, turn.imag], axis=1)
+    signals = _signals(n).model_copy(update={"i_ab": i_ab})
+    v_ab = _corrected(SkinEffect(), signals, extra_ohm=2.0, corner_hz=60.0, variance=0.25, low_share=0.7).v_ab
+    dropped = (signals.v_ab - v_ab) @ np.array([1.0, 1.0j])
+    fast = 1.0 - 0.7 / (1.0 + 1j * hertz / (60.0 * math.exp(-0.5))) - 0.3 / (1.0 + 1j * hertz / (60.0 * math.exp(0.5)))
+    middle = 0.5 * (turn[10_000:-1] + turn[10_001:])
+    assert_close(dropped[10_000:-1], 2.0 * fast * middle, 0.01, of=2.0 * middle)

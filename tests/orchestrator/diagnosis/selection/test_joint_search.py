@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_search as joint_search_module
 from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
+    downwards,
     in_forms_still_asked_for,
     in_own_forms,
     joint_search,
@@ -91,6 +92,14 @@ def test_an_effect_of_no_size_can_go(maker: Fitter, library: tuple[Candidate, ..
     beside = maker.evaluate(more, maker.frame(more))
     assert dispensable(beside) == ["dead_time"]
     assert probabilities(beside)["dead_time"] < 0.2
+
+
+def test_what_blocks_disagree_on_stays_where_much_is_lost_with_it(
+    maker: Fitter, fit: Fit, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(joint_search_module, "block_scatter", lambda f: np.full(len(f.model.free), 10.0))
+    assert "voltage_bias" in dispensable(fit)
+    assert downwards(maker, fit).model.names == fit.model.names
 
 
 def test_what_is_left_without_an_effect_is_more(maker: Fitter, fit: Fit) -> None:

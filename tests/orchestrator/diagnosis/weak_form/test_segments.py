@@ -21,6 +21,7 @@ from orchestrator.diagnosis.weak_form.segments import (
 from orchestrator.recording import Recording
 from protocols import Segment, SegmentStage
 from tests.orchestrator.diagnosis.pieces import CRITERIA, FS, Plan, piece, plan, prepared, ripple, sweep
+from tests.support.close import assert_close
 
 CUTTING = CRITERIA.weak_form
 
@@ -96,6 +97,17 @@ def test_each_segment_knows_where_the_current_was_before(clean: Recording) -> No
             assert not came_from[-1].any()
         elif before.stage is SegmentStage.RESISTANCE:
             assert np.abs(came_from[-1] - before.signals.i_ab.mean(axis=0)).max() < 0.05
+
+
+def test_a_way_turns_where_the_sweep_before_turned(clean: Recording) -> None:
+    pieces = prepare(clean, Criteria()).pieces
+    before, after = next(pair for pair in pairwise(pieces) if pair[0].stage is SegmentStage.CLASSICAL)
+    way = after.signals.came_from_ab
+    assert way is not None
+    assert 10 < len(way) <= 24
+    for end in (np.min, np.max):
+        assert_close(end(way, axis=0), end(before.signals.i_ab, axis=0), 0.1, of=before.signals.i_ab)
+    assert_close(way[-1], before.signals.i_ab[-1], 0.05, of=before.signals.i_ab)
 
 
 def test_a_turned_rotor_was_left_without_current(clean: Recording) -> None:
