@@ -259,7 +259,8 @@ def _diagnosed(
         write_model(asked.out or recording.path, kept)
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
-    delivery = delivery_of(uncertainty, last, kept, verdict, band_percent)
+    moved = {name: share.of_flux for name, share in sizes.items()}
+    delivery = delivery_of(uncertainty, last, kept, verdict, band_percent, moved)
     return Diagnosis(report, setup, search, library, delivery)
 
 

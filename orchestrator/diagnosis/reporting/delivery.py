@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +36,12 @@ class Delivery:
 
 
 def delivery_of(
-    uncertainty: MapUncertainty, judged: Fit, kept: MotorModel, verdict: Verdict | None, band_percent: float
+    uncertainty: MapUncertainty,
+    judged: Fit,
+    kept: MotorModel,
+    verdict: Verdict | None,
+    band_percent: float,
+    moved: Mapping[str, float] | None = None,
 ) -> Delivery:
     """The map and R_s of a fit, and the objections to them.
 
@@ -51,8 +57,10 @@ def delivery_of(
         Of the diagnosis; None: the model is a user's own, and what is left decides.
     band_percent : float
         Half width of the map's 95 % band, of the rated flux.
+    moved : mapping, optional
+        By what part of the rated flux each effect moves the map.
     """
-    objections = _objections(judged, verdict, band_percent)
+    objections = objections_to(judged, verdict, band_percent, moved or {})
     return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections))
 
 
@@ -86,7 +94,8 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
     )
 
 
-def _objections(fit: Fit, verdict: Verdict | None, band_percent: float) -> list[Remark]:
+def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved: Mapping[str, float]) -> list[Remark]:
+    """What speaks against the use of a fit's map; parameters as of `delivery_of`."""
     limits, against = fit.criteria.selection, []
     if verdict == "cannot_tell":
         text = "the recording does not tell whether the model is right: see the diagnosis"
@@ -95,6 +104,10 @@ def _objections(fit: Fit, verdict: Verdict | None, band_percent: float) -> list[
     if verdict not in ("clean", "explained") and left > limits.material_voltage:
         text = "the model leaves {left_percent:.2g} % of the voltage unexplained: see the diagnosis"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * left))
+    most = max(moved, key=lambda name: moved[name], default=None)
+    if verdict == "unknown_remains" and most is not None and 100.0 * moved[most] > limits.widest_band_percent:
+        text = "{effect} moves the model's map by {moved_percent:.2g} %, and may stand in for what is unknown"
+        against.append(Remark.of("may_stand_in", text, effect=most, moved_percent=100.0 * moved[most]))
     if band_percent > limits.widest_band_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))

@@ -1,0 +1,33 @@
+"""What speaks against the use of a model's map."""
+
+from __future__ import annotations
+
+import pytest
+
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.delivery import objections_to
+from protocols import Verdict
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared
+
+
+@pytest.fixture(scope="module")
+def fit() -> Fit:
+    return fitter(prepared(plan(sparse=True))).fit(free_model())
+
+
+def _codes(fit: Fit, verdict: Verdict, band_percent: float = 0.1, **moved: float) -> list[str]:
+    return [one.code.removeprefix("model.") for one in objections_to(fit, verdict, band_percent, moved)]
+
+
+def test_nothing_speaks_against_a_map_that_fits(fit: Fit) -> None:
+    assert _codes(fit, "clean") == _codes(fit, "explained", dead_time=0.03) == []
+
+
+def test_a_wide_band_speaks_against_a_map(fit: Fit) -> None:
+    assert _codes(fit, "explained", 1.1) == ["uncertain_map"]
+
+
+def test_what_moves_the_map_may_stand_in_while_something_unknown_remains(fit: Fit) -> None:
+    assert _codes(fit, "unknown_remains", slot_harmonics=0.004, dead_time=0.002) == []
+    found = objections_to(fit, "unknown_remains", 0.1, {"slot_harmonics": 0.004, "third_current_sensor": 0.0156})
+    assert [one.values["effect"] for one in found] == ["third_current_sensor"]
