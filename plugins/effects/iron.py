@@ -18,6 +18,7 @@ from protocols import (
     Correction,
     EffectLayer,
     EffectParameters,
+    RealArray,
     Signals,
     amplitude,
     refinement,
@@ -280,6 +281,8 @@ class MagnetHeating:
 
     i_m = i + Delta psi(t) / L_d on the d axis [A]; Delta psi follows the copper loss through a thermal lag
     and is `flux_change_wb` at the end of the experiment [Wb]. With the rotor locked it induces nothing.
+    In the flexible form a part `steady` of it follows a loss that stays as it is, through the same lag: of what else
+    warms a motor, or of what it had been warmer or colder than as the experiment began.
     """
 
     name: ClassVar[str] = "magnet_heating"
@@ -292,6 +295,7 @@ class MagnetHeating:
     class Parameters(EffectParameters):
         flux_change_wb: float = amplitude("Wb", typical=0.005, prior_width=0.01, low=-0.1, high=0.1)
         time_constant_s: float = shape("s", typical=300.0, prior_width=1.0, low=5.0, high=20000.0)
+        steady: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Slide the map along the d axis by the flux lost so far."""
@@ -299,12 +303,21 @@ class MagnetHeating:
         if signals.losses is None:
             part = signals.heat_j / max(float(signals.heat_j[-1]), 1e-12)
         else:
-            warm = lagged_steps(signals.losses.time_s, signals.losses.power_w, p.time_constant_s)
-            part = np.interp(now, signals.losses.time_s, warm / max(float(warm[-1]), 1e-12))
+            time_s, power_w = signals.losses.time_s, signals.losses.power_w
+            warm = (1.0 - p.steady) * _warmth(time_s, power_w, p.time_constant_s)
+            if p.steady > 0.0:
+                warm += p.steady * _warmth(time_s, np.ones(len(time_s)), p.time_constant_s)
+            part = np.interp(now, time_s, warm)
         inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
         slide = p.flux_change_wb / inductance * part
         theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
         return Correction(i_m_ab=plus_along(signals.i_m_ab, slide, unit_vectors(theta_rad)))
+
+
+def _warmth(time_s: RealArray, power_w: RealArray, time_constant_s: float) -> Array:
+    """What a loss warms through a lag, in parts of what it comes to at the end."""
+    warm = lagged_steps(time_s, power_w, time_constant_s)
+    return np.asarray(warm / max(float(warm[-1]), 1e-12), dtype=np.float64)
 
 
 class SlotHarmonics:

@@ -11,7 +11,7 @@ from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
 from orchestrator.numerics.types import Array
 from plugins.effects.frame import BrakeBacklash, BrakeCompliance, RotorMisalignment
 from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
-from plugins.effects.iron import EddyCurrents, Hysteresis
+from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating
 from plugins.effects.resistance import (
     PhaseResistanceImbalance,
     ResistanceWithTemperature,
@@ -410,3 +410,19 @@ def test_skin_effect_drops_what_its_two_corners_let_through() -> None:
     fast = 1.0 - 0.7 / (1.0 + 1j * hertz / (60.0 * math.exp(-0.5))) - 0.3 / (1.0 + 1j * hertz / (60.0 * math.exp(0.5)))
     middle = 0.5 * (turn[10_000:-1] + turn[10_001:])
     assert_close(dropped[10_000:-1], 2.0 * fast * middle, 0.01, of=2.0 * middle)
+
+
+def test_magnets_warm_by_the_copper_loss_and_by_what_else_stays_as_it_is() -> None:
+    time_s = np.linspace(0.0, 20.0, 201)
+    late = LossHistory(time_s=time_s, power_w=np.where(time_s < 10.0, 0.0, 5.0))
+    signals = _signals().model_copy(update={"losses": late})
+    values = {"flux_change_wb": -0.0043, "time_constant_s": 8.0}
+    slid = []
+    for steady in (0.0, 1.0, 0.4):
+        out = _corrected(MagnetHeating(), signals, **values, steady=steady)
+        slid.append(((out.i_m_ab - signals.i_m_ab) @ [math.cos(0.2), math.sin(0.2)])[0])
+    # At 5 s no copper has been warm; what stays as it is has come (1 - e^(-5/8)) / (1 - e^(-20/8)) of its way.
+    whole = -0.0043 / 0.043
+    assert slid[0] == pytest.approx(0.0, abs=1e-12)
+    assert slid[1] == pytest.approx(whole * math.expm1(-5.0 / 8.0) / math.expm1(-20.0 / 8.0), rel=1e-2)
+    assert slid[2] == pytest.approx(0.4 * slid[1], rel=1e-9)
