@@ -187,14 +187,10 @@ def fitted_baseline(setup: DiagnosisSetup) -> Fit:
 
 
 def with_detail(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
-    """The same model on finer and finer maps, as long as each is worth its freedom."""
+    """The same model on the finest map that is worth its freedom; a knee may lie well between a finer one's nodes."""
     for intervals in setup.criteria.intervals[1:]:
         finer = finer_map(setup, fitter, fit, intervals)
-        if finer is None:
-            if intervals > fit.model.space.grid.cells[0]:
-                break
-            continue
-        fit = finer
+        fit = fit if finer is None else finer
     return fit
 
 

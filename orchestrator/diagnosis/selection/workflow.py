@@ -181,10 +181,15 @@ def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
 
 
 def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:
-    """Whether what is left is the map's own detail, which big effects hid at first."""
-    fit = search.fit
+    """Whether what is left is the map's own detail, which big effects hid at first, or all that was found is."""
+    first, fit = search.steps[0].fit, search.fit
     detected = fit.criteria.selection.detected_chi2
-    if not fit.model.active or fit.chi2_per_dof < detected or not fit.model.space.is_free:
+    if not fit.model.active or not fit.model.space.is_free:
+        return search
+    if first.chi2_per_dof <= detected and first.model.space is fit.model.space:
+        detailed = with_detail(setup, setup.fitter, first)
+        return search if detailed is first else forward(setup.fitter, [Step(None, detailed)], library)
+    if fit.chi2_per_dof < detected:
         return search
     return _finer(search, with_detail(setup, setup.fitter, fit), setup.fitter, library)
 
