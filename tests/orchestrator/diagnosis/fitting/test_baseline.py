@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting import baseline
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
     baseline_model,
@@ -12,8 +15,11 @@ from orchestrator.diagnosis.fitting.baseline import (
     fitted_baseline,
     freed_further,
     given_model,
+    with_detail,
 )
-from protocols import FluxMap, Nameplate, NotMeasuredError
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from protocols import FluxMap, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
 
 
@@ -92,3 +98,18 @@ def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -
     assert fit.model.space.grid.cells == (coarsest, coarsest)
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=0.3)
     assert finer_map(setup, setup.fitter, fit, setup.criteria.intervals[1]) is None
+
+
+def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
+    setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where a knee lies between the nodes of eight intervals and on one of ten."""
+    fit = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=0)
+    finest = replace(fit, chi2=0.9 * fit.chi2)
+
+    def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, intervals: int) -> Fit | None:
+        assert given is fit
+        return finest if intervals == setup.criteria.intervals[-1] else None
+
+    monkeypatch.setattr(baseline, "finer_map", at_the_finest)
+    assert with_detail(setup, setup.fitter, fit) is finest

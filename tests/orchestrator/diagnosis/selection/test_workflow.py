@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
-from orchestrator.diagnosis.selection.workflow import pruned, with_its_scatter
+from orchestrator.diagnosis.selection.workflow import on_a_finer_map, pruned, with_its_scatter
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from protocols import SegmentStage
@@ -49,3 +50,18 @@ def test_voltages_that_differ_by_chance_are_noise() -> None:
     assert noisy is not None
     assert noisy.fitter.noise.of_model.scatters
     assert noisy.fitter.fit(free_model()).chi2_per_dof < 1.2
+
+
+def test_a_name_within_the_noise_has_to_do_more_than_a_finer_map(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is worth its evidence beside a coarse map, and nothing beside a fine one, is the map's own detail."""
+    maker = fitter(prepared(plan()))
+    first = maker.fit(free_model())
+    named = maker.evaluate(with_free(first.model, maker, VoltageBias()), first.frame)
+    search = Search([Step(None, first), Step("voltage_bias", named, 20.0)])
+    setup = setup_of(maker)
+    monkeypatch.setattr(workflow, "with_detail", lambda *_: first)
+    assert on_a_finer_map(setup, search, []) is search
+    finer = maker.fit(free_model())
+    monkeypatch.setattr(workflow, "with_detail", lambda *_: finer)
+    library = [a.candidate for a in named.model.active]
+    assert [(step.added, step.fit) for step in on_a_finer_map(setup, search, library).steps] == [(None, finer)]
