@@ -13,6 +13,7 @@ from orchestrator.numerics.frames import from_two_phases
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from plugins.effects._commutation import lost_at_edges, swung_early
+from plugins.effects._filters import lagged_steps
 from plugins.effects._vectors import doubles, less_constant
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
@@ -197,7 +198,9 @@ class DeviceDrop:
 
         e = T V_0 (s(x) + growth arsinh x) / (1 + growth arsinh x_r),    x = i_abc / i_th,
 
-    so that `voltage_v` is the drop at the motor's rated current, x_r thresholds.
+    so that `voltage_v` is the drop at the motor's rated current, x_r thresholds. And devices warm by what they carry,
+    through a lag of `warming_s`: where they are warmest in the experiment, the drop has changed by the part `warming`,
+    some -2 mV/K of a junction.
     Sources: as `DeadTime`; W. Shockley, Bell Syst. Tech. J. 28 (1949), doi:10.1002/j.1538-7305.1949.tb03645.x.
     """
 
@@ -212,6 +215,8 @@ class DeviceDrop:
         voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=5.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
         growth: float = refinement("1", neutral=0.0, prior_width=0.1, low=0.0, high=1.0)
+        warming: float = refinement("1", neutral=0.0, prior_width=0.05, low=-0.5, high=0.5)
+        warming_s: float = refinement("s", neutral=3.0, prior_width=3.0, low=0.1, high=100.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
@@ -219,7 +224,20 @@ class DeviceDrop:
         i_ab = _without_noise(signals)
         at_knee = p.voltage_v / (1.0 + p.growth * math.asinh(_rated_a(signals) / p.threshold_a))
         volts = np.full(len(signals.v_dc), at_knee)
+        if p.warming != 0.0:
+            volts *= 1.0 + p.warming * _warmth(signals, p.warming_s)
         return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3), p.growth))
+
+
+def _warmth(signals: Signals, lag_s: float) -> Array:
+    """How warm devices are that lose power with their current, (n,), in parts of the most; 0 where that is unknown."""
+    losses = signals.losses
+    if losses is None:
+        return np.zeros(len(signals.v_dc))
+    # A nearly constant drop times the current, of which the copper loss goes with the square.
+    warm = lagged_steps(losses.time_s, np.sqrt(losses.power_w), lag_s)
+    now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
+    return np.asarray(np.interp(now, losses.time_s, warm / max(float(warm.max()), 1e-12)), dtype=np.float64)
 
 
 class VoltageBias:

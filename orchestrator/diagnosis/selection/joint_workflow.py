@@ -129,6 +129,8 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
         if wider is None:
             # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
             fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
+            # And that form had a say in the timer's phases.
+            setup, _, fit = with_timer_of_fit(setup, setup, fit, library) or (setup, setup, fit)
             everything = with_everything(fit.model, library)
         fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, everything))
     if _formless(fit):

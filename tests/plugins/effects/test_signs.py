@@ -10,7 +10,7 @@ import pytest
 from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
 from orchestrator.numerics.types import Array
 from plugins.effects.frame import BrakeBacklash, BrakeCompliance, RotorMisalignment
-from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
+from plugins.effects.inverter import BusSag, DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating
 from plugins.effects.resistance import (
     PhaseResistanceImbalance,
@@ -426,3 +426,16 @@ def test_magnets_warm_by_the_copper_loss_and_by_what_else_stays_as_it_is() -> No
     assert slid[0] == pytest.approx(0.0, abs=1e-12)
     assert slid[1] == pytest.approx(whole * math.expm1(-5.0 / 8.0) / math.expm1(-20.0 / 8.0), rel=1e-2)
     assert slid[2] == pytest.approx(0.4 * slid[1], rel=1e-9)
+
+
+def test_a_devices_drop_changes_with_what_its_leg_has_carried() -> None:
+    time_s = np.linspace(0.0, 20.0, 401)
+    late = LossHistory(time_s=time_s, power_w=np.where(time_s < 4.0, 0.0, 9.0))
+    signals = _signals().model_copy(update={"losses": late})
+    values = {"voltage_v": 0.8, "threshold_a": 0.03, "warming_s": 2.0}
+    cold, warm = (signals.v_ab - _corrected(DeviceDrop(), signals, **values, warming=part).v_ab for part in (0.0, -0.1))
+    # A second after the current came, of what sixteen make of it.
+    part = math.expm1(-1.0 / 2.0) / math.expm1(-16.0 / 2.0)
+    assert_close(warm[0], (1.0 - 0.1 * part) * cold[0], 1e-2 * part, of=cold[0])
+    unknown = _signals()
+    assert_close(_corrected(DeviceDrop(), unknown, **values, warming=-0.1).v_ab, unknown.v_ab - cold, 1e-12, of=cold)
