@@ -299,6 +299,11 @@ class Signals(ArrayModel):
     bridge_on: bool = True
     """False while all gates are off: then no voltage is commanded and none is impressed."""
 
+    @property
+    def time_s(self) -> RealArray:
+        """When each sample was, since the start of the experiment, shape (n,) [s]."""
+        return self.start_s + np.arange(len(self.v_dc)) / self.sampling_frequency_hz
+
     def corrected(self, correction: Correction) -> Signals:
         """These signals with what an effect changed of them."""
         changed = correction.arrays

@@ -236,8 +236,8 @@ def _warmth(signals: Signals, lag_s: float) -> Array:
         return np.zeros(len(signals.v_dc))
     # A nearly constant drop times the current, of which the copper loss goes with the square.
     warm = lagged_steps(losses.time_s, np.sqrt(losses.power_w), lag_s)
-    now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
-    return np.asarray(np.interp(now, losses.time_s, warm / max(float(warm.max()), 1e-12)), dtype=np.float64)
+    part = np.interp(signals.time_s, losses.time_s, warm / max(float(warm.max()), 1e-12))
+    return np.asarray(part, dtype=np.float64)
 
 
 class VoltageBias:

@@ -299,7 +299,6 @@ class MagnetHeating:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Slide the map along the d axis by the flux lost so far."""
-        now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
         if signals.losses is None:
             part = signals.heat_j / max(float(signals.heat_j[-1]), 1e-12)
         else:
@@ -307,7 +306,7 @@ class MagnetHeating:
             warm = (1.0 - p.steady) * _warmth(time_s, power_w, p.time_constant_s)
             if p.steady > 0.0:
                 warm += p.steady * _warmth(time_s, np.ones(len(time_s)), p.time_constant_s)
-            part = np.interp(now, time_s, warm)
+            part = np.interp(signals.time_s, time_s, warm)
         inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
         slide = p.flux_change_wb / inductance * part
         theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)

@@ -151,8 +151,7 @@ class CurrentOffsetDrift:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract what the offsets have grown by at each sample's time."""
-        now = signals.start_s + np.arange(len(signals.v_dc)) / signals.sampling_frequency_hz
-        s = p.settling_per_s
+        now, s = signals.time_s, p.settling_per_s
         grown = now if s == 0.0 else -np.expm1(-s * now) / s
         rates = _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals.clarke_of_three is True)
         return Correction(i_ab=plus_along(signals.i_ab, grown, -rates[None]))

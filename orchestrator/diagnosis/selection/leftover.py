@@ -162,13 +162,9 @@ def _step(width: float) -> Callable[[Array, float], Array]:
     return lambda i, a: np.asarray(np.tanh(i / (width * a)))
 
 
-def _time(s: Signals) -> Array:
-    return np.asarray(s.start_s + np.arange(len(s.v_dc)) / s.sampling_frequency_hz)
-
-
 def _part_of_run(s: Signals) -> Array:
     end = float(s.losses.time_s[-1]) if s.losses is not None else 1.0
-    return _time(s) / max(end, 1e-9)
+    return np.asarray(s.time_s / max(end, 1e-9), dtype=np.float64)
 
 
 def _constant(axis: int, power: int) -> Field:
@@ -241,8 +237,8 @@ def _wave(count: int) -> Field:
 def _hum(frequency: float, axis: int) -> Field:
     def field(s: Signals, a: float) -> Array:
         out = np.zeros((len(s.v_dc), 2))
-        out[:, axis] = np.sin(2 * np.pi * frequency * _time(s))
-        out[:, 1 - axis] = np.cos(2 * np.pi * frequency * _time(s))
+        out[:, axis] = np.sin(2 * np.pi * frequency * s.time_s)
+        out[:, 1 - axis] = np.cos(2 * np.pi * frequency * s.time_s)
         return out
 
     return field

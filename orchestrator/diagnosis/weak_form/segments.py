@@ -420,6 +420,4 @@ def _heated(piece: SegmentSignals, step_s: float, fs: float) -> SegmentHeat:
 
 
 def _heat_of(piece: SegmentSignals, losses: LossHistory, energy: Array) -> Array:
-    s = piece.signals
-    now = s.start_s + np.arange(len(s.v_dc)) / s.sampling_frequency_hz
-    return np.asarray(np.interp(now, losses.time_s, energy), dtype=np.float64)
+    return np.asarray(np.interp(piece.signals.time_s, losses.time_s, energy), dtype=np.float64)
