@@ -35,7 +35,7 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
 
     Else without those refinements that can be spared.
     """
-    best = fitter.fit(fit.model, fit.frame, steps=4, renewals=0, tolerance=1e-3)
+    best = fitter.fit(fit.model, fit.frame, steps=8, renewals=0, tolerance=3e-4)
     for index in range(len(best.model.active)):
         active = best.model.active[index]
         free = [n for n in active.candidate.of_role(ParameterRole.REFINEMENT) if n in active.free]
@@ -47,11 +47,18 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
-    """Refinements of an effect that the data do not ask for together, the least asked for first; not all of them."""
-    spared = list[str]()
-    for name in sorted(free, key=lambda n: evidence_for(fit, active, [n]))[:-1]:
-        if evidence_for(fit, active, [*spared, name]) <= fit.criteria.selection.tie:
+    """Refinements of an effect that the data do not ask for, the least asked for first; not all of them.
+
+    Each by what it adds to those that are spared already: what is needed does not go in the company of what is not.
+    """
+    spared = [n for n in free if active.coordinate(n) == 0.0]
+    so_far = evidence_for(fit, active, spared) if spared else 0.0
+    asked_for = sorted((n for n in free if n not in spared), key=lambda n: evidence_for(fit, active, [n]))
+    for name in asked_for[:-1]:
+        together = evidence_for(fit, active, [*spared, name])
+        if together <= so_far:
             spared.append(name)
+            so_far = together
     return spared
 
 

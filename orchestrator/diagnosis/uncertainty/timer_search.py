@@ -67,7 +67,7 @@ def timers_in(
     """
     if not traces:
         return ()
-    found = list[BorneTimer]()
+    found = list[tuple[float, BorneTimer]]()
     for centred in (True, False):
         combs = _combs(traces, centred, bus_v, limits)
         frequency, gain = _spectrum(combs, limits)
@@ -80,17 +80,22 @@ def timers_in(
                     continue
                 timer, likelier = _told(combs, centred, float(tried), float(frequency[1] - frequency[0]))
                 if likelier > asked * chance[k] and (witnessed := _witnessed(traces, timer, bus_v)) > least:
-                    found.append(_borne(combs, timer, likelier, min(likelier / float(chance[k]), witnessed)))
+                    borne = _borne(combs, timer, likelier, min(likelier / float(chance[k]), witnessed))
+                    found.append((likelier, borne))
     return _rivals(found)
 
 
-def _rivals(found: Sequence[BorneTimer]) -> tuple[BorneTimer, ...]:
-    """The likeliest, and what comes near it, each once."""
+def _rivals(found: Sequence[tuple[float, BorneTimer]]) -> tuple[BorneTimer, ...]:
+    """The likeliest of those that are about as certain, and what comes near it, each once.
+
+    Witnesses are few: they tell that there is a timer, and hardly which; the readings' likelihood tells that.
+    """
+    certain = max((borne.gain for _, borne in found), default=0.0)
     best = list[BorneTimer]()
-    for one in sorted(found, key=lambda one: -one.gain):
-        if not any(_same(one.timer, other.timer) for other in best):
+    for _, one in sorted(found, key=lambda one: -one[0]):
+        if one.gain > ALIKE * certain and not any(_same(one.timer, other.timer) for other in best):
             best.append(one)
-    return tuple(one for one in best if one.gain > ALIKE * best[0].gain)
+    return tuple(best)
 
 
 def _same(one: ModulatorTimer, other: ModulatorTimer) -> bool:
