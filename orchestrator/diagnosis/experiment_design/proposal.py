@@ -60,7 +60,7 @@ def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
 
 def _predicted(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Stage | None:
     """The stage of most separation a minute; None where none is predicted to be worth it."""
-    pair = rivals(setup, fit.model, first, second)
+    pair = rivals(setup, fit, first, second)
     if pair is None:
         return None
     gains = [(separation(setup, pair, stage), stage) for stage in catalogue(setup)]

@@ -12,7 +12,7 @@ ripple that the map's inductance makes of the injected voltage. Sensor noise is 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -22,7 +22,7 @@ from orchestrator.diagnosis.experiment_design.machine import Machine, current_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Model
+from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model
 from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
 from orchestrator.numerics.frames import to_ab
@@ -44,27 +44,37 @@ class Rivals:
         Of the first's amplitudes.
     known : array
         Normal matrix of all columns over the recording.
+    answering : dict
+        Of columns of the recording's fit, the effects that answer to them; of others all are asked.
     """
 
     model: Model
     absent: Active
     coordinates: Array
     known: Array
+    answering: Mapping[ColumnName, frozenset[str]]
+
+    def asked_of(self, columns: Sequence[tuple[Active, str]]) -> list[frozenset[str] | None]:
+        """The effects that are asked of each column; None for all."""
+        return [self.answering.get((active.name, name)) for active, name in columns]
 
 
-def rivals(setup: DiagnosisSetup, model: Model, first: Active, second: Candidate) -> Rivals | None:
+def rivals(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Rivals | None:
     """Two effects made comparable, the first as it is given; None where the second cannot imitate it.
 
     In the model the first may be, but the second is not to be.
     """
+    model = fit.model
     if second.name in model.names:
         return None
+    # The second takes the first's place, and may answer as the first did.
+    answering = {column: effects | {second.name} for column, effects in fit.answers.of.items()}
     neutral = {n: first.candidate.named(n).neutral for n in first.candidate.amplitudes}
     absent = Active(first.candidate, {**first.values, **neutral}, first.candidate.amplitudes)
     coordinates = np.array([first.coordinate(n) for n in first.candidate.amplitudes])
     others = model.with_active([a for a in model.active if a.name != first.name])
     fitter = _part_of(setup)
-    trial = Rivals(others, absent, coordinates, np.zeros((0, 0)))
+    trial = Rivals(others, absent, coordinates, np.zeros((0, 0)), answering)
     rival = second.absent()
     normal = _normal(fitter, trial, fitter.prepared.pieces, [(rival, n) for n in second.amplitudes])
     amplitudes = _imitation(normal, len(coordinates), len(second.amplitudes), coordinates)
@@ -103,13 +113,14 @@ def _normal(
     """W^T W of R_s, the map, what is free in the model, `more`, and the first effect's amplitudes, which come last."""
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
+    asked = pair.asked_of(wanted)
     # Planned segments have no ids of their own: what equations remember of one must not serve the next.
     equations = SegmentEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
     for piece in pieces:
         place = equations.renewed(model, piece, None)
-        white = equations.rows(place, wanted).white
+        white = equations.rows(place, wanted, asked).white
         rows = np.column_stack([white[:, 1], place.frame.white_basis, white[:, 2:]])
         total += rows.T @ rows
     if with_prior:

@@ -75,12 +75,13 @@ class SegmentEquations:
         if old is not None and self._same_noise(mean, inverter, old):
             whitener, mean, inverter = old.whitener, old.mean_inductance, old.inverter
         else:
-            slopes = self._slopes(piece, base, model) if inverter else None
+            slopes = self._slopes(piece, base, model.active) if inverter else None
+            turned = None if slopes is None else _in_frame_of(piece, slopes)
             factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
-            covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, slopes)
+            covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, turned)
             common, scatter = None, self.noise.of_model
             if scatter.scatters:
-                common = self._common_rows(piece, base, corrected, local, model.active)
+                common = self._common_rows(piece, corrected, local, slopes)
                 common *= scatter_sizes(TimerScatter.of(piece), scatter)
             whitener = Whitener(covariance, common)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
@@ -99,26 +100,26 @@ class SegmentEquations:
         """What a segment's readings may have in common, whitened: columns as of `_common_rows`."""
         corrected = apply_effects(frame.base, model.active).signals
         local = local_map(piece, corrected, model.magnetics)
-        return frame.whitener(self._common_rows(piece, frame.base, corrected, local, model.active))
+        slopes = self._slopes(piece, frame.base, model.active) if self._inverter(piece, model) else None
+        return frame.whitener(self._common_rows(piece, corrected, local, slopes))
 
-    def _common_rows(
-        self, piece: SegmentSignals, base: Signals, corrected: Signals, local: LocalMap, active: Sequence[Active]
-    ) -> Array:
+    def _common_rows(self, piece: SegmentSignals, corrected: Signals, local: LocalMap, slopes: Array | None) -> Array:
         """What one ampere on all readings of phase a, and of phase b, does to the equations, and a volt on each axis.
 
-        The volt is that of each rest, for a voltage that moves is dithered. The ampere's step is as small as the
-        readings' noise: within an inverter's knee it acts through the voltage.
-        Shape (rows, 2 + 2 rests).
+        The volt is that of each rest, for a voltage that moves is dithered. The ampere acts through the voltage, too,
+        by the inverter's slopes (n, 2, 2). Shape (rows, 2 + 2 rests).
         """
-        step, sums = math.sqrt(0.5 * float(np.trace(self.noise.covariance))), []
+        sums = []
         for phases in (1.0, 0.0), (0.0, 1.0):
-            off = base.i_ab + step * from_two_phases(*phases)
-            there = apply_effects(base.corrected(Correction(i_ab=off)), active).signals
-            change = {n: (getattr(there, n) - getattr(corrected, n)) / step for n in ("i_ab", "i_m_ab", "v_ab")}
+            off = np.empty((len(corrected.v_dc), 2))
+            off[:] = from_two_phases(*phases)
+            change: Change = {"i_ab": off, "i_m_ab": off}
+            if slopes is not None:
+                change["v_ab"] = np.ascontiguousarray(slopes @ from_two_phases(*phases))
             sums.append(difference(piece, corrected, change, local, self.pm_flux_wb))
         for rest in rests(piece):
             for axis in np.eye(2):
-                volt = np.zeros((len(base.v_dc), 2))
+                volt = np.zeros((len(corrected.v_dc), 2))
                 volt[rest] = axis
                 sums.append(difference(piece, corrected, {"v_ab": volt}, local, self.pm_flux_wb))
         return piece.windows.combine(np.stack(sums, axis=-1))
@@ -163,10 +164,12 @@ class SegmentEquations:
         )
         return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, local
 
-    def _slopes(self, piece: SegmentSignals, base: Signals, model: Model) -> Slopes:
-        """How the inverter's effects multiply current noise, by shifting the measured current by its noise."""
-        inverter = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER]
-        turn = rotation(-piece.segment.rotor_angle_rad)
+    def _slopes(self, piece: SegmentSignals, base: Signals, active: Sequence[Active]) -> Array:
+        """How the inverter's effects multiply current noise, by shifting the measured current by its noise.
+
+        d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2).
+        """
+        inverter = [a for a in active if a.candidate.effect.layer is EffectLayer.INVERTER]
         voltage = np.empty((len(base.v_dc), 2, 2))
         sensor = self.noise.of(piece)
         for axis in range(2):
@@ -177,13 +180,13 @@ class SegmentEquations:
                 for side in (1.0, -1.0)
             )
             voltage[:, :, axis] = (ahead.v_ab - behind.v_ab) / (2.0 * shift[axis])
-        return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ voltage @ turn.T))
+        return voltage
 
     def rows(
         self,
         at: Place,
         parameters: Sequence[tuple[Active, str]] = (),
-        answering: Sequence[frozenset[str]] | None = None,
+        answering: Sequence[frozenset[str] | None] | None = None,
     ) -> SegmentRows:
         """The equations at a place, and a column for each of some parameters.
 
@@ -243,6 +246,12 @@ def scatter_sizes(timer: TimerScatter, noise: ModelNoise) -> Array:
     """Standard deviations of what a segment's readings have in common: both phases' zero, and each rest's volts."""
     volts = timer.sizes(noise.voltage_scatter_v, dithered=noise.dithered)
     return np.concatenate([[noise.offset_scatter_a] * 2, np.repeat(volts, 2)])
+
+
+def _in_frame_of(piece: SegmentSignals, slopes: Array) -> Slopes:
+    """Slopes in the frame of the rotor as it is believed to lie."""
+    turn = rotation(-piece.segment.rotor_angle_rad)
+    return Slopes(np.zeros((0, 2, 2)), np.ascontiguousarray(turn @ slopes @ turn.T))
 
 
 def _beyond_rounding(change: Change, signals: Signals) -> bool:

@@ -19,6 +19,7 @@ from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.identifiability import separable
+from orchestrator.diagnosis.selection.refining import to_spare
 from orchestrator.diagnosis.selection.scoring import (
     asked,
     asked_to_stay,
@@ -76,7 +77,7 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tupl
     fit : Fit
         Of all effects in their own forms.
     """
-    fit = in_better_form(fitter, fit)
+    fit = in_simpler_forms(fitter, in_better_form(fitter, fit))
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
     fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
     fit = in_forms_still_asked_for(fitter, fit)
@@ -171,6 +172,23 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
         if _evidence_gain(trial, fit) > limits.tie:
             fit = trial
     return fit
+
+
+def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
+    """The fit without those refinements that the data do not ask for; as it was where that does worse."""
+    active = []
+    for one in fit.model.active:
+        free = [n for n in one.candidate.of_role(ParameterRole.REFINEMENT) if n in one.free]
+        spared = to_spare(fit, one, free)
+        simple = replace(one, free=tuple(n for n in one.free if n not in spared))
+        for name in spared:
+            simple = simple.moved(name, 0.0)
+        active.append(simple)
+    model = fit.model.with_active(active)
+    if len(model.free) == len(fit.model.free):
+        return fit
+    trial = _briefly(fitter, model, fit)
+    return trial if _evidence_gain(fit, trial) <= fit.criteria.selection.tie else fit
 
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:

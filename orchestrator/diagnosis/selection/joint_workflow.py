@@ -20,6 +20,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     refitted,
     together,
     with_everything,
+    with_overlooked,
 )
 from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer, with_timer_of_fit
 from orchestrator.diagnosis.selection.scoring import LinearView
@@ -76,6 +77,8 @@ def all_together(
         wider = beside_scatter(setup, setup.fitter, whole, library)
         if wider is not None:
             setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
+    # The whole tells what a part of it was too little for.
+    whole = downwards(setup.fitter, with_overlooked(setup.fitter, whole, library))
     if not whole.model.active:
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:

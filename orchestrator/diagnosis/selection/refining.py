@@ -39,22 +39,21 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
     for index in range(len(best.model.active)):
         active = best.model.active[index]
         free = [n for n in active.candidate.of_role(ParameterRole.REFINEMENT) if n in active.free]
-        for spared in (free, _to_spare(best, active, free)):
+        for spared in (free, to_spare(best, active, free)):
             if spared and not fitter.effort.exhausted and (trial := _rigid(fitter, best, index, spared)) is not None:
                 best = trial
                 break
     return best
 
 
-def _to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
-    """Refinements of an effect that the data do not ask for, the least asked for first; not all of them.
+def to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
+    """Refinements of an effect that the data do not ask for, the least asked for first.
 
     Each by what it adds to those that are spared already: what is needed does not go in the company of what is not.
     """
     spared = [n for n in free if active.coordinate(n) == 0.0]
     so_far = evidence_for(fit, active, spared) if spared else 0.0
-    asked_for = sorted((n for n in free if n not in spared), key=lambda n: evidence_for(fit, active, [n]))
-    for name in asked_for[:-1]:
+    for name in sorted((n for n in free if n not in spared), key=lambda n: evidence_for(fit, active, [n])):
         together = evidence_for(fit, active, [*spared, name])
         if together <= so_far:
             spared.append(name)

@@ -52,7 +52,7 @@ def holds(stages: list[dict[str, Any]]) -> tuple[dict[str, Any], dict[str, Any]]
 def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_one_does_not(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(setup, fit.model, fit.model.active[-1], library["device_drop"])
+    pair = rivals(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     imitation = pair.model.active[-1].values["voltage_v"]
     assert imitation == pytest.approx(0.8, rel=0.15)  # the drop that looks like it at one PWM frequency
@@ -63,13 +63,13 @@ def test_a_second_pwm_frequency_separates_dead_time_from_the_devices_drop_and_on
 def test_what_is_already_told_apart_gains_little_by_reading_gates_off(
     setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]
 ) -> None:
-    pair = rivals(setup, fit.model, fit.model.active[-1], library["device_drop"])
+    pair = rivals(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     assert separation(setup, pair, {"kind": "gates_off", "duration_s": 2.0}) < 1.0
 
 
 def test_more_time_separates_more(setup: DiagnosisSetup, fit: Fit, library: dict[str, Candidate]) -> None:
-    pair = rivals(setup, fit.model, fit.model.active[-1], library["device_drop"])
+    pair = rivals(setup, fit, fit.model.active[-1], library["device_drop"])
     assert pair is not None
     _, stage = holds(catalogue(setup))
     assert separation(setup, pair, {**stage, "duration_s": 1.0}) > 1.2 * separation(setup, pair, stage)
