@@ -177,7 +177,11 @@ class Fit:
         return float(np.sqrt(np.mean(np.concatenate(parts) ** 2))) if parts else None
 
     def projected(self) -> tuple[Array, Array]:
-        """Normal matrix and gradient of all columns after R_s and the map have followed them."""
+        """Normal matrix and gradient of all columns after R_s and the map have followed them; not to be changed."""
+        return self._projected
+
+    @cached_property
+    def _projected(self) -> tuple[Array, Array]:
         width = self.normal.shape[0]
         count = len(self.parameters)
         cross, columns_normal, gradient = np.zeros((width, count)), np.zeros((count, count)), np.zeros(count)
@@ -213,8 +217,14 @@ class Fit:
             if not p.held_out:
                 yield np.column_stack([r, f.white_basis]), d, e
 
-    def covariance(self) -> Array:
-        """Posterior covariance of the free coordinates, in the order of `model.free`; noise as measured."""
+    def covariance(self, noise: float = 1.0) -> Array:
+        """Posterior covariance of the free coordinates, in the order of `model.free`; noise this much more than known.
+
+        Parameters
+        ----------
+        noise : float
+            In chi2 per degree of freedom.
+        """
         count = len(self.model.free)
         normal, _ = self.projected()
-        return np.asarray(np.linalg.inv(normal[:count, :count] + np.eye(count)))
+        return np.asarray(np.linalg.inv(normal[:count, :count] / noise + np.eye(count)))

@@ -175,7 +175,12 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
-    """The fit without those refinements that the data do not ask for; as it was where that does worse."""
+    """The fit without those refinements that the data do not ask for; as it was where that does worse.
+
+    Only where nothing is left: what a wrong model does not ask for, the right one may.
+    """
+    if fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
+        return fit
     active = []
     for one in fit.model.active:
         free = [n for n in one.candidate.of_role(ParameterRole.REFINEMENT) if n in one.free]

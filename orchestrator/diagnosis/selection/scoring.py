@@ -144,4 +144,4 @@ def _away(fit: Fit, active: Active, names: Sequence[str]) -> tuple[Array, Array]
     free = fit.model.free
     which = [k for k, (a, n) in enumerate(free) if a.name == active.name and n in names]
     away = np.array([active.coordinate(free[k][1]) for k in which])
-    return away, fit.covariance()[np.ix_(which, which)] * max(fit.chi2_per_dof, 1.0)
+    return away, fit.covariance(max(fit.chi2_per_dof, 1.0))[np.ix_(which, which)]
