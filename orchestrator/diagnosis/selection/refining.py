@@ -51,11 +51,12 @@ def to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
 
     Each by what it adds to those that are spared already: what is needed does not go in the company of what is not.
     """
+    nothing = 0.5 * fit.criteria.fitting.least_gain
     spared = [n for n in free if active.coordinate(n) == 0.0]
     so_far = evidence_for(fit, active, spared) if spared else 0.0
     for name in sorted((n for n in free if n not in spared), key=lambda n: evidence_for(fit, active, [n])):
         together = evidence_for(fit, active, [*spared, name])
-        if together <= so_far:
+        if together <= so_far + nothing:
             spared.append(name)
             so_far = together
     return spared
