@@ -119,6 +119,8 @@ class FittingCriteria(Strict):
     """Standard deviation of a given map's fluxes for the spline that is laid through them."""
     least_gain: float = _is(0.2, "1", "theory")
     """Fall of the objective below which a step is not worth its evaluation: a tenth in log evidence."""
+    least_joint_gain: float = _is(2.0, "1", "theory")
+    """The same for a round of all effects together, of which each costs as much as a whole fit of one: one nat."""
     slack: float = _is(0.05, "1", "theory")
     """Rise of the objective that is rounding and renewed noise, not failure."""
     renewal_change: float = _is(1e-3, "1", "theory")
@@ -143,7 +145,7 @@ class FittingCriteria(Strict):
     """... and the one below which no more is tried."""
     same_inductance: float = _is(0.01, "1", "simulated")
     """Relative change of the mean inductance that the noise's covariance bears."""
-    same_inverter: float = _is(0.02, "1", "practice")
+    same_inverter: float = _is(0.1, "1", "practice")
     """Change of an inverter effect's coordinate, relative to one or to itself, that the covariance bears too."""
     column_step: float = _is(0.05, "1", "practice")
     """Step of a secant, relative to the coordinate: far above rounding, where an effect is still nearly linear."""
@@ -220,7 +222,7 @@ class SelectionCriteria(Strict):
     """How often all effects' forms and what scatters beside them are told anew, each in the light of the other."""
     weighings: int = _is(2, "1", "practice")
     """How often the model's own error is weighed, where it is much, and all is fitted again."""
-    joint_tolerance: float = _is(5e-3, "1", "practice")
+    joint_tolerance: float = _is(1e-2, "1", "practice")
     """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
     prior_probability: float = _is(0.2, "1", "practice")
     """That any one effect of the library shows in a recording, before it is looked at."""

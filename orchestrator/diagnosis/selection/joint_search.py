@@ -193,7 +193,8 @@ def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
     if len(model.free) == len(fit.model.free):
         return fit
     trial = _briefly(fitter, model, fit)
-    return trial if _evidence_gain(fit, trial) <= fit.criteria.selection.tie else fit
+    # A refinement of a form that is gone is none.
+    return in_simpler_forms(fitter, trial) if _evidence_gain(fit, trial) <= fit.criteria.selection.tie else fit
 
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:
