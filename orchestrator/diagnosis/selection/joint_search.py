@@ -30,6 +30,7 @@ from orchestrator.diagnosis.selection.scoring import (
     log_density_ratio,
     log_evidence,
     score,
+    worth_freeing,
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
@@ -140,7 +141,10 @@ def with_shapes(_: Fitter, fit: Fit) -> Model:
 
 
 def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
-    """The model with those effects' flexible forms free that promise, to first order, to be worth it."""
+    """The model with those effects' flexible forms free that promise, to first order, to be worth it.
+
+    Of each form, what brings nearly all that it does.
+    """
     rigid = [(a, n) for a in fit.model.active for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
     normal, right = fitter.evaluate(fit.model, fit.frame, rigid, known=fit).projected()
     fitted, least = len(fit.model.free), 2.0 * fit.criteria.selection.tie * max(fit.chi2_per_dof, 1.0)
@@ -148,7 +152,8 @@ def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
     for one in fit.model.active:
         columns = [fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name]
         pays = bool(columns) and linear_gain(normal, right, fitted, columns)[0] > least
-        active.append(one.freeing(*one.candidate.of_role(ParameterRole.REFINEMENT)) if pays else one)
+        some = worth_freeing(normal, right, fitted, columns, least) if pays else []
+        active.append(one.freeing(*(rigid[k - fitted][1] for k in some)))
     return fit.model.with_active(active)
 
 

@@ -107,6 +107,23 @@ def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]
     return float(-pull @ x), x
 
 
+def worth_freeing(normal: Array, right: Array, fitted: int, columns: Sequence[int], spare: float) -> list[int]:
+    """Those of some columns that bring all of their linear gain but as much of chi2 as may be spared.
+
+    The least of them go, one after the other; what is fitted already, the first columns, follows.
+    """
+    kept = list(columns)
+    least = linear_gain(normal, right, fitted, kept)[0] - spare if kept else 0.0
+    while kept:
+        without = [[k for k in kept if k != gone] for gone in kept]
+        gains = [linear_gain(normal, right, fitted, some)[0] if some else 0.0 for some in without]
+        best = int(np.argmax(gains))
+        if gains[best] < least:
+            break
+        kept = without[best]
+    return kept
+
+
 def gain_with(
     candidate: Candidate, normal: Array, right: Array, fitted: int, columns: Sequence[int]
 ) -> tuple[float, Array]:

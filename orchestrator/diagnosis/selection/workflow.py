@@ -21,7 +21,7 @@ from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
-from orchestrator.diagnosis.selection.refining import settled
+from orchestrator.diagnosis.selection.refining import polished, repolished, settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
@@ -133,9 +133,12 @@ def _after(
         together = all_together(setup, steps, quick, library)
         if together is not None:
             return together
-    fits = list(steps)
-    for step in quick.steps[1:]:
-        last = step is quick.steps[-1]
+    fits, found = list(steps), quick.steps[1:]
+    if found:
+        # What a form does not need costs most on the whole.
+        found = [*found[:-1], replace(found[-1], fit=settled(setup.coarse_fitter, found[-1].fit))]
+    for step in found:
+        last = step is found[-1]
         frame = setup.fitter.frame(step.fit.model, fits[-1].fit.frame)
         fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
         fits.append(Step(step.added, fit, step.log_evidence))
@@ -247,11 +250,13 @@ def without(setup: DiagnosisSetup, search: Search, name: str, *, last: Fit | Non
 
 
 def converged(setup: DiagnosisSetup, search: Search) -> Search:
-    """The search with its last fit taken to its end."""
+    """The search with its last fit taken to its end, in those forms that the whole asks for."""
     if not search.fit.model.active or search.fit.model.names[-1] != search.steps[-1].added:
         return search
-    last = search.steps[-1]
-    steps = [*search.steps[:-1], Step(last.added, settled(setup.fitter, last.fit), last.log_evidence)]
+    last, fit = search.steps[-1], search.fit
+    if not _explains(fit):
+        fit = polished(setup.fitter, repolished(setup.fitter, fit), 1.0)
+    steps = [*search.steps[:-1], Step(last.added, settled(setup.fitter, fit), last.log_evidence)]
     return Search(steps, search.traces, search.rivals, search.view)
 
 
