@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.numerics.frames import from_two_phases
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.timing import VoltageDelay
-from protocols import Effect
+from protocols import Correction, Effect
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
 
@@ -56,3 +59,17 @@ def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> Non
     assert again.white_basis is frame.white_basis
     turned = equations.frame(with_free(model, biased, VoltageDelay(), delay_s=1e-5), piece, frame)
     assert turned.basis is frame.basis
+
+
+def test_what_readings_have_in_common_is_what_an_offset_of_all_of_them_does(biased: Fitter) -> None:
+    model = with_free(free_model(), biased, DeadTime(), voltage_v=2.0)
+    fit, equations, offset_a = biased.evaluate(model, biased.frame(model)), biased.equations, 1e-4
+    for k, piece in enumerate(biased.prepared.pieces[:8]):
+        frame = fit.frame.pieces[k]
+        common = equations.common(model, piece, frame)
+        for phase, one in enumerate(((1.0, 0.0), (0.0, 1.0))):
+            off = frame.base.i_ab + offset_a * from_two_phases(*one)
+            there = replace(frame, base=frame.base.corrected(Correction(i_ab=off)))
+            before, after = (equations.rows(equations.place(model, piece, f)).white for f in (frame, there))
+            moved = (after - before) @ np.array([1.0, model.r_s]) / offset_a
+            assert np.linalg.norm(common[:, phase] - moved) < 0.02 * np.linalg.norm(moved)

@@ -17,6 +17,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     in_forms_still_asked_for,
     in_own_forms,
+    in_simpler_forms,
     joint_search,
     log_bayes_factors,
     probabilities,
@@ -26,13 +27,13 @@ from orchestrator.diagnosis.selection.joint_search import (
     without_doubles,
     without_effect,
 )
-from orchestrator.diagnosis.selection.scoring import LinearView, Score, score
+from orchestrator.diagnosis.selection.scoring import LinearView, Score, log_evidence, score
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
-from protocols import Effect
+from protocols import Effect, ParameterRole
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
 
 BIAS_V = np.array([0.3, -0.1])
@@ -147,6 +148,22 @@ def test_a_form_is_asked_for_once_more_where_something_is_left() -> None:
     assert rigid.chi2_per_dof > 1.5 > formed.chi2_per_dof
     assert formed.model.active[0].values["threshold_a"] == pytest.approx(0.4, rel=0.1)
     assert in_forms_still_asked_for(maker, formed) is formed
+
+
+def test_a_form_that_is_not_needed_goes_and_one_that_is_stays() -> None:
+    made = prepared(plan(sparse=True))
+    (dead_time,) = scaled_library([DeadTime()], made.manifest)
+    everything = dead_time.absent().freeing("threshold_a", *dead_time.of_role(ParameterRole.REFINEMENT))
+    for softness, needed in ((0.5, False), (0.1, True)):
+        true = DeadTime.Parameters(voltage_v=2.0, threshold_a=0.4, softness=softness)
+        maker = fitter(with_voltage(made, _lost_to(true, made)))
+        fit = refitted(maker, free_model().with_active([everything]))
+        simple = in_simpler_forms(maker, fit)
+        assert fit.chi2_per_dof < 1.08
+        assert ("softness" in simple.model.active[0].free) is needed
+        assert not {"leg_a_longer", "leg_b_longer", "grading"} & set(simple.model.active[0].free)
+        assert log_evidence(simple, 1.0) > log_evidence(fit, 1.0) - fit.criteria.selection.tie
+        assert in_simpler_forms(maker, simple) is simple
 
 
 def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form() -> None:

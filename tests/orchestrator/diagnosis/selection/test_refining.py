@@ -6,7 +6,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.selection.refining import polished, settled
+from orchestrator.diagnosis.selection.refining import polished, settled, to_spare
 from plugins.effects.inverter import DeadTime
 from protocols import ParameterRole, Signals
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -45,3 +45,26 @@ def test_the_flexible_form_is_freed_where_the_simple_one_will_not_do(flexible: f
     assert better.chi2_per_dof < 1.3
     end = settled(maker, better)
     assert end.objective <= better.objective + maker.criteria.slack
+
+
+def test_what_a_form_needs_stays_and_what_it_does_not_goes() -> None:
+    maker = _machine(0.0)
+    fit = maker.fit(with_free(free_model(), maker, DeadTime(), voltage_v=0.5))
+    (active,) = fit.model.active
+    names = active.candidate.of_role(ParameterRole.REFINEMENT)
+    freed = maker.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
+    assert set(to_spare(freed, freed.model.active[0], names)) == set(names)
+    # Of a knee that is sharper than the simple form's, the softness is needed and stays, whoever else goes.
+    sharp = _sharp()
+    fit = sharp.fit(with_free(free_model(), sharp, DeadTime(), voltage_v=0.5))
+    (active,) = fit.model.active
+    freed = sharp.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
+    assert "softness" not in to_spare(freed, freed.model.active[0], names)
+
+
+def _sharp() -> Fitter:
+    made = prepared(plan())
+    (candidate,) = scaled_library([DeadTime()], made.manifest)
+    active = candidate.absent().moved(candidate.amplitudes[0], 4.0).moved("softness", -1.3)
+    errors = {p.segment.id: _error(active, p.signals) for p in made.pieces}
+    return fitter(with_voltage(made, errors))

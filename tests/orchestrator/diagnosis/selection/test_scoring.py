@@ -9,7 +9,15 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.selection.scoring import does_as_well, linear_view, log_evidence, loss_without, score
+from orchestrator.diagnosis.selection.scoring import (
+    does_as_well,
+    evidence_for,
+    linear_view,
+    log_evidence,
+    loss_without,
+    score,
+    worth_freeing,
+)
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.timing import VoltageDelay
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
@@ -60,3 +68,27 @@ def test_what_an_effect_is_worth_is_what_is_lost_without_it(biased: Fitter) -> N
     lost = loss_without(full, full.model.active[0], candidate.amplitudes)
     # Wald's test counts in units of the noise that is left.
     assert lost * max(full.chi2_per_dof, 1.0) == pytest.approx(bare.chi2 - full.chi2, rel=0.05)
+
+
+def test_what_says_nothing_of_a_parameter_neither_asks_for_it_nor_against_it_however_large_the_noise(
+    biased: Fitter,
+) -> None:
+    bare = biased.fit(free_model())
+    (candidate,) = scaled_library([VoltageBias()], biased.prepared.manifest)
+    full = biased.fit(bare.model.with_active([candidate.absent()]), bare.frame, renewals=0)
+    noisy = replace(full, chi2=9.0 * full.dof, columns=tuple(0.0 * d for d in full.columns))
+    back = replace(noisy, model=bare.model.with_active([candidate.absent()]))
+    assert evidence_for(back, back.model.active[0], candidate.amplitudes) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_of_two_that_do_the_same_one_is_worth_freeing() -> None:
+    rng = np.random.default_rng(1)
+    base = rng.normal(size=(400, 3))
+    rows = np.column_stack([base, base[:, 1] + 1e-3 * rng.normal(size=400)])
+    normal, right = rows.T @ rows, rows.T @ -base[:, 1]
+    kept = worth_freeing(normal, right, 1, [1, 2, 3], spare=6.0)
+    assert kept in ([1], [3])
+    # Nothing is, where all that there is may be spared; everything, where nothing may.
+    assert worth_freeing(normal, right, 1, [1, 2, 3], spare=1e9) == []
+    assert worth_freeing(normal, right, 1, [1, 2, 3], spare=-1.0) == [1, 2, 3]
+    assert worth_freeing(normal, right, 1, [], spare=6.0) == []
