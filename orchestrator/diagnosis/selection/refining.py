@@ -49,16 +49,17 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
 def to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
     """Refinements of an effect that the data do not ask for, the least asked for first.
 
-    Each by what it adds to those that are spared already: what is needed does not go in the company of what is not.
+    Each by what it costs beside those that are spared already: what is needed does not go in the company of what is
+    not. All together they cost no more than a tie.
     """
-    nothing = 0.5 * fit.criteria.fitting.least_gain
     spared = [n for n in free if active.coordinate(n) == 0.0]
-    so_far = evidence_for(fit, active, spared) if spared else 0.0
+    so_far, lost = evidence_for(fit, active, spared) if spared else 0.0, 0.0
     for name in sorted((n for n in free if n not in spared), key=lambda n: evidence_for(fit, active, [n])):
         together = evidence_for(fit, active, [*spared, name])
-        if together <= so_far + nothing:
+        cost = max(together - so_far, 0.0)
+        if lost + cost <= fit.criteria.selection.tie:
             spared.append(name)
-            so_far = together
+            so_far, lost = together, lost + cost
     return spared
 
 
