@@ -98,6 +98,16 @@ class Active:
     def freeing(self, *names: str) -> Active:
         return replace(self, free=self.free + tuple(n for n in names if n not in self.free))
 
+    def resting(self, *names: str) -> Active:
+        """The same with some parameters neutral, and not free."""
+        neutral = {n: value_at(self.candidate.named(n), 0.0) for n in names}
+        return replace(self, free=tuple(n for n in self.free if n not in names), values={**self.values, **neutral})
+
+    @property
+    def bent_by(self) -> tuple[str, ...]:
+        """Refinements that are free."""
+        return tuple(n for n in self.candidate.of_role(ParameterRole.REFINEMENT) if n in self.free)
+
     def in_other_form(self) -> Active | None:
         """The same with its refinements free, begun at the second form; None where it has but one."""
         names = self.candidate.of_role(ParameterRole.REFINEMENT)

@@ -186,15 +186,7 @@ def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
     """
     if fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
         return fit
-    active = []
-    for one in fit.model.active:
-        free = [n for n in one.candidate.of_role(ParameterRole.REFINEMENT) if n in one.free]
-        spared = to_spare(fit, one, free)
-        simple = replace(one, free=tuple(n for n in one.free if n not in spared))
-        for name in spared:
-            simple = simple.moved(name, 0.0)
-        active.append(simple)
-    model = fit.model.with_active(active)
+    model = fit.model.with_active([one.resting(*to_spare(fit, one)) for one in fit.model.active])
     if len(model.free) == len(fit.model.free):
         return fit
     trial = _briefly(fitter, model, fit)

@@ -6,7 +6,6 @@ The wrong shape of the right effect causes most spurious second ones.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -38,23 +37,22 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
     best = fitter.fit(fit.model, fit.frame, steps=8, renewals=0, tolerance=3e-4)
     for index in range(len(best.model.active)):
         active = best.model.active[index]
-        free = [n for n in active.candidate.of_role(ParameterRole.REFINEMENT) if n in active.free]
-        for spared in (free, to_spare(best, active, free)):
+        for spared in (active.bent_by, to_spare(best, active)):
             if spared and not fitter.effort.exhausted and (trial := _rigid(fitter, best, index, spared)) is not None:
                 best = trial
                 break
     return best
 
 
-def to_spare(fit: Fit, active: Active, free: Sequence[str]) -> list[str]:
-    """Refinements of an effect that the data do not ask for, the least asked for first.
+def to_spare(fit: Fit, active: Active) -> list[str]:
+    """Free refinements of an effect that the data do not ask for, the least asked for first.
 
     Each by what it costs beside those that are spared already: what is needed does not go in the company of what is
     not. All together they cost no more than a tie.
     """
-    spared = [n for n in free if active.coordinate(n) == 0.0]
+    spared = [n for n in active.bent_by if active.coordinate(n) == 0.0]
     so_far, lost = evidence_for(fit, active, spared) if spared else 0.0, 0.0
-    for name in sorted((n for n in free if n not in spared), key=lambda n: evidence_for(fit, active, [n])):
+    for name in sorted((n for n in active.bent_by if n not in spared), key=lambda n: evidence_for(fit, active, [n])):
         together = evidence_for(fit, active, [*spared, name])
         cost = max(together - so_far, 0.0)
         if lost + cost <= fit.criteria.selection.tie:
@@ -68,11 +66,8 @@ def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | 
     active, limits = fit.model.active[index], fit.criteria.selection
     if loss_without(fit, active, names) > limits.flexible_form_needed:
         return None
-    simple = replace(active, free=tuple(n for n in active.free if n not in names))
-    for name in names:
-        simple = simple.moved(name, 0.0)
     models = list(fit.model.active)
-    models[index] = simple
+    models[index] = active.resting(*names)
     trial = fitter.fit(fit.model.with_active(models), fit.frame, steps=8, renewals=0, tolerance=3e-4)
     inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
     return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) - limits.tie else None

@@ -48,3 +48,13 @@ def test_an_effect_of_typical_size_has_the_relative_size_one() -> None:
 
 def test_what_is_left_out_of_the_library_is_not_there() -> None:
     assert [c.name for c in scaled_library(EFFECTS, MANIFEST, ["eddy_currents"])] == ["dead_time", "winding_heating"]
+
+
+def test_what_rests_is_neutral_and_not_free_and_all_else_is_as_it_was() -> None:
+    (candidate,) = scaled_library([DeadTime()], MANIFEST)
+    bent = candidate.absent().moved("voltage_v", 1.0).freeing("softness", "variance").moved("softness", -1.0)
+    resting = bent.resting("softness")
+    assert resting.values == {**bent.values, "softness": candidate.named("softness").neutral}
+    assert bent.bent_by == ("softness", "variance")
+    assert resting.bent_by == ("variance",)
+    assert resting.free == tuple(name for name in bent.free if name != "softness")

@@ -53,13 +53,13 @@ def test_what_a_form_needs_stays_and_what_it_does_not_goes() -> None:
     (active,) = fit.model.active
     names = active.candidate.of_role(ParameterRole.REFINEMENT)
     freed = maker.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
-    assert set(to_spare(freed, freed.model.active[0], names)) == set(names)
+    assert set(to_spare(freed, freed.model.active[0])) == set(names)
     # Of a knee that is sharper than the simple form's, the softness is needed and stays, whoever else goes.
     sharp = _sharp()
     fit = sharp.fit(with_free(free_model(), sharp, DeadTime(), voltage_v=0.5))
     (active,) = fit.model.active
     freed = sharp.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
-    assert "softness" not in to_spare(freed, freed.model.active[0], names)
+    assert "softness" not in to_spare(freed, freed.model.active[0])
 
 
 def _sharp() -> Fitter:
