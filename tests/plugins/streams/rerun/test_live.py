@@ -17,7 +17,7 @@ from plugins.streams.rerun._live import LiveFeed, free_port, wait_for_viewer
 from plugins.streams.rerun._tape import Entry, is_whole, scalars
 from plugins.streams.rerun._viewer import has_ended, start, stop, viewer_words
 from protocols import StreamSetup
-from tests.plugins.streams.rerun.reading import entities, receiver, rows
+from tests.plugins.streams.rerun.reading import arrived, entities, receiver, rows
 from tests.plugins.streams.rerun.test_stream import POINTS, a_commissioning
 from tests.support.processes import wait_until
 
@@ -61,7 +61,7 @@ def test_a_viewer_that_starts_late_gets_what_was_kept(tmp_path: Path) -> None:
         wait_until(lambda: feed.delivered == 5)
         feed.put(a_block(5))
         feed.close()
-        wait_until(lambda: entities(tmp_path / "got.rrd")["/drive/current"] == 6 * BLOCK)
+        wait_until(lambda: arrived(tmp_path / "got.rrd")["/drive/current"] == 6 * BLOCK)
     assert feed.dropped == 0
 
 
@@ -76,7 +76,7 @@ def test_a_viewer_that_is_started_again_gets_everything_again(tmp_path: Path) ->
     with receiver(port, tmp_path / "second.rrd"):
         wait_until(lambda: feed.delivered >= 5)
         feed.close()
-        wait_until(lambda: entities(tmp_path / "second.rrd")["/drive/current"] == 4 * BLOCK)
+        wait_until(lambda: arrived(tmp_path / "second.rrd")["/drive/current"] == 4 * BLOCK)
     assert feed.dropped == 0
 
 
