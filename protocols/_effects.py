@@ -119,6 +119,8 @@ class EffectParameter:
     role: ParameterRole = ParameterRole.AMPLITUDE
     other_form: float | None = None
     """Of a refinement or a shape: where a second form stands, so unlike the first that a fit begins at each of them."""
+    detail: bool = False
+    """Of a refinement: asked only once the others bring nothing more, for it can stand in for them, and less well."""
 
     def problem(self) -> str | None:
         """What would make no sense to a fit, in a few words; None where all is well."""
@@ -169,15 +171,22 @@ def shape(
 
 
 def refinement(
-    unit: str, *, neutral: float, prior_width: float, low: float, high: float, other_form: float | None = None
+    unit: str,
+    *,
+    neutral: float,
+    prior_width: float,
+    low: float,
+    high: float,
+    other_form: float | None = None,
+    detail: bool = False,
 ) -> Any:
     """A field of `EffectParameters` that bends the effect's form; its default, neutral, is the simple form."""
     facts = (unit, neutral, prior_width, low, high, neutral, False)
-    return _declared(ParameterRole.REFINEMENT, neutral, *facts, other_form)
+    return _declared(ParameterRole.REFINEMENT, neutral, *facts, other_form, detail)
 
 
 def _declared(role: ParameterRole, default: float, *facts: Any) -> Any:
-    names = ("unit", "typical", "prior_width", "low", "high", "neutral", "strong_when_small", "other_form")
+    names = ("unit", "typical", "prior_width", "low", "high", "neutral", "strong_when_small", "other_form", "detail")
     return dataclasses.field(default=default, metadata={"role": role, **dict(zip(names, facts, strict=False))})
 
 

@@ -147,7 +147,9 @@ class FittingCriteria(Strict):
     """Relative change of the mean inductance that the noise's covariance bears."""
     same_inverter: float = _is(0.1, "1", "practice")
     """Change of an inverter effect's coordinate, relative to one or to itself, that the covariance bears too."""
-    column_step: float = _is(0.05, "1", "practice")
+    most_returns: int = _is(5, "1", "practice")
+    """Steps after one that missed, in which a fit may come back to a curved valley further on."""
+    column_step: float = _is(0.01, "1", "practice")
     """Step of a secant, relative to the coordinate: far above rounding, where an effect is still nearly linear."""
     least_amplitude: float = _is(0.02, "1", "practice")
     """Coordinate of an amplitude below which the secant's step does not shrink with it."""
@@ -226,6 +228,13 @@ class SelectionCriteria(Strict):
     """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
     prior_probability: float = _is(0.2, "1", "practice")
     """That any one effect of the library shows in a recording, before it is looked at."""
+    bent_later: float = _is(0.3, "1", "practice")
+    """Part of what a flexible form brings, to first order, that is left to later: few of its numbers bring most of it,
+    and with these where they belong the others look different."""
+    detail_share: float = _is(0.5, "1", "theory")
+    """Part of what is left that a form's details have to bring to be freed: what they bring less of is another's."""
+    most_bends: int = _is(8, "1", "budget")
+    """Times that more of a flexible form is freed."""
     tie: float = _is(3.0, "nat", "theory")
     """Rivals this near in log evidence cannot be told apart: odds of twenty to one."""
     least_size: float = _is(0.02, "1", "simulated")

@@ -17,15 +17,22 @@ from plugins.effects._filters import lagged_steps
 from plugins.effects._vectors import doubles, less_constant
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
+WIDTHS = (0.5, 1.5, 3.0)
+"""Thresholds within which the parts of a step happen that `Knee` may have beside its main one."""
+PARTS_SHARPNESS = 3.0
+"""Exponent of these parts. With them the hyperbolic and the circular tangent, Langevin's and the Gaussian step, an
+exponential, straight and rounded ramps, and mixtures of them are met to 1.5e-3 of the step (rms to six thresholds)."""
+
 
 @lru_cache(maxsize=32)
-def _soft_sign(softness: float, variance: float, step: float, end: float) -> Array:
-    """Table of s(x), half of it x / (1 + x^p)^(1/p) narrower and half wider by exp(sqrt(variance)), over x = 0..end."""
-    x, sharpness = np.arange(0.0, end + 1.5 * step, step), 1.0 / softness
-    if variance == 0.0:
-        return _knee(x, sharpness)
-    spread = math.sqrt(variance)
-    return 0.5 * (_knee(x * math.exp(spread), sharpness) + _knee(x * math.exp(-spread), sharpness))
+def _soft_sign(softness: float, parts: tuple[float, ...], step: float, end: float) -> Array:
+    """Table of s(x) over x = 0..end: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `WIDTHS`."""
+    x = np.arange(0.0, end + 1.5 * step, step)
+    table = (1.0 - sum(parts)) * _knee(x, 1.0 / softness)
+    for part, width in zip(parts, WIDTHS, strict=True):
+        if part != 0.0:
+            table += part * _knee(x / width, PARTS_SHARPNESS)
+    return table
 
 
 def _knee(x: Array, sharpness: float) -> Array:
@@ -87,7 +94,9 @@ class Knee(EffectParameters):
     """How the step at zero current is rounded, beside the current within which it happens."""
 
     softness: float = refinement("1", neutral=0.5, prior_width=0.3, low=0.02, high=1.0)
-    variance: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=2.25)
+    narrow: float = refinement("1", neutral=0.0, prior_width=0.3, low=-1.0, high=1.0, detail=True)
+    wide: float = refinement("1", neutral=0.0, prior_width=0.3, low=-1.0, high=1.0, detail=True)
+    wider: float = refinement("1", neutral=0.0, prior_width=0.3, low=-1.0, high=1.0, detail=True)
 
 
 def _less_step(
@@ -107,7 +116,7 @@ def _less_step(
     s + growth arsinh(i / i_th) is read, linearly between entries, from a table of this `step` and `end`, in thresholds;
     beyond, s is flat.
     """
-    table = _soft_sign(knee.softness, knee.variance, step, end)
+    table = _soft_sign(knee.softness, (knee.narrow, knee.wide, knee.wider), step, end)
     if growth > 0.0:
         table = table + growth * np.arcsinh(np.arange(len(table)) * step)
     return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), table, growth))
@@ -119,12 +128,12 @@ class DeadTime:
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
     is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
     capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
-    In the flexible form the softness is free, half of s is narrower, half wider, by exp(sqrt(`variance`)): the
-    capacitances are not constant; and a share `switched` of the voltage is lost as at the edges of a switching leg,
-    each with the current of its own instant, ripple included (`plugins.effects._commutation`). i_th is then
-    C V_dc / t_d with C of both devices of a leg, the same at every PWM frequency, and i_th t_d the charge of a swing;
-    `grading` is by which power their capacitances fall with the voltage, and `takeover` the part of the dead time by
-    which an edge against the motor's rated current is later still.
+    In the flexible form the softness is free, and parts of the step happen within half, one and a half and three i_th
+    (`narrow`, `wide`, `wider`): the capacitances are not constant. A share `switched` of the voltage is lost as at the
+    edges of a switching leg, each with the current of its own instant, ripple included
+    (`plugins.effects._commutation`). i_th is then C V_dc / t_d with C of both devices of a leg, the same at every PWM
+    frequency, and i_th t_d the charge of a swing; `grading` is by which power their capacitances fall with the voltage,
+    and `takeover` the part of the dead time by which an edge against the motor's rated current is later still.
     `leg_a_longer` and `leg_b_longer` are by how much of the mean dead time those legs' own is; leg c makes up for both.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
@@ -139,11 +148,11 @@ class DeadTime:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=10.0, other_form=2.0)
-        switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
+        switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0, detail=True)
         grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
         takeover: float = refinement("1", neutral=0.0, prior_width=0.05, low=0.0, high=1.0)
-        leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
-        leg_b_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0)
+        leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
+        leg_b_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""

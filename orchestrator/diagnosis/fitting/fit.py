@@ -112,7 +112,7 @@ class Fitter:
             begun = damping
             while True:
                 move, kept = newton_step(best, system, damping)
-                trial = self._resized(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
+                trial = self._led_back(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
                 missed = trial.objective >= best.objective + limits.slack
                 if not missed or damping > limits.most_damping or promised < limits.least_promise:
                     break
@@ -131,18 +131,26 @@ class Fitter:
         """How far one more step would bring the objective down, if all were linear."""
         return newton_step(fit, fit.projected(), 0.0)[1]
 
-    def _resized(self, trial: Fit, wanted: float) -> Fit:
-        """A trial that missed, with the amplitudes that belong to its shapes.
+    def _led_back(self, trial: Fit, wanted: float) -> Fit:
+        """A trial that missed, led back to the valley that a step straight ahead has left.
 
-        Amplitude and shape of an effect lie along a curved valley (a heating's size and its time constant); a step
-        straight ahead leaves it, and the amplitudes alone, in which the residual is nearly linear, lead back.
+        Amplitude and shape of an effect lie along a curved valley (a heating's size and its time constant), as do the
+        numbers of a flexible form. First the amplitudes that belong to the shapes, in which the residual is nearly
+        linear; then steps of all, each from where the last has come to, while they promise to arrive.
         """
         sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
-        if trial.objective < wanted or sizes.all():
+        if trial.objective < wanted:
             return trial
-        move, _ = newton_step(trial, trial.projected(), 0.0, sizes)
-        again = self.evaluate(moved_by(trial.model, move), trial.frame)
-        return again if again.objective < trial.objective else trial
+        for which in (sizes, *[None] * self.criteria.most_returns):
+            move, promised = newton_step(trial, trial.projected(), 0.0, which)
+            if which is None and trial.objective - promised > wanted:
+                break
+            again = self.evaluate(moved_by(trial.model, move), trial.frame)
+            if again.objective < trial.objective:
+                trial = again
+            if trial is not again or trial.objective < wanted:
+                break
+        return trial
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""

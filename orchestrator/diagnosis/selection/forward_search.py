@@ -15,12 +15,13 @@ from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
-from orchestrator.diagnosis.selection.refining import polished, repolished
+from orchestrator.diagnosis.selection.refining import flexible, in_simple_form, polished, repolished, rigid_in
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
     Score,
     asked,
     does_as_well,
+    form_gain,
     gain_with,
     linear_view,
     log_evidence,
@@ -56,6 +57,8 @@ class Search:
     """Effects that do as well as an accepted one in its place."""
     view: LinearView | None = None
     """Of the last fit."""
+    unbent: bool = False
+    """Whether the newest effect waits to be bent until another one is in the model that explains more."""
     minor: tuple[str, ...] = ()
     """Effects of the last fit that are in the model, but no causes."""
     shares: Mapping[str, Share] = field(default_factory=dict)
@@ -90,46 +93,81 @@ def forward(
     most : int, optional
         Effects that the model may have, where that is less than the criteria's.
     """
-    limits = fitter.prepared.criteria.selection
-    most = limits.most_effects if most is None else most
+    most = fitter.prepared.criteria.selection.most_effects if most is None else most
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
     while len(search.fit.model.active) < most and not fitter.effort.exhausted:
-        fit = search.fit
-        rejected |= _alike(fit, candidates)
-        if search.view is None or search.view.fit.model is not fit.model:
-            search.view = linear_view(fitter, fit, candidates)
-        scores = [s for s in score(search.view) if s.candidate.name not in rejected]
-        hopeful = _worth_trying(scores, fit)
-        if not hopeful:
-            search.traces += _faint(scores, fit)
+        if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
             break
-        fitter.tell(f"which is missing? {', '.join(plain(s.candidate.name) for s in hopeful)}")
-        trials = _tried(fitter, fit, hopeful)
-        inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
-        before = log_evidence(fit, inflation)
-        starts = {c.name: c.head_start for c in candidates}
-        weighed = ((log_evidence(t, inflation) - before + starts[n], n, t) for n, t in trials)
-        ranked = sorted(weighed, key=lambda item: -item[0])
-        gain, name, trial = ranked[0]
-        if gain < limits.log_evidence:
-            break
-        if _size(trial, name) < limits.least_size or _share(fit, trial) < limits.least_share:
-            rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
-            search.traces.append(name)
-            continue
-        search.rivals[name] = [
-            n
-            for g, n, t in ranked[1:]
-            if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
-        ]
-        better = polished(fitter, trial, inflation)
-        search.steps.append(Step(name, repolished(fitter, better), gain))
-        fitter.tell(f"+ {plain(name)}: chi2 {number(search.fit.chi2_per_dof)}")
-        rejected = {n for tied in search.rivals.values() for n in tied}
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
+
+
+def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:
+    """Add the effect that the data ask for most, or reject the best one; False where they ask for none."""
+    fit, limits = search.fit, fitter.prepared.criteria.selection
+    rejected |= _alike(fit, candidates)
+    if search.view is None or search.view.fit.model is not fit.model:
+        search.view = linear_view(fitter, fit, candidates)
+    scores = [s for s in score(search.view) if s.candidate.name not in rejected]
+    hopeful = _worth_trying(scores, fit)
+    if not hopeful:
+        search.traces += _faint(scores, fit)
+        return False
+    fitter.tell(f"which is missing? {', '.join(plain(s.candidate.name) for s in hopeful)}")
+    trials = _tried(fitter, fit, hopeful)
+    inflation = max(1.0, min(t.chi2_per_dof for _, t in trials))
+    before = log_evidence(fit, inflation)
+    starts = {c.name: c.head_start for c in candidates}
+    weighed = ((log_evidence(t, inflation) - before + starts[n], n, t) for n, t in trials)
+    ranked = sorted(weighed, key=lambda item: -item[0])
+    gain, name, trial = ranked[0]
+    if gain < limits.log_evidence:
+        return False
+    if _size(trial, name) < limits.least_size or _share(fit, trial) < limits.least_share:
+        rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
+        search.traces.append(name)
+        return True
+    search.rivals[name] = [
+        n
+        for g, n, t in ranked[1:]
+        if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
+    ]
+    _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
+    rejected.clear()
+    rejected.update(n for tied in search.rivals.values() for n in tied)
+    return True
+
+
+def _taken(fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float) -> None:
+    """Let an effect into the model, and bend it unless an absent one explains more of what it leaves."""
+    fit = in_simple_form(fitter, step.fit)
+    search.view = linear_view(fitter, fit, candidates, rigid_in(fit.model.active[-1:]))
+    search.unbent = _stands_before_a_form(search.view)
+    if not search.unbent:
+        fit = flexible(fitter, fit, inflation)
+    search.steps.append(replace(step, fit=repolished(fitter, fit)))
+    fitter.tell(f"+ {plain(step.added or '')}: chi2 {number(search.fit.chi2_per_dof)}")
+
+
+def _bent_after_all(fitter: Fitter, search: Search) -> bool:
+    """Bend the newest effect where it waited for another one that did not come; False where it did not wait."""
+    if not search.unbent:
+        return False
+    search.unbent = False
+    bent = flexible(fitter, search.fit, 1.0)
+    search.steps[-1] = replace(search.steps[-1], fit=bent)
+    return True
+
+
+def _stands_before_a_form(view: LinearView) -> bool:
+    """Whether an effect that is absent explains most of what is left, and more than the newest one's flexible form.
+
+    The form would be bent to what is missing beside it; it is asked again with that in the model.
+    """
+    scores = score(view)
+    return bool(scores) and scores[0].gain > max(form_gain(view), 0.5 * (view.fit.chi2 - view.fit.dof))
 
 
 def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:

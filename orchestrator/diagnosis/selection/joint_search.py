@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import combinations
 
 import numpy as np
@@ -19,7 +20,7 @@ from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.identifiability import separable
-from orchestrator.diagnosis.selection.refining import to_spare
+from orchestrator.diagnosis.selection.refining import in_order, rigid_in, to_spare
 from orchestrator.diagnosis.selection.scoring import (
     asked,
     asked_to_stay,
@@ -30,7 +31,7 @@ from orchestrator.diagnosis.selection.scoring import (
     log_density_ratio,
     log_evidence,
     score,
-    worth_freeing,
+    worth_bending,
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
@@ -67,7 +68,7 @@ def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:
     """The fit with the shapes of those effects free that show, and the flexible forms of those that it is worth to."""
     known = fit if fit.frame.noise is fitter.noise else None
     fit = refitted(fitter, with_shapes(fitter, fit), known)
-    return refitted(fitter, with_flexible_forms(fitter, fit), fit)
+    return refitted(fitter, with_flexible_forms(fitter, fit, share=math.inf), fit)
 
 
 def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
@@ -87,7 +88,7 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tupl
 
 def in_forms_still_asked_for(fitter: Fitter, fit: Fit) -> Fit:
     """The fit with those shapes and flexible forms free that it asks for only now, all that hid their worth known."""
-    for form in (with_shapes, with_flexible_forms):
+    for form in (with_shapes, partial(with_flexible_forms, share=0.0)):
         while fit.chi2_per_dof > fit.criteria.selection.detected_chi2:
             freed = form(fitter, fit)
             if len(freed.free) == len(fit.model.free):
@@ -140,20 +141,20 @@ def with_shapes(_: Fitter, fit: Fit) -> Model:
     )
 
 
-def with_flexible_forms(fitter: Fitter, fit: Fit) -> Model:
+def with_flexible_forms(fitter: Fitter, fit: Fit, share: float | None = None) -> Model:
     """The model with those effects' flexible forms free that promise, to first order, to be worth it.
 
-    Of each form, what brings nearly all that it does.
+    Of each form, what brings nearly all that it does; details where they bring a `share` of what is left.
     """
-    rigid = [(a, n) for a in fit.model.active for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
-    normal, right = fitter.evaluate(fit.model, fit.frame, rigid, known=fit).projected()
-    fitted, least = len(fit.model.free), 2.0 * fit.criteria.selection.tie * max(fit.chi2_per_dof, 1.0)
+    rigid = rigid_in(fit.model.active)
+    view = fitter.evaluate(fit.model, fit.frame, rigid, known=fit).projected()
+    names = [n for _, n in (*fit.model.free, *rigid)]
+    fitted, noise = len(fit.model.free), max(fit.chi2_per_dof, 1.0)
     active = []
     for one in fit.model.active:
-        columns = [fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name]
-        pays = bool(columns) and linear_gain(normal, right, fitted, columns)[0] > least
-        some = worth_freeing(normal, right, fitted, columns, least) if pays else []
-        active.append(one.freeing(*(rigid[k - fitted][1] for k in some)))
+        own = (fitted + k for k, (a, _) in enumerate(rigid) if a.name == one.name)
+        forms = in_order(fit, one, names, own, noise, share)
+        active.append(one.freeing(*(names[k] for k in worth_bending(view, fitted, forms))))
     return fit.model.with_active(active)
 
 

@@ -5,20 +5,42 @@ The wrong shape of the right effect causes most spurious second ones.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.scoring import evidence_for, log_evidence, loss_without
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.selection.scoring import (
+    evidence_for,
+    log_evidence,
+    loss_without,
+    worth_bending,
+)
 from protocols import ParameterRole
 
 
 def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
-    """The newest effect's flexible form where the evidence asks for it, fitted to the end."""
-    plain = fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
-    flexible = _flexible(fitter, plain, len(plain.model.active) - 1, inflation)
-    return plain if flexible is None else flexible
+    """The newest effect fitted to the end, in its flexible form where the evidence asks for it."""
+    return flexible(fitter, in_simple_form(fitter, fit), inflation)
+
+
+def in_simple_form(fitter: Fitter, fit: Fit) -> Fit:
+    """The newest effect fitted to the end as it is."""
+    return fitter.fit(fit.model, fitter.frame(fit.model, fit.frame), steps=4, renewals=0, tolerance=1e-3)
+
+
+def flexible(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
+    """The newest effect's flexible form where the evidence asks for it."""
+    bent = _flexible(fitter, fit, len(fit.model.active) - 1, inflation)
+    return fit if bent is None else bent
+
+
+def rigid_in(effects: Sequence[Active]) -> list[tuple[Active, str]]:
+    """Refinements of some effects that rest."""
+    return [(a, n) for a in effects for n in a.candidate.of_role(ParameterRole.REFINEMENT) if n not in a.free]
 
 
 def repolished(fitter: Fitter, fit: Fit) -> Fit:
@@ -75,12 +97,11 @@ def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | 
 
 def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
     """The fit with one effect's flexible form; None where it has no more of it or the evidence is against."""
-    active = list(fit.model.active)
-    names = active[index].candidate.of_role(ParameterRole.REFINEMENT)
-    if fitter.effort.exhausted or set(names) <= set(active[index].free):
+    active = fit.model.active[index]
+    if fitter.effort.exhausted or set(active.candidate.of_role(ParameterRole.REFINEMENT)) <= set(active.free):
         return None
     best = fit
-    for form in _forms(active[index], fit):
+    for form in _forms(active, fit):
         best = _bent(fitter, fit, index, form, best, inflation) or best
     if best is fit:
         return None
@@ -90,19 +111,71 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
 
 
 def _forms(active: Active, fit: Fit) -> list[Active]:
-    """An effect's flexible form, begun where it is, and at its second form where the first has not explained all."""
-    freed = active.freeing(*active.candidate.of_role(ParameterRole.REFINEMENT))
+    """Where an effect's flexible form begins: as it is, and at its second form where more than noise is left."""
     other = active.in_other_form() if fit.chi2_per_dof > fit.criteria.selection.detected_chi2 else None
-    return [freed] if other is None else [freed, other]
+    if other is None:
+        return [active]
+    begun = tuple(n for n in other.free if n in active.free or other.values[n] != active.values[n])
+    return [active, replace(other, free=begun)]
 
 
 def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, best: Fit, inflation: float) -> Fit | None:
-    """The fit with one effect in a flexible form; None where it does no better than the best so far, or promises so."""
+    """The fit with one effect in a flexible form; None where it does no better than the best so far, or promises so.
+
+    What brings most of what the form does is freed and fitted, then what the rest still brings beside it.
+    """
+    trial, reached = None, best.objective
+    for _ in range(fit.criteria.selection.most_bends):
+        whole = fitter.evaluate(_with(fit if trial is None else trial, index, _freed(form)), fit.frame)
+        if reached - whole.objective + fitter.promise(whole) < fit.criteria.selection.tie * inflation:
+            break
+        more = _worth_bending(whole, form, inflation)
+        if trial is not None and not more:
+            break
+        form = form.freeing(*more)
+        # Whether it pays shows early; the last fit of all is taken to its end.
+        trial = fitter.fit(_with(whole, index, form), fit.frame, steps=5, renewals=0, tolerance=3e-3)
+        form, reached = trial.model.active[index], trial.objective
+        inflation = max(1.0, min(inflation, trial.chi2_per_dof))
+    return trial if trial is not None and trial.objective < best.objective else None
+
+
+def _freed(form: Active) -> Active:
+    """An effect with its refinements free, but for those that lead to its second form, where it is at its first."""
+    declared = ((n, form.candidate.named(n)) for n in form.candidate.of_role(ParameterRole.REFINEMENT))
+    return form.freeing(*(n for n, p in declared if p.other_form is None or form.values[n] != p.neutral))
+
+
+def _with(fit: Fit, index: int, form: Active) -> Model:
+    """The model of a fit with one effect in another form."""
     active = list(fit.model.active)
     active[index] = form
-    # Whether it pays shows early; the last fit of all is taken to its end.
-    trial = fitter.evaluate(fit.model.with_active(active), fit.frame)
-    if best.objective - trial.objective + fitter.promise(trial) < fit.criteria.selection.tie * inflation:
-        return None
-    trial = fitter.fit(trial.model, trial.frame, steps=5, renewals=0, tolerance=3e-3)
-    return trial if trial.objective < best.objective else None
+    return fit.model.with_active(active)
+
+
+def _worth_bending(whole: Fit, form: Active, inflation: float) -> list[str]:
+    """Refinements that bring most of what those do which are not free yet."""
+    free, limits = whole.model.free, whole.criteria.selection
+    asked = [k for k, (a, n) in enumerate(free) if a.name == form.name and n not in form.free]
+    order = [*(k for k in range(len(free)) if k not in asked), *asked]
+    normal, right = whole.projected()
+    fitted = len(free) - len(asked)
+    forms = in_order(whole, form, [free[k][1] for k in order], range(fitted, len(free)), inflation)
+    some = worth_bending((normal[np.ix_(order, order)], right[order]), fitted, forms, limits.bent_later)
+    return [free[order[k]][1] for k in some]
+
+
+def in_order(
+    fit: Fit, active: Active, names: Sequence[str], which: Iterable[int], inflation: float, share: float | None = None
+) -> list[tuple[list[int], float]]:
+    """Columns of some refinements of an effect by their names, each group with what it has to bring of chi2.
+
+    Details have to bring a `share` of what is left as well: they bend to anything that is missing.
+    """
+    limits = fit.criteria.selection
+    first, details = list[int](), list[int]()
+    for k in which:
+        (details if active.candidate.named(names[k]).detail else first).append(k)
+    least = 2.0 * limits.tie * inflation
+    share = limits.detail_share if share is None else share
+    return [(first, least), (details, max(least, share * (fit.chi2 - fit.dof)))]

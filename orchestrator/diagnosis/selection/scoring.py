@@ -78,10 +78,12 @@ def does_as_well(rival: Fit, named: Fit) -> bool:
     return rival.objective - named.objective < 2.0 * named.criteria.selection.tie * inflation
 
 
-def linear_view(fitter: Fitter, fit: Fit, candidates: Sequence[Candidate]) -> LinearView:
-    """All effects that are not in the model beside those that are, to first order."""
+def linear_view(
+    fitter: Fitter, fit: Fit, candidates: Sequence[Candidate], bends: Sequence[tuple[Active, str]] = ()
+) -> LinearView:
+    """All effects that are not in the model beside those that are, to first order; and what bends one that is."""
     absent = tuple(c for c in candidates if c.name not in fit.model.names)
-    columns = absent_columns(absent)
+    columns = [*absent_columns(absent), *bends]
     normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
     return LinearView(fit, absent, (*fit.model.free, *columns), normal, right)
 
@@ -94,6 +96,13 @@ def score(view: LinearView) -> list[Score]:
         columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name == candidate.name]
         scores.append(Score(candidate, *gain_with(candidate, view.normal, view.right, fitted, columns)))
     return sorted(scores, key=lambda s: -s.gain)
+
+
+def form_gain(view: LinearView) -> float:
+    """Fall of chi2 by what bends an effect of the model, of those columns that a view has of it."""
+    fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
+    bends = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name not in absent]
+    return linear_gain(view.normal, view.right, fitted, bends)[0] if bends else 0.0
 
 
 def linear_gain(normal: Array, right: Array, fitted: int, columns: Sequence[int]) -> tuple[float, Array]:
@@ -122,6 +131,20 @@ def worth_freeing(normal: Array, right: Array, fitted: int, columns: Sequence[in
             break
         kept = without[best]
     return kept
+
+
+def worth_bending(
+    view: tuple[Array, Array], fitted: int, forms: Sequence[tuple[Sequence[int], float]], later: float = 0.0
+) -> list[int]:
+    """`worth_freeing` of the first of some groups of columns that brings as much of chi2 as it has to.
+
+    `later` is the part of what a group brings that may be spared as well.
+    """
+    for columns, least in forms:
+        gain = linear_gain(*view, fitted, columns)[0] if columns else 0.0
+        if gain > least:
+            return worth_freeing(*view, fitted, columns, max(forms[0][1], later * gain))
+    return []
 
 
 def gain_with(

@@ -52,9 +52,9 @@ def test_what_is_left_out_of_the_library_is_not_there() -> None:
 
 def test_what_rests_is_neutral_and_not_free_and_all_else_is_as_it_was() -> None:
     (candidate,) = scaled_library([DeadTime()], MANIFEST)
-    bent = candidate.absent().moved("voltage_v", 1.0).freeing("softness", "variance").moved("softness", -1.0)
+    bent = candidate.absent().moved("voltage_v", 1.0).freeing("softness", "wide").moved("softness", -1.0)
     resting = bent.resting("softness")
     assert resting.values == {**bent.values, "softness": candidate.named("softness").neutral}
-    assert bent.bent_by == ("softness", "variance")
-    assert resting.bent_by == ("variance",)
+    assert bent.bent_by == ("softness", "wide")
+    assert resting.bent_by == ("wide",)
     assert resting.free == tuple(name for name in bent.free if name != "softness")
