@@ -9,11 +9,12 @@ from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Effort, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from plugins.effects.inverter import DeadTime, VoltageBias
-from protocols import Effect
+from protocols import Effect, Signals
 from tests.orchestrator.diagnosis.pieces import (
     L_D,
     L_Q,
     R_S,
+    Array,
     fitter,
     free_model,
     plan,
@@ -61,6 +62,39 @@ def test_a_wrong_voltage_is_found_as_large_as_it_is(biased: Fitter) -> None:
     assert active.values["bias_b_v"] == pytest.approx(-0.5 * ERROR_V[0] + np.sqrt(0.75) * ERROR_V[1], abs=0.005)
     assert bare.chi2_per_dof > 5.0
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / fit.dof))
+
+
+def test_a_step_that_left_a_curved_valley_is_led_back_to_it() -> None:
+    made, true = prepared(plan()), {"voltage_v": 2.0, "threshold_a": 0.2, "softness": 0.2}
+    maker = fitter(with_voltage(made, {p.segment.id: _lost(p.signals, **true) for p in made.pieces}))
+    model = with_free(free_model(), maker, DeadTime(), voltage_v=0.5)
+    (rigid,) = model.active
+    fit = maker.fit(model.with_active([rigid.freeing("threshold_a", "softness")]))
+    (active,) = fit.model.active
+    ahead = active.moved("threshold_a", active.coordinate("threshold_a") + 1.0)
+    trial = maker.evaluate(fit.model.with_active([ahead]), fit.frame)
+    wanted = 0.5 * (trial.objective + fit.objective)
+    back = maker._led_back(trial, wanted)
+    assert back.objective < wanted < trial.objective
+    assert maker._led_back(fit, fit.objective + 1.0) is fit
+    # What no step promises is not tried again and again.
+    spent = maker.effort.spent
+    hopeless = maker._led_back(fit, fit.objective - 1e6)
+    assert hopeless.objective <= fit.objective + maker.criteria.slack
+    once = (len(fit.model.free) + maker.criteria.evaluation_columns) * _samples(maker)
+    assert maker.effort.spent - spent <= once
+
+
+def _samples(maker: Fitter) -> int:
+    return sum(len(p.signals.v_dc) for p in maker.prepared.pieces)
+
+
+def _lost(signals: Signals, **parameters: float) -> Array:
+    """What the command has to have on top of the signals' own voltage for a dead time."""
+    effect = DeadTime()
+    left = effect.correct(signals, effect.Parameters(**parameters)).v_ab
+    assert left is not None
+    return np.asarray(signals.v_ab - left, dtype=np.float64)
 
 
 @pytest.mark.parametrize("steps", [1, 2, 4])

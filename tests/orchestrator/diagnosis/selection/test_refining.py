@@ -62,9 +62,24 @@ def test_what_a_form_needs_stays_and_what_it_does_not_goes() -> None:
     assert "softness" not in to_spare(freed, freed.model.active[0])
 
 
-def _sharp() -> Fitter:
+def test_few_numbers_bend_a_form_and_details_wait() -> None:
+    sharp = _sharp()
+    better = polished(sharp, sharp.fit(with_free(free_model(), sharp, DeadTime(), voltage_v=0.5)), 1.0)
+    assert better.model.active[0].bent_by == ("softness",)
+    assert better.chi2_per_dof < 1.2
+    # A tangent's knee needs its parts, and nothing of how a leg switches.
+    curved = _sharp(softness=0.0, wide=0.6, narrow=0.5)
+    better = polished(curved, curved.fit(with_free(free_model(), curved, DeadTime(), voltage_v=0.5)), 1.0)
+    assert {"wide", "narrow", "wider"} & set(better.model.active[0].bent_by)
+    assert not {"switched", "grading"} & set(better.model.active[0].bent_by)
+    assert better.chi2_per_dof < 1.2
+
+
+def _sharp(**coordinates: float) -> Fitter:
     made = prepared(plan())
     (candidate,) = scaled_library([DeadTime()], made.manifest)
-    active = candidate.absent().moved(candidate.amplitudes[0], 4.0).moved("softness", -1.3)
+    active = candidate.absent().moved(candidate.amplitudes[0], 4.0)
+    for name, x in (coordinates or {"softness": -1.3}).items():
+        active = active.moved(name, x)
     errors = {p.segment.id: _error(active, p.signals) for p in made.pieces}
     return fitter(with_voltage(made, errors))

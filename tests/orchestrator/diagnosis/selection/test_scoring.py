@@ -16,6 +16,7 @@ from orchestrator.diagnosis.selection.scoring import (
     log_evidence,
     loss_without,
     score,
+    worth_bending,
     worth_freeing,
 )
 from plugins.effects.inverter import VoltageBias
@@ -92,3 +93,15 @@ def test_of_two_that_do_the_same_one_is_worth_freeing() -> None:
     assert worth_freeing(normal, right, 1, [1, 2, 3], spare=1e9) == []
     assert worth_freeing(normal, right, 1, [1, 2, 3], spare=-1.0) == [1, 2, 3]
     assert worth_freeing(normal, right, 1, [], spare=6.0) == []
+
+
+def test_details_are_worth_bending_only_where_what_is_asked_first_brings_nothing() -> None:
+    rng = np.random.default_rng(2)
+    rows = rng.normal(size=(400, 3))
+    view = rows.T @ rows, rows.T @ -(rows[:, 1] + 0.2 * rows[:, 2])
+    assert worth_bending(view, 1, [([1], 6.0), ([2], 6.0)]) == [1]
+    assert worth_bending(view, 1, [([], 6.0), ([2], 6.0)]) == [2]
+    assert worth_bending(view, 1, [([], 6.0), ([2], 1e9)]) == []
+    # Of two together what brings most, where the rest may come later.
+    assert worth_bending(view, 1, [([1, 2], 6.0)]) == [1, 2]
+    assert worth_bending(view, 1, [([1, 2], 6.0)], later=0.3) == [1]

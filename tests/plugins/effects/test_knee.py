@@ -1,0 +1,63 @@
+"""The knee of a step: whatever a bench's looks like, a few parts meet it; parts of none are the simple form."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+from scipy.special import erf
+
+from orchestrator.numerics.types import Array
+from plugins.effects.inverter import WIDTHS, DeadTime, _soft_sign
+
+STEP, END = 0.01, 40.0
+X = np.asarray(np.arange(1, 601) * 0.01, dtype=np.float64)
+NONE = (0.0,) * len(WIDTHS)
+
+STEPS: dict[str, Callable[[Array], Any]] = {
+    "hyperbolic tangent": np.tanh,
+    "circular tangent": lambda x: 2.0 / np.pi * np.arctan(x),
+    "Gaussian": erf,
+    "exponential": lambda x: 1.0 - np.exp(-x),
+    "Langevin": lambda x: 1.0 / np.tanh(x) - 1.0 / x,
+    "ramp": lambda x: np.minimum(x, 1.0),
+    "rounded ramp": lambda x: np.where(x < 1.0, 1.5 * x - 0.5 * x**3, 1.0),
+    "ramp and tangent": lambda x: 0.5 * np.tanh(x) + 0.5 * np.minimum(x, 1.0),
+}
+
+
+def _read(threshold: float, softness: float, parts: tuple[float, ...]) -> Array:
+    table = _soft_sign(softness, parts, STEP, END)
+    return np.asarray(np.interp(X / threshold, np.arange(len(table)) * STEP, table), dtype=np.float64)
+
+
+@pytest.mark.parametrize("name", STEPS)
+def test_steps_of_other_forms_are_met_by_softness_and_then_parts(name: str) -> None:
+    true = STEPS[name](X)
+    rough = least_squares(lambda p: _read(np.exp(p[0]), p[1], NONE) - true, [0.0, 0.5], bounds=([-5, 0.02], [5, 1.0]))
+    found = least_squares(
+        lambda p: _read(np.exp(p[0]), p[1], tuple(p[2:])) - true,
+        [*rough.x, *NONE],
+        bounds=([-5, 0.02, -1, -1, -1], [5, 1.0, 1, 1, 1]),
+    )
+    assert np.sqrt(np.mean(found.fun**2)) < 2e-3
+    # The simple knee is as good for the ramp alone.
+    assert name == "ramp" or np.sqrt(np.mean(rough.fun**2)) > 2.0 * np.sqrt(np.mean(found.fun**2))
+
+
+def test_a_step_is_whole_far_beyond_its_knee_whatever_its_parts() -> None:
+    table = _soft_sign(0.5, (0.3, -0.2, 0.4), STEP, END)
+    assert table[0] == 0.0
+    assert table[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_parts_are_asked_once_the_softness_brings_nothing_more() -> None:
+    declared = {p.name: p.detail for p in DeadTime.Parameters.declared()}
+    assert not declared["softness"]
+    assert declared["narrow"]
+    assert declared["wide"]
+    assert declared["wider"]
+    assert declared["switched"]
