@@ -199,6 +199,8 @@ class SelectionCriteria(Strict):
     """... and rms error of the simulated current over its range."""
     too_quiet_chi2: float = _is(0.8, "1", "theory")
     """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
+    strained: float = _is(4.0, "1", "theory")
+    """Standard deviations of its prior by which a refinement bends its effect's form further than such effects are."""
     noteworthy_chi2: float = _is(1.5, "1", "practice")
     """chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
     log_evidence: float = _is(16.0, "nat", "theory")

@@ -43,10 +43,17 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
     fraction = left_fraction(before.chi2_per_dof, after)
     if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
         return "unknown_remains"
-    if left > limits.mostly_left:
-        immaterial = fraction <= limits.explained and left_of_excitation(after) <= limits.material_voltage
-        return "mostly_explained" if immaterial else "unknown_remains"
-    return "explained" if fraction <= limits.explained and left <= limits.explained_left else "mostly_explained"
+    if fraction <= limits.explained and left <= limits.explained_left:
+        return "explained"
+    immaterial = fraction <= limits.explained and left_of_excitation(after) <= limits.material_voltage
+    forgiven = left <= limits.mostly_left or immaterial
+    return "mostly_explained" if forgiven and not is_strained(after) else "unknown_remains"
+
+
+def is_strained(fit: Fit) -> bool:
+    """Whether a form is bent further than such effects are: where something is left, it stands in for another one."""
+    limit = fit.criteria.selection.strained
+    return any(abs(a.off_prior(n)) > limit for a in fit.model.active for n in a.bent_by)
 
 
 def remainder(fit: Fit) -> float:

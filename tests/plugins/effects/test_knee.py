@@ -17,7 +17,7 @@ STEP, END = 0.01, 40.0
 X = np.asarray(np.arange(1, 601) * 0.01, dtype=np.float64)
 NONE = (0.0,) * len(WIDTHS)
 
-STEPS: dict[str, Callable[[Array], Any]] = {
+STEPS: dict[str, Callable[[Any], Any]] = {
     "hyperbolic tangent": np.tanh,
     "circular tangent": lambda x: 2.0 / np.pi * np.arctan(x),
     "Gaussian": erf,
@@ -36,13 +36,16 @@ def _read(threshold: float, softness: float, parts: tuple[float, ...]) -> Array:
 
 @pytest.mark.parametrize("name", STEPS)
 def test_steps_of_other_forms_are_met_by_softness_and_then_parts(name: str) -> None:
-    true = STEPS[name](X)
-    rough = least_squares(lambda p: _read(np.exp(p[0]), p[1], NONE) - true, [0.0, 0.5], bounds=([-5, 0.02], [5, 1.0]))
-    found = least_squares(
-        lambda p: _read(np.exp(p[0]), p[1], tuple(p[2:])) - true,
-        [*rough.x, *NONE],
-        bounds=([-5, 0.02, -1, -1, -1], [5, 1.0, 1, 1, 1]),
-    )
+    true = np.asarray(STEPS[name](X), dtype=np.float64)
+
+    def rough_off(p: Array) -> Array:
+        return _read(float(np.exp(p[0])), float(p[1]), NONE) - true
+
+    def off(p: Array) -> Array:
+        return _read(float(np.exp(p[0])), float(p[1]), tuple(p[2:])) - true
+
+    rough = least_squares(rough_off, [0.0, 0.5], bounds=([-5, 0.02], [5, 1.0]))
+    found = least_squares(off, [*rough.x, *NONE], bounds=([-5, 0.02, -1, -1, -1], [5, 1.0, 1, 1, 1]))
     assert np.sqrt(np.mean(found.fun**2)) < 2e-3
     # The simple knee is as good for the ramp alone.
     assert name == "ramp" or np.sqrt(np.mean(rough.fun**2)) > 2.0 * np.sqrt(np.mean(found.fun**2))

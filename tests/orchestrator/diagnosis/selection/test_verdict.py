@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.shares import left_of_excitation
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, remainder, verdict_of
+from plugins.effects.inverter import DeadTime
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
 
@@ -39,6 +41,19 @@ def test_verdict_asks_for_little_beside_the_first_error_and_little_in_itself(
     fit: Fit, before: float, after: float, effects: int, verdict: str
 ) -> None:
     assert verdict_of(_with_chi2(fit, before), _with_chi2(fit, after), effects) == verdict
+
+
+@pytest.mark.parametrize(
+    ("widths", "chi2", "verdict"),
+    [(3.0, 2.2, "mostly_explained"), (5.0, 2.2, "unknown_remains"), (5.0, 1.4, "explained")],
+)
+def test_a_form_bent_further_than_such_effects_are_stands_in_for_another_where_something_is_left(
+    fit: Fit, widths: float, chi2: float, verdict: str
+) -> None:
+    (dead_time,) = scaled_library([DeadTime()], fit.prepared.manifest)
+    bent = dead_time.absent().freeing("leg_a_longer").moved("leg_a_longer", widths)
+    strained = replace(fit, model=fit.model.with_active([*fit.model.active, bent]))
+    assert verdict_of(_with_chi2(strained, 900.0), _with_chi2(strained, chi2), 1) == verdict
 
 
 def _leaving(fit: Fit, chi2: float, part: float) -> Fit:
