@@ -170,12 +170,14 @@ def in_order(
 ) -> list[tuple[list[int], float]]:
     """Columns of some refinements of an effect by their names, each group with what it has to bring of chi2.
 
-    Details have to bring a `share` of what is left as well: they bend to anything that is missing.
+    Where something is left, details have to bring a `share` of it as well: they bend to anything that is missing.
     """
     limits = fit.criteria.selection
     first, details = list[int](), list[int]()
     for k in which:
         (details if active.candidate.named(names[k]).detail else first).append(k)
     least = 2.0 * limits.tie * inflation
+    if fit.chi2_per_dof <= limits.detected_chi2:
+        return [(first, least), (details, least)]
     share = limits.detail_share if share is None else share
     return [(first, least), (details, max(least, share * (fit.chi2 - fit.dof)))]
