@@ -147,9 +147,9 @@ class FittingCriteria(Strict):
     """Relative change of the mean inductance that the noise's covariance bears."""
     same_inverter: float = _is(0.1, "1", "practice")
     """Change of an inverter effect's coordinate, relative to one or to itself, that the covariance bears too."""
-    most_returns: int = _is(5, "1", "practice")
+    most_returns: int = _is(5, "1", "simulated")
     """Steps after one that missed, in which a fit may come back to a curved valley further on."""
-    column_step: float = _is(0.01, "1", "practice")
+    column_step: float = _is(0.01, "1", "simulated")
     """Step of a secant, relative to the coordinate: far above rounding, where an effect is still nearly linear."""
     least_amplitude: float = _is(0.02, "1", "practice")
     """Coordinate of an amplitude below which the secant's step does not shrink with it."""
@@ -199,7 +199,7 @@ class SelectionCriteria(Strict):
     """... and rms error of the simulated current over its range."""
     too_quiet_chi2: float = _is(0.8, "1", "theory")
     """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
-    strained: float = _is(4.0, "1", "theory")
+    strained: float = _is(4.0, "1", "simulated")
     """Standard deviations of its prior by which a refinement bends its effect's form further than such effects are."""
     noteworthy_chi2: float = _is(1.5, "1", "practice")
     """chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
@@ -230,10 +230,12 @@ class SelectionCriteria(Strict):
     """Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
     prior_probability: float = _is(0.2, "1", "practice")
     """That any one effect of the library shows in a recording, before it is looked at."""
-    bent_later: float = _is(0.3, "1", "practice")
+    bent_later: float = _is(0.3, "1", "simulated")
     """Part of what a flexible form brings, to first order, that is left to later: few of its numbers bring most of it,
     and with these where they belong the others look different."""
-    detail_share: float = _is(0.5, "1", "theory")
+    stands_before_form: float = _is(0.5, "1", "theory")
+    """Part of what is left that an absent effect has to explain to be asked before a form: the larger part."""
+    detail_share: float = _is(0.5, "1", "simulated")
     """Part of what is left that a form's details have to bring to be freed: what they bring less of is another's."""
     most_bends: int = _is(8, "1", "budget")
     """Times that more of a flexible form is freed."""

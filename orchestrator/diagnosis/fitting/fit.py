@@ -139,17 +139,16 @@ class Fitter:
         linear; then steps of all, each from where the last has come to, while they promise to arrive.
         """
         sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
-        if trial.objective < wanted:
-            return trial
         for which in (sizes, *[None] * self.criteria.most_returns):
+            if trial.objective < wanted:
+                break
             move, promised = newton_step(trial, trial.projected(), 0.0, which)
             if which is None and trial.objective - promised > wanted:
                 break
             again = self.evaluate(moved_by(trial.model, move), trial.frame)
-            if again.objective < trial.objective:
-                trial = again
-            if trial is not again or trial.objective < wanted:
+            if again.objective >= trial.objective:
                 break
+            trial = again
         return trial
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:

@@ -156,8 +156,7 @@ def _bent_after_all(fitter: Fitter, search: Search) -> bool:
     if not search.unbent:
         return False
     search.unbent = False
-    bent = flexible(fitter, search.fit, 1.0)
-    search.steps[-1] = replace(search.steps[-1], fit=bent)
+    search.steps[-1] = replace(search.steps[-1], fit=flexible(fitter, search.fit, 1.0))
     return True
 
 
@@ -166,8 +165,9 @@ def _stands_before_a_form(view: LinearView) -> bool:
 
     The form would be bent to what is missing beside it; it is asked again with that in the model.
     """
-    scores = score(view)
-    return bool(scores) and scores[0].gain > max(form_gain(view), 0.5 * (view.fit.chi2 - view.fit.dof))
+    scores, fit = score(view), view.fit
+    most = fit.criteria.selection.stands_before_form * (fit.chi2 - fit.dof)
+    return bool(scores) and scores[0].gain > max(form_gain(view), most)
 
 
 def _alike(fit: Fit, candidates: Sequence[Candidate]) -> set[str]:

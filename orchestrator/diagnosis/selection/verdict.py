@@ -47,10 +47,10 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
         return "explained"
     immaterial = fraction <= limits.explained and left_of_excitation(after) <= limits.material_voltage
     forgiven = left <= limits.mostly_left or immaterial
-    return "mostly_explained" if forgiven and not is_strained(after) else "unknown_remains"
+    return "mostly_explained" if forgiven and not _is_strained(after) else "unknown_remains"
 
 
-def is_strained(fit: Fit) -> bool:
+def _is_strained(fit: Fit) -> bool:
     """Whether a form is bent further than such effects are: where something is left, it stands in for another one."""
     limit = fit.criteria.selection.strained
     return any(abs(a.off_prior(n)) > limit for a in fit.model.active for n in a.bent_by)
