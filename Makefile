@@ -8,8 +8,9 @@ export OPENBLAS_NUM_THREADS ?= 1
 # Programs under test find the modules compiled that another one has imported before.
 unexport PYTHONDONTWRITEBYTECODE
 
-# Two workers, each with one half of the suite: a recording that a folder of tests shares is made once.
-PYTEST := $(BIN)/pytest -q -n 2 --dist worksteal
+# Each worker has a part of the suite of its own: a recording that a folder of tests shares is made once. One more than
+# there are cores: links in real time wait a quarter of their time.
+PYTEST := $(BIN)/pytest -q -n 3 --dist worksteal
 STAMP := $(VENV)/.installed
 
 # What runs; tests and lint need more, and `make demo` does not wait for it. Modules are compiled as they are imported:
@@ -17,7 +18,7 @@ STAMP := $(VENV)/.installed
 RUNS := $(VENV)/.runs
 INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile --constraint constraints.txt --editable
 
-# Kernels that have changed are compiled once: two workers that begin together would both do it.
+# Kernels that have changed are compiled once: workers that begin together would all do it.
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 

@@ -117,6 +117,7 @@ def test_a_reading_off_the_valley_is_off_by_the_zero_vector_s_slope(linear: Tabl
     assert late[-1, 0] - plain[-1, 0] == pytest.approx(-4e-6 * R * plain[-1, 0] / L_D, rel=2e-2)
 
 
+@pytest.mark.slow
 def test_three_sensors_are_in_the_recording_with_the_bus_as_logged(tmp_path: Path) -> None:
     case = next(c for n in range(99) if (c := draw_case("switched", n, 1)).bench.bridge.gain_c > 0.0)
     path = record(case.bench, Campaign(short_s=0.02, classical=False, dwells=False), tmp_path / "three")

@@ -50,7 +50,9 @@ BENCHES = (
     Bench("400 W, averaged", None),
     Bench("400 W, switched", None, "switched"),
     Bench("48 V servo, averaged", "servo-48v", dead_time_v=0.08),
+    Bench("48 V servo, switched", "servo-48v", "switched", dead_time_v=0.08),
     Bench("28 kW, averaged", "interior-magnet-28kw"),
+    Bench("28 kW, switched", "interior-magnet-28kw", "switched"),
 )
 
 

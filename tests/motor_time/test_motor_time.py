@@ -11,6 +11,7 @@ from plugins.drives.simulated import SimulatedDrive, SimulatedOptions
 from protocols import DriveSetup
 from tests.motor_time.measuring import BENCHES, PLANS, Bench, Known, procedure_on
 from tests.motor_time.picture import course, draw, table
+from tests.support.cases import few
 
 KNOWN = {
     "a motor": [
@@ -21,7 +22,7 @@ KNOWN = {
 }
 
 
-@pytest.mark.parametrize("bench", BENCHES, ids=lambda bench: bench.words)
+@few("bench", BENCHES, ids=[bench.words for bench in BENCHES], fast=2)
 def test_every_procedure_fits_every_bench(bench: Bench) -> None:
     for name in (*PLANS, "adaptive"):
         procedure = procedure_on(bench, name)

@@ -51,6 +51,7 @@ def test_flux_and_inductance_are_the_motors() -> None:
     assert np.abs(fit.inductance(PLACES)[0] - truth).max() < 3e-3 * truth.max()
 
 
+@pytest.mark.slow
 def test_stated_errors_are_those_of_finite_differences() -> None:
     fit = fitted()
     for axis, e in enumerate(1e-4 * np.eye(2)):

@@ -64,6 +64,7 @@ def test_a_wrong_resistance_is_put_right_by_the_rests(point: int) -> None:
     assert np.abs(unknown.psi - right.psi).max() < 5e-3 * RATED_WB
 
 
+@pytest.mark.slow
 def test_both_directions_together_are_free_of_the_inverters_error() -> None:
     sweep = evaluate_sweep(capture_of(swept(inverter=True), 0), 0.0, resistance_ohm=R_S)
     assert sweep.loop_wb.max() > 0.2 * RATED_WB

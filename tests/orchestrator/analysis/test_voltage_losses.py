@@ -35,6 +35,7 @@ def losses_of(inverter: bool, heating: float = 0.0, angle: float = 0.0) -> Volta
     return close_loops(traces(inverter, heating, angle), KNOTS_A)
 
 
+@pytest.mark.slow
 def test_the_inverters_shape_is_found() -> None:
     losses = losses_of(True)
     beyond = losses.knots_a > 0.08

@@ -199,6 +199,7 @@ def test_a_map_leaves_and_comes_back(tmp_path: Path) -> None:
     assert_one_line(called("audit", flux_map, "--picture", tmp_path / "map.gif"), 2, "--picture")
 
 
+@pytest.mark.slow
 def test_two_runs_into_one_directory_leave_one_of_them_whole(tmp_path: Path) -> None:
     procedure = tiny_file(tmp_path, stages=STAGES[:1])
     runs = [start_fluxbench("run", procedure, "--out", tmp_path / "run", "--quiet") for _ in range(2)]

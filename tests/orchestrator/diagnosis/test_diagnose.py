@@ -175,6 +175,7 @@ def test_misalignment_has_the_sign_true_minus_believed(misaligned: Recording, tm
     assert angle.low < -0.03 < angle.high
 
 
+@pytest.mark.slow
 def test_foreign_effect_gets_no_name(drifting: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(drifting, LIBRARY, out=tmp_path).report
     assert report.verdict == "unknown_remains"

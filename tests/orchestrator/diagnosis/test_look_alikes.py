@@ -26,6 +26,7 @@ def one(with_dead_time: Recording, tmp_path_factory: pytest.TempPathFactory) -> 
     return diagnosed(with_dead_time, tmp_path_factory.mktemp("one"))
 
 
+@pytest.mark.slow
 def test_with_one_pwm_frequency_each_is_the_other_s_twin(one: Diagnosis) -> None:
     (effect,) = one.report.effects
     assert {effect.name, *effect.twins} == BROUGHT
@@ -40,6 +41,7 @@ def test_holds_at_a_second_pwm_frequency_are_proposed(one: Diagnosis) -> None:
     assert proposal.stage["pwm_frequencies_hz"] == [10_000.0, 20_000.0]
 
 
+@pytest.mark.slow
 def test_words_say_what_was_not_measured_and_what_no_measurement_shows(one: Diagnosis) -> None:
     words = in_words(one)
     assert ", direct currents at a second PWM frequency, was not measured" in words.what_it_looks_like

@@ -33,7 +33,8 @@ def assert_same(found: FluxMap, expected: FluxMap) -> None:
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
 
 
-@few("form", READABLE, fast=2)
+@pytest.mark.slow
+@pytest.mark.parametrize("form", READABLE)
 def test_a_map_with_holes_comes_back_bit_for_bit(form: str, holed: tuple[Path, FluxMap, ExportReport]) -> None:
     folder, flux_map, _ = holed
     assert_same(load_map(folder / READABLE[form]), flux_map)

@@ -29,6 +29,7 @@ def out(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_an_effect_of_one_s_own_is_a_candidate(out: Path) -> None:
     assert compare(DATA, effects=[Bias()], out=out).model == "saturated + my_bias"
     with pytest.raises(PluginError, match="my_bias: in the model, but not installed"):

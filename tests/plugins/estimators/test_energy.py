@@ -38,7 +38,8 @@ def nodes_of(found: FluxMapEstimate) -> Array:
     return np.stack(np.meshgrid(found.map.i_d, found.map.i_q, indexing="ij"), axis=-1)
 
 
-@pytest.mark.parametrize("inverter", [pytest.param(False, marks=pytest.mark.slow), True], ids=["clean", "dead time"])
+@pytest.mark.slow
+@pytest.mark.parametrize("inverter", [False, True], ids=["clean", "dead time"])
 def test_the_energys_map_is_better_than_what_it_is_made_of(inverter: bool) -> None:
     rms, worst = flux_error_percent(energy_of(inverter).map)
     others = [flux_error_percent(f(inverter).map)[0] for f in (injection_of, classical_of)]
@@ -96,6 +97,7 @@ def test_without_either_nothing_is_said() -> None:
         EnergyEstimator().estimate(clean().only(SegmentStage.RESISTANCE), EstimationContext())
 
 
+@pytest.mark.slow
 def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
     estimators: list[Estimator] = [
         EnergyEstimator(),
@@ -111,6 +113,7 @@ def test_its_map_is_the_recommended_one(tmp_path: Path) -> None:
     assert (tmp_path / "results" / "flux_map_injection.nc").is_file()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("std_h", "said"), [(1e-4, True), (5e-4, False)], ids=["clear", "within its own error"])
 def test_dead_time_is_spoken_of_where_it_is_beyond_its_own_error(std_h: float, said: bool) -> None:
     found = energy_of(True)

@@ -63,7 +63,8 @@ def rms(off: np.ndarray) -> float:
     return float(np.sqrt((off**2).sum(axis=1).mean()))
 
 
-@pytest.mark.parametrize("name", [pytest.param("servo-48v", marks=pytest.mark.slow), "interior-magnet-28kw"])
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["servo-48v", "interior-magnet-28kw"])
 def test_motors_of_other_sizes_are_right_to_two_thousandths(name: str, tmp_path: Path) -> None:
     procedure = run(tmp_path / "run", motor=MOTORS / f"{name}.yaml")
     truth = truth_of(procedure)

@@ -103,6 +103,7 @@ def test_the_map_and_the_magnet_are_right_with_a_resistance_that_is_off_by_a_per
     assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]
 
 
+@pytest.mark.slow
 def test_a_winding_that_warms_is_no_loss_of_the_inverter() -> None:
     estimate = found(spun(GRID, speeds=(150.0, -250.0), noise=0.005, warmer=0.03))
     assert [remark.code for remark in estimate.remarks] == ["magnet_flux", "resistance_by_emf"]

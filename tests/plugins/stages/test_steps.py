@@ -99,6 +99,7 @@ def test_the_voltage_turns_where_the_current_has_passed_its_limit(run: Path) -> 
     assert (np.abs(i[before + 1, 0])[np.sign(i[before + 1, 0]) == np.sign(v[before, 0])] < turn).all()
 
 
+@pytest.mark.slow
 def test_one_map_comes_of_steps_and_injection_and_it_is_right(run: Path) -> None:
     report = estimated(run)
     assert report.method == "energy"
@@ -107,6 +108,7 @@ def test_one_map_comes_of_steps_and_injection_and_it_is_right(run: Path) -> None
     assert errors_percent(run, "energy") < 0.15
 
 
+@pytest.mark.slow
 def test_the_loops_tell_the_resistance_and_what_dead_time_keeps(run: Path) -> None:
     report = estimated(run)
     told = {remark.code: remark for remark in report.remarks}

@@ -30,6 +30,7 @@ def designed() -> Designed:
     return design(whole, DRIVE, machine(), effects(*PAIR), size=0.5, noise_a=NOISE_A)
 
 
+@pytest.mark.slow
 def test_it_tells_apart_what_the_plan_it_is_from_did_not(designed: Designed) -> None:
     before = outlook(plan(HOLDS, SWEEPS), DRIVE, machine(), effects(*PAIR), noise_a=NOISE_A)
     after = outlook(designed.plan, DRIVE, machine(), effects(*PAIR), noise_a=NOISE_A)

@@ -150,6 +150,7 @@ def test_a_form_is_asked_for_once_more_where_something_is_left() -> None:
     assert in_forms_still_asked_for(maker, formed) is formed
 
 
+@pytest.mark.slow
 def test_a_form_that_is_not_needed_goes_and_one_that_is_stays() -> None:
     made = prepared(plan(sparse=True))
     (dead_time,) = scaled_library([DeadTime()], made.manifest)
@@ -189,7 +190,8 @@ def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: F
     assert both.model.active[0].values["threshold_a"] == library[0].named("threshold_a").typical
 
 
-@pytest.mark.parametrize("softness", [0.15, pytest.param(0.75, marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("softness", [0.15, 0.75])
 def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: float) -> None:
     made = prepared(plan(), noise_a=0.002)
     library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)

@@ -98,6 +98,7 @@ def test_voltages_scatter_as_a_timers_steps_do_or_are_no_noise(sizes_v: tuple[fl
     assert (found.chance > made.criteria.uncertainty.scatter_chance) is alike
 
 
+@pytest.mark.slow
 def test_steps_that_trembling_takes_away_at_one_pwm_frequency_are_a_timers_at_another() -> None:
     made, rng = _campaign(), np.random.default_rng(6)
     pieces, steps, step_v = list(made.pieces), {}, 0.1

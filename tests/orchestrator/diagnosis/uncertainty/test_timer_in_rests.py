@@ -48,6 +48,7 @@ def _off(told: ModulatorTimer) -> float:
     return max(abs((part - PART + 0.5) % 1.0 - 0.5) for part in (at.rise, at.fall))
 
 
+@pytest.mark.slow
 def test_a_timer_that_is_roughly_known_is_told_sharply() -> None:
     told, left, before = _near(timer(STEP_S * (1.0 + 3e-4), PART + 0.04, PART - 0.04))
     assert told.step_s == pytest.approx(STEP_S, rel=1e-4)
@@ -59,6 +60,7 @@ def test_a_timer_that_is_roughly_known_is_told_sharply() -> None:
     assert _volts(left) < 0.2 * _volts(before)
 
 
+@pytest.mark.slow
 def test_phases_that_no_reading_has_told_are_found() -> None:
     unknown = ModulatorTimer(step_s=STEP_S, centred=True, phases=())
     told, _, _ = _near(unknown, NOTHING[:1, :1])

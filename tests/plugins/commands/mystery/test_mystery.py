@@ -29,6 +29,7 @@ def say(capsys: pytest.CaptureFixture[str], path: Path, *words: str) -> str:
     return capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_its_run_is_a_recording_with_every_stage_that_tells_effects_apart(run: Path) -> None:
     segments = open_recording(run).segments()
     assert {SegmentStage.GATES_OFF, SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION} <= {

@@ -41,6 +41,7 @@ def test_loops_are_wide_without_compensation_and_narrow_with_it(material: Materi
         assert abs(np.interp(0.0, loop.mean_current, loop.mean)) < 1e-9 * np.ptp(loop.mean)
 
 
+@pytest.mark.slow
 def test_one_energy_is_nearer_to_the_truth_than_the_classical_map(material: Material) -> None:
     assert material.error_percent("energy")[0] < material.error_percent("classical")[0] < 3.0
 

@@ -132,6 +132,7 @@ def test_a_run_that_was_stopped_goes_on_at_the_first_point_not_done(served: Serv
     assert len(ids) == len(set(ids)) > done
 
 
+@pytest.mark.slow
 def test_when_the_server_is_killed_the_run_ramps_down_by_itself(served: Served) -> None:
     run = until_energised(served)
     served.process.kill()

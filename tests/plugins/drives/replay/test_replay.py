@@ -60,6 +60,7 @@ def some_hold(recording: Recording, *, longer: float = 1.0) -> Hold:
     )
 
 
+@pytest.mark.slow
 def test_it_is_a_drive_that_can_be_resumed(original: Recording) -> None:
     drive = replay_of(original)
     assert isinstance(drive, Drive)

@@ -76,6 +76,7 @@ def test_a_magnet_off_the_axis_is_put_on_it(tmp_path: Path, degrees: float) -> N
     assert_close(plant(file=str(path)).flux(inside_a), truth.flux(inside_a), 5e-3)
 
 
+@pytest.mark.slow
 def test_a_quarter_of_a_plane_beside_zero_current_is_as_the_shipped_one_of_its_points(tmp_path: Path) -> None:
     table = load_table("ipm-femm-60c", None)  # bridges that saturate before the first point are no turn of the magnet
     path = written(tmp_path / "quarter.csv", table)

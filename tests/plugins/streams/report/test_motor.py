@@ -82,6 +82,7 @@ def test_a_rotor_that_turned_says_its_magnet(material: Material) -> None:
     assert told.startswith("287.6 mWb ± 196 µWb (95 %), by the back-EMF; nameplate 300 mWb")
 
 
+@pytest.mark.slow
 def test_voltage_steps_and_a_turning_rotor_are_drawn_where_their_currents_were(material: Material) -> None:
     paths = Paths(steps=(np.array([[0.0, 0.0], [1.0, 0.5]]),) * 3, spin=np.array([[-1.0, 1.0], [0.0, 1.0]]))
     page = render(Material(**{**vars(material), "paths": paths}))

@@ -175,14 +175,8 @@ def test_what_cannot_be_viewed_is_one_line(tmp_path: Path, name: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "by",
-    [
-        signal.SIGINT,
-        pytest.param(signal.SIGTERM, marks=pytest.mark.slow),
-        pytest.param(signal.SIGHUP, marks=pytest.mark.slow),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("by", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 def test_without_a_display_it_is_a_page_on_this_machine_until_interrupted(
     tmp_path: Path, example: Path, by: signal.Signals
 ) -> None:

@@ -165,6 +165,7 @@ def draw_and_hang(run: Path, ready: Path) -> None:
     time.sleep(60.0)
 
 
+@pytest.mark.slow
 def test_what_was_sent_before_a_kill_is_in_the_file_and_survives_a_resumption(tmp_path: Path) -> None:
     run, ready = tmp_path / "run", tmp_path / "ready"
     run.mkdir()
