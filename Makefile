@@ -64,7 +64,7 @@ pictures: $(STAMP)
 	$(BIN)/fluxbench run demo --out runs/pictures
 	$(BIN)/python -m tests.pictures runs/pictures
 
-# The map's error over motor time (docs/adaptive.md): a quarter of an hour, from where the last call ended.
+# The map's error over motor time (docs/adaptive.md): twenty minutes, from where the last call ended.
 motor-time: $(STAMP)
 	$(BIN)/python -m tests.motor_time runs/motor-time
 

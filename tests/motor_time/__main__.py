@@ -1,8 +1,8 @@
 """`python -m tests.motor_time RUNS [--bench WORDS] [--plans demo,quick]`: error over motor time, of docs/adaptive.md.
 
 Runs stay in the folder RUNS, and are read when they are there already, so that a call may be stopped and go on, or do
-one bench at a time. Prints the tables of all benches that are there, and draws docs/pictures/motor-time.png. A quarter
-of an hour of one core for all.
+one bench at a time. Prints the tables of all benches that are there, and draws docs/pictures/motor-time.png. Twenty
+minutes of one core for all.
 """
 
 from __future__ import annotations
