@@ -22,14 +22,14 @@ def tiny(tmp_path: Path) -> Path:
 
 
 def test_the_hidden_effects_are_sealed(tiny: Path, tmp_path: Path) -> None:
-    done = simulate(PM400, {"voltage_bias": {"bias_a_v": 0.123}}, procedure=tiny, out=tmp_path / "run")
+    done = simulate(PM400, {"voltage_bias": {"bias_a_v": 0.12345678}}, procedure=tiny, out=tmp_path / "run")
     assert done.manifest.motor.rated_current_rms_a == PM400.rated_current_rms_a
     known = [file for file in done.path.rglob("*") if file.is_file() and file.suffix in (".json", ".jsonl")]
     assert len(known) >= 3
-    assert not any("0.123" in file.read_text() or "voltage_bias" in file.read_text() for file in known)
+    assert not any("0.12345678" in file.read_text() or "voltage_bias" in file.read_text() for file in known)
     sealed = "".join(file.read_text() for file in (tmp_path / "run.sealed").glob("*.json"))
     assert json.loads((done.path / "run.json").read_text())["procedure"]["limits"]["current_a"] == 5.16
-    assert '"bias_a_v": 0.123' in sealed
+    assert '"bias_a_v": 0.12345678' in sealed
 
 
 def test_limits_follow_from_the_nameplate() -> None:
