@@ -23,8 +23,10 @@ PARTS_SHARPNESS = 3.0
 """Exponent of these parts. With them the hyperbolic and the circular tangent, Langevin's and the Gaussian step, an
 exponential, straight and rounded ramps, and mixtures of them are met to 1.5e-3 of the step (rms to six thresholds)."""
 
+FAR = 32.0
+"""How much coarser a second table is, for currents far beyond the step: a logarithm there is straight to 1e-5."""
 
-@lru_cache(maxsize=32)
+
 def _soft_sign(softness: float, parts: tuple[float, ...], step: float, end: float) -> Array:
     """Table of s(x) over x = 0..end: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `WIDTHS`."""
     x = np.arange(0.0, end + 1.5 * step, step)
@@ -43,23 +45,40 @@ def _knee(x: Array, sharpness: float) -> Array:
     return np.asarray(np.where(x <= 1.0, below, above), dtype=np.float64)
 
 
+@lru_cache(maxsize=32)
+def _tables(softness: float, parts: tuple[float, ...], growth: float, step: float, end: float) -> Array:
+    """Two tables of s(x) + growth arsinh x, one up to `end`, one with steps and end `FAR` times as large; (2, m)."""
+    near = _soft_sign(softness, parts, step, end)
+    places = np.arange(len(near))
+    # Beyond the first one's end s is flat, and arsinh a logarithm; the second is not read before.
+    near = near + growth * np.arcsinh(step * places)
+    far = near[-1] + growth * np.log(FAR * np.maximum(places, 0.5) / places[-1])
+    return np.stack([near, far])
+
+
 @njit(cache=True, nogil=True)
-def _look_up(table: Array, place: float, growth: float) -> float:
-    """s at a place in the table's steps, odd; beyond the table it grows so much with each factor e."""
-    size, end = abs(place), table.shape[0] - 1
-    if size >= end:
-        value = table[end] + (growth * math.log(size / end) if growth > 0.0 else 0.0)
-    else:
+def _look_up(tables: Array, place: float, growth: float) -> float:
+    """s at a place in the first table's steps, odd; beyond both tables it grows so much with each factor e."""
+    size, end = abs(place), tables.shape[1] - 1
+    if size < end:
         m = int(size)
-        value = table[m] + (size - m) * (table[m + 1] - table[m])
+        value = tables[0, m] + (size - m) * (tables[0, m + 1] - tables[0, m])
+    elif growth == 0.0:
+        value = tables[0, end]
+    elif size < FAR * end:
+        size /= FAR
+        m = int(size)
+        value = tables[1, m] + (size - m) * (tables[1, m + 1] - tables[1, m])
+    else:
+        value = tables[1, end] + growth * math.log(size / (FAR * end))
     return float(value if place >= 0.0 else -value)
 
 
 @njit(cache=True, nogil=True)
 def _without_sign(
-    v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: float, table: Array, growth: float
+    v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: float, tables: Array, growth: float
 ) -> Array:
-    """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the table are one ampere."""
+    """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the first table are one ampere."""
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
     a0 = 0.0
@@ -71,13 +90,13 @@ def _without_sign(
     for k in range(n + 1):
         last = min(k, n - 1)
         a1, b1, c1 = phases_of(steps * i_ab[last, 0], steps * i_ab[last, 1])
-        e0 = _look_up(table, a1, growth)
-        e1 = _look_up(table, b1, growth)
-        e2 = _look_up(table, c1, growth)
+        e0 = _look_up(tables, a1, growth)
+        e1 = _look_up(tables, b1, growth)
+        e2 = _look_up(tables, c1, growth)
         if k > 0:
-            m0 = s0 + 4.0 * _look_up(table, 0.5 * (a0 + a1), growth) + e0
-            m1 = s1 + 4.0 * _look_up(table, 0.5 * (b0 + b1), growth) + e1
-            m2 = s2 + 4.0 * _look_up(table, 0.5 * (c0 + c1), growth) + e2
+            m0 = s0 + 4.0 * _look_up(tables, 0.5 * (a0 + a1), growth) + e0
+            m1 = s1 + 4.0 * _look_up(tables, 0.5 * (b0 + b1), growth) + e1
+            m2 = s2 + 4.0 * _look_up(tables, 0.5 * (c0 + c1), growth) + e2
             sixth = volts[k - 1] / 6.0
             alpha, beta = vector_of(legs[0] * m0, legs[1] * m1, legs[2] * m2)
             out[k - 1, 0] = v_ab[k - 1, 0] - sixth * alpha
@@ -113,13 +132,10 @@ def _less_step(
 ) -> Array:
     """The voltage without `volts` (n,) against the sign of each phase current, in each leg times its part (3,).
 
-    s + growth arsinh(i / i_th) is read, linearly between entries, from a table of this `step` and `end`, in thresholds;
-    beyond, s is flat.
+    s + growth arsinh(i / i_th) is read, linearly between entries, from tables of this `step` and `end`, in thresholds.
     """
-    table = _soft_sign(knee.softness, (knee.narrow, knee.wide, knee.wider), step, end)
-    if growth > 0.0:
-        table = table + growth * np.arcsinh(np.arange(len(table)) * step)
-    return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), table, growth))
+    tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), growth, step, end)
+    return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), tables, growth))
 
 
 class DeadTime:
