@@ -301,8 +301,7 @@ def settled(problem: EnergyProblem, rounds: int = 6, change: float = 0.01) -> tu
 def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) -> Errors:
     """Errors such that each kind's residuals are as large as they say, and outliers count for less.
 
-    What was stated of them beforehand is worth `stated` data. Injection's may be smaller than was stated, for each point is
-    measured by itself. Those of the sweeps' flux may not: what bends all sweeps alike does not show in their scatter.
+    What was stated of them beforehand is worth `stated` data.
     """
     weights: list[Array] = []
     growth: list[float] = []
@@ -322,8 +321,8 @@ def _judged(problem: EnergyProblem, solution: Solution, stated: float = 20.0) ->
             growth.append((stated + squares) / (stated + free))
         size = np.square(off).sum(axis=1)
         weights.append(np.minimum(1.0, _limit(off.shape[1]) / np.maximum(size, 1e-300)))
-    a, b, c, d = (float(s * np.sqrt(g)) for s, g in zip(problem.errors.scales, growth, strict=True))
-    return replace(problem.errors, scales=(a, b, max(c, 1.0), max(d, 1.0)), points=weights[0], paths=weights[1])
+    a, b, c, d = (max(float(s * np.sqrt(g)), 1.0) for s, g in zip(problem.errors.scales, growth, strict=True))
+    return replace(problem.errors, scales=(a, b, c, d), points=weights[0], paths=weights[1])
 
 
 def finished(problem: EnergyProblem, solution: Solution) -> EnergyFit:
