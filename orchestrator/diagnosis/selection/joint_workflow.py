@@ -133,7 +133,7 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
             # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
             fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
             # And that form had a say in the timer's phases.
-            setup, _, fit = with_timer_of_fit(setup, setup, fit, library) or (setup, setup, fit)
+            setup, fit = with_timer_without_scatter(setup, fit, library)
             everything = with_everything(fit.model, library)
         fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, everything))
     if _formless(fit):
@@ -143,6 +143,18 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
             fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, model))
             model = fit.model
     return setup, fit
+
+
+def with_timer_without_scatter(
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
+) -> tuple[DiagnosisSetup, Fit]:
+    """Setup and fit with the timer as all equations tell it, where it does better without what scatters beside it."""
+    told = with_timer_of_fit(setup, setup, fit, library)
+    if told is None:
+        return setup, fit
+    timed, _, beside = told
+    trial = timed.coarse_fitter.renewed(beside.model)
+    return (timed, trial) if trial.objective < fit.objective else (setup, fit)
 
 
 def ladder_of(
