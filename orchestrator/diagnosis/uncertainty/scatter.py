@@ -294,7 +294,7 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Lik
     """
     fitter = fitter.with_noise(ModelNoise())
     absent = absent_columns([c for c in library if c.name not in fit.model.names])
-    loose = fitter.renewed(fit.model, None, absent)
+    loose = fitter.renewed(fit.model, None, absent, known=fit)
     normal, pulls = loose.system()
     width, free = loose.normal.shape[0], loose.model.free
     gradient = pulls.sum(axis=0)
