@@ -20,9 +20,10 @@ from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import VoltageDelay
-from protocols import Effect
+from protocols import Effect, ModelNoise
+from tests.orchestrator.diagnosis import pieces as made_of
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import free_model, plan, prepared
+from tests.orchestrator.diagnosis.pieces import felt_through, free_model, plan, prepared, timer
 
 
 def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -65,3 +66,23 @@ def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share()
     between = 0.5 * (lesser[1] + larger[1])
     left = replace(whole, chi2=whole.dof + 2.0 * between)
     assert joint_workflow.ladder_of(setup, [Step(None, bare)], left, {}, []).minor == (lesser[0],)
+
+
+@pytest.mark.parametrize(("told", "taken"), [((0.35, 0.62), True), ((0.80, 0.10), False)])
+def test_a_timer_told_beside_a_scatter_has_to_do_better_without_it(
+    told: tuple[float, float], taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A scatter of volts makes good what wrong phases do to every rest; the setup goes on without that scatter."""
+    recording = felt_through(timer(21.7e-9, 0.35, 0.62), plan(sparse=True))
+    setup = made_of.setup_of(made_of.fitter(recording)).with_timer(timer(21.7e-9, 0.40, 0.58))
+    fit = setup.coarse_fitter.fit(free_model())
+    timed = setup.with_timer(timer(21.7e-9, *told))
+    doubting = timed.with_noise(ModelNoise(voltage_scatter_v=0.1))
+    beside = doubting.coarse_fitter.fit(free_model())
+    assert beside.chi2_per_dof < fit.chi2_per_dof
+    monkeypatch.setattr(joint_workflow, "with_timer_of_fit", lambda *_: (timed, doubting, beside))
+    after, held = joint_workflow.with_timer_without_scatter(setup, fit, [])
+    assert (after is timed) == taken
+    assert (after is setup) != taken
+    assert held.objective <= fit.objective
+    assert not held.frame.noise.of_model.scatters
