@@ -11,7 +11,8 @@ import numpy as np
 from orchestrator.diagnosis.conventions import convention_remark, find_convention
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.fit import Effort, Fitter
+from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise

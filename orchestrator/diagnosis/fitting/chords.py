@@ -29,7 +29,7 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     # Columns may be a little off; a frame that is older than its map leads away from where the fit was.
     best = fitter.renewed(model, known.frame if known else None, known=known)
     for _ in range(rounds if model.free else 0):
-        fitter.tell(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
+        fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
         enough = limits.least_joint_gain + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _stepped(fitter, best, radius, enough)
         if trial is best:

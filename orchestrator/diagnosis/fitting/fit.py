@@ -8,7 +8,6 @@ the equations themselves are always evaluated where the model stands. Decides no
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,6 +17,7 @@ import numpy as np
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, Model, SegmentFrame, SegmentRows
 from orchestrator.diagnosis.fitting.segment_equations import Place, SegmentEquations
@@ -25,18 +25,6 @@ from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise
-
-
-@dataclass
-class Effort:
-    """How much was computed, in samples times columns: the same on every machine, unlike time."""
-
-    most: float = math.inf
-    spent: float = 0.0
-
-    @property
-    def exhausted(self) -> bool:
-        return self.spent > self.most
 
 
 @dataclass
@@ -67,6 +55,15 @@ class Fitter:
 
     def __post_init__(self) -> None:
         self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria)
+
+    def begin(self, text: str, part: float) -> None:
+        """Tell what begins when so much of a diagnosis is done, and from then on how long it may take."""
+        self.effort.reached(part)
+        self.under_way(text)
+
+    def under_way(self, text: str) -> None:
+        """Tell what is under way, and how long it may take where that is known."""
+        self.tell(text + self.effort.left)
 
     def with_noise(self, of_model: ModelNoise) -> Fitter:
         """The same where this is noise beside the readings' own; the effort is counted on."""

@@ -38,6 +38,10 @@ from orchestrator.diagnosis.uncertainty.scatter import (
 from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
 
+BEGINS_AT = {"together": 0.22, "forms": 0.34, "search": 0.52, "whole": 0.68, "ladder": 0.87}
+"""Part of a diagnosis' time that is over as its steps begin; medians of six benches of many effects, averaged and
+switched ones. What is told of the time left is right within a factor of two."""
+
 TIMED_ANEW = 0.05
 """Of chi2, that a modulator's timer takes away for which all effects are asked once more."""
 
@@ -49,8 +53,12 @@ def all_together(
 
     What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
-    given = setup
-    setup, doubting, fit = formed_together(setup, together(setup.coarse_fitter, quick.fit.model, library), library)
+    given, begin = setup, setup.fitter.begin
+    begin(f"{len(library)} effects together", BEGINS_AT["together"])
+    fit = together(setup.coarse_fitter, quick.fit.model, library)
+    begin("each effect's own form", BEGINS_AT["forms"])
+    setup, doubting, fit = formed_together(setup, fit, library)
+    begin("which of them do the data ask for?", BEGINS_AT["search"])
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     told = with_timer_of_fit(setup, doubting, fit, library)
     if told is not None:
@@ -67,6 +75,7 @@ def all_together(
     if doubting is not setup or _formless(fit):
         setup, fit = with_its_noise(setup, fit, library)
         fit, rivals = exchanged(setup.coarse_fitter, fit, library)
+    begin("the same on the whole recording", BEGINS_AT["whole"])
     resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
     whole = setup.fitter.fit(resting)
     if whole.model.space.is_free:
@@ -166,6 +175,7 @@ def ladder_of(
     model's own error is no noise there: it is what remains.
     """
     plain, judged = setup.unweighed, setup.judged(whole)
+    setup.fitter.begin("what does each take away?", BEGINS_AT["ladder"])
     sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)
