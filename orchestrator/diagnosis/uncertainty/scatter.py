@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -176,15 +177,28 @@ class Likelihood:
         found = minimize(cost, start, method="Nelder-Mead", options={"xatol": 0.01, "fatol": 0.1})
         return noise(np.asarray(found.x))
 
+    @cached_property
+    def _alike(self) -> list[tuple[list[int], Array, Array]]:
+        """Segments with as many rests: their places, own information, and what they share with columns and pull."""
+        sizes = [len(one.own) for one in self.segments]
+        alike = []
+        for size in dict.fromkeys(sizes):
+            places = [k for k, other in enumerate(sizes) if other == size]
+            some = [self.segments[k] for k in places]
+            shared = np.stack([np.column_stack([one.shared, one.pull]) for one in some])
+            alike.append((places, np.stack([one.own for one in some]), shared))
+        return alike
+
     def _reduced(self, noise: ModelNoise) -> tuple[list[Array], list[Array], Array, Array, float]:
         """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
-        roots, factors = list[Array](), list[Array]()
-        for one in self.segments:
-            scale = scatter_sizes(one.timer, noise)
-            inside = np.eye(len(scale)) + scale[:, None] * one.own * scale
-            factors.append(np.asarray(np.linalg.cholesky(inside), dtype=np.float64))
-            root = np.linalg.solve(factors[-1], scale[:, None] * np.column_stack([one.shared, one.pull]))
-            roots.append(np.asarray(root, dtype=np.float64))
+        roots, factors = [np.zeros((0, 0))] * len(self.segments), [np.zeros((0, 0))] * len(self.segments)
+        for places, own, shared in self._alike:
+            scale = np.array([scatter_sizes(self.segments[k].timer, noise) for k in places])
+            inside = np.eye(scale.shape[1]) + scale[:, :, None] * own * scale[:, None, :]
+            factor = np.linalg.cholesky(inside)
+            root = np.linalg.solve(factor, scale[:, :, None] * shared)
+            for at, k in enumerate(places):
+                roots[k], factors[k] = root[at], factor[at]
         taken = np.concatenate(roots)
         normal: Array = self.normal - taken[:, :-1].T @ taken[:, :-1]
         gradient: Array = self.gradient - taken[:, :-1].T @ taken[:, -1]
@@ -294,7 +308,9 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Lik
     """
     fitter = fitter.with_noise(ModelNoise())
     absent = absent_columns([c for c in library if c.name not in fit.model.names])
-    loose = fitter.renewed(fit.model, None, absent, known=fit)
+    # A fit of the whole has no columns for a part.
+    of_these = [[p.windows.rows for p in made.pieces] for made in (fitter.prepared, fit.prepared)]
+    loose = fitter.renewed(fit.model, None, absent, known=fit if of_these[0] == of_these[1] else None)
     normal, pulls = loose.system()
     width, free = loose.normal.shape[0], loose.model.free
     gradient = pulls.sum(axis=0)

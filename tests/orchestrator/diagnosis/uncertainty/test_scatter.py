@@ -11,9 +11,12 @@ import pytest
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.uncertainty.scatter import scatter_of
 from orchestrator.diagnosis.weak_form.rests import leg_step_v
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse
 from orchestrator.numerics.frames import from_two_phases
-from plugins.effects.sensors import CurrentOffset
+from plugins.effects.inverter import VoltageBias
+from plugins.effects.resistance import SkinEffect
+from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
+from plugins.effects.timing import VoltageDelay
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import Array, Plan, fitter, free_model, hold, plan, prepared, with_voltage
 
@@ -50,6 +53,22 @@ def test_scatter_is_found_as_large_as_it_is() -> None:
     again = wider.fit(free_model())
     assert again.chi2_per_dof == pytest.approx(1.0, abs=0.1)
     assert scatter_of(wider, again, []).noise.offset_scatter_a == pytest.approx(found.noise.offset_scatter_a, rel=0.02)
+
+
+def test_a_part_is_asked_around_a_fit_of_the_whole() -> None:
+    """Whose columns have other rows: none of them is taken."""
+    made = _campaign()
+    whole, part = fitter(made), fitter(coarse(made))
+    effects = scaled_library(
+        [CurrentOffset(), VoltageBias(), CurrentGainMismatch(), VoltageDelay(), SkinEffect()], made.manifest
+    )
+    fit = whole.fit(free_model().with_active([one.absent() for one in effects]))
+    assert len(fit.parameters) > whole.criteria.few_columns
+    assert sum(map(len, part.renewed(fit.model).residual)) < sum(map(len, fit.residual))
+    around, anew = scatter_of(part, fit, effects), scatter_of(part, part.renewed(fit.model), effects)
+    # R_s and the map, around which all is linear, are the whole's or the part's.
+    assert around.chi2 == pytest.approx(anew.chi2, rel=1e-2)
+    assert around.noise.scatters == anew.noise.scatters
 
 
 def test_no_scatter_is_found_where_there_is_none() -> None:
