@@ -132,6 +132,19 @@ def test_a_junctions_drop_grows_as_much_with_every_factor_of_the_current() -> No
     assert np.ptp([_drop_of_a(i_a, 0.0) for i_a in (0.2, 0.4, 1.6)]) < 0.005
 
 
+def test_a_drop_goes_on_growing_from_table_to_table_and_beyond() -> None:
+    """The first ends at 40 knees, 0.4 A, the second at 1280."""
+
+    def drop(current_a: Array) -> Array:
+        rated_knees = 5.0 * np.sqrt(2.0) / 0.01
+        return 0.8 * (1.0 + 0.1 * np.arcsinh(current_a / 0.01)) / (1.0 + 0.1 * np.arcsinh(rated_knees))
+
+    i_a = np.geomspace(0.5, 50.0, 60)
+    # The star point's own part: b and c carry 50 A, and that and a's.
+    expected = drop(i_a) - 0.5 * (drop(np.full(60, 50.0)) - drop(50.0 + i_a))
+    assert [_drop_of_a(one, 0.1) for one in i_a] == pytest.approx(expected, rel=1e-3)
+
+
 def test_the_drops_size_is_that_at_the_rated_current() -> None:
     rated_a = 5.0 * np.sqrt(2.0)
     assert _drop_of_a(rated_a, 0.1) == pytest.approx(_drop_of_a(rated_a, 0.0), rel=0.01)
