@@ -137,7 +137,7 @@ def test_a_drop_goes_on_growing_from_table_to_table_and_beyond() -> None:
 
     def drop(current_a: Array) -> Array:
         rated_knees = 5.0 * np.sqrt(2.0) / 0.01
-        return 0.8 * (1.0 + 0.1 * np.arcsinh(current_a / 0.01)) / (1.0 + 0.1 * np.arcsinh(rated_knees))
+        return np.asarray(0.8 * (1.0 + 0.1 * np.arcsinh(current_a / 0.01)) / (1.0 + 0.1 * np.arcsinh(rated_knees)))
 
     i_a = np.geomspace(0.5, 50.0, 60)
     # The star point's own part: b and c carry 50 A, and that and a's.
