@@ -58,7 +58,7 @@ class ColumnPlan:
         """All columns of a segment from those made anew and those of the earlier fit."""
         columns = np.empty((len(made), len(self.answering)))
         columns[:, self.anew] = made
-        if known is not None and self.kept:
+        if known is not None:
             columns[:, list(self.kept)] = known[:, list(self.kept.values())]
         return columns
 

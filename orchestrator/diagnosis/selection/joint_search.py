@@ -47,13 +47,13 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
         Its map is where the fit begins; its effects, where they are.
     """
     limits = fitter.prepared.criteria.selection
-    fit = _briefly(fitter, with_everything(start, library))
+    fit = briefly_refitted(fitter, with_everything(start, library))
     for other in (c.absent_in_other_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
         model = fit.model.with_active([other if a.name == other.name else a for a in fit.model.active])
         if glanced(fitter, model, fit).chi2_per_dof <= limits.hopeless_form * fit.chi2_per_dof:
-            trial = _briefly(fitter, model, fit)
+            trial = briefly_refitted(fitter, model, fit)
             fit = trial if trial.objective < fit.objective else fit
     return fit
 
@@ -103,7 +103,7 @@ def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     return fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance, known=known)
 
 
-def _briefly(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
+def briefly_refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model fitted in as few rounds as amplitudes need."""
     limits = fitter.prepared.criteria.selection
     return fit_along_chords(fitter, model, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=known)
@@ -190,7 +190,7 @@ def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
     model = fit.model.with_active([one.resting(*to_spare(fit, one)) for one in fit.model.active])
     if len(model.free) == len(fit.model.free):
         return fit
-    trial = _briefly(fitter, model, fit)
+    trial = briefly_refitted(fitter, model, fit)
     # A refinement of a form that is gone is none.
     return in_simpler_forms(fitter, trial) if _evidence_gain(fit, trial) <= fit.criteria.selection.tie else fit
 
@@ -212,7 +212,7 @@ def downwards(fitter: Fitter, fit: Fit) -> Fit:
 
 
 def _without(fitter: Fitter, fit: Fit, out: Sequence[str]) -> Fit:
-    return _briefly(fitter, fit.model.with_active([a for a in fit.model.active if a.name not in out]), fit)
+    return briefly_refitted(fitter, fit.model.with_active([a for a in fit.model.active if a.name not in out]), fit)
 
 
 def dispensable(fit: Fit, *, doubting_blocks: bool = True) -> list[str]:
@@ -249,7 +249,7 @@ def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[F
         trial = glanced(fitter, replaced, fit)
         if _evidence_gain(trial, fit) < -limits.tie - limits.hopeless * log_bayes_factors(fit)[name]:
             continue
-        trial = _briefly(fitter, replaced, trial)
+        trial = briefly_refitted(fitter, replaced, trial)
         gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
         better, lesser = (trial, fit) if gain > 0.0 else (fit, trial)
         parted = separable(fit.prepared, other.candidate.effect, _effect(fit, name))

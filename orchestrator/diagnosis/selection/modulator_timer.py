@@ -7,8 +7,8 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
-from orchestrator.diagnosis.fitting.chords import fit_along_chords
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.joint_search import briefly_refitted
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
 from orchestrator.diagnosis.uncertainty.scatter import as_much, at_most_sound, doubting_zeros, likelihood_of
 from orchestrator.diagnosis.uncertainty.timer_beside_fit import timer_beside
@@ -78,9 +78,7 @@ def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> t
         timer, _ = timer_beside(fit, doubting.timers, doubting.fitter.pm_flux_wb)
         timed = doubting.with_timer(timer)
         doubting = doubting_zeros(timed, likelihood_of(timed.coarse_fitter, fit, library))
-        limits = fit.criteria.selection
-        rounds, tolerance = limits.joint_rounds[0], limits.joint_tolerance
-        fit = fit_along_chords(doubting.coarse_fitter, fit.model, rounds=rounds, tolerance=tolerance, known=fit)
+        fit = briefly_refitted(doubting.coarse_fitter, fit.model, fit)
         if as_much(doubting.fitter.noise.of_model, before):
             break
     return doubting, fit

@@ -191,14 +191,14 @@ class Likelihood:
 
     def _reduced(self, noise: ModelNoise) -> tuple[list[Array], list[Array], Array, Array, float]:
         """Of each segment what scatter takes and its factor, then the normal matrix, gradient and chi2 without it."""
-        roots, factors = [np.zeros((0, 0))] * len(self.segments), [np.zeros((0, 0))] * len(self.segments)
+        parts = dict[int, tuple[Array, Array]]()
         for places, own, shared in self._alike:
             scale = np.array([scatter_sizes(self.segments[k].timer, noise) for k in places])
             inside = np.eye(scale.shape[1]) + scale[:, :, None] * own * scale[:, None, :]
             factor = np.linalg.cholesky(inside)
             root = np.linalg.solve(factor, scale[:, :, None] * shared)
-            for at, k in enumerate(places):
-                roots[k], factors[k] = root[at], factor[at]
+            parts.update(zip(places, zip(root, factor, strict=True), strict=True))
+        roots, factors = ([parts[k][which] for k in range(len(parts))] for which in (0, 1))
         taken = np.concatenate(roots)
         normal: Array = self.normal - taken[:, :-1].T @ taken[:, :-1]
         gradient: Array = self.gradient - taken[:, :-1].T @ taken[:, -1]
@@ -309,8 +309,8 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Lik
     fitter = fitter.with_noise(ModelNoise())
     absent = absent_columns([c for c in library if c.name not in fit.model.names])
     # A fit of the whole has no columns for a part.
-    of_these = [[p.windows.rows for p in made.pieces] for made in (fitter.prepared, fit.prepared)]
-    loose = fitter.renewed(fit.model, None, absent, known=fit if of_these[0] == of_these[1] else None)
+    known = fit if fit.prepared.rows == fitter.prepared.rows else None
+    loose = fitter.renewed(fit.model, None, absent, known=known)
     normal, pulls = loose.system()
     width, free = loose.normal.shape[0], loose.model.free
     gradient = pulls.sum(axis=0)

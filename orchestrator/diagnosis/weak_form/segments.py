@@ -113,6 +113,11 @@ class PreparedRecording:
     """Whose rounding is in the pieces' voltages."""
 
     @property
+    def rows(self) -> tuple[int, ...]:
+        """How many equations each piece makes."""
+        return tuple(piece.windows.rows for piece in self.pieces)
+
+    @property
     def current_range(self) -> tuple[float, float, float]:
         """Lowest and highest i_d and highest |i_q| in the believed frame, gates-off aside [A]."""
         low, high, q = 0.0, 0.0, 0.0
