@@ -69,6 +69,8 @@ class CoEnergySpline(Strict):
     """Row by row along i_d; of the mirror images along i_q the first is kept."""
     measured_hull_a: tuple[tuple[float, float], ...] = ()
     """Corners (i_d, i_q) of what was measured, counterclockwise; elsewhere the map is a continuation."""
+    roughness: Positive = 1.0
+    """How much rougher than usual the map was let be when it was fitted."""
 
     @model_validator(mode="after")
     def _sizes_agree(self) -> CoEnergySpline:

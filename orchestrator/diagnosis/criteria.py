@@ -105,6 +105,20 @@ class FittingCriteria(Strict):
     """Prior standard deviation of the map's fourth derivatives: saturation bends L by itself over the range I."""
     intervals: tuple[int, ...] = _is((6, 8, 10), "1", "simulated")
     """Spline intervals on each axis that are tried, one after the other."""
+    sharper_intervals: tuple[int, ...] = _is((14, 20, 28, 40), "1", "practice")
+    """The same along one axis, for iron that saturates sharply: machines with bridges or barriers bend within a tenth
+    of the rated current."""
+    rougher: float = _is(3.0, "1", "practice")
+    """How much rougher than before such a map may be, at each step; ..."""
+    roughest: float = _is(10.0, "1", "practice")
+    """... and than usual, at most."""
+    sharper_share: float = _is(0.2, "1", "practice")
+    """Part of what is left that a sharper map has to take away: where it is the map's, most of it goes, and where it is
+    another effect's, a little."""
+    most_map_numbers: int = _is(600, "1", "budget")
+    """That such a map may have."""
+    given_intervals: int = _is(28, "1", "practice")
+    """Spline intervals on each axis that are laid through a given map."""
     least_range: float = _is(0.05, "1", "practice")
     """Range of the map on an axis where no current flowed, as a part of the other's."""
     finer_above_chi2: float = _is(1.03, "1", "theory")

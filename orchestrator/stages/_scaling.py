@@ -81,6 +81,23 @@ class Scaling:
         return tidy(min(current_a, self._rules.of_limit * self._limits.current_a))
 
     @property
+    def stiffest_hold_a(self) -> float:
+        """Current on the d axis that holds a free rotor there most stiffly [A]; infinite where more always does.
+
+        The magnet draws the d axis onto the current, L_q - L_d draws the q axis onto it. By the torque
+
+            T = 3/2 p (psi_m i sin g - (L_q - L_d) i^2 sin g cos g),
+
+        g from the magnet to the current (J. R. Hendershot, T. J. E. Miller, Design of Brushless Permanent-Magnet
+        Machines, 2010), the stiffness dT/dg at g = 0 is largest at psi_m / 2 (L_q - L_d), and gone at twice that.
+        """
+        motor = self._motor
+        if not motor.pm_flux_wb or motor.d_inductance_h is None or motor.q_inductance_h is None:
+            return math.inf
+        outweighing_h = motor.q_inductance_h - motor.d_inductance_h
+        return 0.5 * motor.pm_flux_wb / outweighing_h if outweighing_h > 0.0 else math.inf
+
+    @property
     def reach_a(self) -> float:
         """Longest current vector of what is swept, ripple included [A]."""
         return self._rules.headroom * self._limits.current_a

@@ -40,7 +40,7 @@ class AlignmentStage(EnergisedStage):
     records_as = SegmentStage.ALIGNMENT
 
     current_a: Positive | None = None
-    """None: the rated current."""
+    """None: the rated current, or the one that holds the rotor most stiffly where that is less."""
     angle_rad: float = 0.0
     settle_s: Positive = 1.0
     duration_s: Positive = 0.5
@@ -52,9 +52,14 @@ class AlignmentStage(EnergisedStage):
 
     def filled(self, context: StageContext) -> Self:
         scaling = Scaling(context)
-        current = self.current_a
+        current, stiffest = self.current_a, scaling.stiffest_hold_a
         if current is None:
-            current = scaling.within_limit_a(scaling.rated_current_a("current_a"))
+            current = scaling.within_limit_a(min(scaling.rated_current_a("current_a"), stiffest))
+        if current >= 2.0 * stiffest:
+            scaling.note(
+                f"alignment: from {2.0 * stiffest:.3g} A on L_q - L_d outweighs the magnet, and a free rotor does not rest "
+                f"with its d axis on the current; {stiffest:.3g} A hold it best (current_a is {current:.3g} A)"
+            )
         return self.model_copy(update={"current_a": current, "control": scaling.control(self.control)})
 
     def points(self) -> Iterator[StagePoint]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -85,18 +85,22 @@ class DiagnosisSetup:
         return self.prepared.criteria.fitting
 
 
-def map_space(setup: DiagnosisSetup, baseline: Baseline, grid: EvenSpline, coefficients: Array) -> MapSpace:
+def map_space(
+    setup: DiagnosisSetup, baseline: Baseline, grid: EvenSpline, coefficients: Array, roughness: float = 1.0
+) -> MapSpace:
     """The maps in which a fit from this baseline may look.
 
     Parameters
     ----------
     coefficients : array, shape (grid.size,)
         Of the map as it stands: a given one is held there.
+    roughness : float
+        How much rougher than usual a free one may be.
     """
     if isinstance(baseline, GivenMap):
         return _held(grid, coefficients)
     if isinstance(baseline, Saturated) or CROSS_SATURATION in baseline.freed:
-        return _free(setup, grid)
+        return _free(setup, grid, roughness)
     return _separable(setup, grid) if SATURATION in baseline.freed else _linear(setup, grid)
 
 
@@ -122,17 +126,19 @@ def _separable(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
     return MapSpace(grid, np.zeros(grid.size), directions, prior)
 
 
-def _free(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
-    prior = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, setup.criteria.roughness)
+def _free(setup: DiagnosisSetup, grid: EvenSpline, roughness: float = 1.0) -> MapSpace:
+    strength = roughness * setup.criteria.roughness
+    prior = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, strength)
     known = inductances_at_rest(setup.prepared.fleet, grid)
     if known is None:
-        return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior)
-    return MapSpace(grid, known[0], np.eye(grid.size), np.concatenate([prior, known[1]]))
+        return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior, roughness)
+    return MapSpace(grid, known[0], np.eye(grid.size), np.concatenate([prior, known[1]]), roughness)
 
 
 def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:
     """Where a fit from this baseline starts: the nameplate's inductances on the coarsest grid."""
-    grid = _grid(setup, setup.criteria.intervals[0])
+    intervals = setup.criteria.intervals[0]
+    grid = _grid(setup, (intervals, intervals))
     linear = linear_magnetics(grid, setup.l_d_h, setup.l_q_h)
     return Model(map_space(setup, baseline, grid, linear.coefficients), linear, _resistance(setup))
 
@@ -145,7 +151,8 @@ def freed_further(setup: DiagnosisSetup, model: Model, baseline: Nameplate) -> M
 
 def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
     """A user's own map, kept as it is: splines through its flux and inductances."""
-    grid = _grid(setup, setup.criteria.intervals[-1])
+    intervals = setup.criteria.given_intervals
+    grid = _grid(setup, (intervals, intervals))
     i_d, i_q = np.meshgrid(np.asarray(flux_map.i_d, float), np.asarray(flux_map.i_q, float), indexing="ij")
     i_dq = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
     psi = np.stack([np.asarray(flux_map.psi_d, float).ravel(), np.asarray(flux_map.psi_q, float).ravel()], axis=1)
@@ -189,16 +196,55 @@ def fitted_baseline(setup: DiagnosisSetup) -> Fit:
 def with_detail(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on the finest map that is worth its freedom; a knee may lie well between a finer one's nodes."""
     for intervals in setup.criteria.intervals[1:]:
-        finer = finer_map(setup, fitter, fit, intervals)
+        finer = finer_map(setup, fitter, fit, (intervals, intervals))
         fit = fit if finer is None else finer
+    return fit if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1] else _sharper(setup, fitter, fit)
+
+
+def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+    """The same on maps ever finer along one axis, or rougher, as long as one takes away much of what is left."""
+    limits = setup.criteria
+    while fit.chi2_per_dof > limits.finer_above_chi2:
+        trials = [trial for cells, r in _sharpened(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
+        best = min(trials, key=_left, default=fit)
+        if _left(best) > (1.0 - limits.sharper_share) * _left(fit):
+            break
+        fit = best
     return fit
 
 
-def finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, intervals: int) -> Fit | None:
-    """The same model on a finer map, where that is worth its freedom; None where it is not."""
-    if intervals <= fit.model.space.grid.cells[0]:
+def _sharpened(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int], float]]:
+    """Intervals and roughness of those maps that are a step sharper."""
+    limits, space = setup.criteria, fit.model.space
+    d, q = space.grid.cells
+    finer = [next((n for n in limits.sharper_intervals if n > cells), cells) for cells in (d, q)]
+    for cells in (finer[0], q), (d, finer[1]):
+        if _grid(setup, cells).size <= limits.most_map_numbers:
+            yield cells, space.roughness
+    yield (d, q), min(limits.rougher * space.roughness, limits.roughest)
+
+
+def _left(fit: Fit) -> float:
+    """What of chi2 per degree of freedom noise does not make."""
+    return fit.chi2_per_dof - 1.0
+
+
+def finer_map(
+    setup: DiagnosisSetup, fitter: Fitter, fit: Fit, cells: tuple[int, int], roughness: float = 1.0
+) -> Fit | None:
+    """The same model on a finer or rougher map, where that is worth its freedom; None where it is not, or is neither.
+
+    Parameters
+    ----------
+    cells : (int, int)
+        Spline intervals along i_d and i_q.
+    roughness : float
+        As of `MapSpace`.
+    """
+    space = fit.model.space
+    if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
-    space = _free(setup, _grid(setup, intervals))
+    space = _free(setup, _grid(setup, cells), roughness)
     model = replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
     trial = fitter.fit(model, steps=2, renewals=0)
     freed = fit.dof - trial.dof
@@ -207,10 +253,10 @@ def finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit, intervals: int) -
     return trial if gain > asked * max(trial.chi2_per_dof, 1.0) else None
 
 
-def _grid(setup: DiagnosisSetup, intervals: int) -> EvenSpline:
+def _grid(setup: DiagnosisSetup, cells: tuple[int, int]) -> EvenSpline:
     low, high, q = setup.prepared.current_range
     least = setup.criteria.least_range * max(-low, high, q)
-    return EvenSpline(min(low, -least), max(high, least), max(q, least), (intervals, intervals))
+    return EvenSpline(min(low, -least), max(high, least), max(q, least), cells)
 
 
 def _resistance(setup: DiagnosisSetup) -> float:

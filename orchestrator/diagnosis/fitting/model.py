@@ -33,12 +33,15 @@ class MapSpace:
     directions : array, shape (coefficients, free)
     prior : array, shape (rows, free)
         Rows of a unit-variance prior on the free numbers.
+    roughness : float
+        How much rougher than usual the map may be by that prior.
     """
 
     grid: EvenSpline
     origin: Array
     directions: Array
     prior: Array
+    roughness: float = 1.0
 
     @cached_property
     def is_free(self) -> bool:

@@ -52,6 +52,7 @@ def kept_model(
             q_intervals=grid.cells[1],
             coefficients_j=tuple(float(c) for c in fit.model.magnetics.coefficients),
             measured_hull_a=measured_hull(fit.prepared.pieces),
+            roughness=fit.model.space.roughness,
         ),
         effects=tuple(_kept_effect(active, reports[active.name]) for active in fit.model.active),
         ladder=tuple(ladder),
@@ -109,7 +110,7 @@ def restored(setup: DiagnosisSetup, kept: MotorModel, baseline: Baseline, librar
         Where an effect of the model is not installed, or has other parameters.
     """
     magnetics = magnetics_of(kept.magnetics)
-    space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients)
+    space = map_space(setup, baseline, magnetics.grid, magnetics.coefficients, kept.magnetics.roughness)
     return Model(space, magnetics, kept.r_s_ohm, tuple(_active(effect, library) for effect in kept.effects))
 
 

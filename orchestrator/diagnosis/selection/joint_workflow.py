@@ -61,14 +61,13 @@ def all_together(
     setup, doubting, fit = formed_together(setup, fit, library)
     begin("which of them do the data ask for?", BEGINS_AT["search"])
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
+    if (sharper := on_a_sharper_map(doubting, fit)) is not fit:
+        fit, rivals = _asked_again(doubting, sharper, library)
     told = with_timer_of_fit(setup, doubting, fit, library)
     if told is not None:
         untold, (setup, doubting, fit) = fit, told
         if untold.objective - fit.objective > TIMED_ANEW * untold.chi2:
-            everything = doubting.coarse_fitter.renewed(with_everything(fit.model, library))
-            fit, rivals = joint_search(
-                doubting.coarse_fitter, in_own_forms(doubting.coarse_fitter, everything), library
-            )
+            fit, rivals = _asked_again(doubting, fit, library)
             setup, doubting, fit = with_timer_of_fit(setup, doubting, fit, library) or (setup, doubting, fit)
     if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
         return None
@@ -94,6 +93,19 @@ def all_together(
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
         steps = refitted_steps(setup.unweighed, steps)
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
+
+
+def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
+    """The fit on as fine a map as it asks for, now that all effects have their forms; what is left may be the map's."""
+    if not _formless(fit) or not fit.model.space.is_free:
+        return fit
+    return with_detail(setup, setup.coarse_fitter, fit)
+
+
+def _asked_again(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
+    """The joint fit with every effect asked once more, after what was no effect has changed."""
+    everything = setup.coarse_fitter.renewed(with_everything(fit.model, library))
+    return joint_search(setup.coarse_fitter, in_own_forms(setup.coarse_fitter, everything), library)
 
 
 def formed_together(

@@ -193,3 +193,47 @@ def test_nothing_is_added_without_a_reading_or_to_one_that_is_no_offset(
 ) -> None:
     point = asked_for(pm400, *readings)
     assert point.settings == {"current_d_a": 2.0, "current_q_a": 0.0}
+
+
+BALDOR: dict[str, Any] = {
+    "name": "Baldor ECS101M0H7EF4, 5.6 kW PM-SyRM",
+    "pole_pairs": 2,
+    "rated_voltage_rms_v": 460.0,
+    "rated_current_rms_a": 8.8,
+    "rated_torque_nm": 29.7,
+    "stator_resistance_ohm": 0.63,
+    "d_inductance_h": 0.0238,
+    "q_inductance_h": 0.151,
+    "pm_flux_wb": 0.4442,
+}
+"""Its L_q - L_d outweighs the magnet from 3.5 A on, of a rated current of 12.4 A."""
+
+
+def rest_of_a_salient_rotor(current_a: float | None) -> tuple[float, float]:
+    """Where the alignment's current leaves the d axis of a free rotor [deg], and that current."""
+    bench = Bench(BALDOR, {"current_a": 18.0, "voltage_v": 380.0}, 800.0)
+    plant = {"magnetics": {"kind": "map", "name": "baldor-5k6"}, "brake": {"start": "released"}}
+    options = SimulatedOptions.model_validate({"dc_bus_voltage_v": bench.bus_v, "plant": plant})
+    rig = Rig(options, Motor.model_validate(bench.motor), 3)
+    rig.limit(Limits.model_validate(bench.limits))
+    (point,) = plan_of(bench, {"kind": "alignment", "current_a": current_a, "settle_s": 2.0}).points
+    for _ in rig.excite(point.excitation, 1 << 60):
+        pass
+    angle = float(rig.simulator.memory.state[THETA])
+    return math.degrees(math.remainder(angle, 2 * math.pi)), point.excitation.longest_current_a
+
+
+def test_a_rotor_with_more_saliency_than_magnet_rests_with_its_d_axis_on_the_current() -> None:
+    angle, current = rest_of_a_salient_rotor(None)
+    assert current == pytest.approx(0.5 * 0.4442 / (0.151 - 0.0238), rel=0.05)
+    assert abs(angle) < 1.0
+    away, _ = rest_of_a_salient_rotor(12.4)
+    assert abs(away) > 20.0
+
+
+def test_a_current_under_which_the_d_axis_is_no_place_of_rest_is_told() -> None:
+    bench = Bench(BALDOR, {"current_a": 18.0, "voltage_v": 380.0}, 800.0)
+    (told,) = plan_of(bench, {"kind": "alignment", "current_a": 12.4}).notes
+    assert "from 3.49 A on" in told
+    assert "1.75 A hold it best" in told
+    assert not plan_of(bench, {"kind": "alignment", "current_a": 3.4}).notes

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis._prepare import open_for_diagnosis
 from orchestrator.diagnosis.fitting import baseline
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
@@ -15,12 +17,19 @@ from orchestrator.diagnosis.fitting.baseline import (
     fitted_baseline,
     freed_further,
     given_model,
+    map_space,
     with_detail,
 )
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Fit
-from protocols import FluxMap, Nameplate, NotMeasuredError, Saturated
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.reporting.ladder import rung
+from orchestrator.diagnosis.reporting.motor_model import kept_model, restored
+from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.numerics.tensor_spline import EvenSpline
+from orchestrator.recording import open_recording
+from protocols import FluxMap, MotorModel, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
+from tests.support.tiny import run_tiny
 
 
 @pytest.fixture(scope="module")
@@ -97,7 +106,7 @@ def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -
     coarsest = setup.criteria.intervals[0]
     assert fit.model.space.grid.cells == (coarsest, coarsest)
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=0.3)
-    assert finer_map(setup, setup.fitter, fit, setup.criteria.intervals[1]) is None
+    assert finer_map(setup, setup.fitter, fit, (setup.criteria.intervals[1],) * 2) is None
 
 
 def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
@@ -107,9 +116,83 @@ def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
     fit = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=0)
     finest = replace(fit, chi2=0.9 * fit.chi2)
 
-    def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, intervals: int) -> Fit | None:
+    def at_the_finest(_: DiagnosisSetup, __: Fitter, given: Fit, cells: tuple[int, int]) -> Fit | None:
         assert given is fit
-        return finest if intervals == setup.criteria.intervals[-1] else None
+        return finest if cells == (setup.criteria.intervals[-1],) * 2 else None
 
     monkeypatch.setattr(baseline, "finer_map", at_the_finest)
     assert with_detail(setup, setup.fitter, fit) is finest
+
+
+IPM: dict[str, Any] = {
+    "name": "interior-magnet traction machine (FEMM, magnets at 60 °C)",
+    "pole_pairs": 4,
+    "rated_voltage_rms_v": 200.0,
+    "rated_current_rms_a": 90.0,
+    "stator_resistance_ohm": 0.0035,
+    "d_inductance_h": 0.000117,
+    "q_inductance_h": 0.000723,
+    "pm_flux_wb": 0.06132,
+}
+"""Its bridges saturate within some ten amperes along i_q."""
+SWEEPS: list[dict[str, Any]] = [
+    {"kind": "gates_off", "duration_s": 0.1},
+    {
+        "kind": "classical",
+        "axes": ["q", "d"],
+        "held_a": [-80.0, -40.0, 0.0, 40.0, 80.0],
+        "amplitude_a": 140.0,
+        "period_s": 0.5,
+        "periods": 1,
+        "settle_s": 0.5,
+    },
+]
+
+
+@pytest.fixture(scope="module")
+def sharp(tmp_path_factory: pytest.TempPathFactory) -> DiagnosisSetup:
+    """Sweeps of a motor that saturates sharply, and nothing else the matter with it."""
+    drive = {"plant": {"magnetics": {"kind": "map", "name": "ipm-femm-60c"}, "sensors": {"noise_a": 0.2}}}
+    limits = {"current_a": 180.0, "voltage_v": 150.0, "energy_j": 1e6}
+    run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=IPM, limits=limits, stages=SWEEPS)
+    assert run.outcome.ending == "finished", run.outcome.reason
+    return open_for_diagnosis(open_recording(run.path))
+
+
+def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(sharp: DiagnosisSetup) -> None:
+    fit = fitted_baseline(sharp)
+    d, q = fit.model.space.grid.cells
+    assert q >= 20
+    assert d < q
+    finest = sharp.criteria.intervals[-1]
+    usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), renewals=0)
+    assert usual.chi2_per_dof > 3.0
+    assert fit.chi2_per_dof - 1.0 < 0.15 * (usual.chi2_per_dof - 1.0)
+
+
+def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Model:
+    grid = EvenSpline(*setup.prepared.current_range, cells)
+    space = map_space(setup, Saturated(), grid, np.zeros(grid.size))
+    return replace(fit.model, space=space, magnetics=fit.model.magnetics.on(grid))
+
+
+def test_a_map_that_was_let_be_rough_is_as_rough_when_it_is_read_back(sharp: DiagnosisSetup) -> None:
+    fit = fitted_baseline(sharp)
+    kept = kept_model(sharp, fit, Saturated(), (), [rung(Step(None, fit))])
+    again = restored(sharp, MotorModel.model_validate_json(kept.model_dump_json()), Saturated(), {})
+    np.testing.assert_allclose(again.space.prior, fit.model.space.prior)
+    assert again.space.roughness == fit.model.space.roughness
+
+
+def test_what_a_sharper_map_takes_little_of_is_not_the_maps(
+    setup: DiagnosisSetup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fit = setup.fitter.fit(on_the_grid(setup, setup.fitter.fit(baseline_model(setup, Saturated())), (10, 10)))
+    off = replace(fit, chi2=5.0 * fit.dof)
+    for left, taken in ((0.9, False), (0.5, True)):
+        better = replace(fit, chi2=(1.0 + 4.0 * left) * fit.dof)
+        ended = replace(fit, chi2=fit.dof)
+        trials = iter([None, None, better, None, None, ended, *[None] * 12])
+        monkeypatch.setattr(baseline, "finer_map", lambda *_, trials=trials: next(trials))
+        monkeypatch.setattr(baseline, "_sharpened", lambda *_: [((10, 14), 1.0)])
+        assert (with_detail(setup, setup.fitter, off) is not off) is taken
