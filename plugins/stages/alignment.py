@@ -57,8 +57,8 @@ class AlignmentStage(EnergisedStage):
             current = scaling.within_limit_a(min(scaling.rated_current_a("current_a"), stiffest))
         if current >= 2.0 * stiffest:
             scaling.note(
-                f"alignment: from {2.0 * stiffest:.3g} A on L_q - L_d outweighs the magnet, and a free rotor does not rest "
-                f"with its d axis on the current; {stiffest:.3g} A hold it best (current_a is {current:.3g} A)"
+                f"alignment: from {2.0 * stiffest:.3g} A on L_q - L_d outweighs the magnet, and a free rotor does not "
+                f"rest with its d axis on the current; {stiffest:.3g} A hold it best (current_a is {current:.3g} A)"
             )
         return self.model_copy(update={"current_a": current, "control": scaling.control(self.control)})
 

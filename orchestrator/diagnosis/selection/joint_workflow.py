@@ -216,7 +216,8 @@ def ladder_of(
 def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
     """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
 
-    Nor is one whose interval holds nothing at all: it may be balanced by another. Both stay in the model.
+    Nor is one whose interval holds nothing at all: it may be balanced by another. All stay in the model. What drifts by
+    a part leaves that part of what it takes away: where less is left, the blocks disagree on something else.
     """
     first, last = search.steps[0].fit, search.fit
     if not search.shares or fitted_verdict(first, last) == "explained":
@@ -224,7 +225,9 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)
     steady = last.criteria.selection.least_constancy
     causes, absent = [n for n in last.model.names if n not in search.minor], perhaps_absent(fitter, search.sized)
-    doubtful = [n for n in causes if drift[n] > steady or search.shares[n].of_error < left or n in absent]
+    taken = {n: search.shares[n].of_error for n in causes}
+    unsteady = [n for n in causes if drift[n] > steady and left > steady * min(taken[n], 1.0)]
+    doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent]
     steps = [s for s in search.steps[:-1] if s.added not in doubtful]
     added = next((n for n in reversed(causes) if n not in doubtful), None)
     steps = [s for s in steps if s.added != added or added is None]

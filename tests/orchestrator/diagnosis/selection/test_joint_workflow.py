@@ -86,3 +86,29 @@ def test_a_timer_told_beside_a_scatter_has_to_do_better_without_it(
     assert (after is setup) != taken
     assert held.objective <= fit.objective
     assert not held.frame.noise.of_model.scatters
+
+
+@pytest.mark.parametrize(("left", "named"), [(0.1, True), (0.4, False)])
+def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
+    left: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    search = joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, [])
+    monkeypatch.setattr(joint_workflow, "fitted_verdict", lambda *_: "unknown_remains")
+    monkeypatch.setattr(joint_workflow, "left_fraction", lambda *_: left)
+    monkeypatch.setattr(joint_workflow, "block_scatter_ratio", lambda fit: dict.fromkeys(fit.model.names, 0.3))
+    after, doubtful = joint_workflow.without_stand_ins(setup.fitter, search)
+    assert ("voltage_bias" in doubtful) != named
+    assert ("voltage_bias" in [step.added for step in after.steps]) == named
+    assert set(after.fit.model.names) == set(whole.model.names)
+
+
+@pytest.mark.parametrize(("chi2", "asked"), [(1.02, False), (3.0, True)])
+def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
+    chi2: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    sharper = replace(whole)
+    monkeypatch.setattr(joint_workflow, "with_detail", lambda *_: sharper)
+    fit = replace(whole, chi2=chi2 * whole.dof)
+    assert (joint_workflow.on_a_sharper_map(setup, fit) is sharper) == asked
