@@ -30,7 +30,14 @@ from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.measured import with_measured
-from orchestrator.diagnosis.selection.shares import can_tell, left_of_excitation, rated_flux_wb, shares, visited
+from orchestrator.diagnosis.selection.shares import (
+    can_tell,
+    left_of_excitation,
+    rated_flux_wb,
+    shares,
+    unexplained_at_rest_v,
+    visited,
+)
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import verdict_of
 from orchestrator.diagnosis.selection.workflow import (
@@ -317,6 +324,9 @@ def _remarks(
     # What fits all together takes what it takes.
     if setup.fitter.effort.exhausted and not search.shares:
         remarks.append(Remark.of("cut_short", "the search was cut short: it took more computing than a diagnosis may"))
+    if (at_rest := unexplained_at_rest_v(search.fit)) > 0.0:
+        text = "with the gates off the sensors read what the model denies: {reading_ma:.2g} mA rms"
+        remarks.append(Remark.of("gates_off", text, reading_ma=1e3 * at_rest / search.fit.model.r_s))
     if chi2 < limits.too_quiet_chi2:
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=chi2))

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import chdtrc
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import without_effect
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
@@ -74,6 +76,26 @@ def left_of_excitation(fit: Fit) -> float:
     chi = _by_kind(fit, fit.residual)
     beyond = {kind: left[kind] * math.sqrt(max(1.0 - 1.0 / chi[kind] ** 2, 0.0)) for kind in left if chi[kind] > 0.0}
     return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
+
+
+def unexplained_at_rest_v(fit: Fit) -> float:
+    """What a reading without current says against the model, as the voltage of that current [V]; 0 where nothing.
+
+    Its few equations hardly count among thousands, so it is asked by itself: whether chance makes so much of it, and
+    whether it is material beside the excitation, as an effect would be.
+    """
+    limits, of_gates_off = fit.criteria.selection, _without_current
+    left = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if of_gates_off(p)]
+    volts = fit.rms_v(of_gates_off) or 0.0
+    least = min((v for v in _by_kind(fit, _voltages(fit)).values() if v > 0.0), default=math.inf)
+    if not left or volts <= limits.material_voltage * least:
+        return 0.0
+    together = np.concatenate(left)
+    return volts if chdtrc(len(together), float(together @ together)) < limits.by_chance else 0.0
+
+
+def _without_current(piece: SegmentSignals) -> bool:
+    return piece.stage is SegmentStage.GATES_OFF
 
 
 def can_tell(fit: Fit, noise_v: float | None, current_error: float | None) -> bool:

@@ -9,9 +9,10 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.shares import left_of_excitation
+from orchestrator.diagnosis.selection.shares import excitation_v, left_of_excitation
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, remainder, verdict_of
 from plugins.effects.inverter import DeadTime
+from protocols import SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
 
@@ -100,3 +101,25 @@ def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:
     assert verdict_of(_with_chi2(fit, 900.0), _with_chi2(fit, 1.0), 1) == "explained"
     assert verdict_of(_with_chi2(fit, 900.0), worse, 1) != "explained"
     assert fitted_verdict(_with_chi2(fit, 900.0), worse) == "explained"  # and decides on no name
+
+
+def _denied(fit: Fit, sigmas: float, of_material: float) -> Fit:
+    """A fit of which the reading without current leaves so much, in its noise and in what would be material."""
+    off = [p.stage is SegmentStage.GATES_OFF for p in fit.prepared.pieces]
+    assert any(off)
+    volts = of_material * fit.criteria.selection.material_voltage * excitation_v(fit)
+    return replace(
+        _with_chi2(fit, 1.0),
+        residual=tuple(np.full_like(e, sigmas) if o else e for o, e in zip(off, fit.residual, strict=True)),
+        volts=tuple(np.full_like(e, volts) if o else e for o, e in zip(off, fit.volts, strict=True)),
+    )
+
+
+@pytest.mark.parametrize(
+    ("sigmas", "of_material", "verdict"),
+    [(8.0, 1.5, "unknown_remains"), (1.5, 1.5, "explained"), (8.0, 0.01, "explained")],
+)
+def test_what_a_reading_without_current_denies_is_not_explained_however_few_its_equations(
+    fit: Fit, sigmas: float, of_material: float, verdict: str
+) -> None:
+    assert verdict_of(_with_chi2(fit, 500.0), _denied(fit, sigmas, of_material), 1) == verdict
