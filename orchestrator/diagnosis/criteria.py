@@ -112,10 +112,10 @@ class FittingCriteria(Strict):
     """How much rougher than before such a map may be, at each step; ..."""
     roughest: float = _is(10.0, "1", "practice")
     """... and than usual, at most."""
-    sharper_share: float = _is(0.2, "1", "practice")
+    sharper_share: float = _is(0.1, "1", "practice")
     """Part of what is left that a sharper map has to take away: where it is the map's, most of it goes, and where it is
     another effect's, a little."""
-    most_map_numbers: int = _is(600, "1", "budget")
+    most_map_numbers: int = _is(350, "1", "budget")
     """That such a map may have."""
     given_intervals: int = _is(28, "1", "practice")
     """Spline intervals on each axis that are laid through a given map."""

@@ -201,6 +201,19 @@ def with_detail(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     return fit if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1] else _sharper(setup, fitter, fit)
 
 
+def worth_its_freedom(trial: Fit, fit: Fit) -> bool:
+    """Whether a fit on a finer map is that much better than one on a coarser."""
+    limits = fit.criteria.fitting
+    asked = limits.finer_gain_per_freedom * max(fit.dof - trial.dof, 1.0) + limits.finer_gain
+    return fit.objective - trial.objective > asked * max(trial.chi2_per_dof, 1.0)
+
+
+def is_sharp(fit: Fit) -> bool:
+    """Whether a fit's map is finer or rougher than smooth iron asks for."""
+    space = fit.model.space
+    return max(space.grid.cells) > fit.criteria.fitting.intervals[-1] or space.roughness > 1.0
+
+
 def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same on maps ever finer along one axis, or rougher, as long as one takes away much of what is left."""
     limits = setup.criteria
@@ -247,10 +260,7 @@ def finer_map(
     space = _free(setup, _grid(setup, cells), roughness)
     model = replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
     trial = fitter.fit(model, steps=2, renewals=0)
-    freed = fit.dof - trial.dof
-    gain = fit.objective - trial.objective
-    asked = setup.criteria.finer_gain_per_freedom * max(freed, 1.0) + setup.criteria.finer_gain
-    return trial if gain > asked * max(trial.chi2_per_dof, 1.0) else None
+    return trial if worth_its_freedom(trial, fit) else None
 
 
 def _grid(setup: DiagnosisSetup, cells: tuple[int, int]) -> EvenSpline:

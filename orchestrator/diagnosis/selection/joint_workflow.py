@@ -5,7 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, with_detail
+from orchestrator.diagnosis.fitting.baseline import (
+    DiagnosisSetup,
+    is_sharp,
+    with_detail,
+    worth_its_freedom,
+)
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
@@ -21,6 +26,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     together,
     with_everything,
     with_overlooked,
+    without_doubles,
 )
 from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer, with_timer_of_fit
 from orchestrator.diagnosis.selection.scoring import LinearView
@@ -59,10 +65,9 @@ def all_together(
     fit = together(setup.coarse_fitter, quick.fit.model, library)
     begin("each effect's own form", BEGINS_AT["forms"])
     setup, doubting, fit = formed_together(setup, fit, library)
+    fit = on_a_sharper_map(doubting, fit)
     begin("which of them do the data ask for?", BEGINS_AT["search"])
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
-    if (sharper := on_a_sharper_map(doubting, fit)) is not fit:
-        fit, rivals = _asked_again(doubting, sharper, library)
     told = with_timer_of_fit(setup, doubting, fit, library)
     if told is not None:
         untold, (setup, doubting, fit) = fit, told
@@ -88,6 +93,9 @@ def all_together(
             setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
     # The whole tells what a part of it was too little for.
     whole = downwards(setup.fitter, with_overlooked(setup.fitter, whole, library))
+    if (instead := with_the_map_instead(setup, whole)) is not whole:
+        whole, doubles = without_doubles(setup.fitter, instead)
+        rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
     if not whole.model.active:
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
@@ -96,10 +104,33 @@ def all_together(
 
 
 def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
-    """The fit on as fine a map as it asks for, now that all effects have their forms; what is left may be the map's."""
-    if not _formless(fit) or not fit.model.space.is_free:
-        return fit
-    return with_detail(setup, setup.coarse_fitter, fit)
+    """The fit on as sharp a map as it asks for now that all effects have their forms, and these anew on each.
+
+    Before any of them is asked to stay: what a map is too coarse for looks like one or another of them.
+    """
+    while _formless(fit) and fit.model.space.is_free:
+        sharper = with_detail(setup, setup.coarse_fitter, fit)
+        if sharper is fit:
+            break
+        fit = in_own_forms(setup.coarse_fitter, sharper)
+    return fit
+
+
+def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:
+    """The fit without those effects in whose place a sharper map does better; only on maps that are sharp already.
+
+    Of two ways to take away the same error a search finds one: on sharp iron, detail that a map is too coarse for has
+    been taken for a backlash.
+    """
+    factors, limits = log_bayes_factors(fit), setup.criteria
+    for name in sorted(fit.model.names, key=lambda name: factors[name])[: fit.criteria.selection.most_trials]:
+        if not is_sharp(fit) or fit.chi2_per_dof <= limits.finer_above_chi2 or len(fit.model.active) < 2:
+            break
+        rest = fit.model.with_active([a for a in fit.model.active if a.name != name])
+        trial = with_detail(setup, setup.fitter, refitted(setup.fitter, rest, fit))
+        if trial.model.space is not fit.model.space and worth_its_freedom(trial, fit):
+            fit = downwards(setup.fitter, refitted(setup.fitter, trial.model))
+    return fit
 
 
 def _asked_again(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from orchestrator.diagnosis.fitting.baseline import is_sharp
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.shares import left_of_excitation, unexplained_at_rest_v
 from protocols import Verdict
@@ -43,6 +44,9 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
     if not effects and left <= limits.noise_known and left_of_excitation(after) <= limits.material_voltage:
         return "clean"
     fraction = left_fraction(before.chi2_per_dof, after)
+    # What even a sharp map leaves may be more of its detail, and what was found a part of that.
+    if is_sharp(after):
+        return "unknown_remains"
     if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
         return "unknown_remains"
     if fraction <= limits.explained and left <= limits.explained_left:

@@ -189,7 +189,7 @@ def test_what_a_sharper_map_takes_little_of_is_not_the_maps(
 ) -> None:
     fit = setup.fitter.fit(on_the_grid(setup, setup.fitter.fit(baseline_model(setup, Saturated())), (10, 10)))
     off = replace(fit, chi2=5.0 * fit.dof)
-    for left, taken in ((0.9, False), (0.5, True)):
+    for left, taken in ((0.95, False), (0.5, True)):
         better = replace(fit, chi2=(1.0 + 4.0 * left) * fit.dof)
         ended = replace(fit, chi2=fit.dof)
         trials = iter([None, None, better, None, None, ended, *[None] * 12])

@@ -11,6 +11,7 @@ from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
@@ -108,7 +109,35 @@ def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
     chi2: float, asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    sharper = replace(whole)
+    sharper = replace(whole, chi2=1.01 * whole.dof)
     monkeypatch.setattr(joint_workflow, "with_detail", lambda *_: sharper)
+    monkeypatch.setattr(joint_workflow, "in_own_forms", lambda _, fit: fit)
     fit = replace(whole, chi2=chi2 * whole.dof)
-    assert (joint_workflow.on_a_sharper_map(setup, fit) is sharper) == asked
+    assert joint_workflow.on_a_sharper_map(setup, fit) is (sharper if asked else fit)
+
+
+@pytest.mark.parametrize(
+    ("roughness", "chi2", "better", "stays"),
+    [(3.0, 1.5, True, False), (3.0, 1.5, False, True), (3.0, 1.01, True, True), (1.0, 1.5, True, True)],
+)
+def test_an_effect_in_whose_place_a_sharper_map_does_better_is_gone(
+    roughness: float, chi2: float, better: bool, stays: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Where the map is sharp already, and something is left; the effect that the data ask for least is tried first."""
+    setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    factors = log_bayes_factors(whole)
+    least = min(factors, key=lambda name: factors[name])
+    space = replace(whole.model.space, roughness=roughness)
+    fit = replace(whole, model=replace(whole.model, space=space), chi2=chi2 * whole.dof)
+
+    def on_another(_: DiagnosisSetup, __: Fitter, trial: Fit) -> Fit:
+        objective = fit.objective - (1e6 if better and least not in trial.model.names else -1e6)
+        sharper = replace(trial.model, space=replace(trial.model.space, roughness=9.0))
+        return replace(trial, model=sharper, objective=objective)
+
+    monkeypatch.setattr(joint_workflow, "with_detail", on_another)
+    monkeypatch.setattr(joint_workflow, "refitted", lambda maker, model, known=None: replace(fit, model=model))
+    monkeypatch.setattr(joint_workflow, "downwards", lambda _, fit: replace(fit, chi2=fit.dof))
+    after = joint_workflow.with_the_map_instead(setup, fit)
+    assert (least in after.model.names) == stays
+    assert (after is fit) == stays
