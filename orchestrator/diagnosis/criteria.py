@@ -230,7 +230,7 @@ class SelectionCriteria(Strict):
     """Part of the rated flux by which an effect has to move the map to be material, ..."""
     material_voltage: float = _is(0.005, "1", "practice")
     """... or part of the excitation's rms voltage that it has to make in any kind of stage."""
-    by_chance: float = _is(1e-6, "1", "practice")
+    no_chance: float = _is(1e-6, "1", "practice")
     """Probability below which what a reading without current says against a model is no chance."""
     widest_band_percent: float = _is(1.0, "%", "practice")
     """Half width of the map's 95 % band, of the rated flux, beyond which the map is no longer one to be relied on."""

@@ -91,7 +91,7 @@ def unexplained_at_rest_v(fit: Fit) -> float:
     if not left or volts <= limits.material_voltage * least:
         return 0.0
     together = np.concatenate(left)
-    return volts if chdtrc(len(together), float(together @ together)) < limits.by_chance else 0.0
+    return volts if chdtrc(len(together), float(together @ together)) < limits.no_chance else 0.0
 
 
 def _without_current(piece: SegmentSignals) -> bool:
