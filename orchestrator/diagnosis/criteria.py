@@ -440,6 +440,9 @@ class ConventionCriteria(Strict):
     """Further off whole samples than this, a sine's phase is turned by something else, iron loss or a filter."""
     nameplate: float = _is(0.2, "1", "practice")
     """Relative difference to the nameplate's R and L that tolerance, temperature and saturation make."""
+    least_resistive: float = _is(0.3, "1", "practice")
+    """Part of the voltage at rest that R_s i has to make for R_s to be held against the nameplate's: where an
+    inverter's loss is most of it, what is left is no R_s."""
     least_scale: float = _is(1.35, "1", "practice")
     """Ratio to the nameplate, of R and L alike, from which on it is no tolerance's."""
 

@@ -13,7 +13,7 @@ def against_nameplate(seen: Responses) -> Convention | None:
     """A factor on currents or voltages that brings both R and L back; both are named, for they look alike."""
     limits = seen.survey.criteria
     ratios = (seen.resistance_ratio, seen.inductance_ratio)
-    if ratios[0] is None or ratios[1] is None:
+    if ratios[0] is None or ratios[1] is None or seen.resistive_part < limits.least_resistive:
         return None
     both = math.sqrt(ratios[0] * ratios[1])
     tolerance = math.log1p(limits.nameplate)

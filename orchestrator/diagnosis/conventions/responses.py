@@ -173,6 +173,14 @@ class Responses:
         return None if self.rest is None else self.rest.law()[0].real
 
     @cached_property
+    def resistive_part(self) -> float:
+        """Of the voltage at rest, what R_s i makes of it; the rest is an inverter's."""
+        if self.rest is None or self.resistance_ohm is None:
+            return 0.0
+        v = float(np.linalg.norm(self.rest.v))
+        return abs(self.resistance_ohm) * float(np.linalg.norm(self.rest.i)) / v if v > 0.0 else 0.0
+
+    @cached_property
     def resistance_ratio(self) -> float | None:
         """R_s over the nameplate's; None where either is not known or none is there."""
         return _ratio(self.resistance_ohm, self.survey.manifest.motor.stator_resistance_ohm)
