@@ -209,9 +209,10 @@ def worth_its_freedom(trial: Fit, fit: Fit) -> bool:
 
 
 def is_sharp(fit: Fit) -> bool:
-    """Whether a fit's map is finer or rougher than smooth iron asks for."""
+    """Whether a fit's own map is finer or rougher than smooth iron asks for; a given one is as it is."""
     space = fit.model.space
-    return max(space.grid.cells) > fit.criteria.fitting.intervals[-1] or space.roughness > 1.0
+    usual = max(space.grid.cells) <= fit.criteria.fitting.intervals[-1] and space.roughness <= 1.0
+    return space.is_free and not usual
 
 
 def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:

@@ -17,6 +17,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     fitted_baseline,
     freed_further,
     given_model,
+    is_sharp,
     map_space,
     with_detail,
 )
@@ -92,6 +93,7 @@ def test_a_given_map_is_kept_as_it_is(setup: DiagnosisSetup) -> None:
     expected = at * np.array([L_D, L_Q]) - 5e-4 * at**3
     np.testing.assert_allclose(psi - psi[2], expected, atol=2e-4 * L_Q * 2.5)
     assert model.space.directions.shape[1] == 0
+    assert not is_sharp(setup.fitter.fit(model))
     assert model.r_s == R_S
 
 
@@ -167,6 +169,8 @@ def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(shar
     finest = sharp.criteria.intervals[-1]
     usual = sharp.fitter.fit(on_the_grid(sharp, fit, (finest, finest)), renewals=0)
     assert usual.chi2_per_dof > 3.0
+    assert is_sharp(fit)
+    assert not is_sharp(usual)
     assert fit.chi2_per_dof - 1.0 < 0.15 * (usual.chi2_per_dof - 1.0)
 
 
