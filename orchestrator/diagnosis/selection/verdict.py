@@ -45,7 +45,7 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
         return "clean"
     fraction = left_fraction(before.chi2_per_dof, after)
     # What even a sharp map leaves may be more of its detail, and what was found a part of that.
-    if is_sharp(after) and left > limits.noise_known:
+    if is_sharp(after) and after.chi2_per_dof - 1.0 > limits.noise_known:
         return "unknown_remains"
     if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
         return "unknown_remains"
