@@ -231,7 +231,7 @@ def _sharpened(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int
     """Intervals and roughness of those maps that are a step sharper."""
     limits, space = setup.criteria, fit.model.space
     d, q = space.grid.cells
-    finer = [next((n for n in limits.sharper_intervals if n > cells), cells) for cells in (d, q)]
+    finer = [next((n for n in limits.sharper_intervals if n > own), own) for own in (d, q)]
     for cells in (finer[0], q), (d, finer[1]):
         if _grid(setup, cells).size <= limits.most_map_numbers:
             yield cells, space.roughness

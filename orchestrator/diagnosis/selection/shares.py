@@ -84,9 +84,9 @@ def unexplained_at_rest_v(fit: Fit) -> float:
     Its few equations hardly count among thousands, so it is asked by itself: whether chance makes so much of it, and
     whether it is material beside the excitation, as an effect would be.
     """
-    limits, of_gates_off = fit.criteria.selection, _without_current
-    left = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if of_gates_off(p)]
-    volts = fit.rms_v(of_gates_off) or 0.0
+    limits = fit.criteria.selection
+    left = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if _without_current(p)]
+    volts = fit.rms_v(_without_current) or 0.0
     least = min((v for v in _by_kind(fit, _voltages(fit)).values() if v > 0.0), default=math.inf)
     if not left or volts <= limits.material_voltage * least:
         return 0.0

@@ -10,19 +10,11 @@ import pytest
 
 from orchestrator.engine import AbsentOperator, Crew, Interrupts, RunResult, resume_run
 from orchestrator.recording import open_recording
+from plugins.drives.simulated import map_motor
 from protocols import Note, PointDone
 from tests.support.tiny import messages_of, run_tiny
 
-BALDOR: dict[str, Any] = {
-    "name": "Baldor ECS101M0H7EF4, 5.6 kW PM-SyRM",
-    "pole_pairs": 2,
-    "rated_voltage_rms_v": 460.0,
-    "rated_current_rms_a": 8.8,
-    "stator_resistance_ohm": 0.63,
-    "d_inductance_h": 0.0238,
-    "q_inductance_h": 0.151,
-    "pm_flux_wb": 0.4442,
-}
+BALDOR = map_motor("baldor-5k6").model_dump(exclude_none=True)
 LIMIT_A = 20.0
 POINTS = [[0.0, 0.0], [8.0, 8.0], [16.0, 0.0], [0.0, 16.0], [0.0, -16.0], [-16.0, 0.0]]
 STAGE: dict[str, Any] = {

@@ -12,7 +12,7 @@ import pytest
 
 from orchestrator.config import PlannedPoint
 from orchestrator.testing import StageConformance
-from plugins.drives.simulated import SimulatedOptions
+from plugins.drives.simulated import SimulatedOptions, map_motor
 from plugins.drives.simulated._state import THETA
 from plugins.drives.simulated.rig import Rig
 from plugins.stages.alignment import AlignmentStage
@@ -195,17 +195,7 @@ def test_nothing_is_added_without_a_reading_or_to_one_that_is_no_offset(
     assert point.settings == {"current_d_a": 2.0, "current_q_a": 0.0}
 
 
-BALDOR: dict[str, Any] = {
-    "name": "Baldor ECS101M0H7EF4, 5.6 kW PM-SyRM",
-    "pole_pairs": 2,
-    "rated_voltage_rms_v": 460.0,
-    "rated_current_rms_a": 8.8,
-    "rated_torque_nm": 29.7,
-    "stator_resistance_ohm": 0.63,
-    "d_inductance_h": 0.0238,
-    "q_inductance_h": 0.151,
-    "pm_flux_wb": 0.4442,
-}
+BALDOR = map_motor("baldor-5k6").model_dump(exclude_none=True)
 """Its L_q - L_d outweighs the magnet from 3.5 A on, of a rated current of 12.4 A."""
 
 

@@ -28,6 +28,7 @@ from orchestrator.diagnosis.reporting.motor_model import kept_model, restored
 from orchestrator.diagnosis.selection.forward_search import Step
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.recording import open_recording
+from plugins.drives.simulated import map_motor
 from protocols import FluxMap, MotorModel, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
 from tests.support.tiny import run_tiny
@@ -126,17 +127,6 @@ def test_a_finer_map_is_asked_though_one_between_is_not_worth_its_freedom(
     assert with_detail(setup, setup.fitter, fit) is finest
 
 
-IPM: dict[str, Any] = {
-    "name": "interior-magnet traction machine (FEMM, magnets at 60 °C)",
-    "pole_pairs": 4,
-    "rated_voltage_rms_v": 200.0,
-    "rated_current_rms_a": 90.0,
-    "stator_resistance_ohm": 0.0035,
-    "d_inductance_h": 0.000117,
-    "q_inductance_h": 0.000723,
-    "pm_flux_wb": 0.06132,
-}
-"""Its bridges saturate within some ten amperes along i_q."""
 SWEEPS: list[dict[str, Any]] = [
     {"kind": "gates_off", "duration_s": 0.1},
     {
@@ -153,10 +143,12 @@ SWEEPS: list[dict[str, Any]] = [
 
 @pytest.fixture(scope="module")
 def sharp(tmp_path_factory: pytest.TempPathFactory) -> DiagnosisSetup:
-    """Sweeps of a motor that saturates sharply, and nothing else the matter with it."""
-    drive = {"plant": {"magnetics": {"kind": "map", "name": "ipm-femm-60c"}, "sensors": {"noise_a": 0.2}}}
+    """Sweeps of a motor whose bridges saturate within some ten amperes along i_q, nothing else the matter with it."""
+    name = "ipm-femm-60c"
+    motor = map_motor(name).model_dump(exclude_none=True)
+    drive = {"plant": {"magnetics": {"kind": "map", "name": name}, "sensors": {"noise_a": 0.2}}}
     limits = {"current_a": 180.0, "voltage_v": 150.0, "energy_j": 1e6}
-    run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=IPM, limits=limits, stages=SWEEPS)
+    run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=motor, limits=limits, stages=SWEEPS)
     assert run.outcome.ending == "finished", run.outcome.reason
     return open_for_diagnosis(open_recording(run.path))
 
