@@ -121,6 +121,20 @@ def record(bench: Bench, campaign: Campaign, directory: Path, name: str = "blind
     return directory
 
 
+def rows_of(bench: Bench, campaign: Campaign) -> Iterator[tuple[str, Array, Array]]:
+    """Run the campaign; by segments its stage, and current and voltage in the believed frame, shape (samples, 2).
+
+    The voltage is of the row in which it is impressed.
+    """
+    clock, rng = _Clock(), np.random.default_rng(bench.seed)
+    c, s = np.cos(bench.believed_rad), np.sin(bench.believed_rad)
+    into_dq, late = np.array([[c, -s], [s, c]]), round(bench.drive_delay_samples)
+    for ask in _plan(bench.machine, campaign):
+        _, rows = _measure(bench, ask, clock, rng)
+        count = len(rows.current) - late
+        yield ask.stage, rows.current[late:].astype(float) @ into_dq, rows.voltage[:count].astype(float) @ into_dq
+
+
 def _plan(machine: Machine, campaign: Campaign) -> Iterator[_Ask]:
     rate, top = machine.sampling_hz, machine.top_a * (1.0 if campaign.excited else 0.0)
     volts = 4 * machine.injection_hz * 0.2 * machine.l_d_h * np.sqrt(2.0) * machine.rated_current_rms_a

@@ -16,7 +16,8 @@ from orchestrator.fleet import ClusterSettings, Task, connected, work_through
 from tests.blind.baselines import baselines
 from tests.blind.campaign import record
 from tests.blind.delivered import held_against
-from tests.blind.hidden import Case, draw_case
+from tests.blind.hidden import MANY, Case, draw_case
+from tests.blind.removal import removals
 
 
 @dataclass(frozen=True)
@@ -37,6 +38,8 @@ class Answer:
     """Fields of `Delivered`; None where nothing was."""
     baselines: dict[str, list[str]] | None = None
     """What simpler searches name, by method; None where nothing was fitted."""
+    removal: dict[str, dict[str, float]] | None = None
+    """Fields of `Removal` by hidden effect, where many are hidden; None elsewhere."""
 
 
 def examine(case: Case) -> Answer:
@@ -63,8 +66,9 @@ def examine(case: Case) -> Answer:
         seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
         if delivered is not None:
             named = baselines(recording, [effect for effect in library if effect.name not in case.without])
+    done = {name: asdict(one) for name, one in removals(case).items()} if case.kind in MANY else None
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named)
+    return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named, done)
 
 
 def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:
@@ -86,7 +90,7 @@ def keep(file: Path | None, seed: int, answer: Answer) -> None:
     """Append an answer to a file of JSON lines; nowhere, where there is none."""
     if file is None:
         return
-    names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered", "baselines")
+    names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered", "baselines", "removal")
     row = {name: getattr(answer, name) for name in names}
     with file.open("a", encoding="utf-8") as lines:
         lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row}) + "\n")

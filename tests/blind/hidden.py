@@ -32,6 +32,8 @@ class Truth:
     size: float
     """In units of the catalogue's typical size."""
     parameters: Mapping[str, float] = field(default_factory=dict)
+    changes: Mapping[str, float] = field(default_factory=dict)
+    """What it does to the plant and its table."""
 
     def __str__(self) -> str:
         return f"{self.name} x{self.size:.2g}"
@@ -80,6 +82,8 @@ KINDS = (
     "clean", "single", "double", "clutter", "ordinary", "left_out", "foreign", "nuisance", "faint",
     "foreign_behind", "switched_clean", "switched", "switched_foreign",
 )  # fmt: skip
+MANY = ("clutter", "ordinary")
+"""Classes that hide every effect of the catalogue: what each does is asked of the plant (`tests.blind.removal`)."""
 FAINT = (0.02, 0.2)
 """Sizes of faint effects, in units of the typical one."""
 BEHIND = 1.0
@@ -202,7 +206,7 @@ def _hide(rng: Rng, machine: Machine, hidden: Hidden) -> tuple[dict[str, Any], t
         does, parameters = size.build(rng, value, machine)
         does["substeps"] = max(does.get("substeps", 2), changes.get("substeps", 2))
         changes |= does
-        truths.append(Truth(name, size.relative(value), parameters))
+        truths.append(Truth(name, size.relative(value), parameters, does))
     return changes, tuple(truths)
 
 

@@ -15,12 +15,15 @@ import numpy as np
 
 from tests.blind.examine import Answer
 from tests.blind.hidden import SILENT, SLOW_LEG, Case
+from tests.blind.removal import Removal
 
 FLOORS = 3.0
 """A held-out error is said to close only where it was this many noise floors before."""
 
 FOUND_FIRST = "clutter: first name right"
-"""No mistake where it is not: names are in the order of what they do to the error, and a small one may do more."""
+"""Right is the name of what makes the largest part of the error by the plant itself, ..."""
+AS_LARGE = 0.8
+"""... or of what makes this part of that: which is larger depends on how kinds of readings are weighed."""
 SIZEABLE = 0.1
 """Size, in units of the typical one, from which an effect of an ordinary bench counts as one to be found."""
 ACCEPTED_PERCENT = 1.0
@@ -54,6 +57,8 @@ class Judgement:
     over_floor: float | None = None
     """Held-out error after, in noise floors."""
     intervals: tuple[tuple[str, bool], ...] = ()
+    material: tuple[tuple[str, bool], ...] = ()
+    """Effects that are material by the plant itself, where many are hidden: is each among the causes?"""
     sizeable: tuple[tuple[str, bool], ...] = ()
     """Hidden effects of an ordinary bench, switched or not, from `SIZEABLE` on: is each among causes and minor ones?"""
     stated: tuple[tuple[float, bool], ...] = ()
@@ -63,8 +68,8 @@ class Judgement:
 
     @property
     def wrong(self) -> list[str]:
-        """Names of the figures that this answer misses, aside from those that are no mistakes."""
-        return [name for name, right in self.right.items() if not right and name not in (*FAINT_FIGURES, FOUND_FIRST)]
+        """Names of the figures that this answer misses, aside from how much of what is faint is found."""
+        return [name for name, right in self.right.items() if not right and name not in FAINT_FIGURES]
 
 
 def judge(answer: Answer) -> Judgement:
@@ -76,6 +81,8 @@ def judge(answer: Answer) -> Judgement:
     if report is None:
         return Judgement(answer, {"answered at all": False})
     right = _right(case, report)
+    if case.kind == "clutter" and answer.removal is not None:
+        right |= _of_clutter(answer.removal, report)
     if answer.delivered is not None and (answer.delivered["usable"] or report["verdict"] in ("clean", "explained")):
         right[ACCEPTED] = answer.delivered["map_percent"] <= ACCEPTED_PERCENT
     closed, over_floor = _closed(report)
@@ -95,6 +102,7 @@ def judge(answer: Answer) -> Judgement:
         closed if in_catalogue else None,
         over_floor if in_catalogue else None,
         intervals,
+        tuple(_material(answer)),
         tuple((truth.name, truth.name in known) for truth in hidden if truth.size >= SIZEABLE),
         tuple((p, bool(names & there)) for names, p in listed) if in_library else (),
         max((p for names, p in listed if case.truths[0].name in names), default=0.0) if in_catalogue else None,
@@ -147,8 +155,6 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     elif case.kind == "single":
         right["single: first name right"] = bool(found) and names[0] in found[0]
     elif case.kind == "clutter":
-        right[FOUND_FIRST] = bool(found) and any(_alike(names[0], name) for name in found[0])
-        right["clutter: named"] = any(_alike(names[0], name) for one in found for name in one)
         listed = set().union(*found, *(_or_twins(case, effect) for effect in report.get("minor", ())))
         right["clutter: named, or listed as smaller"] = any(_alike(names[0], name) for name in listed)
         right["clutter: no false name"] = all(one & set(names) for one in found)
@@ -179,6 +185,26 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     if case.kind not in ("left_out", *ABOUT_FOREIGN):
         right["explained, and not flagged unknown"] = not unknown
     return right
+
+
+def _of_clutter(removal: dict[str, dict[str, float]], report: dict[str, Any]) -> dict[str, bool]:
+    """Whether the first name is of what does most to the error."""
+    most = max(done["of_error"] for done in removal.values())
+    largest = [name for name, done in removal.items() if done["of_error"] >= AS_LARGE * most]
+    said = [effect["name"] for effect in report["effects"][:1]]
+    return {FOUND_FIRST: any(_alike(true, name) for true in largest for name in said)}
+
+
+def _material(answer: Answer) -> Iterable[tuple[str, bool]]:
+    """Effects that count in an engineer's units by the plant, and whether each is named as a cause."""
+    report = answer.report
+    if report is None or answer.removal is None:
+        return
+    flux, voltage = (report["materiality"][f"{name}_percent"] / 100.0 for name in ("flux", "voltage"))
+    causes = set().union(*(_or_twins(answer.case, effect) for effect in report["effects"]))
+    for name, done in answer.removal.items():
+        if Removal(**done).is_material(flux, voltage):
+            yield name, any(_alike(name, said) for said in causes)
 
 
 def _slow_leg_told(case: Case, report: dict[str, Any]) -> bool:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from tests.blind.examine import Answer
 from tests.blind.hidden import Case, draw_case
-from tests.blind.score import judge, said, wilson
+from tests.blind.score import FOUND_FIRST, judge, said, wilson
 from tests.blind.table import page
 
 SEED = 5
@@ -30,7 +31,8 @@ def report(*names: str, verdict: str = "explained", twins: dict[str, list[str]] 
         {"added": None, "chi2": 100.0, "rms_v": 0.1, "heldout_rms_v": 0.1, "current_rms_a": 0.1}
     ]
     ladder += [{"added": n, "chi2": 1.0, "rms_v": 3e-3, "heldout_rms_v": 3.3e-3, "current_rms_a": 4e-3} for n in names]
-    return {"verdict": verdict, "effects": effects, "ladder": ladder, "noise_floor": {"rms_v": 3e-3}, "notes": []}
+    return {"verdict": verdict, "effects": effects, "ladder": ladder, "noise_floor": {"rms_v": 3e-3}, "notes": [],
+            "materiality": {"flux_percent": 0.2, "voltage_percent": 0.5}}  # fmt: skip
 
 
 def answered(case: Case, found: dict[str, Any] | None, error: str | None = None) -> Answer:
@@ -60,16 +62,35 @@ def test_a_twin_counts_as_the_name() -> None:
     assert "single: first name right" in judge(answered(case, report("current_filter"))).wrong
 
 
+def removal(**of_error: float) -> dict[str, dict[str, float]]:
+    return {name: {"of_error": e, "of_excitation": 0.1 * e, "of_flux": 0.0} for name, e in of_error.items()}
+
+
 def test_in_clutter_what_is_printed_counts() -> None:
     case = draw_case("clutter", 3, SEED)
     assert case.truths[0].name == "voltage_delay"
     found = report("dead_time")
     found["joint"] = [{"name": "voltage_delay", "relative_size": 1.0, "z": 20.0}]
-    assert judge(answered(case, found)).wrong == ["clutter: named", "clutter: named, or listed as smaller"]
+    assert judge(answered(case, found)).wrong == ["clutter: named, or listed as smaller"]
     found["minor"] = [{"name": "voltage_delay", "twins": []}]
-    assert judge(answered(case, found)).wrong == ["clutter: named"]
-    assert judge(answered(case, report("dead_time", "voltage_delay"))).wrong == []
+    assert judge(answered(case, found)).wrong == []
     assert judge(answered(case, report("dead_time", "voltage_delay", "nobody_s"))).wrong == ["clutter: no false name"]
+
+
+def test_first_in_clutter_is_what_the_plant_says_does_most_or_nearly() -> None:
+    case, found = draw_case("clutter", 3, SEED), report("dead_time", "voltage_delay")
+    for most, right in ((0.1, True), (0.95, True), (0.5, True), (2.0, False)):
+        done = replace(answered(case, found), removal=removal(dead_time=0.9, voltage_delay=most))
+        assert judge(done).right[FOUND_FIRST] is right
+
+
+def test_material_effects_have_to_be_causes() -> None:
+    case, found = draw_case("ordinary", 0, SEED), report("dead_time")
+    found["minor"] = [{"name": "hysteresis", "twins": [], "probability": 1.0}]
+    done = replace(answered(case, found), removal=removal(dead_time=0.9, hysteresis=0.1, bus_sag=0.01))
+    assert judge(done).material == (("dead_time", True), ("hysteresis", False))
+    lone = answered(draw_case("single", 0, SEED), report("dead_time"))
+    assert "| ordinary: material ones named | 1 | 2 | 50 |" in page([judge(done), judge(lone)], SEED, "2026-11-26", 2)
 
 
 def test_identical_effects_count_where_their_stage_is_missing() -> None:
