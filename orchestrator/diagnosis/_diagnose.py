@@ -30,6 +30,7 @@ from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.measured import with_measured
+from orchestrator.diagnosis.selection.rippling import is_of_the_other_kind
 from orchestrator.diagnosis.selection.shares import (
     can_tell,
     left_of_excitation,
@@ -202,9 +203,15 @@ def _diagnosed(
     library = those_that_can_show(every, [p.signals for p in setup.prepared.pieces])
     if isinstance(model, MotorModel):
         model = reduced(model, without)
-    steps = with_measured(setup, map_steps(setup, model, {c.name: c for c in every}, without), library)
-    steps = with_expected(setup, steps, library)
-    setup, search = search_effects(setup, steps, library)
+
+    def searched(opened: DiagnosisSetup) -> tuple[DiagnosisSetup, Search]:
+        steps = with_measured(opened, map_steps(opened, model, {c.name: c for c in every}, without), library)
+        return search_effects(opened, with_expected(opened, steps, library), library)
+
+    opened = setup
+    setup, search = searched(opened)
+    if is_of_the_other_kind(setup, search.fit):
+        setup, search = searched(opened.with_ripple(ripples=not opened.prepared.ripples))
     if search.shares:
         search, doubtful = without_stand_ins(setup.fitter, search)
         spared: list[str] = []

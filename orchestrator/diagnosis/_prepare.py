@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
+from orchestrator.diagnosis.selection.rippling import with_its_ripple
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
@@ -61,7 +62,7 @@ def open_for_diagnosis(
         *_of_noise(noise, criteria.selection),
         *_of_gains([p.signals for p in prepared.pieces]),
     ]
-    return setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell)
+    return with_its_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))
 
 
 def open_for_refit(recording: RecordingReader, model: object) -> DiagnosisSetup:

@@ -129,6 +129,9 @@ class FittingCriteria(Strict):
     """Fall of the objective that each freedom of a finer map has to be worth (chance makes one), ..."""
     finer_gain: float = _is(30.0, "1", "simulated")
     """... and what it has to be worth beyond that."""
+    ripple_matters: float = _is(0.02, "1", "theory")
+    """R_s over the inductance, times the carrier's period, from which on what R_s takes of the ripple within a period
+    is asked for: its square over 24, 2e-5 of the voltage, is what the best recordings show."""
     given_map_error: float = _is(1e-4, "L I", "practice")
     """Standard deviation of a given map's fluxes for the spline that is laid through them."""
     least_gain: float = _is(0.2, "1", "theory")

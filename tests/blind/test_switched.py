@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis import diagnose_recording
 from orchestrator.recording import open_recording
+from orchestrator.registry import PluginKind, installed, load_plugin
 from tests.blind.campaign import Campaign, record
+from tests.blind.delivered import held_against
 from tests.blind.drive import CONTROL, OPEN, run
 from tests.blind.effects import FOREIGN
-from tests.blind.hidden import Case, draw_case
+from tests.blind.hidden import NUISANCES, Case, draw_case
 from tests.blind.magnetics import POINTS, REACH, Array, Table, tabulated
 from tests.blind.plant import HEALTHY, MEMORY, STATES, Plant
 from tests.blind.switched import NO_BRIDGE, SAG, Bridge, swung
+from tests.blind.switched_bench import healthy
 
 TS, R, L_D, L_Q, BUS_V = 1e-4, 4.0, 0.04, 0.07, 540.0
 PLAIN = HEALTHY._replace(sample_s=TS, pole_pairs=2.0, resistance=R, bus_v=BUS_V)
@@ -118,6 +123,18 @@ def test_a_reading_off_the_valley_is_off_by_the_zero_vector_s_slope(linear: Tabl
 
 
 @pytest.mark.slow
+def test_a_small_inductance_behind_a_bridge_is_its_own_map(tmp_path: Path) -> None:
+    servo = draw_case("nuisance", list(NUISANCES).index("servo_48v"), 7)
+    case = replace(servo, bench=healthy(servo.bench))
+    recording = open_recording(record(case.bench, case.campaign, tmp_path / "servo"))
+    library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
+    found = diagnose_recording(recording, library, out=tmp_path)
+    assert found.report.verdict == "clean"
+    assert found.delivery is not None
+    assert held_against(case, found.delivery.map, found.delivery.resistance, usable=True).map_percent < 0.1
+
+
+@pytest.mark.slow
 def test_three_sensors_are_in_the_recording_with_the_bus_as_logged(tmp_path: Path) -> None:
     case = next(c for n in range(99) if (c := draw_case("switched", n, 1)).bench.bridge.gain_c > 0.0)
     path = record(case.bench, Campaign(short_s=0.02, classical=False, dwells=False), tmp_path / "three")
@@ -137,8 +154,8 @@ def test_an_ordinary_bench_behind_a_bridge_has_a_dead_time_and_is_drawn_alike_ea
     assert all(case.bench.plant.dead_v == 0.0 < case.bench.bridge.dead_s for case in cases)
     assert {"sampling_offset" in case.brought for case in cases} == {True, False}
     assert parts(cases[5]) == parts(draw_case("switched", 5, 3))
-    healthy = draw_case("switched_clean", 2, 3)
-    assert healthy.bench.bridge == Bridge(half_s=0.5 / healthy.bench.machine.sampling_hz)
+    clean = draw_case("switched_clean", 2, 3)
+    assert clean.bench.bridge == Bridge(half_s=0.5 / clean.bench.machine.sampling_hz)
 
 
 def test_what_no_catalogue_has_is_hidden_behind_dead_time_and_behind_a_bridge_too() -> None:

@@ -70,6 +70,14 @@ class DiagnosisSetup:
         )
         return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
 
+    def with_ripple(self, ripples: bool) -> DiagnosisSetup:
+        """The same where currents ripple within a carrier's period, or are taken for lines between readings."""
+        whole, part = (
+            replace(f, prepared=replace(f.prepared, ripples=ripples), noise=replace(f.noise))
+            for f in (self.fitter, self.coarse_fitter)
+        )
+        return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
+
     @property
     def unweighed(self) -> DiagnosisSetup:
         """The same, the model's own error being none: what a model is judged by."""

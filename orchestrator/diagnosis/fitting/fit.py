@@ -54,7 +54,7 @@ class Fitter:
     equations: SegmentEquations = field(init=False)
 
     def __post_init__(self) -> None:
-        self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria)
+        self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
 
     def begin(self, text: str, part: float) -> None:
         """Tell what begins when so much of a diagnosis is done, and from then on how long it may take."""

@@ -15,6 +15,7 @@ from orchestrator.diagnosis.fitting.cascade import Cascade, Change, array_of, st
 from orchestrator.diagnosis.fitting.columns import ColumnProbe
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import ColumnName, Model, SegmentFrame, SegmentRows
+from orchestrator.diagnosis.weak_form.carrier_ripple import taken_of_ripple
 from orchestrator.diagnosis.weak_form.equations import (
     LocalMap,
     basis,
@@ -50,6 +51,8 @@ class SegmentEquations:
     noise: SensorNoise
     pm_flux_wb: float
     criteria: Criteria
+    ripples: bool = False
+    """Whether the resistance takes its part of a carrier's ripple (`weak_form.carrier_ripple`)."""
     _raw_basis: dict[str, tuple[EvenSpline, Array]] = field(default_factory=dict)
 
     def frame(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> SegmentFrame:
@@ -64,6 +67,8 @@ class SegmentEquations:
         base = s.model_copy(
             update={"resistance_ohm": np.full(len(s.v_dc), model.r_s), "losses": losses, "heat_j": s.heat_j * scale}
         )
+        if self.ripples:
+            base = base.replaced({"v_ab": base.v_ab + taken_of_ripple(piece, base, model.magnetics)})
         flux, seen = self._flux(piece, base, model)
         base = base.model_copy(update=flux)
         cascade = Cascade.of(base, model.active)

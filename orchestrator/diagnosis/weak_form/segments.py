@@ -111,6 +111,8 @@ class PreparedRecording:
     """What other motors of its kind let expect."""
     timer: ModulatorTimer | None = None
     """Whose rounding is in the pieces' voltages."""
+    ripples: bool = False
+    """Whether the current ripples within a carrier's period by as much as matters to its resistance."""
 
     @property
     def rows(self) -> tuple[int, ...]:

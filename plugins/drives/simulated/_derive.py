@@ -131,7 +131,8 @@ def derive(options: SimulatedOptions, nameplate: Nameplate, dc_bus_v: float) -> 
         reach_d = usable_reach(table, magnetics, positive_d=True)
     sensors, bench = _sensors(plant, nameplate), None
     if switched:
-        parameters, bench = derive_bench(options, parameters, Ratings(nameplate.rated_a, dc_bus_v, sensors))
+        ratings = Ratings(nameplate.rated_a, min(nameplate.l_d_h, nameplate.l_q_h), dc_bus_v, sensors)
+        parameters, bench = derive_bench(options, parameters, ratings)
     return TruePlant(magnetics, parameters, sensors, plant, table, reach, reach_d, bench)
 
 

@@ -17,6 +17,8 @@ from protocols import InputError
 INVERTER = "drive.plant.switching"
 SENSORS = "drive.plant.sensors"
 NEEDED = "needs plant.inverter: switched"
+FINEST = 0.015
+"""R h / L of a part of the carrier's period at most: a part is right to first order in it."""
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,8 @@ class Ratings:
     """What sizes that were left out are scaled from."""
 
     rated_a: float
+    l_h: float
+    """The smaller inductance."""
     dc_bus_v: float
     sensors: SensorParameters
     """The two that every drive has."""
@@ -96,6 +100,7 @@ def derive_bench(
         raise InputError("drive", "voltage_delay_samples", "two samples at most on a switched inverter")
     own_hz = options.pwm_frequency_hz or options.sampling_frequency_hz
     turns = round(2.0 * own_hz / options.sampling_frequency_hz)
+    parts = max(1, math.ceil(0.5 * plant.resistance_ohm / (own_hz * known.l_h) / FINEST))
     s, effects, bus = options.plant.switching, options.plant.effects, options.plant.switching.bus
     dead = _dead_times(options, own_hz, known.dc_bus_v)
     switch_v, switch_ohm, diode_v, diode_ohm, knee = _devices(options, known)
@@ -122,7 +127,8 @@ def derive_bench(
         halves=turns,
         delay_halves=round(turns * options.voltage_delay_samples),
         shift_s=s.sampling_offset_s - (effects.voltage_delay.delay_s if effects.voltage_delay else 0.0),
-        steps=math.ceil(plant.substeps / turns),
+        steps=math.ceil(plant.substeps / (turns * parts)),
+        parts=parts,
         nominal_v=known.dc_bus_v,
         compensated=bus.compensated,
         logged=bus.logged == "measured",

@@ -1,8 +1,9 @@
 """One sample of the plant behind a switched inverter, compiled.
 
 The carrier is gone through in parts, each at most from one turning point to the next and ending where currents are
-sampled. `_bridge` says what voltage a part comes to; `integrate` then takes the plant over it under the mean of that
-voltage, less what the resistance takes of the ripple within,
+sampled; shorter ones where R h / L is large, for a part is right to first order in it. `_bridge` says what voltage a
+part comes to; `integrate` then takes the plant over it under the mean of that voltage, less what the resistance takes
+of the ripple within,
 
     v_mean = (integral of v) / h - R (mean of i - straight line from its start to its end),
 
@@ -61,7 +62,9 @@ class SwitchingParameters(NamedTuple):
     shift_s: float
     """From a turning point to the row that belongs to it."""
     steps: int
-    """Of the integration, in half a carrier period."""
+    """Of the integration, in a part."""
+    parts: int
+    """Of half a carrier period."""
     nominal_v: float
     compensated: bool
     logged: bool
@@ -85,7 +88,7 @@ def at_frequency(sw: SwitchingParameters, p: PlantParameters, ratio: float) -> S
         bridge=sw.bridge._replace(half_s=p.sample_s / halves),
         halves=halves,
         delay_halves=round(ratio * sw.delay_halves),
-        steps=math.ceil(p.substeps / halves),
+        steps=math.ceil(p.substeps / (halves * sw.parts)),
     )
 
 
@@ -246,7 +249,10 @@ def advance_switched(
             rows = max(0, -((j - sw.delay_halves) // sw.halves))
             bus_v = sw.bus_gain * x[SUPPLY] if sw.compensated else sw.nominal_v
             duty = duties(sw, x[VOLTAGES + 2 * rows], x[VOLTAGES + 2 * rows + 1], bus_v)
-            heat_j += _go_through(p, e, spline, sw, x, start, stop, (carrier + j) % 2 == 0, duty)
+            length = (stop - start) / sw.parts
+            for n in range(sw.parts):
+                first, last = start + n * length, stop if n == sw.parts - 1 else start + (n + 1) * length
+                heat_j += _go_through(p, e, spline, sw, x, first, last, (carrier + j) % 2 == 0, duty)
     x[CARRIER] = (carrier + sw.halves) % 2
     if sw.kelvin_per_watt > 0.0:
         x[JUNCTION] += sw.junction_step * (sw.kelvin_per_watt * heat_j / p.sample_s - x[JUNCTION])

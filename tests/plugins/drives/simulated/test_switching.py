@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from plugins.drives.simulated import _derive_switching
 from plugins.drives.simulated import _state as layout
 from plugins.drives.simulated._bridge import NEVER, edge_delay, edge_time
 from plugins.drives.simulated._derive import TruePlant, bus_voltage, derive, read_nameplate
@@ -16,7 +17,7 @@ from plugins.drives.simulated._program import tune
 from plugins.drives.simulated._run import GIVEN, Piece, run
 from plugins.drives.simulated._switching import duties
 from protocols import CurrentControl, Hold, Injection, Motor
-from tests.plugins.drives.simulated.conftest import MOTORS, PM400, Bench, options_of, rows
+from tests.plugins.drives.simulated.conftest import MOTORS, PM400, SERVO, Bench, options_of, rows
 
 FS, BUS_V, R = 10_000.0, 540.0, 4.25
 QUIET = {"noise_a": 0.0, "quantum_a": 0.0}
@@ -74,8 +75,31 @@ def test_without_imperfections_it_is_the_averaged_inverter(bench: Bench, motor: 
     )
     averaged, _ = rows(bench(motor=motor), excitation)
     switched, _ = rows(bench(motor=motor, plant={"inverter": "switched"}), excitation)
-    # The ripple within a period sees an inductance that is taken at its start.
-    assert np.abs(averaged - switched).max() < 2e-4 * motor.rated_current_a
+    # The ripple within a period sees an inductance that is taken at its start, and the resistance damps it.
+    assert motor.d_inductance_h is not None
+    assert motor.stator_resistance_ohm is not None
+    damped = motor.stator_resistance_ohm * 1e-4 / motor.d_inductance_h
+    assert np.abs(averaged - switched).max() < (2e-4 + damped**2 / 24.0) * motor.rated_current_a
+
+
+def test_finer_parts_of_a_period_change_little(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    usual = _derive_switching.FINEST
+    excitation = Injection(
+        target_d_a=2.0,
+        target_q_a=4.0,
+        settle_s=0.1,
+        duration_s=0.05,
+        amplitude_v=1.0,
+        frequency_hz=500.0,
+        rotation_hz=20.0,
+    )
+    currents = []
+    for finest in (1.0, usual, 0.25 * usual):
+        monkeypatch.setattr(_derive_switching, "FINEST", finest)
+        currents.append(rows(bench(motor=SERVO, plant={"inverter": "switched"}), excitation)[0])
+    halves, parts, fine = currents
+    assert np.abs(halves - fine).max() > 1e-4
+    assert np.abs(parts - fine).max() < 0.1 * np.abs(halves - fine).max()
 
 
 @pytest.mark.parametrize("ratio", [0.5, 1.0, 2.0])

@@ -1,0 +1,42 @@
+"""Whether a bridge switches: then the resistance takes its part of the current's ripple within each carrier period.
+
+No manifest says so, and simulated plants often hold one voltage a period. Only where R_s T / L is large does it matter.
+"""
+
+from __future__ import annotations
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
+from orchestrator.diagnosis.fitting.model import Fit, Model
+from protocols import Saturated
+
+
+def with_its_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
+    """The setup as a bridge that switches has it, where that matters, unless the bare map says otherwise."""
+    if not _matters(setup):
+        return setup
+    rippling = setup.with_ripple(ripples=True)
+    plain, other = (_fitted(one, baseline_model(one, Saturated())) for one in (setup, rippling))
+    return setup if _does_better(plain, other) else rippling
+
+
+def is_of_the_other_kind(setup: DiagnosisSetup, fit: Fit) -> bool:
+    """Whether a finished model does better where it is the other way round: beside large effects a bare map errs."""
+    if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2 or not _matters(setup):
+        return False
+    other = setup.with_ripple(ripples=not setup.prepared.ripples)
+    return _does_better(_fitted(other, fit.model), _fitted(setup, fit.model))
+
+
+def _matters(setup: DiagnosisSetup) -> bool:
+    drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
+    period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)
+    return ohm * period_s > setup.criteria.ripple_matters * min(setup.l_d_h, setup.l_q_h)
+
+
+def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:
+    return setup.coarse_fitter.fit(model, renewals=1)
+
+
+def _does_better(one: Fit, other: Fit) -> bool:
+    asked = 2.0 * one.criteria.selection.log_evidence * max(one.chi2_per_dof, 1.0)
+    return other.objective - one.objective > asked

@@ -1,0 +1,90 @@
+"""What a resistance takes of the ripple: against a machine that is taken through its pulses step by step."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.weak_form.carrier_ripple import taken_of_ripple
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics
+from orchestrator.numerics.frames import to_dq, to_phases
+from protocols import SegmentStage
+from tests.orchestrator.diagnosis.pieces import FS, GRID, TRUE_MAP, Array, Plan, hold, piece
+
+BUS_V, OHM = 540.0, 40.0
+"""A resistance that makes R T / L a tenth, as a small servo's is."""
+SATURATED = Magnetics(GRID, TRUE_MAP.coefficients + np.random.default_rng(1).normal(0.0, 1e-3, GRID.size))
+
+
+def flux(magnetics: Magnetics, i_dq: Array) -> Array:
+    psi: Array = magnetics.flux_and_inductance(i_dq[None])[0][0]
+    return psi
+
+
+def current(magnetics: Magnetics, psi: Array, near: Array) -> Array:
+    """The current of a flux, by Newton's method."""
+    i = near.copy()
+    for _ in range(8):
+        at, (dd, dq, qq) = (x[0] for x in magnetics.flux_and_inductance(i[None]))
+        i = i + np.linalg.solve(np.array([[dd, dq], [dq, qq]]), psi - at)
+    return i
+
+
+def pulses(v_dq: Array) -> list[tuple[float, Array]]:
+    """Durations of a carrier period's parts, and the voltage in each."""
+    phases = to_phases(v_dq[None])[0]
+    duty = 0.5 + (phases - 0.5 * (phases.max() + phases.min())) / BUS_V
+    edges = np.unique(np.concatenate([[0.0, 1.0], 0.5 * (1.0 - duty), 0.5 * (1.0 + duty)]))
+    parts = []
+    for start, stop in pairwise(edges):
+        a, b, c = BUS_V * (np.abs(0.5 * (start + stop) - 0.5) < 0.5 * duty)
+        parts.append(((stop - start) / FS, np.array([(2.0 * a - b - c) / 3.0, (b - c) / np.sqrt(3.0)])))
+    return parts
+
+
+def missed(magnetics: Magnetics, v_dq: Array, start: Array, steps: int = 24) -> tuple[Array, Array]:
+    """v T - R T (mean of both ends' currents) - change of flux over one period, and the current at its end."""
+    psi, i = flux(magnetics, start), start
+
+    def rise(at: Array, volts: Array) -> Array:
+        return volts - OHM * current(magnetics, at, i)
+
+    for duration, volts in pulses(v_dq):
+        h = duration / steps
+        for _ in range(steps):
+            k1 = rise(psi, volts)
+            k2 = rise(psi + 0.5 * h * k1, volts)
+            k3 = rise(psi + 0.5 * h * k2, volts)
+            psi = psi + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + rise(psi + h * k3, volts))
+            i = current(magnetics, psi, i)
+    return v_dq / FS - 0.5 * OHM / FS * (start + i) - (psi - flux(magnetics, start)), i
+
+
+@pytest.mark.parametrize("magnetics", [TRUE_MAP, SATURATED])
+@pytest.mark.parametrize("i_dq", [(2.0, 0.0), (-1.5, 1.0), (0.3, -2.2)])
+def test_it_is_what_the_line_between_readings_misses(magnetics: Magnetics, i_dq: tuple[float, float]) -> None:
+    v_dq, i = OHM * np.array(i_dq), np.array(i_dq)
+    for _ in range(3):  # to where the current returns after a period
+        off, end = missed(magnetics, v_dq, i)
+        i = end
+    off, end = missed(magnetics, v_dq, i)
+    one = piece(Plan(SegmentStage.RESISTANCE, hold(*i_dq)))
+    n = len(one.signals.v_dc)
+    arrays = {"v_ab": np.tile(v_dq, (n, 1)), "i_ab": np.tile(i, (n, 1)), "v_dc": np.full(n, BUS_V)}
+    signals = one.signals.replaced({**arrays, "resistance_ohm": np.full(n, OHM)})
+    taken = taken_of_ripple(one, signals, magnetics)[0]
+    assert np.linalg.norm(off + taken / FS) < 0.02 * np.linalg.norm(off)
+
+
+def test_its_direction_is_the_stators_whatever_the_rotors_angle() -> None:
+    plain, turned = (piece(Plan(SegmentStage.RESISTANCE, hold(2.0, 0.0)), angle=x) for x in (0.0, 2.0 * np.pi / 3.0))
+    # A third of a turn is another phase, to which the pulses do alike.
+    a, b = (taken_of_ripple(one, one.signals, TRUE_MAP) for one in (plain, turned))
+    np.testing.assert_allclose(to_dq(b, 2.0 * np.pi / 3.0), a, rtol=1e-6, atol=1e-12 * np.abs(a).max())
+
+
+def test_with_the_bridge_off_there_is_none() -> None:
+    one = piece(Plan(SegmentStage.GATES_OFF, np.zeros((600, 2))))
+    assert not taken_of_ripple(one, one.signals, TRUE_MAP).any()
