@@ -1,4 +1,4 @@
-"""Flux maps from files: NetCDF, CSV, NPZ, SyR-e's .mat, models, and any table by a mapping.
+"""Flux maps from files: NetCDF, CSV, NPZ, SyR-e's and Simulink's .mat, models, and any table by a mapping.
 
 What a file lacks is differentiated or NaN.
 """
@@ -62,8 +62,9 @@ def read_map(path: Path) -> MapFile:
 
     CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
     motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
-    axes turned to PM axes. Points may come in any order but must lie on a rectangular grid, of which some may be
-    missing. A model's map is without its effects.
+    axes turned to PM axes, or as Simulink's Flux-Based PM Controller takes it (`id_index, iq_index, lambda_d,
+    lambda_q`). Points may come in any order but must lie on a rectangular grid, of which some may be missing. A
+    model's map is without its effects.
 
     Inductances that a file lacks are derivatives of its flux; standard deviations that it lacks are NaN.
 
@@ -143,11 +144,15 @@ def _read_npz(path: Path) -> tuple[str, dict[str, Array]]:
 
 def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
     content = mat_arrays(path)
+    if isinstance(content.get("lambda_d"), np.ndarray):
+        return _from_simulink(path, content)
     model = _struct(content, "motorModel")
     layout = _struct(model, "FluxMap_dq") if model else content
     for name in ("Id", "Iq", "Fd", "Fq"):
         if not isinstance(layout.get(name), np.ndarray):
-            raise InputError(str(path), name, "no such array; expected SyR-e's Id, Iq, Fd, Fq")
+            raise InputError(
+                str(path), name, "no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ..."
+            )
     axes = _struct(model, "data").get("axisType", _struct(content, "dataSet").get("axisType", "PM"))
     i_d, i_q, psi_d, psi_q = (np.asarray(layout[name], dtype=np.float64) for name in ("Id", "Iq", "Fd", "Fq"))
     if axes == "SR":  # SyR-e's reluctance axes: the magnet lies on -q
@@ -158,6 +163,26 @@ def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
     extras = _struct(content, "fluxbench")
     columns |= {name: np.asarray(extras[name], dtype=np.float64) for name in _OPTIONAL if name in extras}
     return str(extras.get("method", "syre")), columns
+
+
+def _from_simulink(path: Path, content: Mapping[str, Any]) -> tuple[str, dict[str, Array]]:
+    """The tables of the Flux-Based PM Controller block, less what an export has continued beyond the measured."""
+    for name in ("id_index", "iq_index", "lambda_q"):
+        if not isinstance(content.get(name), np.ndarray):
+            raise InputError(str(path), name, "no such array; it goes with lambda_d")
+    axes = [np.asarray(content[name], dtype=np.float64).ravel() for name in ("id_index", "iq_index")]
+    i_d, i_q = np.meshgrid(*axes, indexing="ij")
+    known = np.asarray(content.get("lambda_measured", np.ones(i_d.shape)), dtype=bool)
+    columns = {"i_d": i_d, "i_q": i_q}
+    for name, table in (("psi_d", content["lambda_d"]), ("psi_q", content["lambda_q"]), ("", known)):
+        if np.shape(table) != i_d.shape:
+            told = f"of shape {np.shape(table)}, expected {i_d.shape}: rows along id_index"
+            raise InputError(str(path), f"lambda_{name[-1:] or 'measured'}", told)
+        if name:
+            columns[name] = np.where(known, np.asarray(table, dtype=np.float64), np.nan)
+    extras = _struct(content, "fluxbench")
+    columns |= {name: np.asarray(extras[name], dtype=np.float64).T for name in _OPTIONAL if name in extras}
+    return str(extras.get("method", "simulink")), columns
 
 
 def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:

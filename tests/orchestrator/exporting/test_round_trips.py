@@ -15,7 +15,13 @@ from tests.orchestrator.exporting.machines import MOTOR, POLE_PAIRS, linear_map,
 from tests.support.cases import few
 from tests.support.close import assert_close
 
-READABLE = {"netcdf": "flux_map.nc", "csv": "flux_map.csv", "syre": "flux_map_syre.mat", "npz": "flux_map.npz"}
+READABLE = {
+    "netcdf": "flux_map.nc",
+    "csv": "flux_map.csv",
+    "syre": "flux_map_syre.mat",
+    "simulink": "flux_based_pmsm.mat",
+    "npz": "flux_map.npz",
+}
 FIELDS = [name for name in FluxMap.model_fields if name not in ("method", "basis", "i_d", "i_q")]
 
 
@@ -47,7 +53,7 @@ def test_a_whole_map_comes_back_bit_for_bit(form: str, tmp_path: Path) -> None:
     assert_same(load_map(tmp_path / READABLE[form]), flux_map)
 
 
-@pytest.mark.parametrize("form", ["netcdf", "syre", "npz"])
+@pytest.mark.parametrize("form", ["netcdf", "syre", "simulink", "npz"])
 def test_the_method_comes_along(form: str, holed: tuple[Path, FluxMap, ExportReport]) -> None:
     assert load_map(holed[0] / READABLE[form]).method == "exact"
 

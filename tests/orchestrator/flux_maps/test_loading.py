@@ -147,6 +147,18 @@ def test_a_pickle_is_never_opened(tmp_path: Path) -> None:
         load_map(tmp_path / "pickled.npz")
 
 
+def test_simulinks_tables_of_another_shape_get_one_line(tmp_path: Path) -> None:
+    tables = {"id_index": [-1.0, 0.0, 1.0], "iq_index": [0.0, 1.0], "lambda_d": np.eye(3, 2), "lambda_q": np.eye(2, 3)}
+    savemat(tmp_path / "turned.mat", tables)
+    with pytest.raises(
+        InputError, match=r"turned\.mat: lambda_q: of shape \(2, 3\), expected \(3, 2\): rows along id_index"
+    ):
+        load_map(tmp_path / "turned.mat")
+    savemat(tmp_path / "lacking.mat", {"lambda_d": np.eye(3)})
+    with pytest.raises(InputError, match=r"lacking\.mat: id_index: no such array; it goes with lambda_d"):
+        load_map(tmp_path / "lacking.mat")
+
+
 @pytest.fixture(scope="module")
 def good(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     """A file of each kind, by suffix."""
