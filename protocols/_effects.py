@@ -284,6 +284,8 @@ class Signals(ArrayModel):
     """What an interval's end has beside its mean [V], where the voltage changes within it; None: nothing."""
     psi_ab: Vectors | None = None
     """Flux linkage at the measured current by the model as it stands, magnet included [Wb]; None without a model."""
+    inductance_ab: Phases | None = None
+    """L_aa, L_ab, L_bb of the model there, in the stator frame [H]; None without a model."""
     psi_smooth_ab: Vectors | None = None
     """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
     i_smooth_ab: Vectors | None = None

@@ -73,3 +73,10 @@ def from_two_phases(a: ArrayLike, b: ArrayLike) -> Array:
     """Phases a and b, c being what closes the star, as vectors of shape (n, 2); two numbers as one of shape (2,)."""
     alpha = np.asarray(a, dtype=np.float64)
     return np.stack([alpha, (alpha + 2.0 * np.asarray(b, dtype=np.float64)) / math.sqrt(3.0)], axis=-1)
+
+
+def inductance_to_ab(inductance: Array, angle_rad: float) -> Array:
+    """L_aa, L_ab, L_bb (n, 3) in the stator frame of L_dd, L_dq, L_qq (n, 3) in a rotor at this angle."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+    turn = np.array([[c * c, c * s, s * s], [-2.0 * c * s, c * c - s * s, 2.0 * c * s], [s * s, -c * s, c * c]])
+    return np.ascontiguousarray(inductance @ turn)

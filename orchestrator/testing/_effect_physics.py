@@ -166,6 +166,7 @@ def _scaled(signals: Signals) -> Signals:
         **dict.fromkeys(("i_ab", "i_m_ab", "i_abc", "i_smooth_ab", "i_quiet_ab", "came_from_ab"), "A"),
         **dict.fromkeys(("v_ab", "v_late_ab", "v_dc"), "V"),
         **dict.fromkeys(("psi_ab", "psi_smooth_ab"), "Wb"),
+        "inductance_ab": "H",
         "resistance_ohm": "ohm",
         "heat_j": "W",
     }

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from orchestrator.numerics.frames import to_ab, to_phases
+from orchestrator.numerics.frames import inductance_to_ab, to_ab, to_phases
 from protocols import DriveRecord, LossHistory, Motor, Signals
 
 SIGNAL_ARRAYS = ("i_ab", "v_ab", "v_late_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab", "heat_j", "psi_ab")
@@ -43,6 +43,7 @@ def exciting_signals(seed: int = 1) -> Signals:
         i_m_ab=i_ab.copy(),
         heat_j=100.0 + np.cumsum(losses) / fs,
         psi_ab=to_ab(inductance * i_dq + [0.3, 0.0], theta),
+        inductance_ab=inductance_to_ab(np.tile([inductance[0], 0.0, inductance[1]], (n, 1)), theta),
         i_abc=to_phases(i_ab) + rng.normal(0.0, 4e-3, (n, 1)),
         clarke_of_three=True,
         temperature_c=np.linspace(24.0, 26.0, n),

@@ -46,7 +46,8 @@ class SamplingOffset:
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
         v_ab, i_ab, ohm = doubles(signals.v_ab), doubles(signals.i_ab), doubles(signals.resistance_ohm)
         given = _given(v_ab, i_ab, ohm, doubles(signals.v_dc), p.offset_s, 1.0 / signals.pwm_frequency_hz)
-        beside = np.zeros_like(i_ab) if signals.psi_ab is None else _moved(i_ab, doubles(signals.psi_ab), given)
+        inductance = signals.inductance_ab
+        beside = np.zeros_like(i_ab) if inductance is None else _moved(doubles(inductance), given)
         return Correction(v_ab=_between_readings(v_ab, given, beside, ohm, signals.sampling_frequency_hz))
 
 
@@ -89,40 +90,12 @@ def _given(v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, offset_s: float, p
 
 
 @njit(cache=True, nogil=True)
-def _moved(i_ab: Array, psi_ab: Array, flux_ab: Array, window: int = 64, least: float = 1e-8) -> Array:
-    """The current (n, 2) that goes with a flux, by the slope of the model's currents over its fluxes in each window.
-
-    Noise moves a held current enough to tell it; where fluxes lie on a line but for the part `least`, nothing does.
-    """
-    n = i_ab.shape[0]
-    out = np.zeros_like(flux_ab)
-    for first in range(0, n, window):
-        last = min(first + window, n)
-        size = last - first
-        mean_i0, mean_i1, mean_0, mean_1 = 0.0, 0.0, 0.0, 0.0
-        for k in range(first, last):
-            mean_i0 += i_ab[k, 0] / size
-            mean_i1 += i_ab[k, 1] / size
-            mean_0 += psi_ab[k, 0] / size
-            mean_1 += psi_ab[k, 1] / size
-        s00, s01, s11, p00, p01, p10, p11 = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-        for k in range(first, last):
-            i0, i1 = i_ab[k, 0] - mean_i0, i_ab[k, 1] - mean_i1
-            psi0, psi1 = psi_ab[k, 0] - mean_0, psi_ab[k, 1] - mean_1
-            s00 += psi0 * psi0
-            s01 += psi0 * psi1
-            s11 += psi1 * psi1
-            p00 += i0 * psi0
-            p01 += i0 * psi1
-            p10 += i1 * psi0
-            p11 += i1 * psi1
-        det = s00 * s11 - s01 * s01
-        if det <= least * (s00 + s11) ** 2:
-            continue
-        # The slope: products of both over the fluxes' squares.
-        l00, l01 = (p00 * s11 - p01 * s01) / det, (p01 * s00 - p00 * s01) / det
-        l10, l11 = (p10 * s11 - p11 * s01) / det, (p11 * s00 - p10 * s01) / det
-        for k in range(first, last):
-            out[k, 0] = l00 * flux_ab[k, 0] + l01 * flux_ab[k, 1]
-            out[k, 1] = l10 * flux_ab[k, 0] + l11 * flux_ab[k, 1]
+def _moved(inductance_ab: Array, flux_ab: Array) -> Array:
+    """The current (n, 2) that goes with a flux, by the model's inductance at every sample."""
+    out = np.empty_like(flux_ab)
+    for k in range(flux_ab.shape[0]):
+        aa, ab, bb = inductance_ab[k, 0], inductance_ab[k, 1], inductance_ab[k, 2]
+        det = aa * bb - ab * ab
+        out[k, 0] = (bb * flux_ab[k, 0] - ab * flux_ab[k, 1]) / det
+        out[k, 1] = (aa * flux_ab[k, 1] - ab * flux_ab[k, 0]) / det
     return out

@@ -28,7 +28,7 @@ from orchestrator.diagnosis.weak_form.noise import SensorNoise, Slopes, Whitener
 from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.rests import TimerScatter, rests
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
-from orchestrator.numerics.frames import from_two_phases, rotation
+from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, ModelNoise, Signals
@@ -167,7 +167,9 @@ class SegmentEquations:
             1.0 / base.sampling_frequency_hz,
             self.criteria.weak_form.observer_time_constant_s,
         )
-        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth}, local
+        inductance = inductance_to_ab(local.inductance, float(piece.segment.rotor_angle_rad))
+        found = {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth, "inductance_ab": inductance}
+        return found, local
 
     def _slopes(self, piece: SegmentSignals, base: Signals, active: Sequence[Active]) -> Array:
         """How the inverter's effects multiply current noise, by shifting the measured current by its noise.

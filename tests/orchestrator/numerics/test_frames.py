@@ -5,7 +5,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.numerics.frames import from_phases, from_two_phases, rotation, to_ab, to_dq, to_phases
+from orchestrator.numerics.frames import (
+    from_phases,
+    from_two_phases,
+    inductance_to_ab,
+    rotation,
+    to_ab,
+    to_dq,
+    to_phases,
+)
 from orchestrator.numerics.types import Array
 
 ANGLES = st.floats(-10.0, 10.0)
@@ -73,3 +81,14 @@ def test_a_zero_sequence_drops_out(vector: Array, zero: float) -> None:
 
 def test_two_constants_are_one_vector() -> None:
     np.testing.assert_allclose(from_two_phases(1.0, -0.5), [1.0, 0.0])
+
+
+@given(ANGLES, VECTORS, st.tuples(st.floats(0.1, 9.0), st.floats(-1.0, 1.0), st.floats(0.1, 9.0)))
+def test_an_inductance_makes_of_a_turned_current_the_turned_flux(
+    angle: float, current: Array, henries: tuple[float, float, float]
+) -> None:
+    dd, dq, qq = henries
+    flux = current @ np.array([[dd, dq], [dq, qq]])
+    ((aa, ab, bb),) = inductance_to_ab(np.array([henries]), angle)
+    turned = to_ab(current, angle) @ np.array([[aa, ab], [ab, bb]])
+    np.testing.assert_allclose(turned, to_ab(flux, angle), atol=1e-13 * np.abs(current).max() * sum(map(abs, henries)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
+from orchestrator.numerics.frames import from_phases, inductance_to_ab, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from plugins.effects.sampling import SamplingOffset
 from protocols import Signals
@@ -30,6 +30,7 @@ def _signals(i_dq: Array, v_dq: Array) -> Signals:
         i_m_ab=i_ab,
         heat_j=np.zeros(n),
         psi_ab=to_ab(INDUCTANCE * i_dq + [0.0118, 0.0], THETA),
+        inductance_ab=inductance_to_ab(np.tile([INDUCTANCE[0], 0.0, INDUCTANCE[1]], (n, 1)), THETA),
     )
 
 
@@ -112,7 +113,7 @@ def test_within_the_zero_vector_readings_show_a_larger_inductance_and_a_resistan
 
 def test_without_a_model_of_the_flux_what_the_edges_gave_is_still_moved(wave: Array) -> None:
     v_dq = wave[1:-1]
-    signals = _signals(_read(wave, 2e-5), v_dq).model_copy(update={"psi_ab": None})
+    signals = _signals(_read(wave, 2e-5), v_dq).model_copy(update={"inductance_ab": None})
     v_ab = SamplingOffset().correct(signals, SamplingOffset.Parameters(offset_s=2e-5)).v_ab
     assert v_ab is not None
     assert np.abs(v_ab - signals.v_ab).max() > 0.1
