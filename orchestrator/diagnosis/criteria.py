@@ -384,6 +384,10 @@ class ConventionCriteria(Strict):
     """Error, relative to the vectors, within which readings are what a hypothesis makes of their set-points."""
     unlike: float = _is(0.15, "1", "practice")
     """Error beyond which they are not what was asked for: no catalogued effect moves a controlled current so far."""
+    lost: float = _is(0.5, "1", "practice")
+    """Part of the largest set-point by which the current misses its own where the drive has lost it."""
+    at_its_limit: float = _is(0.8, "1", "practice")
+    """Part of the largest voltage of a bus, V_dc / sqrt 3, that a drive which has lost its current gives."""
     least_set_point: float = _is(0.3, "1", "practice")
     """Part of the largest set-point below which one tells nothing: offsets are as large."""
     least_turns: float = _is(0.9, "1", "theory")

@@ -144,13 +144,17 @@ class SoundRecording:
         # Offsets of the sensors and of the inverter go together in any way.
         if v2 == 0.0 or math.sqrt(i2 / len(seen)) < least:
             return
-        product = sum((x.v_on_i for x in seen), 0j)
-        angle = apart_rad(product, v2, i2)
+        # Each with its voltage to the size of its current: a segment in which the drive lost its way has one voice.
+        telling = [x for x in seen if x.v_squared > 0.0 and x.i_squared > 0.0]
+        product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in telling), 0j)
+        told_a2 = sum(x.i_squared for x in telling)
+        angle = apart_rad(product, told_a2, told_a2)
         if angle is not None:
             told = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
             hint = "one of both is reversed" if is_reversed(angle) else "phases are exchanged, or frames differ"
             self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{told}: {hint}")
-        nameplate, ohm = motor.stator_resistance_ohm, product.real / i2
+        large = [x for x in telling if x.i_squared >= i2 / len(seen)]
+        nameplate, ohm = motor.stator_resistance_ohm, float(np.median([x.v_on_i.real / x.i_squared for x in large]))
         if nameplate is None or within(ohm, REFUSED.resistance, nameplate):
             return
         told = f"{ohm:.3g} ohm, where the nameplate has {nameplate:g} ohm: a unit is wrong"

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from orchestrator.diagnosis.conventions.channels import bus_spikes, clipped, dead_channel, require_response
+from orchestrator.diagnosis.conventions.channels import (
+    bus_spikes,
+    clipped,
+    dead_channel,
+    require_held,
+    require_response,
+)
 from orchestrator.diagnosis.conventions.correction import CorrectedRecording
 from orchestrator.diagnosis.conventions.nameplate import against_nameplate
 from orchestrator.diagnosis.conventions.report import convention_remark, convention_report, convention_words
@@ -45,11 +51,12 @@ def find_convention(
     RecordingError
         Where the manifest has numbers that cannot be meant, or a capture is not what it says.
     NotMeasuredError
-        Where what stands in the place of the current is noise.
+        Where what stands in the place of the current is noise, or where the drive has lost its current on the way.
     """
     SoundRecording(recording)
     seen = Responses(survey(recording, criteria or ConventionCriteria(), poll))
     require_response(seen.survey)
+    require_held(seen.survey)
     for hypothesis in HYPOTHESES:
         poll()
         found = hypothesis(seen)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from typing import Any
 
@@ -40,6 +41,34 @@ def require_response(survey: Survey) -> None:
         return
     problem = "the readings show nothing of the voltage, neither at rest nor under injection: noise, and no current"
     raise NotMeasuredError(survey.manifest.name, "i_alpha, i_beta", problem)
+
+
+def require_held(survey: Survey) -> None:
+    """Refuse what was captured after the drive had lost its current.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where most segments have the current that was asked for, and others are far from it.
+    """
+    limits, most_v = survey.criteria, survey.manifest.drive.dc_bus_voltage_v / math.sqrt(3.0)
+    seen = [(s, point) for s in (*survey.holds, *survey.injections) if (point := s.set_point) is not None]
+    reach = max((abs(point) for _, point in seen), default=0.0)
+    held = [s for s, point in seen if abs(s.mean_i - point) < limits.alike * reach]
+    lost = [
+        (s, point)
+        for s, point in seen
+        if abs(s.mean_i - point) > limits.lost * reach and abs(s.mean_v) > limits.at_its_limit * most_v
+    ]
+    if not lost or 2 * len(held) < len(seen):
+        return
+    first, point = min(lost, key=lambda pair: pair[0].segment.start_s)
+    problem = (
+        f"{abs(first.mean_i):.3g} A, {abs(first.mean_i - point):.3g} A from the {abs(point):.3g} A that were asked "
+        f"for, at all the voltage there is, and so in {len(lost)} of {len(seen)} segments that were looked at: "
+        "the drive had lost its current there; leave them out"
+    )
+    raise NotMeasuredError(survey.manifest.name, f"{first.segment.id}: i_alpha, i_beta", problem)
 
 
 def dead_channel(survey: Survey) -> Convention | None:

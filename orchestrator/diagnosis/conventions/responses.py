@@ -46,9 +46,26 @@ class AtRest:
         if not self.whole_plane:
             del columns[1]
         real = np.concatenate([np.stack([c, 1j * c], axis=1) for c in columns], axis=1)
-        rows, wanted = (np.concatenate([x.real, x.imag]) for x in (real, v))
-        found = np.linalg.lstsq(rows, wanted, rcond=1e-9)[0].reshape(-1, 2) @ [1.0, 1j]
+        found = _least_lengths(real, v).reshape(-1, 2) @ [1.0, 1j]
         return complex(found[0]), complex(found[1]) if self.whole_plane else 0j
+
+
+def _least_lengths(columns: Vectors, wanted: Vectors, rounds: int = 12) -> Array:
+    """Real numbers x (m,) for which |columns @ x - wanted| adds up to least: one hold that went astray has one voice.
+
+    By squares that are weighed anew, each with what was left of it (P. J. Huber, Robust Statistics, Wiley 1981, ch. 7).
+    """
+    weight = np.ones(len(wanted))
+    found = np.zeros(columns.shape[1])
+    for _ in range(rounds):
+        rows, target = weight[:, None] * columns, weight * wanted
+        of_rows, of_target = (np.concatenate([x.real, x.imag]) for x in (rows, target))
+        found = np.linalg.lstsq(of_rows, of_target, rcond=1e-9)[0]
+        left = np.abs(columns @ found - wanted)
+        weight = 1.0 / np.sqrt(
+            np.maximum(left, max(float(np.median(left)), 1e-9 * float(np.abs(wanted).max()), 1e-300))
+        )
+    return found
 
 
 def _signs(i: Vectors) -> Vectors:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,8 +12,12 @@ import pytest
 from scipy.signal import lfilter
 
 from orchestrator.diagnosis.conventions import find_convention
+from orchestrator.recording import open_recording
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import Capture, NotMeasuredError
+from tests.blind.campaign import record
+from tests.blind.hidden import draw_case
+from tests.orchestrator.diagnosis.conventions.conftest import SHORT
 from tests.support.cases import few
 from tests.support.rewriting import TO_PHASES, Field, Rewritten, gain
 
@@ -115,3 +121,13 @@ def _along_one_axis(right: Rewritten, angle_rad: float) -> Rewritten:
         return {"i_ab": i[:, None] * axis + rng.normal(0.0, 0.004, (len(c), 2)), "v_ab": volts[:, None] * axis}
 
     return right.captured(change).asked(lambda _: {"settings": {}, "rotor_angle_rad": angle_rad})
+
+
+def test_a_drive_that_lost_its_current_on_the_way_is_no_exchange_of_phases(tmp_path: Path) -> None:
+    """Its sensors saturate: from some large current on the control winds up, and what follows is at full voltage."""
+    bench = draw_case("clean", 0, 1).bench
+    bench = dataclasses.replace(bench, plant=bench.plant._replace(clip_a=4.1), believed_rad=-0.45)
+    path = record(bench, dataclasses.replace(SHORT, injection_s=0.25), tmp_path / "lost")
+    told = r"injection-0\d\d: i_alpha, i_beta: .* the drive had lost its current there"
+    with pytest.raises(NotMeasuredError, match=told):
+        find_convention(open_recording(path))
