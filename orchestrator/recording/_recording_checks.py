@@ -138,14 +138,14 @@ class SoundRecording:
             self._refuse(f"{segment.id}: v_dc", told)
 
     def _check_polarity_and_resistance(self, seen: Sequence[_Seen]) -> None:
-        i2, v2 = sum(x.i_squared for x in seen), sum(x.v_squared for x in seen)
+        i2 = sum(x.i_squared for x in seen)
         motor = self.manifest.motor
         least = 0.05 * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
         # Offsets of the sensors and of the inverter go together in any way.
-        if v2 == 0.0 or math.sqrt(i2 / len(seen)) < least:
+        telling = [x for x in seen if x.v_squared > 0.0 and x.i_squared > 0.0]
+        if not telling or math.sqrt(i2 / len(seen)) < least:
             return
         # Each with its voltage to the size of its current: a segment in which the drive lost its way has one voice.
-        telling = [x for x in seen if x.v_squared > 0.0 and x.i_squared > 0.0]
         product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in telling), 0j)
         told_a2 = sum(x.i_squared for x in telling)
         angle = apart_rad(product, told_a2, told_a2)
@@ -153,7 +153,7 @@ class SoundRecording:
             told = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
             hint = "one of both is reversed" if is_reversed(angle) else "phases are exchanged, or frames differ"
             self._refuse("v_alpha, v_beta against i_alpha, i_beta", f"{told}: {hint}")
-        large = [x for x in telling if x.i_squared >= i2 / len(seen)]
+        large = [x for x in telling if x.i_squared >= told_a2 / len(telling)]
         nameplate, ohm = motor.stator_resistance_ohm, float(np.median([x.v_on_i.real / x.i_squared for x in large]))
         if nameplate is None or within(ohm, REFUSED.resistance, nameplate):
             return
