@@ -49,13 +49,11 @@ def held_against(case: Case, found: FluxMap, resistance: ResistanceEstimate, usa
             error.append((found.psi_d[k, m] - machine.pm_flux_wb - psi_d, found.psi_q[k, m] - psi_q))
             spread.append((found.psi_d_std[k, m], found.psi_q_std[k, m]))
     off, std = np.array(error), np.array(spread)
-    rated_a = np.sqrt(2.0) * machine.rated_current_rms_a
-    rated = max(machine.pm_flux_wb, machine.l_d_h * rated_a, machine.l_q_h * rated_a)
     bridge = case.bench.bridge
     # What a bridge loses in proportion to the current nobody can tell from R_s; each device conducts half the time.
     true_ohm = float(case.bench.plant.resistance + 0.5 * (bridge.switch_ohm + bridge.diode_ohm))
     return Delivered(
-        map_percent=100.0 * float(np.sqrt(np.mean(off**2))) / rated,
+        map_percent=100.0 * float(np.sqrt(np.mean(off**2))) / machine.rated_flux_wb,
         inside=float(np.mean(np.abs(off) <= 1.96 * std)),
         resistance_percent=100.0 * abs(resistance.value_ohm / true_ohm - 1.0),
         usable=usable,

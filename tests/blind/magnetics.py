@@ -48,6 +48,12 @@ class Machine:
         """The largest current aimed at on an axis."""
         return float(1.28 * np.sqrt(2.0) * self.rated_current_rms_a)
 
+    @property
+    def rated_flux_wb(self) -> float:
+        """The magnet's, or what the rated current makes where that is more."""
+        rated_a = float(np.sqrt(2.0)) * self.rated_current_rms_a
+        return max(self.pm_flux_wb, self.l_d_h * rated_a, self.l_q_h * rated_a)
+
 
 PM400 = Machine(
     "400 W test PMSM", 2, 400.0, 139.3, 1.66, 60.0, 2.12, 4.25, 0.04325, 0.06905, 0.30, 540.0, 1e4, 500.0, 4e-3, 1e-3

@@ -8,7 +8,7 @@ taken out of it. No fit of the diagnosis is looked at, nor any of its code used.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,50 +86,42 @@ class _Space:
 
     def __init__(self, bench: Bench, campaign: Campaign) -> None:
         self._healthy, self._campaign = bench, campaign
-        self.columns: dict[str, Array] = {}
-        self.volts: dict[str, float] = {}
-        self._visited: Array = np.empty((0, 2))
+        seen = list(self._captured(bench))
+        self._visited = np.array([current.mean(axis=0) for _, current, _ in seen])
+        self.columns = self._rows((kind, self._followed(current)) for kind, current, _ in seen)
+        volts = self._rows((kind, voltage[:-1, :, None]) for kind, _, voltage in seen)
+        self.volts = {kind: _rms(rows) for kind, rows in volts.items()}
 
     def error_of(self, bench: Bench) -> dict[str, Array]:
-        """What the healthy machine's equation misses on this bench [V], the columns of R_s and map beside it."""
-        rows: dict[str, list[Array]] = {}
-        columns: dict[str, list[Array]] = {}
-        volts: dict[str, list[Array]] = {}
-        visited = []
-        for kind, current, voltage in rows_of(bench, self._campaign):
-            if kind == "gates_off":
-                continue
-            ripple = self._healthy.machine.injection_hz if kind == "injection" else None
-            visited.append(current.mean(axis=0))
-            for told, into in (
-                (self._missed(current, voltage)[:, :, None], rows),
-                (self._followed(current), columns),
-                (voltage[:-1, :, None], volts),
-            ):
-                for name, part in self._carried(told, kind, ripple):
-                    into.setdefault(name, []).append(part)
-        if not self.columns:
-            self.columns = {name: np.concatenate(parts) for name, parts in columns.items()}
-            self.volts = {name: _rms(np.concatenate(parts)) for name, parts in volts.items()}
-            self._visited = np.array(visited)
-        return {name: np.concatenate(parts)[:, 0] for name, parts in rows.items()}
+        """What the healthy machine's equation misses on this bench [V], by kind; shape (rows,)."""
+        missed = ((kind, self._missed(current, voltage)) for kind, current, voltage in self._captured(bench))
+        return {kind: rows[:, 0] for kind, rows in self._rows(missed).items()}
+
+    def _captured(self, bench: Bench) -> Iterator[tuple[str, Array, Array]]:
+        return (one for one in rows_of(bench, self._campaign) if one[0] != "gates_off")
+
+    def _rows(self, samples: Iterable[tuple[str, Array]]) -> dict[str, Array]:
+        """Of segments' samples, each with its stage, what is told of them, by kind; shape (rows, columns)."""
+        parts: dict[str, list[Array]] = {}
+        for stage, values in samples:
+            ripple = self._healthy.machine.injection_hz if stage == "injection" else None
+            for kind, part in self._carried(values, stage, ripple):
+                parts.setdefault(kind, []).append(part)
+        return {kind: np.concatenate(rows) for kind, rows in parts.items()}
 
     def moved(self, coefficients: Array) -> float:
         """How far these numbers of a map move its flux, of the rated flux."""
         machine = self._healthy.machine
         flux = self._flux_columns(self._visited) @ coefficients
-        rated_a = np.sqrt(2.0) * machine.rated_current_rms_a
-        rated = max(machine.pm_flux_wb, machine.l_d_h * rated_a, machine.l_q_h * rated_a)
-        return float(np.sqrt(np.mean(np.sum((flux - flux.mean(axis=0)) ** 2, axis=1))) / rated)
+        return float(np.sqrt(np.mean(np.sum((flux - flux.mean(axis=0)) ** 2, axis=1))) / machine.rated_flux_wb)
 
     def _missed(self, current: Array, voltage: Array) -> Array:
-        """v - R i - dpsi/dt by samples, shape (samples - 1, 2)."""
+        """v - R i - dpsi/dt by samples, shape (samples - 1, 2, 1); the map's slots are the bench's own."""
         bench = self._healthy
         flux = np.array([bench.table.flux(float(d), float(q)) for d, q in current])
         mean = 0.5 * (current[1:] + current[:-1])
-        return np.asarray(
-            voltage[:-1] - bench.plant.resistance * mean - np.diff(flux, axis=0) * bench.machine.sampling_hz
-        )
+        rise = np.diff(flux, axis=0) * bench.machine.sampling_hz
+        return np.asarray(voltage[:-1] - bench.plant.resistance * mean - rise)[:, :, None]
 
     def _followed(self, current: Array) -> Array:
         """Columns of R_s and the map by samples, shape (samples - 1, 2, columns)."""

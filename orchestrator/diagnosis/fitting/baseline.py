@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -63,18 +63,16 @@ class DiagnosisSetup:
 
     def with_timer(self, timer: ModulatorTimer | None) -> DiagnosisSetup:
         """The same with the voltages that a modulator's timer lets through, or as they were commanded."""
-        # No frame of the old voltages is one of the new ones: they are told apart by the noise's identity.
-        whole, part = (
-            replace(f, prepared=with_timer(f.prepared, timer), noise=replace(f.noise))
-            for f in (self.fitter, self.coarse_fitter)
-        )
-        return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
+        return self._with_voltages(lambda prepared: with_timer(prepared, timer))
 
     def with_ripple(self, ripples: bool) -> DiagnosisSetup:
         """The same where currents ripple within a carrier's period, or are taken for lines between readings."""
+        return self._with_voltages(lambda prepared: replace(prepared, ripples=ripples))
+
+    def _with_voltages(self, change: Callable[[PreparedRecording], PreparedRecording]) -> DiagnosisSetup:
+        # No frame of the old voltages is one of the new ones: they are told apart by the noise's identity.
         whole, part = (
-            replace(f, prepared=replace(f.prepared, ripples=ripples), noise=replace(f.noise))
-            for f in (self.fitter, self.coarse_fitter)
+            replace(f, prepared=change(f.prepared), noise=replace(f.noise)) for f in (self.fitter, self.coarse_fitter)
         )
         return replace(self, prepared=whole.prepared, fitter=whole, coarse_fitter=part)
 
