@@ -47,13 +47,15 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 @lru_cache(maxsize=32)
 def _tables(softness: float, parts: tuple[float, ...], growth: float, step: float, end: float) -> Array:
-    """Two tables of s(x) + growth arsinh x, one up to `end`, one with steps and end `FAR` times as large; (2, m)."""
+    """Tables of (1 - growth) s(x) + growth log(1 + x), one up to `end`, one with steps and end `FAR` times as large.
+
+    Shape (2, m).
+    """
     near = _soft_sign(softness, parts, step, end)
-    places = np.arange(len(near))
-    # Beyond the first one's end s is flat, and arsinh a logarithm; the second is not read before.
-    near = near + growth * np.arcsinh(step * places)
-    far = near[-1] + growth * np.log(FAR * np.maximum(places, 0.5) / places[-1])
-    return np.stack([near, far])
+    x = step * np.arange(len(near))
+    # Beyond the first one's end s is flat; the second is not read before.
+    far = (1.0 - growth) * near[-1] + growth * np.log1p(FAR * x)
+    return np.stack([(1.0 - growth) * near + growth * np.log1p(x), far])
 
 
 @njit(cache=True, nogil=True)
@@ -132,7 +134,8 @@ def _less_step(
 ) -> Array:
     """The voltage without `volts` (n,) against the sign of each phase current, in each leg times its part (3,).
 
-    s + growth arsinh(i / i_th) is read, linearly between entries, from tables of this `step` and `end`, in thresholds.
+    (1 - growth) s + growth log(1 + |i| / i_th) is read, linearly between entries, from tables of this `step` and `end`,
+    in thresholds.
     """
     tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), growth, step, end)
     return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), tables, growth))
@@ -218,12 +221,12 @@ class DeviceDrop:
     """Forward drop of transistors and diodes.
 
     e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
-    r_on i, cannot be told from R_s. In the flexible form the drop goes on growing beyond its knee, by the part `growth`
-    with each factor e of the current, as over any junction: n k T / q over the drop,
+    r_on i, cannot be told from R_s. In the flexible form the drop goes on growing beyond its knee as over any junction,
+    whose drop is log(1 + i / i_s) times n k T / q: from a mere step at `growth` 0 to that logarithm alone at 1,
 
-        e = T V_0 (s(x) + growth arsinh x) / (1 + growth arsinh x_r),    x = i_abc / i_th,
+        e = T V_0 ((1 - growth) s(x) + growth log(1 + |x|) sign x) / (1 - growth + growth log(1 + x_r)),
 
-    so that `voltage_v` is the drop at the motor's rated current, x_r thresholds. And devices warm by what they carry,
+    x = i_abc / i_th, so that `voltage_v` is the drop at the motor's rated current, x_r thresholds. And devices warm by what they carry,
     through a lag of `warming_s`: where they are warmest in the experiment, the drop has changed by the part `warming`,
     some -2 mV/K of a junction.
     Sources: as `DeadTime`; W. Shockley, Bell Syst. Tech. J. 28 (1949), doi:10.1002/j.1538-7305.1949.tb03645.x.
@@ -239,7 +242,7 @@ class DeviceDrop:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=5.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
-        growth: float = refinement("1", neutral=0.0, prior_width=0.1, low=0.0, high=1.0)
+        growth: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=1.0)
         warming: float = refinement("1", neutral=0.0, prior_width=0.05, low=-0.5, high=0.5)
         warming_s: float = refinement("s", neutral=3.0, prior_width=3.0, low=0.1, high=100.0)
 
@@ -247,7 +250,7 @@ class DeviceDrop:
         """Subtract the drop from the commanded voltage."""
         v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
-        at_knee = p.voltage_v / (1.0 + p.growth * math.asinh(_rated_a(signals) / p.threshold_a))
+        at_knee = p.voltage_v / (1.0 - p.growth + p.growth * math.log1p(_rated_a(signals) / p.threshold_a))
         volts = np.full(len(signals.v_dc), at_knee)
         if p.warming != 0.0:
             volts *= 1.0 + p.warming * _warmth(signals, p.warming_s)

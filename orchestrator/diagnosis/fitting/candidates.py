@@ -114,6 +114,16 @@ class Active:
         there = {n: p.other_form for n in names if (p := self.candidate.named(n)).other_form is not None}
         return replace(self.freeing(*names), values={**self.values, **there}) if there else None
 
+    def in_mere_other_form(self) -> Active | None:
+        """The same at its second form, all other refinements resting; None where it has but one, or stands nearer it."""
+        names = self.candidate.of_role(ParameterRole.REFINEMENT)
+        named = self.candidate.named
+        there = {n: x for n in names if (x := named(n).other_form) is not None}
+        if all(abs(self.values[n] - x) <= abs(self.values[n] - named(n).neutral) for n, x in there.items()):
+            return None
+        mere = self.resting(*names).freeing(*(n for n in there if not named(n).detail))
+        return replace(mere, values={**mere.values, **there})
+
     @cached_property
     def parameters(self) -> EffectParameters:
         """The values as the effect reads them."""

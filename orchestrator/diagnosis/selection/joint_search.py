@@ -167,14 +167,16 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
     if fit.chi2_per_dof <= limits.detected_chi2:
         return fit
     for one in fit.model.active:
-        other = one.in_other_form()
-        if other is None or set(other.free) != set(one.free):
+        # A form that has not been bent is the better of both as it is.
+        other = one.in_mere_other_form() if one.bent_by else None
+        if other is None:
             continue
         active = [other if a.name == one.name else a for a in fit.model.active]
         model = fit.model.with_active(active)
         if glanced(fitter, model, fit).chi2_per_dof > limits.hopeless_form * fit.chi2_per_dof:
             continue
         trial = refitted(fitter, model, fit)
+        trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
         if _evidence_gain(trial, fit) > limits.tie:
             fit = trial
     return fit

@@ -50,7 +50,7 @@ switched ones. The time left was told within a factor of 2.4 on these; behind a 
 third of what it was."""
 
 TIMED_ANEW = 0.05
-"""Of chi2, that a modulator's timer takes away for which all effects are asked once more."""
+"""Of chi2, by which a modulator's timer changes a fit for which all effects are asked once more."""
 
 
 def all_together(
@@ -68,12 +68,7 @@ def all_together(
     fit = on_a_sharper_map(doubting, fit)
     begin("which of them do the data ask for?", BEGINS_AT["search"])
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
-    told = with_timer_of_fit(setup, doubting, fit, library)
-    if told is not None:
-        untold, (setup, doubting, fit) = fit, told
-        if untold.objective - fit.objective > TIMED_ANEW * untold.chi2:
-            fit, rivals = _asked_again(doubting, fit, library)
-            setup, doubting, fit = with_timer_of_fit(setup, doubting, fit, library) or (setup, doubting, fit)
+    setup, doubting, fit, rivals = timed_anew(setup, doubting, fit, rivals, library)
     if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
         return None
     before, limits = setup.fitter.noise.of_model, fit.criteria.selection
@@ -131,6 +126,30 @@ def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:
         if trial.model.space is not fit.model.space and worth_its_freedom(trial, fit):
             fit = downwards(setup.fitter, refitted(setup.fitter, trial.model))
     return fit
+
+
+def timed_anew(
+    setup: DiagnosisSetup,
+    doubting: DiagnosisSetup,
+    fit: Fit,
+    rivals: dict[str, list[str]],
+    library: Sequence[Candidate],
+) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit, dict[str, list[str]]]:
+    """All four with the timer as the fit tells it, all effects asked once more where that changes much.
+
+    As they were, where they do no better so.
+    """
+    told = with_timer_of_fit(setup, doubting, fit, library)
+    if told is None:
+        return setup, doubting, fit, rivals
+    untold = setup, doubting, fit, rivals
+    before, (setup, doubting, fit) = fit, told
+    if abs(before.objective - fit.objective) > TIMED_ANEW * before.chi2:
+        fit, rivals = _asked_again(doubting, fit, library)
+        more = with_timer_of_fit(setup, doubting, fit, library)
+        if more is not None and more[-1].objective < fit.objective:
+            setup, doubting, fit = more
+    return (setup, doubting, fit, rivals) if fit.objective < before.objective else untold
 
 
 def _asked_again(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:

@@ -56,7 +56,8 @@ def with_timer_of_fit(
 ) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit] | None:
     """Both setups with the timer as every equation of a part's fit tells it, and what then scatters; and the fit so.
 
-    None where there is no timer, where nothing is left, or where another is hardly likelier.
+    None where there is no timer, where nothing is left, or where another is hardly likelier. The fit may be worse where
+    less scatters beside the timer: what was no effect in more noise is to be asked again.
     """
     limits = fit.criteria.selection
     if not setup.timers or fit.chi2_per_dof <= limits.detected_chi2:
@@ -64,21 +65,27 @@ def with_timer_of_fit(
     # A phase that was told beside wrong forms may be anywhere, and no descent leads over a command's jump; rests do.
     beside = with_sharper_timer(setup, doubting, fit, library)[1]
     starts = (doubting, fit), (beside, beside.coarse_fitter.renewed(fit.model))
-    timed, told = _told(*min(starts, key=lambda start: start[1].objective), library)
-    if fit.objective - told.objective < 2.0 * limits.log_evidence * fit.chi2_per_dof:
+    start = min(starts, key=lambda start: start[1].objective)
+    timed, told, gained = _told(*start, library)
+    if fit.objective - start[1].objective + gained < 2.0 * limits.log_evidence * fit.chi2_per_dof:
         return None
     return timed.with_noise(setup.fitter.noise.of_model), timed, told
 
 
-def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
-    """Timer, what scatters and a part's fit, each in the light of the others."""
+def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit, float]:
+    """Timer, what scatters and a part's fit, each in the light of the others.
+
+    And how much of chi2 the timer took as it was told first; what scatters was the same until then.
+    """
+    gains = list[float]()
     for _ in range(TELLINGS):
         doubting.fitter.tell("the modulator's timer, by all that the effects leave")
         before = doubting.fitter.noise.of_model
-        timer, _ = timer_beside(fit, doubting.timers, doubting.fitter.pm_flux_wb)
+        timer, gain = timer_beside(fit, doubting.timers, doubting.fitter.pm_flux_wb)
+        gains.append(gain)
         timed = doubting.with_timer(timer)
         doubting = doubting_zeros(timed, likelihood_of(timed.coarse_fitter, fit, library))
         fit = briefly_refitted(doubting.coarse_fitter, fit.model, fit)
         if as_much(doubting.fitter.noise.of_model, before):
             break
-    return doubting, fit
+    return doubting, fit, gains[0]

@@ -127,7 +127,7 @@ def test_a_junctions_drop_grows_as_much_with_every_factor_of_the_current() -> No
     drops = np.array([_drop_of_a(i_a, 0.1) for i_a in (0.2, 0.4, 0.8, 1.6)])
     rated_knees = 5.0 * np.sqrt(2.0) / 0.01
     # The table's end is between the first and the second.
-    expected = 0.8 * 0.1 * np.log(2.0) / (1.0 + 0.1 * np.arcsinh(rated_knees))
+    expected = 0.8 * 0.1 * np.log(2.0) / (0.9 + 0.1 * np.log1p(rated_knees))
     assert np.diff(drops) == pytest.approx(np.full(3, expected), rel=0.03)
     assert np.ptp([_drop_of_a(i_a, 0.0) for i_a in (0.2, 0.4, 1.6)]) < 0.005
 
@@ -137,12 +137,20 @@ def test_a_drop_goes_on_growing_from_table_to_table_and_beyond() -> None:
 
     def drop(current_a: Array) -> Array:
         rated_knees = 5.0 * np.sqrt(2.0) / 0.01
-        return np.asarray(0.8 * (1.0 + 0.1 * np.arcsinh(current_a / 0.01)) / (1.0 + 0.1 * np.arcsinh(rated_knees)))
+        return np.asarray(0.8 * (0.9 + 0.1 * np.log1p(current_a / 0.01)) / (0.9 + 0.1 * np.log1p(rated_knees)))
 
     i_a = np.geomspace(0.5, 50.0, 60)
     # The star point's own part: b and c carry 50 A, and that and a's.
     expected = drop(i_a) - 0.5 * (drop(np.full(60, 50.0)) - drop(50.0 + i_a))
     assert [_drop_of_a(one, 0.1) for one in i_a] == pytest.approx(expected, rel=1e-3)
+
+
+def test_a_drop_that_only_grows_is_shockleys_law() -> None:
+    """n k T / q log(1 + i / i_s), at every current."""
+    i_a = np.geomspace(1e-3, 50.0, 60)
+    drops = np.log1p(i_a / 0.01) - 0.5 * (np.log1p(5000.0) - np.log1p((50.0 + i_a) / 0.01))
+    expected = 0.8 * drops / np.log1p(5.0 * np.sqrt(2.0) / 0.01)
+    assert [_drop_of_a(one, 1.0) for one in i_a] == pytest.approx(expected, rel=1e-3)
 
 
 def test_the_drops_size_is_that_at_the_rated_current() -> None:

@@ -15,6 +15,7 @@ from orchestrator.diagnosis.selection import joint_search as joint_search_module
 from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
     downwards,
+    in_better_form,
     in_forms_still_asked_for,
     in_own_forms,
     in_simpler_forms,
@@ -182,6 +183,21 @@ def test_a_dead_time_all_within_its_commutation_is_reached_from_its_second_form(
     told = next(a for a in in_own_forms(maker, fit).model.active if a.name == "dead_time")
     assert told.values["voltage_v"] == pytest.approx(2.0, rel=0.1)
     assert told.values["threshold_a"] == pytest.approx(2.5, rel=0.1)
+
+
+def test_a_form_that_was_bent_to_what_is_missing_is_begun_again_at_its_second() -> None:
+    """No descent from there finds the ripple's part in the edges."""
+    made = prepared(plan(), noise_a=0.002)
+    library = scaled_library([DeadTime()], made.manifest)
+    true = DeadTime.Parameters(voltage_v=2.0, threshold_a=0.6, switched=1.0, grading=0.5)
+    maker = fitter(with_voltage(made, _lost_to(true, made)))
+    bent = library[0].absent().moved("voltage_v", 0.25).freeing("threshold_a", "softness", "narrow", "wide", "wider")
+    stuck = refitted(maker, free_model().with_active([bent]))
+    assert stuck.chi2_per_dof > stuck.criteria.selection.detected_chi2
+    better = in_better_form(maker, stuck)
+    assert better.model.active[0].values["switched"] == pytest.approx(1.0, abs=0.05)
+    assert better.model.active[0].values["threshold_a"] == pytest.approx(0.6, rel=0.1)
+    assert better.chi2_per_dof < 0.5 * (1.0 + stuck.chi2_per_dof)
 
 
 def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: Fitter) -> None:
