@@ -115,7 +115,7 @@ class Active:
         return replace(self.freeing(*names), values={**self.values, **there}) if there else None
 
     def in_mere_other_form(self) -> Active | None:
-        """The same at its second form, all other refinements resting; None where it has but one, or stands nearer it."""
+        """The same at its second form, other refinements resting; None where it has but one, or stands nearer it."""
         names = self.candidate.of_role(ParameterRole.REFINEMENT)
         named = self.candidate.named
         there = {n: x for n in names if (x := named(n).other_form) is not None}
