@@ -227,8 +227,8 @@ class DeviceDrop:
         e = T V_0 ((1 - growth) s(x) + growth log(1 + |x|) sign x) / (1 - growth + growth log(1 + x_r)),
 
     x = i_abc / i_th, so that `voltage_v` is the drop at the motor's rated current, x_r thresholds. And devices warm by
-    what they carry, through a lag of `warming_s`: where they are warmest in the experiment, the drop has changed by the part `warming`,
-    some -2 mV/K of a junction.
+    what they carry, through a lag of `warming_s`: where they are warmest in the experiment, the drop has changed by the
+    part `warming`, some -2 mV/K of a junction.
     Sources: as `DeadTime`; W. Shockley, Bell Syst. Tech. J. 28 (1949), doi:10.1002/j.1538-7305.1949.tb03645.x.
     """
 
