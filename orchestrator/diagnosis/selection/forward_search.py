@@ -23,6 +23,7 @@ from orchestrator.diagnosis.selection.scoring import (
     does_as_well,
     form_gain,
     gain_with,
+    linear_gain,
     linear_view,
     log_evidence,
     score,
@@ -91,26 +92,46 @@ def forward(
     rivals : mapping, optional
         Of the effects that the steps have already.
     most : int, optional
-        Effects that the model may have, where that is less than the criteria's.
+        Effects that the model may have, where that is less than the criteria's. The search ends where many are missing.
     """
+    few, start = most is not None, len(steps[-1].fit.model.active)
     most = fitter.prepared.criteria.selection.most_effects if most is None else most
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.
     rejected = {n for tied in (rivals or {}).values() for n in tied}
     while len(search.fit.model.active) < most and not fitter.effort.exhausted:
+        if few and len(search.fit.model.active) > start and _many_are_missing(_viewed(fitter, search, candidates)):
+            break
         if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
             break
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
 
 
+def _viewed(fitter: Fitter, search: Search, candidates: Sequence[Candidate]) -> LinearView:
+    """What every effect would do to the search's last fit."""
+    if search.view is None or search.view.fit.model is not search.fit.model:
+        search.view = linear_view(fitter, search.fit, candidates)
+    return search.view
+
+
+def _many_are_missing(view: LinearView) -> bool:
+    """Whether all absent effects together leave so much less than the best one that a few will not do."""
+    fit, limits, fitted = view.fit, view.fit.criteria.selection, len(view.fit.model.free)
+    absent = {c.name for c in view.absent}
+    together = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name in absent]
+    if not together:
+        return False
+    least = max(fit.chi2 - linear_gain(view.normal, view.right, fitted, together)[0], fit.dof)
+    return fit.chi2 - score(view)[0].gain > limits.many_missing * least
+
+
 def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:
     """Add the effect that the data ask for most, or reject the best one; False where they ask for none."""
     fit, limits = search.fit, fitter.prepared.criteria.selection
     rejected |= _alike(fit, candidates)
-    if search.view is None or search.view.fit.model is not fit.model:
-        search.view = linear_view(fitter, fit, candidates)
-    scores = [s for s in score(search.view) if s.candidate.name not in rejected]
+    view = _viewed(fitter, search, candidates)
+    scores = [s for s in score(view) if s.candidate.name not in rejected]
     hopeful = _worth_trying(scores, fit)
     if not hopeful:
         search.traces += _faint(scores, fit)

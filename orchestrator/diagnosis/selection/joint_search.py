@@ -239,10 +239,19 @@ def dispensable(fit: Fit, *, doubting_blocks: bool = True) -> list[str]:
     return out
 
 
-def exchanged(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
-    """The fit with each effect replaced by an absent one that does better in its place, and those that do as well."""
+def exchanged(
+    fitter: Fitter, fit: Fit, library: Sequence[Candidate], names: Sequence[str] | None = None
+) -> tuple[Fit, dict[str, list[str]]]:
+    """The fit with each effect replaced by an absent one that does better in its place, and those that do as well.
+
+    Parameters
+    ----------
+    names : sequence of str, optional
+        Only these are asked; by default all.
+    """
     limits, rivals = fit.criteria.selection, dict[str, list[str]]()
-    for name, other in _look_alikes(fitter, fit, library)[: limits.most_trials]:
+    alike = [pair for pair in _look_alikes(fitter, fit, library) if names is None or pair[0] in names]
+    for name, other in alike[: limits.most_trials]:
         if name not in fit.model.names or other.name in fit.model.names:
             continue
         others = [a for a in fit.model.active if a.name != name]

@@ -88,6 +88,10 @@ def all_together(
             setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
     # The whole tells what a part of it was too little for.
     whole = downwards(setup.fitter, with_overlooked(setup.fitter, whole, library))
+    if late := [name for name in whole.model.names if name not in fit.model.names]:
+        whole, others = exchanged(setup.fitter, whole, library, late)
+        whole = downwards(setup.fitter, whole)
+        rivals = {**rivals, **others}
     if (instead := with_the_map_instead(setup, whole)) is not whole:
         whole, doubles = without_doubles(setup.fitter, instead)
         rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}

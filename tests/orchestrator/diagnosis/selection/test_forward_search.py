@@ -14,9 +14,10 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import forward_search as forward_search_module
 from orchestrator.diagnosis.selection.forward_search import Step, forward
 from orchestrator.diagnosis.selection.refining import flexible
-from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.inverter import BusSag, DeadTime, VoltageBias
+from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.timing import VoltageDelay
-from protocols import Signals
+from protocols import Effect, EffectParameters, Signals
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
 
 
@@ -84,3 +85,25 @@ def _knee_and_bias(signals: Signals) -> Array:
     left = dead_time.correct(signals, dead_time.Parameters(voltage_v=0.5, softness=0.3)).v_ab
     assert left is not None
     return np.asarray(signals.v_ab - left + np.array([0.3, -0.2]), dtype=np.float64)
+
+
+def test_a_search_for_a_few_ends_where_many_are_missing() -> None:
+    """Behind the first effect each of the other three takes little of what all of them take."""
+    present: list[tuple[Effect, EffectParameters]] = [
+        (DeadTime(), DeadTime.Parameters(voltage_v=4.0)),
+        (VoltageBias(), VoltageBias.Parameters(bias_a_v=0.15, bias_b_v=-0.1)),
+        (BusSag(), BusSag.Parameters(per_watt=3e-4)),
+        (PhaseResistanceImbalance(), PhaseResistanceImbalance.Parameters(extra_a_ohm=0.1, extra_b_ohm=-0.1)),
+    ]
+
+    def lost(signals: Signals) -> Array:
+        left = [v_ab for effect, p in present if (v_ab := effect.correct(signals, p).v_ab) is not None]
+        return np.asarray(len(left) * signals.v_ab - np.sum(left, axis=0), dtype=np.float64)
+
+    made = prepared(plan())
+    maker = fitter(with_voltage(made, {p.segment.id: lost(p.signals) for p in made.pieces}))
+    library = scaled_library([effect for effect, _ in present], made.manifest)
+    first = [Step(None, maker.fit(free_model()))]
+    assert len(forward(maker, first, library, most=2).fit.model.active) == 1
+    assert len(forward(maker, first, library[:2], most=2).fit.model.active) == 2
+    assert len(forward(maker, first, library).fit.model.active) > 2

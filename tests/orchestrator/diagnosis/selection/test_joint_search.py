@@ -15,6 +15,7 @@ from orchestrator.diagnosis.selection import joint_search as joint_search_module
 from orchestrator.diagnosis.selection.joint_search import (
     dispensable,
     downwards,
+    exchanged,
     in_better_form,
     in_forms_still_asked_for,
     in_own_forms,
@@ -34,6 +35,7 @@ from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
+from plugins.effects.sensors import CurrentOffset
 from protocols import Effect, ParameterRole
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
 
@@ -102,6 +104,16 @@ def test_what_blocks_disagree_on_stays_where_much_is_lost_with_it(
     monkeypatch.setattr(joint_search_module, "block_scatter", lambda f: np.full(len(f.model.free), 10.0))
     assert "voltage_bias" in dispensable(fit)
     assert downwards(maker, fit).model.names == fit.model.names
+
+
+def test_an_effect_makes_room_for_one_that_does_better_in_its_place(maker: Fitter) -> None:
+    both = scaled_library([CurrentOffset(), VoltageBias()], maker.prepared.manifest)
+    wrong = refitted(maker, free_model().with_active([both[0].absent()]))
+    assert exchanged(maker, wrong, both, names=[])[0] is wrong
+    right, rivals = exchanged(maker, wrong, both)
+    assert right.model.names == ("voltage_bias",)
+    assert set(rivals) <= {"voltage_bias"}
+    assert exchanged(maker, right, both)[0].model.names == ("voltage_bias",)
 
 
 def test_what_is_left_without_an_effect_is_more(maker: Fitter, fit: Fit) -> None:
