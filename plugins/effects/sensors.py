@@ -77,7 +77,10 @@ class ThirdCurrentSensor:
     signature: ClassVar[str] = "Resistance and inductance are stretched alike along phase c, and nothing is turned."
     layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
     needs: ClassVar[tuple[Contrast, ...]] = ()
-    gauge: ClassVar[str] = "A gain common to all sensors scales R_s and the flux together: +g of c is -g of a and b."
+    gauge: ClassVar[str] = (
+        "A gain common to all sensors scales R_s and the flux together: +g of c is -g of a and b."
+        " What one sensor hears of another's current stretches alike, and turns besides."
+    )
 
     class Parameters(EffectParameters):
         gain_c_minus_1: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)

@@ -109,12 +109,6 @@ class Active:
         return tuple(n for n in self.candidate.of_role(ParameterRole.REFINEMENT) if n in self.free)
 
     def in_other_form(self) -> Active | None:
-        """The same with its refinements free, begun at the second form; None where it has but one."""
-        names = self.candidate.of_role(ParameterRole.REFINEMENT)
-        there = {n: p.other_form for n in names if (p := self.candidate.named(n)).other_form is not None}
-        return replace(self.freeing(*names), values={**self.values, **there}) if there else None
-
-    def in_mere_other_form(self) -> Active | None:
         """The same at its second form, other refinements resting; None where it has but one, or stands nearer it."""
         names = self.candidate.of_role(ParameterRole.REFINEMENT)
         named = self.candidate.named

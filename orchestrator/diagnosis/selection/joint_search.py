@@ -168,7 +168,7 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
         return fit
     for one in fit.model.active:
         # A form that has not been bent is the better of both as it is.
-        other = one.in_mere_other_form() if one.bent_by else None
+        other = one.in_other_form() if one.bent_by else None
         if other is None:
             continue
         active = [other if a.name == one.name else a for a in fit.model.active]

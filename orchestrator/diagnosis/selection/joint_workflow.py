@@ -11,7 +11,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     with_detail,
     worth_its_freedom,
 )
-from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
@@ -271,9 +271,13 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
 
     Nor is one whose interval holds nothing at all: it may be balanced by another. All stay in the model. What drifts by
-    a part leaves that part of what it takes away: where less is left, the blocks disagree on something else.
+    a part leaves that part of what it takes away: where less is left, the blocks disagree on something else. Where no
+    effect at all is sure, nothing has been found, however little is left.
     """
     first, last = search.steps[0].fit, search.fit
+    if search.shares and set(last.model.names) <= set(perhaps_absent(fitter, search.sized)):
+        bare = [s for s in search.steps if s.added is None or s.added in MAP_RUNGS]
+        return Search(bare, search.traces), list(last.model.names)
     if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)

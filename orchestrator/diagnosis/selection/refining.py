@@ -6,7 +6,6 @@ The wrong shape of the right effect causes most spurious second ones.
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -113,10 +112,7 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
 def _forms(active: Active, fit: Fit) -> list[Active]:
     """Where an effect's flexible form begins: as it is, and at its second form where more than noise is left."""
     other = active.in_other_form() if fit.chi2_per_dof > fit.criteria.selection.detected_chi2 else None
-    if other is None:
-        return [active]
-    begun = tuple(n for n in other.free if n in active.free or other.values[n] != active.values[n])
-    return [active, replace(other, free=begun)]
+    return [active] if other is None else [active, other]
 
 
 def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, best: Fit, inflation: float) -> Fit | None:

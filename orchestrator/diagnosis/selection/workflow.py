@@ -25,6 +25,7 @@ from orchestrator.diagnosis.selection.refining import polished, repolished, sett
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
 from orchestrator.diagnosis.selection.verdict import fitted_verdict
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
+from orchestrator.diagnosis.uncertainty.intervals import perhaps_absent
 from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter, likelihood_of
 from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
 
@@ -210,9 +211,9 @@ def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate
 def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
     """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named.
 
-    Nor is one that takes away less than remains.
+    Nor is one that takes away less than remains; nor, whatever remains, one whose interval holds nothing at all.
     """
-    doubtful: list[str] = []
+    search, doubtful = _without_absent(setup, search)
     first, steady = search.steps[0].fit, setup.prepared.criteria.selection.least_constancy
     while search.fit.model.active and fitted_verdict(first, search.fit) != "explained":
         drift = block_scatter_ratio(search.fit)
@@ -224,6 +225,21 @@ def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, lis
         doubtful.append(worst)
         search = without(setup, search, worst)
     return search, doubtful
+
+
+def _without_absent(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
+    """The search without effects that might as well be none: a form bent out of all proportion, held by another term.
+
+    One after the other, the one that brought least first: of two that balance each other, one may be there.
+    """
+    gone: list[str] = []
+    brought = {step.added: step.log_evidence for step in search.steps}
+    expected = {a.name for a in search.fit.model.active if a.candidate.is_expected}
+    while absent := [n for n in perhaps_absent(setup.fitter, search.fit) if n not in expected]:
+        least = min(absent, key=lambda name: brought[name])
+        gone.append(least)
+        search = without(setup, search, least)
+    return search, gone
 
 
 def _left_over_own(search: Search, name: str) -> float:

@@ -104,6 +104,33 @@ def test_what_drifts_by_more_than_is_left_disagrees_on_something_else(
     assert set(after.fit.model.names) == set(whole.model.names)
 
 
+@pytest.mark.parametrize("sure", [(), ("voltage_bias",)])
+def test_where_no_effect_is_sure_none_is_found(sure: tuple[str, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    search = joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, [])
+    absent = [name for name in whole.model.names if name not in sure]
+    monkeypatch.setattr(joint_workflow, "perhaps_absent", lambda *_: absent)
+    after, doubtful = joint_workflow.without_stand_ins(setup.fitter, search)
+    assert after.fit is (search.fit if sure else bare)
+    assert doubtful == ([] if sure else list(whole.model.names))
+
+
+@pytest.mark.parametrize(("better", "taken"), [(-100.0, True), (100.0, False)])
+def test_a_timer_told_beside_less_scatter_is_judged_when_all_effects_have_been_asked_again(
+    better: float, taken: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those asked for in more noise leave much more than the noise that there is."""
+    setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    timed = setup.with_noise(ModelNoise(voltage_scatter_v=1e-4))
+    worse = replace(whole, objective=whole.objective + 2.0 * whole.chi2)
+    asked = replace(whole, objective=whole.objective + better)
+    tellings = iter([(timed, timed, worse), None])
+    monkeypatch.setattr(joint_workflow, "with_timer_of_fit", lambda *_: next(tellings))
+    monkeypatch.setattr(joint_workflow, "_asked_again", lambda *_: (asked, {}))
+    after = joint_workflow.timed_anew(setup, setup, whole, {"voltage_bias": ["another"]}, [])
+    assert after == ((timed, timed, asked, {}) if taken else (setup, setup, whole, {"voltage_bias": ["another"]}))
+
+
 @pytest.mark.parametrize(("chi2", "asked"), [(1.02, False), (3.0, True)])
 def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
     chi2: float, asked: bool, monkeypatch: pytest.MonkeyPatch
