@@ -39,6 +39,8 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
 
 def perhaps_absent(fitter: Fitter, fit: Fit) -> list[str]:
     """Active effects of which each amplitude's 95 % interval holds nothing at all."""
+    if not fit.model.free:
+        return []
     half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
     sure = {
         a.name

@@ -25,6 +25,9 @@ from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from protocols import Signals
 
+LEAST = 0.1
+"""Of the nameplate's inductance, that saturation leaves at least: iron that is full still leaves the slots' leakage."""
+
 
 def taken_of_ripple(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> Array:
     """The voltage that is to be added to a segment's, so that the line between readings is right.
@@ -47,13 +50,30 @@ def taken_of_ripple(piece: SegmentSignals, signals: Signals, magnetics: Magnetic
     moment, spread = _ripple(v_ab, v_dc, period_s)
     ohm, i_dq = np.asarray(signals.resistance_ohm)[:, None], to_dq(signals.i_ab, angle)
     psi, inductance = magnetics.flux_and_inductance(i_dq)
+    inductance = _believable(inductance, signals)
     damped = ohm * _through(inductance, _through(inductance, to_dq(moment, angle)))
     bent = np.zeros_like(psi)
     for axis in range(2):
         x = _through(inductance, to_dq(spread[axis], angle))
         ahead, behind = (magnetics.flux_and_inductance(i_dq + side * x)[0] for side in (1.0, -1.0))
-        bent += 0.5 * _through(inductance, ahead + behind - 2.0 * psi)
+        bend = 0.5 * _through(inductance, ahead + behind - 2.0 * psi)
+        # A map that bends a ripple by more than itself is none yet.
+        bent += np.clip(bend, -np.abs(x), np.abs(x))
     return np.ascontiguousarray(to_ab(ohm * (damped + bent), angle))
+
+
+def _believable(inductance: Array, signals: Signals) -> Array:
+    """The inductances (n, 3), the nameplate's where they are far below: a map on its way to where it fits may be any.
+
+    Its ripple would lead it further away.
+    """
+    motor = signals.motor
+    if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
+        return inductance
+    l_d, l_q = motor.d_inductance_h, motor.q_inductance_h
+    dd, dq, qq = inductance.T
+    sound = (dd > LEAST * l_d) & (qq > LEAST * l_q) & (dd * qq - dq * dq > LEAST**2 * l_d * l_q)
+    return np.where(sound[:, None], inductance, np.array([l_d, 0.0, l_q]))
 
 
 def _through(inductance: Array, flux: Array) -> Array:

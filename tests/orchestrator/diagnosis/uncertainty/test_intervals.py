@@ -48,6 +48,11 @@ def delayed(clean: Recording, tmp_path_factory: pytest.TempPathFactory) -> tuple
     return fitted(open_recording(directory), VoltageDelay())
 
 
+def test_a_model_without_effects_has_none_that_might_be_absent(clean: Recording) -> None:
+    setup = open_for_diagnosis(clean)
+    assert perhaps_absent(setup.fitter, fitted_baseline(setup)) == []
+
+
 def test_ripple_tells_of_delays_and_eddies_and_the_means_of_offsets_and_gains(clean: Recording) -> None:
     setup = open_for_diagnosis(clean)
     fit = fitted_baseline(setup)

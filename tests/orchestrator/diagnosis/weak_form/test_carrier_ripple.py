@@ -7,11 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.weak_form.carrier_ripple import taken_of_ripple
+from orchestrator.diagnosis.weak_form.carrier_ripple import LEAST, taken_of_ripple
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.frames import to_dq, to_phases
 from protocols import SegmentStage
-from tests.orchestrator.diagnosis.pieces import FS, GRID, TRUE_MAP, Array, Plan, hold, piece
+from tests.orchestrator.diagnosis.pieces import FS, GRID, L_D, TRUE_MAP, Array, Plan, hold, piece
 
 BUS_V, OHM = 540.0, 40.0
 """A resistance that makes R T / L a tenth, as a small servo's is."""
@@ -88,3 +88,17 @@ def test_its_direction_is_the_stators_whatever_the_rotors_angle() -> None:
 def test_with_the_bridge_off_there_is_none() -> None:
     one = piece(Plan(SegmentStage.GATES_OFF, np.zeros((600, 2))))
     assert not taken_of_ripple(one, one.signals, TRUE_MAP).any()
+
+
+@pytest.mark.parametrize("scale", [0.0, -0.5, 1e-3])
+def test_a_map_that_is_none_yet_makes_no_voltage_without_bounds(scale: float) -> None:
+    """On its way to where it fits a map may have any inductance; its ripple must not lead it further away."""
+    one = piece(Plan(SegmentStage.RESISTANCE, hold(2.0, -1.0)))
+    signals = one.signals.replaced({"resistance_ohm": np.full(len(one.signals.v_dc), OHM)})
+    rough = np.random.default_rng(2).normal(0.0, 1.0, GRID.size)
+    right = taken_of_ripple(one, signals, TRUE_MAP)
+    flat = taken_of_ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients))
+    wrong = taken_of_ripple(one, signals, Magnetics(GRID, scale * TRUE_MAP.coefficients + rough))
+    np.testing.assert_allclose(flat, right, rtol=1e-9, atol=1e-12 * np.abs(right).max())
+    # Not more than what a ripple at the least inductance drops across the resistance.
+    assert np.abs(wrong).max() < OHM * BUS_V / FS / (LEAST * L_D)
