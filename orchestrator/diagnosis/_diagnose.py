@@ -22,7 +22,7 @@ from orchestrator.diagnosis.fitting.candidates import (
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
-from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
+from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.expected import with_expected
@@ -40,7 +40,7 @@ from orchestrator.diagnosis.selection.shares import (
     visited,
 )
 from orchestrator.diagnosis.selection.sufficiency import solvable
-from orchestrator.diagnosis.selection.verdict import verdict_of
+from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
 from orchestrator.diagnosis.selection.workflow import (
     ModelChoice,
     baseline_of,
@@ -235,6 +235,7 @@ def _diagnosed(
     left = unexplained(plain, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
+    rest = left_fraction(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
     joint = joint_fit(setup.fitter, search, library)
     uncertainty = MapUncertainty.of(setup.fitter, sized, library)
     band_percent = 100.0 * uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
@@ -246,7 +247,7 @@ def _diagnosed(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
         verdict=verdict,
         effects=found,
-        minor=tuple(e for e in active if e.name in search.minor),
+        minor=beyond_the_rest((e for e in active if e.name in search.minor), rest),
         traces=tuple(dict.fromkeys([*search.minor, *doubtful, *spared, *search.traces])),
         joint=joint,
         ladder=ladder,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -47,6 +47,11 @@ def found_effects(
             )
         )
     return tuple(sorted(effects, key=lambda effect: -(effect.share or 0.0)))
+
+
+def beyond_the_rest(effects: Iterable[FoundEffect], rest: float) -> tuple[FoundEffect, ...]:
+    """Those that take away no less of the error than is left: of less, nobody can say that it is there."""
+    return tuple(effect for effect in effects if (effect.share or 0.0) >= rest)
 
 
 def _interval(active: Active, name: str, half: float) -> ParameterValue:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.reporting.findings import found_effects, map_effects
+from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects
+from protocols import FoundEffect
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
 
@@ -30,3 +31,9 @@ def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() ->
     saturation, cross = map_effects(fit, {"saturation": 1.0, "cross_saturation": 0.0})
     assert saturation.parameters["relative_change"].value == pytest.approx(0.0, abs=1e-9 * (L_D + L_Q))
     assert cross.relative_size == pytest.approx(0.0, abs=1e-9)
+
+
+def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
+    some = [FoundEffect(name=n, parameters={}, relative_size=1.0, share=x) for n, x in (("a", 0.5), ("b", 0.02))]
+    assert [effect.name for effect in beyond_the_rest(some, 0.42)] == ["a"]
+    assert [effect.name for effect in beyond_the_rest(some, 0.0)] == ["a", "b"]
