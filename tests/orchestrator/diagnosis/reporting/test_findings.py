@@ -34,6 +34,9 @@ def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() ->
 
 
 def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
-    some = [FoundEffect(name=n, parameters={}, relative_size=1.0, share=x) for n, x in (("a", 0.5), ("b", 0.02))]
+    some = [
+        FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
+        for name, share in (("a", 0.5), ("b", 0.02))
+    ]
     assert [effect.name for effect in beyond_the_rest(some, 0.42)] == ["a"]
     assert [effect.name for effect in beyond_the_rest(some, 0.0)] == ["a", "b"]
