@@ -250,7 +250,9 @@ class DeviceDrop:
         """Subtract the drop from the commanded voltage."""
         v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
-        at_knee = p.voltage_v / (1.0 - p.growth + p.growth * math.log1p(_rated_a(signals) / p.threshold_a))
+        # A logarithm alone is nothing at the current zero, which an unknown rated one would be.
+        rated = math.log1p((_rated_a(signals) or p.threshold_a) / p.threshold_a)
+        at_knee = p.voltage_v / (1.0 - p.growth + p.growth * rated)
         volts = np.full(len(signals.v_dc), at_knee)
         if p.warming != 0.0:
             volts *= 1.0 + p.warming * _warmth(signals, p.warming_s)

@@ -62,7 +62,8 @@ class SegmentEquations:
     def renewed(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> Place:
         """`place` in a `frame` made anew: its signals are led through the effects but once for both."""
         s = piece.signals
-        scale = model.r_s / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
+        # On its way to where it fits R_s may be below nothing; a loss is not.
+        scale = max(model.r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
         losses = s.losses and s.losses.model_copy(update={"power_w": s.losses.power_w * scale})
         base = s.model_copy(
             update={"resistance_ohm": np.full(len(s.v_dc), model.r_s), "losses": losses, "heat_j": s.heat_j * scale}

@@ -153,6 +153,14 @@ def test_a_drop_that_only_grows_is_shockleys_law() -> None:
     assert [_drop_of_a(one, 1.0) for one in i_a] == pytest.approx(expected, rel=1e-3)
 
 
+def test_a_logarithm_alone_needs_no_rated_current() -> None:
+    signals = _signals(np.tile([1.0, 0.5, -1.5], (10, 1))).model_copy(update={"motor": None})
+    v_ab = DeviceDrop().correct(signals, DeviceDrop.Parameters(voltage_v=0.8, growth=1.0)).v_ab
+    assert v_ab is not None
+    assert np.isfinite(v_ab).all()
+    assert v_ab.any()
+
+
 def test_the_drops_size_is_that_at_the_rated_current() -> None:
     rated_a = 5.0 * np.sqrt(2.0)
     assert _drop_of_a(rated_a, 0.1) == pytest.approx(_drop_of_a(rated_a, 0.0), rel=0.01)

@@ -12,9 +12,9 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.numerics.frames import from_two_phases
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.timing import VoltageDelay
-from protocols import Correction, Effect
+from protocols import Correction, Effect, LossHistory
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import R_S, fitter, free_model, plan, prepared, with_voltage
 
 
 @pytest.fixture(scope="module")
@@ -73,3 +73,14 @@ def test_what_readings_have_in_common_is_what_an_offset_of_all_of_them_does(bias
             before, after = (equations.rows(equations.place(model, piece, f)).white for f in (frame, there))
             moved = (after - before) @ np.array([1.0, model.r_s]) / offset_a
             assert np.linalg.norm(common[:, phase] - moved) < 0.02 * np.linalg.norm(moved)
+
+
+def test_a_resistance_below_nothing_loses_nothing(biased: Fitter) -> None:
+    """On its way to where it fits R_s may be anything; effects take roots of a loss."""
+    history = LossHistory(time_s=np.array([0.0, 1.0]), power_w=np.array([0.0, 5.0]))
+    bare = biased.prepared.pieces[0]
+    piece = replace(bare, signals=bare.signals.model_copy(update={"losses": history}))
+    for r_s, power_w in ((-1.0, 0.0), (2.0 * R_S, 10.0)):
+        base = biased.equations.renewed(replace(free_model(), r_s=r_s), piece, None).frame.base
+        assert base.losses is not None
+        assert base.losses.power_w[-1] == pytest.approx(power_w)
