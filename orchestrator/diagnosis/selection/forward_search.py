@@ -22,8 +22,8 @@ from orchestrator.diagnosis.selection.scoring import (
     asked,
     does_as_well,
     form_gain,
+    gain_together,
     gain_with,
-    linear_gain,
     linear_view,
     log_evidence,
     score,
@@ -117,13 +117,11 @@ def _viewed(fitter: Fitter, search: Search, candidates: Sequence[Candidate]) -> 
 
 def _many_are_missing(view: LinearView) -> bool:
     """Whether all absent effects together leave so much less than the best one that a few will not do."""
-    fit, limits, fitted = view.fit, view.fit.criteria.selection, len(view.fit.model.free)
-    absent = {c.name for c in view.absent}
-    together = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name in absent]
-    if not together:
+    fit = view.fit
+    if not view.absent:
         return False
-    least = max(fit.chi2 - linear_gain(view.normal, view.right, fitted, together)[0], fit.dof)
-    return fit.chi2 - score(view)[0].gain > limits.many_missing * least
+    least = max(fit.chi2 - gain_together(view), fit.dof)
+    return fit.chi2 - score(view)[0].gain > fit.criteria.selection.many_missing * least
 
 
 def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:

@@ -98,6 +98,13 @@ def score(view: LinearView) -> list[Score]:
     return sorted(scores, key=lambda s: -s.gain)
 
 
+def gain_together(view: LinearView) -> float:
+    """Fall of chi2 by all effects that are not in the model, those that are following."""
+    fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}
+    columns = [k for k, (a, _) in enumerate(view.columns) if k >= fitted and a.name in absent]
+    return linear_gain(view.normal, view.right, fitted, columns)[0]
+
+
 def form_gain(view: LinearView) -> float:
     """Fall of chi2 by what bends an effect of the model, of those columns that a view has of it."""
     fitted, absent = len(view.fit.model.free), {c.name for c in view.absent}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.workflow import on_a_finer_map, pruned, with_its_scatter, without_doubtful
@@ -24,10 +25,8 @@ from tests.orchestrator.diagnosis.pieces import (
 )
 
 
-@pytest.mark.parametrize(("of_resistance", "spared"), [(4e-4, []), (0.0, ["phase_resistance_imbalance"])])
-def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error_was(
-    of_resistance: float, spared: list[str]
-) -> None:
+def _biased(of_resistance: float) -> tuple[Fitter, list[Step]]:
+    """A biased voltage, and so much more of R_s in phase a; the ladder of both."""
     biased = with_voltage(prepared(plan(), noise_a=0.002), np.array([2.0, -1.0]))
     extra = {p.segment.id: of_resistance * R_S * p.signals.i_ab * np.array([1.0, 0.0]) for p in biased.pieces}
     maker = fitter(with_voltage(biased, extra))
@@ -36,6 +35,14 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
         before = steps[-1].fit.model
         model = before.with_active([*before.active, *with_free(before, maker, effect).active])
         steps.append(Step(effect.name, maker.fit(model), 100.0))
+    return maker, steps
+
+
+@pytest.mark.parametrize(("of_resistance", "spared"), [(4e-4, []), (0.0, ["phase_resistance_imbalance"])])
+def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error_was(
+    of_resistance: float, spared: list[str]
+) -> None:
+    maker, steps = _biased(of_resistance)
     assert steps[0].fit.chi2_per_dof > 1e5 > 1e4 * steps[-1].fit.chi2_per_dof
     setup = setup_of(maker)
     assert pruned(setup, Search(steps))[1] == spared
@@ -44,14 +51,7 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
 @pytest.mark.parametrize(("of_resistance", "named"), [(4e-3, True), (0.0, False)])
 def test_what_might_as_well_be_none_is_not_named_whatever_is_left(of_resistance: float, named: bool) -> None:
     """However little a fit leaves: an imbalance whose interval holds nothing, beside a bias that is sure."""
-    biased = with_voltage(prepared(plan(), noise_a=0.002), np.array([2.0, -1.0]))
-    extra = {p.segment.id: of_resistance * R_S * p.signals.i_ab * np.array([1.0, 0.0]) for p in biased.pieces}
-    maker = fitter(with_voltage(biased, extra))
-    steps = [Step(None, maker.fit(free_model()))]
-    for effect in (VoltageBias(), PhaseResistanceImbalance()):
-        before = steps[-1].fit.model
-        model = before.with_active([*before.active, *with_free(before, maker, effect).active])
-        steps.append(Step(effect.name, maker.fit(model), 100.0))
+    maker, steps = _biased(of_resistance)
     after, doubtful = without_doubtful(setup_of(maker), Search(steps))
     assert doubtful == ([] if named else ["phase_resistance_imbalance"])
     assert ("phase_resistance_imbalance" in after.fit.model.names) is named
