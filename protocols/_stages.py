@@ -49,6 +49,8 @@ class StagePoint:
     excitation: Excitation
     """Its `rotor_angle_rad` is put in by whoever plans: the run's believed angle."""
     settings: Mapping[str, Any] = field(default_factory=dict)
+    spare: bool = False
+    """Measured only where those before it show that it is wanted; `Stage.as_run` says."""
 
 
 @dataclass(frozen=True)

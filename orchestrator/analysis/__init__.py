@@ -4,6 +4,7 @@ Knows waveforms and currents; drives, plugins and the engine it has never heard 
 imported where they are used.
 """
 
+from orchestrator.analysis._between import steep_steps
 from orchestrator.analysis._checks import check_map, difference_percent, flux_at, flux_ratio, rated_flux_wb
 from orchestrator.analysis._crossings import Crossings, Network, crossings_of, join_paths
 from orchestrator.analysis._each_capture import each_capture
@@ -98,6 +99,7 @@ __all__ = [
     "rated_flux_wb",
     "require_emf_turns_with",
     "spun_points",
+    "steep_steps",
     "sweep_of",
     "temperature_rise",
     "theta_of",

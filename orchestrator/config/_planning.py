@@ -38,6 +38,8 @@ class PlannedPoint:
     excitation: Excitation
     settings: dict[str, Any]
     """What was asked for, as the segment's settings."""
+    spare: bool = False
+    """Measured only where those before it show that it is wanted: what the plan tells, it tells without."""
 
     def run_as(self, excitation: Excitation) -> PlannedPoint:
         """The point with another excitation of the same kind, and settings that say what is really asked for."""
@@ -142,7 +144,7 @@ def _points(procedure: str, stages: Sequence[Stage], own_pwm_hz: float | None, f
                 settings = {**_asked_for(excitation, own_pwm_hz), **point.settings}
                 identifier = f"{stage.name}-{counter[stage.name]:03d}"
                 counter[stage.name] += 1
-                points.append(PlannedPoint(identifier, index, stage.records_as, excitation, settings))
+                points.append(PlannedPoint(identifier, index, stage.records_as, excitation, settings, point.spare))
         if stage.measuring is not None and len(points) == before:
             raise ProcedureError(procedure, f"stages.{index}", f"{stage.name} without a point to measure")
     return points

@@ -58,10 +58,11 @@ class TaylorSurface:
     ----------
     inside : array of bool, shape (m,)
     corners, weights : array, shape (m, 3)
-        The triangle that each place is in, and its barycentric coordinates there.
+        The triangle that each place is in, and its barycentric coordinates there; in a splinter those of the nearest
+        place on its two shorter sides.
     slender : array of bool, shape (m,)
-        Whether that triangle is a splinter (between points that are nearly in line, along the hull), across
-        which values hold but slopes do not.
+        Whether that triangle is a splinter, between points that are nearly in line, along the hull. The far end of its
+        longest side says nothing of what is between the other two, and slopes do not hold across it.
     """
 
     def __init__(self, points: Array, at: Array, where: str) -> None:
@@ -73,12 +74,13 @@ class TaylorSurface:
         first = np.einsum("mij,mj->mi", transform[:, :2], at - transform[:, 2])
         self.weights = np.concatenate([first, 1.0 - first.sum(axis=1, keepdims=True)], axis=1)
         self.corners = mesh.simplices[simplex]
-        self._steps = at[:, None, :] - points[self.corners]
         self.weights[~self.inside] = np.nan
-        a, b, c = (points[self.corners[:, k]] for k in range(3))
-        sides = np.stack([b - a, c - b, a - c], axis=1)
-        area = 0.5 * np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
-        self.slender: NDArray[np.bool_] = area < 0.05 * (sides**2).sum(axis=-1).max(axis=-1)
+        triangles = points[self.corners]
+        self.slender = self.inside & _are_splinters(triangles)
+        self.weights[self.slender] = _along_short_sides(triangles[self.slender], at[self.slender])
+        on_mesh = np.einsum("mc,mci->mi", self.weights, triangles)
+        self._steps = on_mesh[:, None, :] - triangles
+        self._beside = at - on_mesh  # zero but in a splinter
 
     def __call__(self, value: Array, gradient: Array | None = None, second: Array | None = None) -> Array:
         """Values at the wanted places, shape (m,); NaN outside the hull.
@@ -90,12 +92,40 @@ class TaylorSurface:
         order = 0 if gradient is None else (1 if second is None else 2)
         terms = value[self.corners]
         if gradient is not None:
-            terms = terms + order / (order + 1) * np.einsum("mci,mci->mc", gradient[self.corners], self._steps)
+            steps = order / (order + 1) * self._steps + self._beside[:, None, :]
+            terms = terms + np.einsum("mci,mci->mc", gradient[self.corners], steps)
         if second is not None:
             curved = np.einsum("mcij,mci,mcj->mc", second[self.corners], self._steps, self._steps)
             terms = terms + 0.5 / 3.0 * curved
         out: Array = np.einsum("mc,mc->m", self.weights, terms)
         return out
+
+
+def _are_splinters(triangles: Array, thinnest: float = 0.05) -> NDArray[np.bool_]:
+    """Whether a triangle's area is less than this part of its longest side's square; shapes (m, 3, 2) -> (m,)."""
+    sides = np.roll(triangles, -1, axis=1) - triangles
+    area = 0.5 * np.abs(sides[:, 0, 0] * sides[:, 1, 1] - sides[:, 0, 1] * sides[:, 1, 0])
+    out: NDArray[np.bool_] = area < thinnest * (sides**2).sum(axis=-1).max(axis=-1)
+    return out
+
+
+def _along_short_sides(triangles: Array, at: Array) -> Array:
+    """Barycentric coordinates of the nearest place on the two shorter sides; shapes (m, 3, 2), (m, 2) -> (m, 3)."""
+    rows = np.arange(len(at))
+    opposite = np.linalg.norm(np.roll(triangles, -2, axis=1) - np.roll(triangles, -1, axis=1), axis=2)
+    middle = opposite.argmax(axis=1)
+    best, nearest = np.full(len(at), np.inf), np.zeros((len(at), 3))
+    for turn in (1, 2):
+        end = (middle + turn) % 3
+        side = triangles[rows, end] - triangles[rows, middle]
+        from_middle = at - triangles[rows, middle]
+        part = np.clip((from_middle * side).sum(axis=1) / (side**2).sum(axis=1), 0.0, 1.0)
+        away = np.linalg.norm(from_middle - part[:, None] * side, axis=1)
+        weights = np.zeros((len(at), 3))
+        weights[rows, middle], weights[rows, end] = 1.0 - part, part
+        nearest = np.where((away < best)[:, None], weights, nearest)
+        best = np.minimum(away, best)
+    return nearest
 
 
 class SmoothSurface:

@@ -167,6 +167,8 @@ def as_measured(nameplate: Machine, plan: Plan, drive: Capabilities, model: Flux
 def _recording(plan: Plan, drive: Capabilities, machine: Machine, criteria: Criteria) -> RehearsedRecording:
     segments, excitations, now = [], dict[str, Excitation](), 0.0
     for point in plan.points:
+        if point.spare:
+            continue
         now += point.excitation.settling_s
         excitations[point.id] = excitation = _with_short_turns(point.excitation, criteria)
         segments.append(_segment(point, excitation, now, drive.sampling_frequency_hz))
@@ -216,7 +218,7 @@ def _weights(plan: Plan, setup: DiagnosisSetup) -> tuple[float, ...]:
     stage_of = {point.id: point.stage_index for point in plan.points}
     captured, made = defaultdict[int, float](float), defaultdict[int, float](float)
     for point in plan.points:
-        captured[point.stage_index] += point.captured_s
+        captured[point.stage_index] += 0.0 if point.spare else point.captured_s
     for piece in setup.prepared.pieces:
         s = piece.signals
         made[stage_of[piece.segment.id]] += len(s.v_dc) / s.sampling_frequency_hz

@@ -35,6 +35,27 @@ def test_values_and_slopes_reproduce_quadratics() -> None:
     assert_close(surface(d**2 + d * q - 2 * q**2, slopes), x**2 + x * y - 2 * y**2, 1e-12)
 
 
+THIN = 1e-3
+NEARLY_IN_LINE = np.array([[0.0, 0.0], [1.0, THIN], [4.0, 0.0], [1.0, 3.0]])
+IN_THE_SPLINTER = np.array([[0.5, 0.4 * THIN], [1.0, 0.5 * THIN], [2.0, 0.3 * THIN]])
+
+
+def test_a_splinter_along_the_hull_reproduces_planes() -> None:
+    surface = TaylorSurface(NEARLY_IN_LINE, IN_THE_SPLINTER, "test")
+    assert surface.slender.all()
+    slope = np.array([2.0, -30.0])
+    found = surface(NEARLY_IN_LINE @ slope, np.tile(slope, (4, 1)))
+    assert_close(found, IN_THE_SPLINTER @ slope, 1e-12)
+
+
+def test_the_far_end_of_a_splinter_says_nothing_of_what_is_between_the_other_two() -> None:
+    surface = TaylorSurface(NEARLY_IN_LINE, IN_THE_SPLINTER, "test")
+    far = np.array([0.0, 0.0, 1e6, 0.0])
+    found = surface(far, np.zeros((4, 2)))
+    assert_close(found[:1], np.zeros(1), 1.0)
+    assert found[2] == pytest.approx(1e6 / 3.0, rel=1e-3)
+
+
 def test_nothing_is_said_outside_the_hull() -> None:
     surface = TaylorSurface(SCATTER, np.array([[0.0, 0.0], [1.2, 0.0], [0.0, -3.0]]), "test")
     np.testing.assert_array_equal(np.isnan(surface(SCATTER[:, 0])), [False, True, True])

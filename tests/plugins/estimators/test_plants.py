@@ -93,6 +93,28 @@ def test_a_measured_and_violently_saturated_map_is_right_to_half_a_percent(tmp_p
 
 
 @pytest.mark.slow
+def test_iron_that_bends_between_two_points_gets_points_there(tmp_path: Path) -> None:
+    """A machine whose bridges saturate within a tenth of the grid's step: by injection alone, with and without."""
+    name = "ipm-femm-60c"
+    motor = map_motor(name).model_dump(exclude_none=True)
+    overlay = tmp_path / "motor.yaml"
+    limits = {"current_a": 178.0, "voltage_v": 160.0, "duration_s": 900.0, "energy_j": 1e8}
+    plant = {"magnetics": {"kind": "map", "name": name}, "sensors": {"noise_a": 0.25}}
+    drive = {"name": "simulated", "plant": plant}
+    overlay.write_text(yaml.safe_dump({"motor": motor, "limits": limits, "drive": drive}, allow_unicode=True))
+    found = {}
+    for most in (0, 24):
+        folder = tmp_path / f"run-{most}"
+        procedure = run(folder, (f"stages.8.most_between={most}",), motor=overlay)
+        _, maps = estimated(folder)
+        truth = truth_of(procedure)
+        found[most] = {by: rms(errors(maps[by].map, truth, procedure.motor)[0]) for by in ("injection", "energy")}
+    assert found[0]["injection"] > 5.0
+    assert found[24]["injection"] < 1.0
+    assert found[24]["energy"] < min(1.0, 0.2 * found[0]["energy"])
+
+
+@pytest.mark.slow
 def test_resistance_does_not_move_the_injections_map(tmp_path: Path) -> None:
     found = []
     for ohm in (4.25, 5.1):

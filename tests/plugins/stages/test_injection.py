@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from orchestrator.config import check_plan, load_procedure, make_plan
+from orchestrator.engine import AbsentOperator, Crew, Interrupts, resume_run
 from orchestrator.testing import StageConformance
 from plugins.stages.injection import InjectionStage
-from protocols import Injection, ProcedureError, SegmentStage, Stage
+from protocols import Injection, PointDone, ProcedureError, SegmentStage, Stage, StageSufficed, StateChanged
 from tests.support.benches import PM400, Bench, injections, plan_of, targets
+from tests.support.tiny import STAGES, messages_of, run_tiny
 
 
 class TestInjection(StageConformance):
@@ -135,3 +139,68 @@ def test_a_grid_goes_back_and_forth(pm400: Bench) -> None:
 def test_a_slip_of_the_decimal_point_does_not_fill_the_memory(pm400: Bench, pattern: str) -> None:
     with pytest.raises(ProcedureError, match=r"stages\.0\.step_a: .*more than"):
         plan_of(pm400, {"kind": "injection", "pattern": pattern, "step_a": 1e-9})
+
+
+SHARP: dict[str, Any] = {
+    "kind": "injection",
+    "points_a": [[d, q] for d in (-2.0, 0.0, 2.0) for q in (-2.0, 0.0, 2.0)],
+    "settle_s": 0.2,
+    "duration_s": 0.2,
+    "most_between": 5,
+    "steepest": 1.15,
+}
+
+
+def test_points_between_are_planned_where_the_current_is_largest() -> None:
+    points = make_plan(PM400.procedure(SHARP), None).points
+    assert [point.spare for point in points] == [False] * 9 + [True] * 5
+    assert {math.hypot(*point.target) for point in points[9:] if point.target} == {math.hypot(2.0, 2.0)}
+
+
+def measured(path: Path) -> list[tuple[float, float]]:
+    asked = [m.segment.settings for m in messages_of(path) if isinstance(m, PointDone) and "injection" in m.id]
+    return [(one["target_d_a"], one["target_q_a"]) for one in asked]
+
+
+def test_steps_in_which_the_iron_bends_are_halved_and_the_run_goes_on_as_it_would_have(tmp_path: Path) -> None:
+    stages = [STAGES[0], SHARP, STAGES[5]]
+    plant = {"plant": {"magnetics": {"kind": "nameplate", "q_fall": 0.5}, "sensors": {"noise_a": 0.005}}}
+    for folder in ("whole", "part"):
+        (tmp_path / folder).mkdir()
+    whole = run_tiny(tmp_path / "whole", stages=stages, drive=plant)
+    assert whole.outcome.ending == "finished", whole.outcome
+    points = measured(whole.path)
+    assert 9 < len(points) <= 14
+    assert set(points[9:]) <= {(d, q) for d in (-2.0, 0.0, 2.0) for q in (-1.5, -1.0, -0.5, 0.5, 1.0, 1.5)} | {
+        (d, q) for d in (-1.0, 1.0) for q in (-2.0, 0.0, 2.0)
+    }
+    states = [m.target for m in messages_of(whole.path) if isinstance(m, StateChanged)]
+    assert states[states.index("looking_between_points") - 1] == "stopping"
+    stop = StopAtPoint(tmp_path / "part" / "run", 10)
+    part = run_tiny(tmp_path / "part", stages=stages, drive=plant, interrupts=stop)
+    assert part.outcome.ending == "aborted"
+    resumed = resume_run(part.path, Crew(AbsentOperator(), Interrupts()))
+    assert resumed.outcome.ending == "finished"
+    assert measured(part.path) == points
+
+
+def test_a_motor_that_bends_slowly_gets_none(tmp_path: Path) -> None:
+    stages = [STAGES[0], {**SHARP, "steepest": 1.6}]
+    plant = {"plant": {"magnetics": {"kind": "nameplate", "d_fall": 0.2, "q_fall": 0.2}}}
+    result = run_tiny(tmp_path, stages=stages, drive=plant)
+    assert len(measured(result.path)) == 9
+    (enough,) = [m for m in messages_of(result.path) if isinstance(m, StageSufficed)]
+    assert enough.points_spared == 5
+
+
+class StopAtPoint(Interrupts):
+    """Asks for a stop once so many points are injected at."""
+
+    def __init__(self, run: Path, points: int) -> None:
+        super().__init__()
+        self._run, self._points = run, points
+
+    def check(self) -> None:
+        if (self._run / "journal.jsonl").exists() and len(measured(self._run)) >= self._points:
+            self.stop("enough for now")
+        super().check()
