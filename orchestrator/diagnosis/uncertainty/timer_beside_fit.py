@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit, SegmentFrame
+from orchestrator.diagnosis.uncertainty.timer_counting import counting
 from orchestrator.diagnosis.weak_form.equations import difference
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, mean_between
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, added_by, leg_step_of
@@ -60,7 +61,15 @@ def timer_beside(fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> tu
         x = rounding.scanned(x, place)
     for apart in APART:
         x = _descended(rounding, x, apart)
+    x = _or_counting(rounding, x, 2.0 * fit.criteria.selection.log_evidence * fit.chi2_per_dof)
     return rounding.borne.moved(x), rounding.cost(rounding.start) - rounding.cost(x)
+
+
+def _or_counting(rounding: _Rounding, x: Array, evidence: float) -> Array:
+    """The likeliest timer that counts from the carrier's turns, unless `x` is likelier by so much chi2."""
+    families = [*counting(rounding.borne, rounding.start), *counting(rounding.borne, x)]
+    best = min((one.likeliest(rounding.cost) for one in families), key=rounding.cost, default=x)
+    return best if rounding.cost(best) < rounding.cost(x) + evidence else x
 
 
 def _descended(rounding: _Rounding, x: Array, apart: float) -> Array:

@@ -9,11 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from orchestrator.diagnosis.uncertainty.scatter import Likelihood, as_much
+from orchestrator.diagnosis.uncertainty.timer_counting import CountingTimer, counting
 from orchestrator.diagnosis.weak_form.rests import rests
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, rounded_by
@@ -50,20 +52,37 @@ def timer_near(
     """
     if not likelihood.rests:
         return borne[0].timer, scatter
-    told = []
+    told, counted = list[_Sharpened](), list[_Sharpened]()
     for one in borne:
         held = _HeldCommands.of(prepared, one.timer.centred)
-        told.append(_sharpened(likelihood, held, one.at(np.unique(held.pwm_hz).tolist()), scatter))
+        known = one.at(np.unique(held.pwm_hz).tolist())
+        told.append(_sharpened(likelihood, held, known, scatter))
+        counted += [
+            _sharpened(likelihood, held, known, scatter, family) for family in counting(known, known.to(known.timer))
+        ]
     best = min(told, key=lambda one: one.cost)
+    # That a timer counts from the carrier's turns needs no evidence, that it does not does.
+    evidence = 2.0 * prepared.criteria.selection.log_evidence
+    best = min([one for one in counted if one.cost < best.cost + evidence], key=lambda one: one.cost, default=best)
     return best.timer, best.scatter
 
 
-def _sharpened(likelihood: Likelihood, held: _HeldCommands, borne: BorneTimer, scatter: ModelNoise) -> _Sharpened:
-    """The likeliest timer near one and the scatter beside it, each told in the light of the other."""
+def _sharpened(
+    likelihood: Likelihood,
+    held: _HeldCommands,
+    borne: BorneTimer,
+    scatter: ModelNoise,
+    family: CountingTimer | None = None,
+) -> _Sharpened:
+    """The likeliest timer near one, or of a family, and the scatter beside it, each told in the light of the other."""
     doubt = 0.0
-    x = _with_phases(held, borne, *likelihood.held_volts(scatter))
+    x = _with_phases(held, borne, *likelihood.held_volts(scatter)) if family is None else family.at(0.0)
     for _ in range(SHARPENINGS):
-        x = _near(held, borne, x, *likelihood.held_volts(scatter))
+        normal, pull = likelihood.held_volts(scatter)
+        if family is None:
+            x = _near(held, borne, x, normal, pull)
+        else:
+            x = family.likeliest(partial(_cost, held, borne, normal=normal, pull=pull))
         with_it = likelihood.with_volts(held.rounded_by(borne.moved(x)))
         doubt = float(x @ borne.curvature @ x) - 2.0 * borne.gain
         before, scatter = scatter, with_it.likeliest((True, True), dithered=False, near=scatter)

@@ -1,0 +1,94 @@
+"""A modulator's timer that counts from where the carrier turns: one number tells its step and all its phases.
+
+An edge of a leg at half the bus is a quarter of the carrier's period from either turn. In steps of the timer these are
+
+    n = 1 / (4 f_pwm t_q),    rise = r - n,    fall = s + n    (mod 1),
+
+with r and s what the counter does with a part of a step: 0 where it is cut off, 1/2 where it is rounded. (An up-down
+counter as in the ePWM of TI's SPRU791, where n is whole, for the carrier is made of the clock.) So phases at one PWM
+frequency tell the step to some millionths, and the phases at all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from itertools import product
+
+import numpy as np
+
+from orchestrator.diagnosis.weak_form.timer import BorneTimer
+from orchestrator.numerics.types import Array
+from protocols import TimerPhases
+
+WHOLE_OR_HALF = (0.0, 0.5)
+UNLIKE = 0.1
+"""Of a step: by how much what the two edges say of n may differ."""
+NEAR = 0.05
+"""Of a step: how far about what they say on the mean n is looked for."""
+SHARP = 1e-4
+"""Of a step."""
+
+
+@dataclass(frozen=True)
+class CountingTimer:
+    """Timers that count alike, by how many steps there are in a quarter of the carrier's period.
+
+    Attributes
+    ----------
+    borne : BorneTimer
+        From which differences are taken.
+    pwm_hz : float
+        Of that carrier.
+    count : float
+        As the phases there tell it.
+    rise, fall : float
+        What the counter does with a part of a step.
+    """
+
+    borne: BorneTimer
+    pwm_hz: float
+    count: float
+    rise: float
+    fall: float
+
+    def at(self, more: float) -> Array:
+        """With so many steps more than the phases tell: what `BorneTimer.moved` takes."""
+        step_s = 1.0 / (4.0 * self.pwm_hz * (self.count + more))
+        timer = self.borne.timer
+        phases = tuple(self._phases(p.pwm_frequency_hz, step_s) for p in timer.phases)
+        return self.borne.to(timer.model_copy(update={"step_s": step_s, "phases": phases}))
+
+    def likeliest(self, cost: Callable[[Array], float]) -> Array:
+        """Where a cost is least, near what the phases tell."""
+        from scipy.optimize import minimize_scalar
+
+        def there(more: float) -> float:
+            return cost(self.at(more))
+
+        found = minimize_scalar(there, bounds=(-NEAR, NEAR), method="bounded", options={"xatol": SHARP})
+        return self.at(float(found.x))
+
+    def _phases(self, pwm_hz: float, step_s: float) -> TimerPhases:
+        count = 1.0 / (4.0 * pwm_hz * step_s)
+        return TimerPhases(pwm_frequency_hz=pwm_hz, rise=(self.rise - count) % 1.0, fall=(self.fall + count) % 1.0)
+
+
+def counting(borne: BorneTimer, x: Array) -> list[CountingTimer]:
+    """The timers that count, and have about the phases of the one at `x` where the readings tell them best."""
+    timer = borne.moved(x)
+    best = timer.phases[int(np.argmax(np.diag(borne.curvature)[1:].reshape(-1, 2).sum(axis=1)))]
+    roughly = 1.0 / (4.0 * best.pwm_frequency_hz * timer.step_s)
+    found = []
+    for rise, fall in product(WHOLE_OR_HALF, repeat=2):
+        by_rise, by_fall = rise - best.rise, best.fall - fall
+        apart = _nearest(by_rise - by_fall)
+        if abs(apart) <= UNLIKE:
+            count = roughly + _nearest(by_fall + 0.5 * apart - roughly)
+            found.append(CountingTimer(borne, best.pwm_frequency_hz, count, rise, fall))
+    return found
+
+
+def _nearest(part: float) -> float:
+    """From -1/2 to 1/2, whole numbers taken off."""
+    return (part + 0.5) % 1.0 - 0.5
