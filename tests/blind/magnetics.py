@@ -15,9 +15,10 @@ import numpy as np
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
-POINTS = 89
-REACH = 2.2
-"""The table's half-width in units of the largest current of the campaign."""
+POINTS = 121
+REACH = 3.0
+"""The table's half-width in units of the largest current of the campaign. An injection that begins at the plan's edge
+reaches twice that where the iron is soft; within a tenth of its own edge a table is no iron."""
 MEASURED = Path(__file__).parents[2] / "plugins/drives/simulated/maps/baldor-5k6.csv"
 """Baldor ECS101M0H7EF4, measured; motulator (Aalto University), MIT."""
 
