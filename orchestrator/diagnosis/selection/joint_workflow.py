@@ -33,7 +33,7 @@ from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
 from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
-from orchestrator.diagnosis.uncertainty.intervals import perhaps_absent
+from orchestrator.diagnosis.uncertainty.intervals import nothing_is_sure, perhaps_absent
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import (
     as_much,
@@ -275,7 +275,7 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     effect at all is sure, nothing has been found, however little is left.
     """
     first, last = search.steps[0].fit, search.fit
-    if search.shares and set(last.model.names) <= set(perhaps_absent(fitter, search.sized)):
+    if search.shares and nothing_is_sure(fitter, search.sized):
         bare = [s for s in search.steps if s.added is None or s.added in MAP_RUNGS]
         return Search(bare, search.traces), list(last.model.names)
     if not search.shares or fitted_verdict(first, last) == "explained":

@@ -23,6 +23,11 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     H. White, Econometrica 48 (1980), doi:10.2307/1912934); on top of it the scatter between blocks, and what the
     effect's form leaves out: `form_doubt` of it, `ripple_doubt` as far as the ripple alone tells it.
     """
+    return np.asarray(np.sqrt(np.diag(_coordinate_covariance(fitter, fit))))
+
+
+def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
+    """Of all free coordinates: as wide as `coordinate_spread` says, and as alike as the fit has them."""
     rigid = [(a, n) for a in fit.model.active for n in _yielding(a)]
     loose = fitter.evaluate(fit.model, fit.frame, rigid, known=fit)
     normal, _ = loose.projected()
@@ -34,7 +39,9 @@ def coordinate_spread(fitter: Fitter, fit: Fit) -> Array:
     plain = np.diag(inverse) * max(fit.chi2_per_dof, 1.0)
     between = block_scatter(fit) ** 2 / fit.criteria.uncertainty.blocks
     doubt = form_doubt(fit, [(piece, rows @ inverse[:, :count]) for piece, _, rows in segments])
-    return np.asarray(np.sqrt(np.maximum(plain, np.diag(sandwich))[:count] + between + doubt**2))
+    wide = np.sqrt(np.maximum(plain, np.diag(sandwich))[:count] + between + doubt**2)
+    narrow = np.sqrt(np.diag(inverse)[:count])
+    return np.asarray(inverse[:count, :count] * np.outer(wide / narrow, wide / narrow))
 
 
 def perhaps_absent(fitter: Fitter, fit: Fit) -> list[str]:
@@ -48,6 +55,23 @@ def perhaps_absent(fitter: Fitter, fit: Fit) -> list[str]:
         if n in a.candidate.amplitudes and abs(a.coordinate(n)) > width
     }
     return [name for name in fit.model.names if name not in sure]
+
+
+def nothing_is_sure(fitter: Fitter, fit: Fit) -> bool:
+    """Whether all amplitudes together may be nothing, at 95 %.
+
+    Effects that stand in for each other may each be absent, and not all: A. Wald, Trans. Am. Math. Soc. 54 (1943),
+    doi:10.1090/S0002-9947-1943-0012401-3.
+    """
+    from scipy.stats import chi2, norm
+
+    amplitudes = [k for k, (a, n) in enumerate(fit.model.free) if n in a.candidate.amplitudes]
+    if not amplitudes:
+        return True
+    x = np.array([a.coordinate(n) for a, n in fit.model.free])[amplitudes]
+    covariance = _coordinate_covariance(fitter, fit)[np.ix_(amplitudes, amplitudes)]
+    least = chi2.isf(2.0 * norm.sf(fit.criteria.uncertainty.interval), len(amplitudes))
+    return float(x @ np.linalg.solve(covariance, x)) <= float(least)
 
 
 def form_doubt(fit: Fit, rows: Sequence[tuple[SegmentSignals, Array]]) -> Array:

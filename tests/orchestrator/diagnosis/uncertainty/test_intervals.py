@@ -17,6 +17,7 @@ from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.uncertainty.intervals import (
     coordinate_spread,
     following,
+    nothing_is_sure,
     perhaps_absent,
     ripple_share,
 )
@@ -90,6 +91,23 @@ def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tu
     model = fit.model.with_active([late, offset.absent().moved("offset_a_a", 1e-6)])
     both = fitter.evaluate(model, fit.frame)
     assert perhaps_absent(fitter, both) == ["current_offset"]
+    assert not nothing_is_sure(fitter, both)
+
+
+class OtherDelay(VoltageDelay):
+    name = "other_delay"
+
+
+def test_two_that_stand_in_for_each_other_may_each_be_absent_and_not_both(delayed: tuple[Fitter, Fit]) -> None:
+    fitter, fit = delayed
+    (late,) = fit.model.active
+    (other,) = scaled_library([OtherDelay()], fit.prepared.manifest)
+    for part, sure in ((0.5, True), (1e-6, False)):
+        each = part * late.coordinate("delay_s")
+        twins = [one.absent().moved("delay_s", each) for one in (late.candidate, other)]
+        both = fitter.evaluate(fit.model.with_active(twins), fit.frame)
+        assert perhaps_absent(fitter, both) == list(both.model.names)
+        assert nothing_is_sure(fitter, both) != sure
 
 
 @pytest.mark.slow
