@@ -110,7 +110,7 @@ class FittingCriteria(Strict):
     of the rated current."""
     rougher: float = _is(3.0, "1", "practice")
     """How much rougher than before such a map may be, at each step; ..."""
-    roughest: float = _is(10.0, "1", "practice")
+    roughest: float = _is(100.0, "1", "practice")
     """... and than usual, at most."""
     sharper_share: float = _is(0.1, "1", "practice")
     """Part of what is left that a sharper map has to take away: where it is the map's, most of it goes, and where it is

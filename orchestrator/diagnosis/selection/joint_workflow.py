@@ -9,7 +9,6 @@ from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
     is_sharp,
     with_detail,
-    worth_its_freedom,
 )
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -127,7 +126,7 @@ def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:
             break
         rest = fit.model.with_active([a for a in fit.model.active if a.name != name])
         trial = with_detail(setup, setup.fitter, refitted(setup.fitter, rest, fit))
-        if trial.model.space is not fit.model.space and worth_its_freedom(trial, fit):
+        if trial.model.space is not fit.model.space and trial.chi2_per_dof < fit.chi2_per_dof:
             fit = downwards(setup.fitter, refitted(setup.fitter, trial.model))
     return fit
 
