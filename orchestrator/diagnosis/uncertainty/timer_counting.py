@@ -75,8 +75,13 @@ class CountingTimer:
 
 
 def counting(borne: BorneTimer, x: Array) -> list[CountingTimer]:
-    """The timers that count, and have about the phases of the one at `x` where the readings tell them best."""
+    """The timers that count, and have about the phases of the one at `x` where the readings tell them best.
+
+    None at a single PWM frequency: its phases are told as well without.
+    """
     timer = borne.moved(x)
+    if len(timer.phases) < 2:
+        return []
     best = timer.phases[int(np.argmax(np.diag(borne.curvature)[1:].reshape(-1, 2).sum(axis=1)))]
     roughly = 1.0 / (4.0 * best.pwm_frequency_hz * timer.step_s)
     found = []

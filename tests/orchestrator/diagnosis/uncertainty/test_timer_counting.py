@@ -66,6 +66,14 @@ def test_edges_that_do_not_count_alike_are_no_counters() -> None:
     assert not counting(borne(((0.25 - n, n), (0.0, 0.0)), STEP_S, (1e4, 0.0)), np.zeros(5))
 
 
+def test_one_frequency_needs_no_counter() -> None:
+    n = 0.25 / (10_000.0 * STEP_S)
+    both = borne(((-n, n), (0.0, 0.0)), STEP_S, (1e4, 0.0))
+    alone = BorneTimer(both.timer.model_copy(update={"phases": both.timer.phases[:1]}), 100.0, both.curvature[:3, :3])
+    assert counting(both, np.zeros(5))
+    assert not counting(alone, np.zeros(3))
+
+
 def test_the_likeliest_count_is_found_near_what_the_phases_tell() -> None:
     n = 0.25 / (10_000.0 * STEP_S)
     told = borne(((0.02 - n, n + 0.01), (0.0, 0.0)), STEP_S, (1e4, 0.0))
