@@ -175,11 +175,18 @@ def _stiffening(points: Inductances, paths: Sequence[FluxPath], angle: float) ->
     errors = Errors(scales, ripple.errors.points, swept.errors.paths)
     softest = 1.0 / float(np.linalg.eigvalsh(points.matrix).max())
     both.blocks()  # made here once, its rows are those of all that are tried
+    ripple.blocks()
 
     def tried(share: float) -> EnergyProblem:
         return both.varied(errors=errors, stiffening_per_h=share * softest)
 
-    share, curvature = _least(lambda x: smoothed(tried(x)).cost, (-0.1, CRITERIA.stiffest), 5, 1e-3)
+    def cost(share: float) -> float:
+        # A ripple that dead time bends is no Hessian, and would have any stiffening that makes it one: what counts is
+        # what the sweeps say after it.
+        alone = ripple.varied(stiffening_per_h=share * softest)
+        return smoothed(tried(share)).cost - smoothed(alone).cost
+
+    share, curvature = _least(cost, (-0.1, CRITERIA.stiffest), 5, 1e-3)
     std = np.sqrt(2.0 / max(curvature, 1e-300))
     # A ripple that moves more than a sweep is no hysteresis, and neither is what this does not put right.
     if share <= max(CRITERIA.sure * std, CRITERIA.least_stiffening):

@@ -235,7 +235,7 @@ def _without_absent(setup: DiagnosisSetup, search: Search) -> tuple[Search, list
     gone: list[str] = []
     brought = {step.added: step.log_evidence for step in search.steps}
     expected = {a.name for a in search.fit.model.active if a.candidate.is_expected}
-    while absent := [n for n in perhaps_absent(setup.fitter, search.fit) if n not in expected]:
+    while absent := [n for n in perhaps_absent(setup.fitter, search.fit, as_shaped=True) if n not in expected]:
         least = min(absent, key=lambda name: brought[name])
         gone.append(least)
         search = without(setup, search, least)

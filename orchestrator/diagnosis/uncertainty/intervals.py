@@ -44,17 +44,30 @@ def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
     return np.asarray(inverse[:count, :count] * np.outer(wide / narrow, wide / narrow))
 
 
-def perhaps_absent(fitter: Fitter, fit: Fit) -> list[str]:
-    """Active effects of which each amplitude's 95 % interval holds nothing at all."""
+def perhaps_absent(fitter: Fitter, fit: Fit, *, as_shaped: bool = False) -> list[str]:
+    """Active effects of which each amplitude's 95 % interval holds nothing at all.
+
+    Parameters
+    ----------
+    fitter : Fitter
+    fit : Fit
+    as_shaped : bool
+        With each effect's shapes held: how fast a winding warms may leave open by how much, and not that it does.
+    """
     if not fit.model.free:
         return []
-    half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
-    sure = {
-        a.name
-        for (a, n), width in zip(fit.model.free, half, strict=True)
-        if n in a.candidate.amplitudes and abs(a.coordinate(n)) > width
-    }
+    covariance, width, sure = _coordinate_covariance(fitter, fit), fit.criteria.uncertainty.interval, set[str]()
+    for k, (a, n) in enumerate(fit.model.free):
+        own = [s for s, (b, m) in enumerate(fit.model.free) if b.name == a.name and _is_shape(b, m)] if as_shaped else []
+        follow = np.linalg.lstsq(covariance[np.ix_(own, own)], covariance[own, k], rcond=None)[0]
+        held = float(covariance[k, k] - covariance[k, own] @ follow)
+        if n in a.candidate.amplitudes and a.coordinate(n) ** 2 > width**2 * held:
+            sure.add(a.name)
     return [name for name in fit.model.names if name not in sure]
+
+
+def _is_shape(active: Active, name: str) -> bool:
+    return active.candidate.named(name).role is ParameterRole.SHAPE
 
 
 def nothing_is_sure(fitter: Fitter, fit: Fit) -> bool:

@@ -4,8 +4,8 @@ Over a tenth of a second a machine at rest is linear: the next reading is a comb
 commands, whatever it saturates, heats or loses. What such a combination, fitted block by block, leaves of the current
 is noise, and what the rounding of the last commands moved. Rounding is a function of the command alone: gathered by
 command, what is left has a line in its Fourier transform where the frequency is one over the timer's step, and of that
-line's harmonics the two phases are told. Every part of a recording has to bear it: a pattern that one sweep or
-injection happens to make is none.
+line's harmonics the two phases are told. Every part of a recording and every leg has to bear it: a pattern that one sweep,
+injection or phase happens to make is none.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from orchestrator.diagnosis.criteria import UncertaintyCriteria
 from orchestrator.diagnosis.uncertainty.command_traces import STRAIGHT, CommandTrace
-from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, rounded_by
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, legs_rounded_by
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
 from protocols import ModulatorTimer, TimerPhases
@@ -251,17 +251,25 @@ def _told(combs: Sequence[_Comb], centred: bool, frequency: float, within: float
 def _witnessed(traces: Sequence[CommandTrace], timer: ModulatorTimer, bus_v: float) -> float:
     """How well all parts of the readings agree that the rounding is there, as a log likelihood.
 
-    Each is as uncertain as they differ: where few of them speak for it, it is theirs and no timer's.
+    Each is as uncertain as they differ: where few of them speak for it, it is theirs and no timer's. All three legs
+    have the same timer, and any two of them two thirds of the say: a current control moves a leg in steps of its
+    converters' least current, and what that does by chance is one leg's.
     """
     phases, said = {p.pwm_frequency_hz: p for p in timer.phases}, list[Array]()
     for trace in traces:
         at, step_v = phases[trace.pwm_hz], leg_step_of(timer.step_s, trace.pwm_hz, bus_v)
-        off = rounded_by(trace.command_ab, step_v, at.rise, at.fall, centred=timer.centred)
-        each = np.einsum("ij,ij->i", trace.pull_ab, off)
-        said.append(np.add.reduceat(each, np.arange(0, len(each), WITNESS)))
-    witnesses = np.concatenate(said)
+        off = legs_rounded_by(trace.command_ab, step_v, at.rise, at.fall, timer.centred)
+        each = 2.0 / 3.0 * to_phases(trace.pull_ab) * (off - off.mean(axis=0))
+        said.append(np.add.reduceat(each, np.arange(0, len(each), WITNESS), axis=0))
+    legs = np.concatenate(said)
+    two = min(_agreed(np.delete(legs, leg, axis=1).sum(axis=1)) for leg in range(3))
+    return min(_agreed(legs.sum(axis=1)), 1.5 * two)
+
+
+def _agreed(witnesses: Array) -> float:
+    """Log likelihood of a mean above zero, of witnesses that are as uncertain as they differ."""
     squares = float(witnesses @ witnesses)
-    return 0.5 * float(witnesses.sum()) ** 2 / squares if squares > 0.0 else 0.0
+    return 0.5 * max(float(witnesses.sum()), 0.0) ** 2 / squares if squares > 0.0 else 0.0
 
 
 def _borne(combs: Sequence[_Comb], timer: ModulatorTimer, likelier: float, certain: float) -> BorneTimer:

@@ -132,6 +132,13 @@ def test_what_hysteresis_adds_to_the_ripples_hessian_is_taken_out() -> None:
     assert fit_energy(measured(stiffening=-1.0), paths()).stiffening_per_h == 0.0
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("std", "told"), [(1e-3, 3.0), (1e-1, 0.0)])
+def test_sweeps_tell_of_hysteresis_and_a_ripple_alone_does_not(std: float, told: float) -> None:
+    """What bends a ripple until it is no Hessian may look like it; of what uncertain sweeps say nothing, nothing is."""
+    assert fit_energy(measured(stiffening=3.0), paths(std)).stiffening_per_h == pytest.approx(told, rel=0.05)
+
+
 def test_dead_time_where_a_phase_current_passes_zero_is_taken_out() -> None:
     points = measured()
     shape = np.array([0.0, 0.03, 0.03, 0.02, 0.01, 0.005, 0.0, 0.0, 0.0])

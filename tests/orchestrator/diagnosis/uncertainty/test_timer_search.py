@@ -11,7 +11,7 @@ import pytest
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
 from orchestrator.diagnosis.uncertainty.timer_search import timers_in
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
-from orchestrator.diagnosis.weak_form.timer import BorneTimer
+from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_rounded_by
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     CRITERIA,
@@ -101,6 +101,15 @@ def test_what_one_segment_alone_bears_is_no_timer() -> None:
     made = prepared(_moving(), noise_a=0.001)
     borne = _recording(21.7e-9, True)
     assert _found(replace(made, pieces=(borne.pieces[0], *made.pieces[1:]))) == ()
+
+
+def test_what_one_leg_alone_bears_is_no_timer() -> None:
+    """A current control moves a leg in steps of its converters' least current; a timer has all three."""
+    step_v, plans = leg_step_of(21.7e-9, FS, 540.0), _moving()
+    alone = [2.0 / 3.0 * legs_rounded_by(p.v_dq, step_v, *PHASES, False)[:, :1] * [1.0, 0.0] for p in plans]
+    made = prepared([replace(p, v_dq=p.v_dq + off) for p, off in zip(plans, alone, strict=True)], noise_a=0.001)
+    asked = tuple(replace(piece, command_ab=p.v_dq) for piece, p in zip(made.pieces, plans, strict=True))
+    assert _found(replace(made, pieces=asked)) == ()
 
 
 def test_commands_that_only_rest_tell_nothing_and_are_not_asked() -> None:
