@@ -58,7 +58,9 @@ def perhaps_absent(fitter: Fitter, fit: Fit, *, as_shaped: bool = False) -> list
         return []
     covariance, width, sure = _coordinate_covariance(fitter, fit), fit.criteria.uncertainty.interval, set[str]()
     for k, (a, n) in enumerate(fit.model.free):
-        own = [s for s, (b, m) in enumerate(fit.model.free) if b.name == a.name and _is_shape(b, m)] if as_shaped else []
+        own = (
+            [s for s, (b, m) in enumerate(fit.model.free) if b.name == a.name and _is_shape(b, m)] if as_shaped else []
+        )
         follow = np.linalg.lstsq(covariance[np.ix_(own, own)], covariance[own, k], rcond=None)[0]
         held = float(covariance[k, k] - covariance[k, own] @ follow)
         if n in a.candidate.amplitudes and a.coordinate(n) ** 2 > width**2 * held:

@@ -4,8 +4,8 @@ Over a tenth of a second a machine at rest is linear: the next reading is a comb
 commands, whatever it saturates, heats or loses. What such a combination, fitted block by block, leaves of the current
 is noise, and what the rounding of the last commands moved. Rounding is a function of the command alone: gathered by
 command, what is left has a line in its Fourier transform where the frequency is one over the timer's step, and of that
-line's harmonics the two phases are told. Every part of a recording and every leg has to bear it: a pattern that one sweep,
-injection or phase happens to make is none.
+line's harmonics the two phases are told. Every part of a recording and every leg has to bear it: a pattern that one
+sweep, injection or phase happens to make is none.
 """
 
 from __future__ import annotations
