@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.baseline import (
 )
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
@@ -42,6 +42,7 @@ from orchestrator.diagnosis.uncertainty.scatter import (
 )
 from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
+from protocols import ModelNoise
 
 BEGINS_AT = {"together": 0.22, "forms": 0.34, "search": 0.52, "whole": 0.68, "ladder": 0.87}
 """Part of a diagnosis' time that is over as its steps begin; medians of six benches of many effects, averaged and
@@ -65,6 +66,7 @@ def all_together(
     begin("each effect's own form", BEGINS_AT["forms"])
     setup, doubting, fit = formed_together(setup, fit, library)
     fit = on_a_sharper_map(doubting, fit)
+    setup, doubting, fit = without_needless_scatter(setup, doubting, fit)
     begin("which of them do the data ask for?", BEGINS_AT["search"])
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     setup, doubting, fit, rivals = timed_anew(setup, doubting, fit, rivals, library)
@@ -74,6 +76,12 @@ def all_together(
     if doubting is not setup or _formless(fit):
         setup, fit = with_its_noise(setup, fit, library)
         fit, rivals = exchanged(setup.coarse_fitter, fit, library)
+    if setup.fitter.noise.of_model.scatters and setup.prepared.timer is None:
+        # Behind a modulator's timer something does scatter.
+        everything = with_everything(fit.model, library)
+        setup, _, alone = without_needless_scatter(setup, setup, fit, everything)
+        if alone is not fit:
+            fit, rivals = exchanged(setup.coarse_fitter, downwards(setup.coarse_fitter, alone), library)
     begin("the same on the whole recording", BEGINS_AT["whole"])
     resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
     whole = setup.fitter.fit(resting)
@@ -99,6 +107,20 @@ def all_together(
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
         steps = refitted_steps(setup.unweighed, steps)
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
+
+
+def without_needless_scatter(
+    setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, model: Model | None = None
+) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit]:
+    """All three without what scatters, where the effects in their own forms are likelier so, those of `model` or of `fit`.
+
+    It was told beside forms that were wrong, and would hide what is steady: an offset of all readings is one of each.
+    """
+    if not doubting.fitter.noise.of_model.scatters:
+        return setup, doubting, fit
+    plain = setup.with_noise(ModelNoise()) if setup.fitter.noise.of_model.scatters else setup
+    alone = in_own_forms(plain.coarse_fitter, plain.coarse_fitter.renewed(model or fit.model))
+    return (plain, plain, alone) if alone.objective < fit.objective else (setup, doubting, fit)
 
 
 def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
