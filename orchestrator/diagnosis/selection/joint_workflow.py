@@ -112,7 +112,7 @@ def all_together(
 def without_needless_scatter(
     setup: DiagnosisSetup, doubting: DiagnosisSetup, fit: Fit, model: Model | None = None
 ) -> tuple[DiagnosisSetup, DiagnosisSetup, Fit]:
-    """All three without what scatters, where the effects in their own forms are likelier so, those of `model` or of `fit`.
+    """All three without what scatters, where the effects in their own forms are likelier so: the fit's, or a model's.
 
     It was told beside forms that were wrong, and would hide what is steady: an offset of all readings is one of each.
     """

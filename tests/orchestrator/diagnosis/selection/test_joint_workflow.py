@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
@@ -19,7 +20,7 @@ from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
-from plugins.effects.sensors import CurrentGainMismatch
+from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import Effect, ModelNoise
 from tests.orchestrator.diagnosis import pieces as made_of
@@ -67,6 +68,29 @@ def test_what_takes_away_less_than_is_left_is_no_cause_however_large_its_share()
     between = 0.5 * (lesser[1] + larger[1])
     left = replace(whole, chi2=whole.dof + 2.0 * between)
     assert joint_workflow.ladder_of(setup, [Step(None, bare)], left, {}, []).minor == (lesser[0],)
+
+
+@pytest.mark.parametrize(("of_all_a", "of_each_a"), [(0.004, 0.0), (0.0, 0.004)])
+def test_an_offset_of_all_segments_is_not_left_to_a_scatter_and_one_of_each_is(
+    of_all_a: float, of_each_a: float
+) -> None:
+    made = prepared(plan())
+    random, pieces = np.random.default_rng(3), []
+    for piece in made.pieces:
+        shifted = piece.signals.i_ab + [of_all_a, 0.0] + of_each_a * random.normal(size=2)
+        pieces.append(replace(piece, signals=piece.signals.model_copy(update={"i_ab": shifted})))
+    setup = made_of.setup_of(made_of.fitter(replace(made, pieces=tuple(pieces))))
+    (offset,) = scaled_library([CurrentOffset()], made.manifest)
+    doubting = setup.with_noise(ModelNoise(offset_scatter_a=0.004))
+    beside = doubting.coarse_fitter.fit(free_model().with_active([offset.absent()]))
+    after, noisy, fit = joint_workflow.without_needless_scatter(setup, doubting, beside)
+    assert after is setup
+    if of_each_a:
+        assert noisy is doubting
+        assert fit is beside
+    else:
+        assert noisy is setup
+        assert fit.model.active[0].values["offset_a_a"] == pytest.approx(of_all_a, rel=0.1)
 
 
 @pytest.mark.parametrize(("told", "taken"), [((0.35, 0.62), True), ((0.80, 0.10), False)])
