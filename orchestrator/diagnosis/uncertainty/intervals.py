@@ -58,18 +58,18 @@ def perhaps_absent(fitter: Fitter, fit: Fit, *, as_shaped: bool = False) -> list
         return []
     covariance, width, sure = _coordinate_covariance(fitter, fit), fit.criteria.uncertainty.interval, set[str]()
     for k, (a, n) in enumerate(fit.model.free):
-        own = (
-            [s for s, (b, m) in enumerate(fit.model.free) if b.name == a.name and _is_shape(b, m)] if as_shaped else []
-        )
-        follow = np.linalg.lstsq(covariance[np.ix_(own, own)], covariance[own, k], rcond=None)[0]
-        held = float(covariance[k, k] - covariance[k, own] @ follow)
-        if n in a.candidate.amplitudes and a.coordinate(n) ** 2 > width**2 * held:
+        held = _shapes_of(fit, a.name) if as_shaped else []
+        follow = np.linalg.lstsq(covariance[np.ix_(held, held)], covariance[held, k], rcond=None)[0]
+        variance = float(covariance[k, k] - covariance[k, held] @ follow)
+        if n in a.candidate.amplitudes and a.coordinate(n) ** 2 > width**2 * variance:
             sure.add(a.name)
     return [name for name in fit.model.names if name not in sure]
 
 
-def _is_shape(active: Active, name: str) -> bool:
-    return active.candidate.named(name).role is ParameterRole.SHAPE
+def _shapes_of(fit: Fit, name: str) -> list[int]:
+    """Which of the free coordinates are shapes of an effect."""
+    free = enumerate(fit.model.free)
+    return [k for k, (a, n) in free if a.name == name and a.candidate.named(n).role is ParameterRole.SHAPE]
 
 
 def nothing_is_sure(fitter: Fitter, fit: Fit) -> bool:

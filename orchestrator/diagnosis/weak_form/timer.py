@@ -152,14 +152,9 @@ def legs_rounded_by(v_ab: Array, step_v: float, rise: float, fall: float, centre
 @njit(cache=True, nogil=True)
 def _rounded_by(v_ab: Array, step_v: float, rise: float, fall: float, centred: bool) -> Array:
     out = np.empty_like(v_ab)
-    legs = legs_of(v_ab, centred)
+    legs = legs_rounded_by(v_ab, step_v, rise, fall, centred)
     for k in range(v_ab.shape[0]):
-        alpha, beta = vector_of(
-            _off(legs[k, 0] / step_v, rise, fall),
-            _off(legs[k, 1] / step_v, rise, fall),
-            _off(legs[k, 2] / step_v, rise, fall),
-        )
-        out[k, 0], out[k, 1] = step_v * alpha, step_v * beta
+        out[k, 0], out[k, 1] = vector_of(legs[k, 0], legs[k, 1], legs[k, 2])
     return out
 
 
