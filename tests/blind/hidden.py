@@ -128,6 +128,7 @@ def draw_case(kind: str, index: int, seed: int) -> Case:
         sizes = [(name, float(np.exp(rng.uniform(*np.log(ORDINARY))))) for name in present]
         case = _case(kind, index, "", rng, sizes)
         bench, brought = imperfect(rng, case.bench)
+        bench = dataclasses.replace(bench, bridge=bench.bridge._replace(once=float(bench.seed % 2)))
         if kind == "switched_foreign":
             slow = bench.bridge._replace(dead_a_s=bench.bridge.dead_s + rng.uniform(0.2e-6, 0.6e-6))
             bench = dataclasses.replace(bench, bridge=slow)

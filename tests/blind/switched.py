@@ -45,6 +45,8 @@ class Bridge(NamedTuple):
     v_per_k: float = 0.0
     shortest_s: float = 0.0
     tick_s: float = 0.0
+    once: float = 0.0
+    """Not zero: one comparison with a whole number of ticks makes both edges; else each counts from its own turn."""
     source_ohm: float = 0.0
     bus_f: float = 1e-3
     bus_gain: float = 1.0
@@ -94,7 +96,11 @@ def _command(b: Bridge, rising: bool, v: float, zero: float, bus_v: float) -> fl
     if (1.0 - duty) * 2 * b.half_s < b.shortest_s:
         duty = 1.0
     at = (1.0 - duty if rising else duty) * b.half_s
-    return b.tick_s * math.floor(at / b.tick_s) if b.tick_s > 0.0 and at < b.half_s else at
+    if b.tick_s == 0.0 or at >= b.half_s:
+        return at
+    if b.once != 0.0 and rising:
+        return b.half_s - b.tick_s * math.floor((b.half_s - at) / b.tick_s)
+    return b.tick_s * math.floor(at / b.tick_s)
 
 
 @njit(cache=True, nogil=True)

@@ -166,3 +166,17 @@ def test_what_no_catalogue_has_is_hidden_behind_dead_time_and_behind_a_bridge_to
     slow = draw_case("switched_foreign", 1, 3)
     assert slow.foreign is not None
     assert slow.bench.bridge.dead_a_s > slow.bench.bridge.dead_s + 1.9e-7
+
+
+@pytest.mark.parametrize("once", [0.0, 1.0], ids=["an edge counts from its own turn", "one comparison makes both"])
+def test_edges_meet_whole_ticks(linear: Table, once: float) -> None:
+    b = EDGES._replace(tick_s=0.93e-6, once=once)
+    i, _, _ = respond(b, linear, still(8.0, 3.0))
+    a, b_leg = 8.0, 0.5 * (3.0**0.5 * 3.0 - 8.0)
+    legs = np.array([a, b_leg, -a - b_leg])
+    duty = 0.5 + (legs - 0.5 * (legs.max() + legs.min())) / BUS_V
+    whole = np.floor(duty * b.half_s / b.tick_s)
+    on_s = 2.0 * whole if once else whole + b.half_s / b.tick_s - np.floor((1.0 - duty) * b.half_s / b.tick_s)
+    felt = BUS_V * on_s * b.tick_s / TS
+    expected = np.array([(2 * felt[0] - felt[1] - felt[2]) / 3, (felt[1] - felt[2]) / 3**0.5]) / R
+    np.testing.assert_allclose(i[-500:].mean(axis=0), expected, atol=2e-3)

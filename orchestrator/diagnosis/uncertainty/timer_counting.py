@@ -4,9 +4,13 @@ An edge of a leg at half the bus is a quarter of the carrier's period from eithe
 
     n = 1 / (4 f_pwm t_q),    rise = r - n,    fall = s + n    (mod 1),
 
-with r and s what the counter does with a part of a step: 0 where it is cut off, 1/2 where it is rounded. (An up-down
-counter as in the ePWM of TI's SPRU791, where n is whole, for the carrier is made of the clock.) So phases at one PWM
-frequency tell the step to some millionths, and the phases at all others.
+with r and s what the counter does with a part of a step: 0 where it is cut off, 1/2 where it is rounded. Where one
+comparison of an up-down counter makes both edges, both have the same phase,
+
+    rise = fall = r - n    or    rise = fall = r + n    (mod 1),
+
+as the leg is on below what is compared, or above. (The ePWM of TI's SPRU791, where n is whole, for the carrier is made
+of the clock.) So phases at one PWM frequency tell the step to some millionths, and the phases at all others.
 """
 
 from __future__ import annotations
@@ -23,11 +27,18 @@ from protocols import TimerPhases
 
 WHOLE_OR_HALF = (0.0, 0.5)
 UNLIKE = 0.1
-"""Of a step: by how much what the two edges say of n may differ."""
-NEAR = 0.05
+"""Of a step: by how much what two edges say of n may differ, each with a comparison of its own."""
+UNLIKE_AT_ONE = 0.25
+"""The same at one comparison: readings hardly tell two phases that are the same from two about them."""
+NEAR = 0.12
 """Of a step: how far about what they say on the mean n is looked for."""
+APART = 0.02
+"""Of a step, from one that is tried to the next, before a descent: commands jump."""
 SHARP = 1e-4
 """Of a step."""
+TWO_COMPARISONS = (-1, 1)
+ONE_COMPARISON = (-1, -1), (1, 1)
+"""The signs of n in the phases of the rising and of the falling edge."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +55,8 @@ class CountingTimer:
         As the phases there tell it.
     rise, fall : float
         What the counter does with a part of a step.
+    ways : pair of -1 or 1
+        The sign of n in either phase.
     """
 
     borne: BorneTimer
@@ -51,6 +64,7 @@ class CountingTimer:
     count: float
     rise: float
     fall: float
+    ways: tuple[int, int] = TWO_COMPARISONS
 
     def at(self, more: float) -> Array:
         """With so many steps more than the phases tell: what `BorneTimer.moved` takes."""
@@ -66,31 +80,35 @@ class CountingTimer:
         def there(more: float) -> float:
             return cost(self.at(more))
 
-        found = minimize_scalar(there, bounds=(-NEAR, NEAR), method="bounded", options={"xatol": SHARP})
-        return self.at(float(found.x))
+        best = min(np.arange(-NEAR, NEAR + 0.5 * APART, APART).tolist(), key=there)
+        bounds = (best - APART, best + APART)
+        found = minimize_scalar(there, bounds=bounds, method="bounded", options={"xatol": SHARP})
+        return self.at(float(found.x) if found.fun < there(best) else best)
 
     def _phases(self, pwm_hz: float, step_s: float) -> TimerPhases:
-        count = 1.0 / (4.0 * pwm_hz * step_s)
-        return TimerPhases(pwm_frequency_hz=pwm_hz, rise=(self.rise - count) % 1.0, fall=(self.fall + count) % 1.0)
+        count, (rising, falling) = 1.0 / (4.0 * pwm_hz * step_s), self.ways
+        rise, fall = (self.rise + rising * count) % 1.0, (self.fall + falling * count) % 1.0
+        return TimerPhases(pwm_frequency_hz=pwm_hz, rise=rise, fall=fall)
 
 
 def counting(borne: BorneTimer, x: Array) -> list[CountingTimer]:
     """The timers that count, and have about the phases of the one at `x` where the readings tell them best.
 
-    None at a single PWM frequency: its phases are told as well without.
+    At a single PWM frequency only those of one comparison: the phases of two are told as well without.
     """
     timer = borne.moved(x)
-    if len(timer.phases) < 2:
-        return []
     best = timer.phases[int(np.argmax(np.diag(borne.curvature)[1:].reshape(-1, 2).sum(axis=1)))]
     roughly = 1.0 / (4.0 * best.pwm_frequency_hz * timer.step_s)
+    kinds = [(part, part, ways, UNLIKE_AT_ONE) for part in WHOLE_OR_HALF for ways in ONE_COMPARISON]
+    if len(timer.phases) > 1:
+        kinds += [(rise, fall, TWO_COMPARISONS, UNLIKE) for rise, fall in product(WHOLE_OR_HALF, repeat=2)]
     found = []
-    for rise, fall in product(WHOLE_OR_HALF, repeat=2):
-        by_rise, by_fall = rise - best.rise, best.fall - fall
+    for rise, fall, ways, unlike in kinds:
+        by_rise, by_fall = ways[0] * (best.rise - rise), ways[1] * (best.fall - fall)
         apart = _nearest(by_rise - by_fall)
-        if abs(apart) <= UNLIKE:
+        if abs(apart) <= unlike:
             count = roughly + _nearest(by_fall + 0.5 * apart - roughly)
-            found.append(CountingTimer(borne, best.pwm_frequency_hz, count, rise, fall))
+            found.append(CountingTimer(borne, best.pwm_frequency_hz, count, rise, fall, ways))
     return found
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
-from orchestrator.diagnosis.uncertainty.timer_search import timers_in
+from orchestrator.diagnosis.uncertainty.timer_search import BIASED, timers_in
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_rounded_by
 from protocols import SegmentStage
@@ -68,7 +68,9 @@ def test_how_well_a_step_is_known_is_what_it_is_off_by() -> None:
     found = _found(_recording(21.7e-9, True))[0]
     deviation = np.sqrt(np.diag(np.linalg.inv(found.curvature)))
     assert abs(found.timer.step_s / 21.7e-9 - 1.0) < 4.0 * deviation[0] < 1e-3
-    assert (deviation[1:] < 0.05).all()
+    # No phase is known better than readings may be wrong, and chance adds little.
+    assert (deviation[1:] >= BIASED).all()
+    assert (deviation[1:] < 1.1 * BIASED).all()
 
 
 def test_a_timer_that_acts_a_sample_late_is_found_as_well() -> None:
