@@ -46,8 +46,8 @@ ALIKE = 0.5
 SAME = 1e-3
 """Of a step: what differs by less is one."""
 BIASED = 0.06
-"""Of a step: by how much readings may tell phases wrongly beside chance. One phase of both edges, on a practice recording
-of another plant, was told as two, 0.02 below and 0.14 above it, where chance is below 0.01."""
+"""Of a step: by how much readings may tell phases wrongly beside chance. On a practice recording of another plant one
+phase of both edges was told as two, 0.02 below and 0.14 above it, where chance is below 0.01."""
 WITNESS = 300
 """Readings that are one witness: longer than a machine remembers a command."""
 
