@@ -221,6 +221,19 @@ def is_sharp(fit: Fit) -> bool:
     return space.is_free and not usual
 
 
+def on_usual_map(setup: DiagnosisSetup, fit: Fit) -> Model:
+    """The model of a sharp fit on the finest map that smooth iron asks for."""
+    intervals = setup.criteria.intervals[-1]
+    space = _free(setup, _grid(setup, (intervals, intervals)))
+    return replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
+
+
+def earns_its_sharpness(sharp: Fit, usual: Fit) -> bool:
+    """Whether a fit on a sharp map is that much better than one on a usual map, all else refitted on either."""
+    share = sharp.criteria.fitting.sharper_share
+    return worth_its_freedom(sharp, usual) and _left(sharp) <= (1.0 - share) * _left(usual)
+
+
 def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same on maps ever finer along one axis, or rougher, as long as one takes away much of what is left."""
     limits = setup.criteria

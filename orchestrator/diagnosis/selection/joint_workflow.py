@@ -7,7 +7,9 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
+    earns_its_sharpness,
     is_sharp,
+    on_usual_map,
     with_detail,
 )
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate
@@ -99,6 +101,7 @@ def all_together(
         whole, others = exchanged(setup.fitter, whole, library, late)
         whole = downwards(setup.fitter, whole)
         rivals = {**rivals, **others}
+    whole = no_sharper_than_asked(setup, whole)
     if (instead := with_the_map_instead(setup, whole)) is not whole:
         whole, doubles = without_doubles(setup.fitter, instead)
         rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
@@ -134,6 +137,17 @@ def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
             break
         fit = in_own_forms(setup.coarse_fitter, sharper)
     return fit
+
+
+def no_sharper_than_asked(setup: DiagnosisSetup, fit: Fit) -> Fit:
+    """The fit on a usual map, where a sharp one does hardly better now that all forms and what scatters are known.
+
+    It was made sharp for what these took away later.
+    """
+    if not is_sharp(fit):
+        return fit
+    usual = refitted(setup.fitter, on_usual_map(setup, fit))
+    return fit if earns_its_sharpness(fit, usual) else downwards(setup.fitter, usual)
 
 
 def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:

@@ -13,12 +13,14 @@ from orchestrator.diagnosis.fitting import baseline
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
     baseline_model,
+    earns_its_sharpness,
     finer_map,
     fitted_baseline,
     freed_further,
     given_model,
     is_sharp,
     map_space,
+    on_usual_map,
     with_detail,
 )
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -164,6 +166,22 @@ def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(shar
     assert is_sharp(fit)
     assert not is_sharp(usual)
     assert fit.chi2_per_dof - 1.0 < 0.15 * (usual.chi2_per_dof - 1.0)
+
+
+def test_sharpness_is_earned_by_iron_that_saturates_sharply_and_by_no_other(
+    sharp: DiagnosisSetup, setup: DiagnosisSetup
+) -> None:
+    fit = fitted_baseline(sharp)
+    usual = sharp.fitter.fit(on_usual_map(sharp, fit), renewals=0)
+    assert not is_sharp(usual)
+    assert earns_its_sharpness(fit, usual)
+    linear = fitted_baseline(setup)
+    rough = replace(
+        linear.model, space=replace(linear.model.space, roughness=9.0, prior=linear.model.space.prior / 9.0)
+    )
+    needless = setup.fitter.fit(rough, renewals=0)
+    assert is_sharp(needless)
+    assert not earns_its_sharpness(needless, setup.fitter.fit(on_usual_map(setup, needless), renewals=0))
 
 
 def on_the_grid(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int]) -> Model:

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import setup_of
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, is_sharp
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -164,6 +164,27 @@ def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
     monkeypatch.setattr(joint_workflow, "in_own_forms", lambda _, fit: fit)
     fit = replace(whole, chi2=chi2 * whole.dof)
     assert joint_workflow.on_a_sharper_map(setup, fit) is (sharper if asked else fit)
+
+
+@pytest.mark.parametrize("earned", [False, True])
+def test_a_map_that_was_made_sharp_for_what_others_took_away_later_is_a_usual_one(
+    earned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    space = replace(whole.model.space, roughness=9.0, prior=whole.model.space.prior / 9.0)
+    sharp = setup.fitter.fit(replace(whole.model, space=space))
+    if earned:
+        monkeypatch.setattr(joint_workflow, "earns_its_sharpness", lambda *_: True)
+    after = joint_workflow.no_sharper_than_asked(setup, sharp)
+    assert is_sharp(sharp)
+    assert (after is sharp) == earned
+    assert is_sharp(after) == earned
+    assert set(after.model.names) == set(whole.model.names)
+
+
+def test_a_usual_map_is_asked_nothing() -> None:
+    setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    assert joint_workflow.no_sharper_than_asked(setup, whole) is whole
 
 
 @pytest.mark.parametrize(
