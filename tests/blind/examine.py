@@ -7,7 +7,7 @@ import resource
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -33,7 +33,7 @@ class Answer:
     """Of wall time, for the diagnosis alone."""
     cpu_s: float
     peak_mb: float
-    """Of the process so far."""
+    """Of the process during the diagnosis; so far, where a system keeps no other."""
     delivered: dict[str, Any] | None = None
     """Fields of `Delivered`; None where nothing was."""
     baselines: dict[str, list[str]] | None = None
@@ -54,6 +54,7 @@ def examine(case: Case) -> Answer:
         recording = open_recording(path)
         samples = sum(segment.samples for segment in recording.manifest.segments)
         library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
+        forget_peak()
         start, cpu = time.perf_counter(), time.process_time()
         report, error, delivered, named = None, None, None, None
         try:
@@ -64,11 +65,17 @@ def examine(case: Case) -> Answer:
         except FluxbenchError as refused:
             error = str(refused)
         seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         if delivered is not None:
             named = baselines(recording, [effect for effect in library if effect.name not in case.without])
     done = {name: asdict(one) for name, one in removals(case).items()} if case.kind in MANY else None
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
     return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named, done)
+
+
+def forget_peak() -> None:
+    """Let the kernel begin anew with the most memory that this process has had (Linux: proc(5), clear_refs)."""
+    with suppress(OSError):
+        Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
 def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:

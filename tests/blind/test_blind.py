@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import json
+import resource
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from protocols import SegmentStage
 from tests.blind.__main__ import USUAL, main
 from tests.blind.campaign import record
 from tests.blind.effects import CATALOGUE, FOREIGN
-from tests.blind.examine import examine, examine_all
+from tests.blind.examine import examine, examine_all, forget_peak
 from tests.blind.hidden import KINDS, NUISANCES, Case, draw_case
 from tests.blind.score import judge, said, wilson
 
@@ -103,3 +104,15 @@ def test_figures_are_not_significantly_below_their_aims(kind: str) -> None:
             f"{j.answer.case.label}: {said(j.answer)}" for j in judgements if not j.right.get(figure, True)
         )
         assert wilson(sum(outcomes), len(outcomes))[1] >= aim, f"{figure}: {told}"
+
+
+@pytest.mark.skipif(
+    not Path("/proc/self/clear_refs").exists(), reason="this system keeps no peak that can be forgotten"
+)
+def test_a_diagnosis_is_not_charged_with_what_was_in_memory_before_it() -> None:
+    resident_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    del_me = np.ones(int(resident_mb * 1e6 / 8.0))
+    before_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    del del_me
+    forget_peak()
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024 < before_mb - 0.5 * resident_mb
