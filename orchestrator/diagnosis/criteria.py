@@ -428,6 +428,8 @@ class ConventionCriteria(Strict):
     """And the step that it may have in between, where its direction turns."""
     irregular: float = _is(0.01, "1", "practice")
     """Part of an injection's edges that come a row early or late where rows are lost or doubled."""
+    few_early: int = _is(3, "1", "practice")
+    """Edges that come early where rows were lost here and there, none being late: where all rows are, there is none."""
     repeated: float = _is(0.005, "1", "practice")
     """Part of rows under a ripple that repeat the row before, or lie in the very middle of their neighbours."""
     by_chance: float = _is(3.0, "1", "practice")

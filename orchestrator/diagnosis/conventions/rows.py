@@ -35,7 +35,7 @@ def broken_rows(survey: Survey) -> Convention | None:
             f"{100 * middle / max(rows, 1.0):.2g} % of the rows under injection are the very mean of their neighbours"
         )
         return _broken("interpolated", "rows look interpolated", share)
-    if early - late > limits.irregular * edges:
+    if early - late > limits.irregular * edges or (early >= limits.few_early and late == 0):
         share = f"{100 * early / max(edges, 1.0):.2g} % of the injected edges come a row early, and none late"
         return _broken("lost", "rows look lost", share)
     return None
@@ -55,7 +55,8 @@ def _edges(seen: Sighting, limits: ConventionCriteria) -> tuple[int, int, int]:
         return 0, 0, 0
     # Both halves of an edge with a row in its middle are one.
     at = at[np.concatenate([[True], np.diff(at) > 1])]
-    between = np.diff(at)
+    # An injection may begin and end within a period.
+    between = np.diff(at)[1:-1]
     usual = float(np.median(between))
     mean = float(np.mean(between[np.abs(between - usual) <= 1.0]))
     # A period that is no whole number of rows has two lengths.

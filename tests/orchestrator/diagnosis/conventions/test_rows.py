@@ -34,6 +34,21 @@ def test_broken_rows_are_named(right: Rewritten, which: Any) -> None:
     assert found.kind == f"rows{which.__name__}"
 
 
+def test_a_few_rows_lost_in_one_place_of_some_captures_are_named(right: Rewritten) -> None:
+    def without_three(count: int, rng: np.random.Generator) -> Numbers:
+        at = int(rng.integers(count // 4, 3 * count // 4)) if rng.random() < 0.3 else count
+        return np.concatenate([np.arange(at), np.arange(at + 3, count)])
+
+    found = find_convention(right.rows(without_three))
+    assert found is not None
+    assert found.kind == "rows_lost"
+    assert "none late" in found.evidence
+
+
+def test_a_capture_that_ends_within_a_period_has_lost_no_row(right: Rewritten) -> None:
+    assert find_convention(right.rows(lambda count, _: np.arange(7, count - 13))) is None
+
+
 def test_interpolated_rows_are_named(right: Rewritten, rng: np.random.Generator) -> None:
     def interpolated(c: Capture) -> dict[str, Any]:
         rows = 1 + np.flatnonzero(rng.random(len(c) - 2) < 0.05)
