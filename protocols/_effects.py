@@ -343,7 +343,8 @@ class Effect(Protocol):
 
     One that shows only in some recordings says so by a method ``shows_in(signals) -> bool``: where it is true of no
     segment, a diagnosis does not look for the effect, which then costs nothing. One that readings prove, whatever the
-    motor is, says it by ``measured(segments) -> EffectParameters | None``: a diagnosis then begins with it.
+    motor is, says it by ``measured(segments) -> EffectParameters | None``: a diagnosis then begins with it. One whose
+    parameters say more than a size says that by ``remarks(parameters) -> Sequence[Remark]`` where it is named.
     """
 
     name: ClassVar[str]

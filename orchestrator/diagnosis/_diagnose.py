@@ -22,7 +22,13 @@ from orchestrator.diagnosis.fitting.candidates import (
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
-from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects, unexplained
+from orchestrator.diagnosis.reporting.findings import (
+    beyond_the_rest,
+    found_effects,
+    map_effects,
+    said_by_effects,
+    unexplained,
+)
 from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.expected import with_expected
@@ -255,6 +261,7 @@ def _diagnosed(
         next_experiment=_proposal(plain, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
             *_remarks(setup, search, verdict, left, doubtful),
+            *said_by_effects(sized, {effect.name for effect in found}),
             *other_opinion(joint, active, last.criteria.selection),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,

@@ -15,13 +15,26 @@ from orchestrator.numerics.types import Array
 from plugins.effects._commutation import lost_at_edges, swung_early
 from plugins.effects._filters import lagged_steps
 from plugins.effects._vectors import doubles, less_constant
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
+from protocols import (
+    Contrast,
+    Correction,
+    EffectLayer,
+    EffectParameters,
+    Remark,
+    Signals,
+    amplitude,
+    refinement,
+    shape,
+)
 
 WIDTHS = (0.5, 1.5, 3.0)
 """Thresholds within which the parts of a step happen that `Knee` may have beside its main one."""
 PARTS_SHARPNESS = 3.0
 """Exponent of these parts. With them the hyperbolic and the circular tangent, Langevin's and the Gaussian step, an
 exponential, straight and rounded ramps, and mixtures of them are met to 1.5e-3 of the step (rms to six thresholds)."""
+
+NOTEWORTHY_LEG = 0.03
+"""Of the mean dead time, by which a leg's own is off where it is said: more than gate drivers of one kind differ by."""
 
 FAR = 32.0
 """How much coarser a second table is, for currents far beyond the step: a logarithm there is straight to 1e-5."""
@@ -193,6 +206,16 @@ class DeadTime:
             lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles, takeover, early)
             v_ab = v_ab - p.switched * lost
         return Correction(v_ab=v_ab)
+
+    def remarks(self, p: Parameters) -> list[Remark]:
+        """Which leg's dead time is none of the others'."""
+        legs = {"a": p.leg_a_longer, "b": p.leg_b_longer, "c": -p.leg_a_longer - p.leg_b_longer}
+        leg = max(legs, key=lambda one: abs(legs[one]))
+        if abs(legs[leg]) < NOTEWORTHY_LEG:
+            return []
+        text = "leg {leg}'s is {percent:.2g} % {which} than the legs' mean: look at its gate driver"
+        which = "longer" if legs[leg] > 0.0 else "shorter"
+        return [Remark.of("leg_differs", text, leg=leg, percent=100.0 * abs(legs[leg]), which=which)]
 
 
 def _without_noise(signals: Signals) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from orchestrator.diagnosis.selection.leftover import leftover_shape
 from orchestrator.diagnosis.selection.shares import Share, is_material
 from orchestrator.diagnosis.selection.verdict import left_fraction
 from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
-from protocols import FoundEffect, ParameterValue, ShapeShare, Unexplained
+from protocols import FoundEffect, ParameterValue, PluginError, Remark, ShapeShare, Unexplained
 
 
 def found_effects(
@@ -47,6 +47,19 @@ def found_effects(
             )
         )
     return tuple(sorted(effects, key=lambda effect: -(effect.share or 0.0)))
+
+
+def said_by_effects(fit: Fit, causes: Container[str]) -> list[Remark]:
+    """What the effects that are named say of their parameters beside sizes; raises `PluginError` where one fails."""
+    return [remark for active in fit.model.active if active.name in causes for remark in _said_by(active)]
+
+
+def _said_by(active: Active) -> list[Remark]:
+    says = getattr(active.candidate.effect, "remarks", None)
+    try:
+        return [] if says is None else [remark.by(active.name) for remark in says(active.parameters)]
+    except Exception as error:  # somebody else's code may raise anything
+        raise PluginError("effects", active.name, f"remarks: {type(error).__name__}: {error}") from error
 
 
 def beyond_the_rest(effects: Iterable[FoundEffect], rest: float) -> tuple[FoundEffect, ...]:

@@ -164,3 +164,16 @@ def test_a_logarithm_alone_needs_no_rated_current() -> None:
 def test_the_drops_size_is_that_at_the_rated_current() -> None:
     rated_a = 5.0 * np.sqrt(2.0)
     assert _drop_of_a(rated_a, 0.1) == pytest.approx(_drop_of_a(rated_a, 0.0), rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "said"),
+    [
+        (0.32, -0.16, ["leg a's is 32 % longer than the legs' mean: look at its gate driver"]),
+        (0.05, 0.06, ["leg c's is 11 % shorter than the legs' mean: look at its gate driver"]),
+        (0.01, -0.02, []),
+    ],
+)
+def test_a_leg_whose_dead_time_is_none_of_the_others_is_said(a: float, b: float, said: list[str]) -> None:
+    effect = DeadTime()
+    assert [r.text for r in effect.remarks(effect.Parameters(leg_a_longer=a, leg_b_longer=b))] == said

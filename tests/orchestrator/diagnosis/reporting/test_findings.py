@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects
-from protocols import FoundEffect
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects, said_by_effects
+from plugins.effects.inverter import VoltageBias
+from protocols import FoundEffect, PluginError, Remark
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
 
@@ -31,6 +35,35 @@ def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() ->
     saturation, cross = map_effects(fit, {"saturation": 1.0, "cross_saturation": 0.0})
     assert saturation.parameters["relative_change"].value == pytest.approx(0.0, abs=1e-9 * (L_D + L_Q))
     assert cross.relative_size == pytest.approx(0.0, abs=1e-9)
+
+
+class Talkative(VoltageBias):
+    def remarks(self, p: VoltageBias.Parameters) -> list[Remark]:
+        return [Remark.of("in_a", "{volts:.1f} V in a", volts=p.bias_a_v)]
+
+
+class Faulty(VoltageBias):
+    def remarks(self, p: VoltageBias.Parameters) -> list[Remark]:
+        raise KeyError("no such leg")
+
+
+def _by(effect: VoltageBias) -> Fit:
+    fit = fitted_bias(MAKER)
+    (active,) = fit.model.active
+    candidate = replace(active.candidate, effect=effect)
+    return replace(fit, model=fit.model.with_active([replace(active, candidate=candidate)]))
+
+
+def test_an_effect_that_is_named_says_what_its_parameters_mean() -> None:
+    (said,) = said_by_effects(_by(Talkative()), {"voltage_bias"})
+    assert (said.code, said.text) == ("voltage_bias.in_a", "voltage_bias: 0.3 V in a")
+    assert said_by_effects(_by(Talkative()), set()) == []
+    assert said_by_effects(_by(VoltageBias()), {"voltage_bias"}) == []
+
+
+def test_an_effect_that_fails_to_say_it_is_named() -> None:
+    with pytest.raises(PluginError, match=r"voltage_bias.*remarks: KeyError"):
+        said_by_effects(_by(Faulty()), {"voltage_bias"})
 
 
 def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
