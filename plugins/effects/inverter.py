@@ -265,7 +265,7 @@ class DeviceDrop:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=5.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
-        growth: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=1.0, other_form=1.0)
+        growth: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=1.0)
         warming: float = refinement("1", neutral=0.0, prior_width=0.05, low=-0.5, high=0.5)
         warming_s: float = refinement("s", neutral=3.0, prior_width=3.0, low=0.1, high=100.0)
 
