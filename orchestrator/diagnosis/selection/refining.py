@@ -110,9 +110,20 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
 
 
 def _forms(active: Active, fit: Fit) -> list[Active]:
-    """Where an effect's flexible form begins: as it is, and at its second form where more than noise is left."""
-    other = active.in_other_form() if fit.chi2_per_dof > fit.criteria.selection.detected_chi2 else None
-    return [active] if other is None else [active, other]
+    """Where an effect's flexible form begins: as it is, and where more than noise is left at others.
+
+    At its second form; and without what ran to the end of its range, which stood in for something else.
+    """
+    if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
+        return [active]
+    other, ended = active.in_other_form(), _at_an_end(active)
+    return [active, *([] if other is None else [other]), *([active.resting(*ended)] if ended else [])]
+
+
+def _at_an_end(active: Active) -> list[str]:
+    """Refinements that stand at an end of their range, away from the simple form."""
+    declared = ((n, active.candidate.named(n)) for n in active.bent_by)
+    return [n for n, p in declared if active.values[n] in (p.low, p.high) and active.values[n] != p.neutral]
 
 
 def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, best: Fit, inflation: float) -> Fit | None:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection.refining import polished, settled, to_spare
-from plugins.effects.inverter import DeadTime
+from plugins.effects.inverter import DeadTime, DeviceDrop
 from protocols import ParameterRole, Signals
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
@@ -60,6 +62,22 @@ def test_what_a_form_needs_stays_and_what_it_does_not_goes() -> None:
     (active,) = fit.model.active
     freed = sharp.fit(fit.model.with_active([active.freeing(*names)]), fit.frame)
     assert "softness" not in to_spare(freed, freed.model.active[0])
+
+
+def test_a_form_is_begun_again_without_what_ran_to_the_end_of_its_range() -> None:
+    """Beside a junction's logarithm a step of any softness is stuck, and the logarithm is not begun from there."""
+    made = prepared(plan())
+    (candidate,) = scaled_library([DeviceDrop()], made.manifest)
+    active = candidate.absent().moved("voltage_v", 1.0)
+    active = replace(active, values={**active.values, "growth": 1.0, "threshold_a": 0.01})
+    maker = fitter(with_voltage(made, {p.segment.id: _error(active, p.signals) for p in made.pieces}))
+    (step,) = with_free(free_model(), maker, DeviceDrop(), voltage_v=0.5).active
+    soft = replace(step, values={**step.values, "softness": 1.0}).freeing("threshold_a", "softness")
+    stuck = maker.fit(free_model().with_active([soft]))
+    assert stuck.chi2_per_dof > 100.0
+    better = polished(maker, stuck, 1.0)
+    assert better.chi2_per_dof < 1.2
+    assert "growth" in better.model.active[0].free
 
 
 def test_few_numbers_bend_a_form_and_details_wait() -> None:
