@@ -1,4 +1,4 @@
-"""Errors of the current sensors: gain, crosstalk, offset, drift, curvature.
+"""Errors of the current sensors: gain, offset, drift, curvature.
 
 Of two, in phases a and b, the third current is computed; of three, all make the vector, and a zero sequence drops out.
 A recording without phase currents is taken for one of two.
@@ -100,36 +100,6 @@ class ThirdCurrentSensor:
         gains = gains_of(signals)
         value = None if gains is None else gains.differ((-0.5, -0.5, 1.0))
         return None if value is None else self.Parameters(gain_c_minus_1=value)
-
-
-class SensorCrosstalk:
-    """Sensor a reads i_a + x i_b, x dimensionless: the field of the conductor beside it is in its gap.
-
-    It turns the vector, which no gain of three sensors does. What b hears of a turns it the other way and is this
-    with -x beside a third sensor's gain; a second amplitude would only leave a gain common to all sensors free.
-    """
-
-    name: ClassVar[str] = "sensor_crosstalk"
-    summary: ClassVar[str] = "A current sensor hears the current of the phase beside it."
-    signature: ClassVar[str] = "The current's vector is turned: a resistance across it, of one sense at any angle."
-    layer: ClassVar[EffectLayer] = EffectLayer.CURRENT_SENSORS
-    needs: ClassVar[tuple[Contrast, ...]] = ()
-    gauge: ClassVar[str] = "What b hears of a is what a hears of b, with the other sign, beside a third sensor's gain."
-
-    class Parameters(EffectParameters):
-        a_hears_b: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)
-
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
-        """Take what sensor a hears of phase b out of its reading."""
-        return Correction(i_ab=stretched(signals.i_ab, _unmixing(p.a_hears_b, signals.clarke_of_three is True)))
-
-
-@lru_cache(maxsize=32)
-def _unmixing(a_hears_b: float, three: bool) -> Array:
-    """The matrix (2, 2) that makes vectors of those which sensors made of which the first hears so much of phase b."""
-    heard = np.eye(3)
-    heard[1, 0] = a_hears_b
-    return np.asarray(np.linalg.inv(_vectors(to_phases(np.eye(2)) @ heard, three)))
 
 
 class CurrentOffset:

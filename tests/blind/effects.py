@@ -198,7 +198,5 @@ FOREIGN: dict[str, Callable[[Rng], Changes]] = {
 """Nothing that the catalogue has; sizes for the 400 W machine."""
 
 
-IN_THE_LIBRARY: dict[str, tuple[str, ...]] = {
-    "drifting_sensor": ("current_offset_drift",), "sensor_crosstalk": ("sensor_crosstalk",),
-}  # fmt: skip
+IN_THE_LIBRARY: dict[str, tuple[str, ...]] = {"drifting_sensor": ("current_offset_drift",)}
 """Foreign effects that the library has by now: they are foreign where it is taken out."""

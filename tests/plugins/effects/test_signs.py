@@ -23,7 +23,6 @@ from plugins.effects.sensors import (
     CurrentNonlinearity,
     CurrentOffset,
     CurrentOffsetDrift,
-    SensorCrosstalk,
     ThirdCurrentSensor,
 )
 from plugins.effects.timing import CurrentFilter, VoltageDelay
@@ -128,31 +127,6 @@ def test_errors_of_three_sensors_are_undone() -> None:
     assert_close(_corrected(CurrentOffset(), offset, offset_a_a=0.02, offset_b_a=-0.01).i_ab, signals.i_ab, 1e-14)
     bent = _of_three(signals, true + 3e-4 * true**3)
     assert_close(_corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4).i_ab, signals.i_ab, 1e-5)
-
-
-def test_what_a_sensor_hears_of_the_phase_beside_it_is_taken_out_of_its_reading() -> None:
-    signals = _signals()
-    a, b = _two(signals.i_ab).T
-    two = _reads(signals, _from_two(np.stack([a + 0.02 * b, b], axis=1)))
-    assert_close(_corrected(SensorCrosstalk(), two, a_hears_b=0.02).i_ab, signals.i_ab, 1e-14)
-    three = _of_three(signals, np.stack([a + 0.02 * b, b, -a - b], axis=1))
-    assert_close(_corrected(SensorCrosstalk(), three, a_hears_b=0.02).i_m_ab, signals.i_ab, 1e-14)
-
-
-def test_crosstalk_turns_the_vector_which_no_gain_of_three_sensors_does() -> None:
-    signals = _of_three(_signals(), np.zeros((400, 3)))
-
-    def turned(effect: Effect, **values: float) -> float:
-        """Antisymmetric part of what makes true vectors of read ones."""
-        unit = signals.model_copy(update={"i_ab": np.eye(2), "i_m_ab": np.eye(2)})
-        matrix = effect.correct(unit, effect.Parameters(**values)).i_ab
-        assert matrix is not None
-        return float(matrix[0, 1] - matrix[1, 0])
-
-    assert abs(turned(SensorCrosstalk(), a_hears_b=0.02)) == pytest.approx(0.02 / math.sqrt(3.0), rel=0.02)
-    for gain in ({"gain_a_minus_b": 0.02}, {"gain_c_minus_1": 0.02}):
-        effect = CurrentGainMismatch() if "gain_a_minus_b" in gain else ThirdCurrentSensor()
-        assert turned(effect, **gain) == pytest.approx(0.0, abs=1e-12)
 
 
 def test_a_third_sensor_that_is_known_not_to_be_there_has_no_error() -> None:
