@@ -57,8 +57,10 @@ def _edges(seen: Sighting, limits: ConventionCriteria) -> tuple[int, int, int]:
     at = at[np.concatenate([[True], np.diff(at) > 1])]
     # An injection may begin and end within a period.
     between = np.diff(at)[1:-1]
-    usual = float(np.median(between))
-    mean = float(np.mean(between[np.abs(between - usual) <= 1.0]))
+    alike = between[np.abs(between - np.median(between)) <= 1.0] if len(between) else between
+    if not len(alike):
+        return 0, 0, 0
+    usual, mean = float(np.median(between)), float(np.mean(alike))
     # A period that is no whole number of rows has two lengths.
     low, high = (usual, usual) if abs(mean - usual) < 0.2 else (math.floor(mean), math.ceil(mean))
     return int(np.count_nonzero(between < low)), int(np.count_nonzero(between > high)), len(between)

@@ -224,14 +224,22 @@ def is_sharp(fit: Fit) -> bool:
 def on_usual_map(setup: DiagnosisSetup, fit: Fit) -> Model:
     """The model of a sharp fit on the finest map that smooth iron asks for."""
     intervals = setup.criteria.intervals[-1]
-    space = _free(setup, _grid(setup, (intervals, intervals)))
+    return _on_map(setup, fit, (intervals, intervals))
+
+
+def _on_map(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int], roughness: float = 1.0) -> Model:
+    space = _free(setup, _grid(setup, cells), roughness)
     return replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
 
 
 def earns_its_sharpness(sharp: Fit, usual: Fit) -> bool:
     """Whether a fit on a sharp map is that much better than one on a usual map, all else refitted on either."""
-    share = sharp.criteria.fitting.sharper_share
-    return worth_its_freedom(sharp, usual) and _left(sharp) <= (1.0 - share) * _left(usual)
+    return worth_its_freedom(sharp, usual) and _takes_much(sharp, usual)
+
+
+def _takes_much(sharper: Fit, fit: Fit) -> bool:
+    """Whether a sharper map takes away much of what is left."""
+    return _left(sharper) <= (1.0 - fit.criteria.fitting.sharper_share) * _left(fit)
 
 
 def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
@@ -240,7 +248,7 @@ def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     while fit.chi2_per_dof > limits.finer_above_chi2:
         trials = [trial for cells, r in _sharpened(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
         best = min(trials, key=_left, default=fit)
-        if _left(best) > (1.0 - limits.sharper_share) * _left(fit):
+        if not _takes_much(best, fit):
             break
         fit = best
     return fit
@@ -277,9 +285,7 @@ def finer_map(
     space = fit.model.space
     if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
-    space = _free(setup, _grid(setup, cells), roughness)
-    model = replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
-    trial = fitter.fit(model, steps=2, renewals=0)
+    trial = fitter.fit(_on_map(setup, fit, cells, roughness), steps=2, renewals=0)
     return trial if worth_its_freedom(trial, fit) else None
 
 

@@ -9,6 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.conventions import find_convention
+from orchestrator.diagnosis.conventions.rows import _edges
+from orchestrator.diagnosis.conventions.survey import Sighting
+from orchestrator.diagnosis.criteria import ConventionCriteria
 from protocols import Capture
 from tests.support.rewriting import Rewritten
 
@@ -47,6 +50,14 @@ def test_a_few_rows_lost_in_one_place_of_some_captures_are_named(right: Rewritte
 
 def test_a_capture_that_ends_within_a_period_has_lost_no_row(right: Rewritten) -> None:
     assert find_convention(right.rows(lambda count, _: np.arange(7, count - 13))) is None
+
+
+@pytest.mark.parametrize("widths", [(9, 14), (400, 400)], ids=["no common width", "hardly an edge"])
+def test_what_is_no_square_wave_has_no_early_edges(right: Rewritten, widths: tuple[int, int]) -> None:
+    segment = next(s for s in right.manifest.segments if s.settings.get("amplitude_v"))
+    v = np.tile(np.repeat([30.0 + 0j, -30.0 + 0j], widths), 12)[:276]
+    seen = Sighting(segment, np.zeros(len(v), dtype=complex), v, None, np.full(len(v), 540.0))
+    assert _edges(seen, ConventionCriteria()) == (0, 0, 0)
 
 
 def test_interpolated_rows_are_named(right: Rewritten, rng: np.random.Generator) -> None:
