@@ -115,6 +115,8 @@ class FittingCriteria(Strict):
     sharper_share: float = _is(0.1, "1", "practice")
     """Part of what is left that a sharper map has to take away: where it is the map's, most of it goes, and where it is
     another effect's, a little."""
+    sharp_takes: float = _is(0.5, "1", "practice")
+    """The same of all of its sharpness in the end, when all forms and what scatters are known: most of it."""
     most_map_numbers: int = _is(350, "1", "budget")
     """That such a map may have."""
     given_intervals: int = _is(28, "1", "practice")
@@ -176,8 +178,9 @@ class FittingCriteria(Strict):
     """Columns that are made throughout without asking, being so few."""
     same_column: float = _is(0.02, "1", "practice")
     """Relative change of a column below which it is not made anew on all segments: a step misses by as little."""
-    silent_answer: float = _is(0.005, "1", "practice")
-    """Share of an inner effect's answer in a column below which it is not asked: all of a dozen make some percent."""
+    silent_answer: float = _is(0.001, "1", "practice")
+    """Share of an inner effect's answer in a column below which it is not asked. Where two effects all but cancel, what is
+    left of both columns is as small: at 0.005 a descent has ended a thousand nats above its valley."""
     asked_again: float = _is(2.0, "1", "practice")
     """Growth of an effect beyond which it is asked again whether it answers."""
     evaluation_columns: int = _is(3, "1", "budget")

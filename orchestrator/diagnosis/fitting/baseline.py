@@ -234,7 +234,8 @@ def _on_map(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int], roughness: 
 
 def earns_its_sharpness(sharp: Fit, usual: Fit) -> bool:
     """Whether a fit on a sharp map is that much better than one on a usual map, all else refitted on either."""
-    return worth_its_freedom(sharp, usual) and _takes_much(sharp, usual)
+    most = _left(sharp) <= (1.0 - sharp.criteria.fitting.sharp_takes) * _left(usual)
+    return most and worth_its_freedom(sharp, usual)
 
 
 def _takes_much(sharper: Fit, fit: Fit) -> bool:

@@ -23,7 +23,8 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     tolerance : float
         Gain of a round, as a part of the excess chi2, below which the fit ends.
     """
-    limits, radius = fitter.criteria, fitter.criteria.widest_step
+    limits = fitter.criteria
+    radius = widest = limits.widest_step
     if known is not None and known.model.space is not model.space:
         known = None
     # Columns may be a little off; a frame that is older than its map leads away from where the fit was.
@@ -31,14 +32,15 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     for _ in range(rounds if model.free else 0):
         fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
         enough = limits.least_joint_gain + tolerance * max(best.chi2 - best.dof, 0.0)
-        trial, radius = _stepped(fitter, best, radius, enough)
+        trial, radius = _stepped(fitter, best, min(radius, widest), enough, widest)
         if trial is best:
             break
         renewed = fitter.renewed(trial.model, best.frame, known=trial)
         gain = best.objective - renewed.objective
         if gain < 0.0:
-            radius *= limits.shorter_step
-            if radius < limits.shortest_step:
+            # The frame does not follow as far; nor would it when the same steps were made again.
+            widest = limits.shorter_step * min(radius, widest)
+            if widest < limits.shortest_step:
                 break
             continue
         best = renewed
@@ -51,10 +53,10 @@ def glanced(fitter: Fitter, model: Model, known: Fit) -> Fit:
     """Where the columns of an earlier fit lead a model much like that fit's: nothing is made anew that it has."""
     limits = fitter.criteria
     best = fitter.evaluate(model, known.frame, known=known)
-    return _stepped(fitter, best, limits.widest_step, limits.least_gain)[0]
+    return _stepped(fitter, best, limits.widest_step, limits.least_gain, limits.widest_step)[0]
 
 
-def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float) -> tuple[Fit, float]:
+def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float, widest: float) -> tuple[Fit, float]:
     """As many steps along the columns as keep their promise, the last that gained at all, and the radius then."""
     limits = fitter.criteria
     while radius >= limits.shortest_step:
@@ -67,7 +69,7 @@ def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float) -> tuple[F
         trial = fitter.evaluate(moved_by(best.model, part * move), best.frame, known=best, renew=False)
         kept = (best.objective - trial.objective) / promised
         if kept > limits.good_step:
-            best, radius = trial, min(2.0 * radius, limits.widest_step)
+            best, radius = trial, min(2.0 * radius, widest)
             continue
         radius *= limits.shorter_step
         if kept > 0.0:
