@@ -179,8 +179,8 @@ class FittingCriteria(Strict):
     same_column: float = _is(0.02, "1", "practice")
     """Relative change of a column below which it is not made anew on all segments: a step misses by as little."""
     silent_answer: float = _is(0.001, "1", "practice")
-    """Share of an inner effect's answer in a column below which it is not asked. Where two effects all but cancel, what is
-    left of both columns is as small: at 0.005 a descent has ended a thousand nats above its valley."""
+    """Share of an inner effect's answer in a column below which it is not asked. Where two effects all but cancel, what
+    is left of both columns is as small: at 0.005 a descent has ended a thousand nats above its valley."""
     asked_again: float = _is(2.0, "1", "practice")
     """Growth of an effect beyond which it is asked again whether it answers."""
     evaluation_columns: int = _is(3, "1", "budget")
