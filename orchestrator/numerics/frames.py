@@ -75,8 +75,9 @@ def from_two_phases(a: ArrayLike, b: ArrayLike) -> Array:
     return np.stack([alpha, (alpha + 2.0 * np.asarray(b, dtype=np.float64)) / math.sqrt(3.0)], axis=-1)
 
 
-def inductance_to_ab(inductance: Array, angle_rad: float) -> Array:
-    """L_aa, L_ab, L_bb (n, 3) in the stator frame of L_dd, L_dq, L_qq (n, 3) in a rotor at this angle."""
-    c, s = math.cos(angle_rad), math.sin(angle_rad)
-    turn = np.array([[c * c, c * s, s * s], [-2.0 * c * s, c * c - s * s, 2.0 * c * s], [s * s, -c * s, c * c]])
-    return np.ascontiguousarray(inductance @ turn)
+def inductance_to_ab(inductance: Array, theta_rad: ArrayLike) -> Array:
+    """L_aa, L_ab, L_bb (n, 3) in the stator frame of L_dd, L_dq, L_qq (n, 3) in a rotor at an angle, or at (n,)."""
+    c, s = np.cos(theta_rad), np.sin(theta_rad)
+    dd, dq, qq = inductance.T
+    aa, bb = c * c * dd - 2.0 * c * s * dq + s * s * qq, s * s * dd + 2.0 * c * s * dq + c * c * qq
+    return np.column_stack([aa, c * s * (dd - qq) + (c * c - s * s) * dq, bb])

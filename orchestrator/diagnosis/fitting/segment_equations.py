@@ -29,6 +29,7 @@ from orchestrator.diagnosis.weak_form.observer import smooth_flux
 from orchestrator.diagnosis.weak_form.rests import TimerScatter, rests
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.frames import from_two_phases, inductance_to_ab, rotation
+from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, ModelNoise, Signals
@@ -153,24 +154,39 @@ class SegmentEquations:
         return known[1]
 
     def _flux(self, piece: SegmentSignals, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
-        """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from."""
+        """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from.
+
+        Where the rotor is not as it is believed to lie the map is read where it does, as far as that flux tells.
+        """
         outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
+        turning = [a for a in model.active if a.candidate.effect.layer is EffectLayer.FRAME and not a.is_absent]
         inner = apply_effects(base, outer).signals
         local = local_map(piece, inner, model.magnetics)
+        found = self._flux_read(piece, inner, local)
+        for _ in range(self.criteria.fitting.flux_turns if turning else 0):
+            turned = apply_effects(inner.model_copy(update=found), turning)
+            if "theta_rad" not in turned.changed:
+                break
+            found = self._flux_read(piece, turned.signals, local_map(piece, turned.signals, model.magnetics))
+        return found, local
+
+    def _flux_read(self, piece: SegmentSignals, signals: Signals, local: LocalMap) -> dict[str, Array]:
+        """What effects see of the flux, by the signals' names."""
+        turned = len(local.delta) > 0
+        theta = signals.theta_rad if turned else float(piece.segment.rotor_angle_rad)
         psi_ab, smooth, i_smooth = smooth_flux(
             local.psi,
             local.inductance,
-            np.ascontiguousarray(inner.v_ab),
-            np.ascontiguousarray(inner.i_ab),
-            np.ascontiguousarray(inner.resistance_ohm),
-            float(piece.segment.rotor_angle_rad),
+            np.ascontiguousarray(signals.v_ab),
+            np.ascontiguousarray(signals.i_ab),
+            np.ascontiguousarray(signals.resistance_ohm),
+            unit_vectors(np.atleast_1d(np.ascontiguousarray(theta, dtype=np.float64))),
             self.pm_flux_wb,
-            1.0 / base.sampling_frequency_hz,
+            1.0 / signals.sampling_frequency_hz,
             self.criteria.weak_form.observer_time_constant_s,
         )
-        inductance = inductance_to_ab(local.inductance, float(piece.segment.rotor_angle_rad))
-        found = {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth, "inductance_ab": inductance}
-        return found, local
+        inductance = inductance_to_ab(local.inductance, theta)
+        return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth, "inductance_ab": inductance}
 
     def _slopes(self, piece: SegmentSignals, base: Signals, active: Sequence[Active]) -> Array:
         """How the inverter's effects multiply current noise, by shifting the measured current by its noise.

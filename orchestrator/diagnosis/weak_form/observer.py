@@ -21,7 +21,7 @@ def smooth_flux(
     v_ab: Array,
     i_ab: Array,
     resistance_ohm: Array,
-    angle: float,
+    turn: Array,
     pm_flux: float,
     ts: float,
     time_constant_s: float,
@@ -31,12 +31,14 @@ def smooth_flux(
     Parameters
     ----------
     psi_dq : array, shape (n, 2)
-        The map's flux at the measured current, without the magnet's, in the frame turned by `angle` [Wb].
+        The map's flux at the measured current, without the magnet's, in the frame turned by `turn` [Wb].
     inductance : array, shape (n, 3)
         L_dd, L_dq, L_qq there [H].
     v_ab, i_ab : array, shape (n, 2)
         Impressed voltage and stator current.
     resistance_ohm : array, shape (n,)
+    turn : array, shape (n, 2) or (1, 2)
+        Cosine and sine of the rotor's angle; one for all where it rests.
 
     Returns
     -------
@@ -50,8 +52,7 @@ def smooth_flux(
     out = np.empty((n, 2))
     current = np.empty((n, 2))
     pull = 1.0 - math.exp(-ts / time_constant_s)
-    c = math.cos(angle)
-    s = math.sin(angle)
+    rests = turn.shape[0] == 1
     mean_d = 0.0
     mean_q = 0.0
     for k in range(n):
@@ -59,6 +60,7 @@ def smooth_flux(
         mean_q += inductance[k, 2] / n
     least = 1e-3 * mean_d * mean_q
     for k in range(n):
+        c, s = turn[0 if rests else k]
         d = psi_dq[k, 0] + pm_flux
         psi[k, 0] = c * d - s * psi_dq[k, 1]
         psi[k, 1] = s * d + c * psi_dq[k, 1]

@@ -2,19 +2,35 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.numerics.frames import from_two_phases
+from orchestrator.numerics.frames import from_two_phases, to_dq
+from plugins.effects.frame import BrakeCompliance
 from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.timing import VoltageDelay
-from protocols import Correction, Effect, LossHistory
+from protocols import Correction, Effect, LossHistory, SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import R_S, fitter, free_model, plan, prepared, with_voltage
+from tests.orchestrator.diagnosis.pieces import (
+    L_D,
+    L_Q,
+    MOTOR,
+    PM_WB,
+    R_S,
+    Plan,
+    fitter,
+    free_model,
+    hold,
+    plan,
+    prepared,
+    with_voltage,
+)
 
 
 @pytest.fixture(scope="module")
@@ -84,3 +100,21 @@ def test_a_resistance_below_nothing_loses_nothing(biased: Fitter) -> None:
         base = biased.equations.renewed(replace(free_model(), r_s=r_s), piece, None).frame.base
         assert base.losses is not None
         assert base.losses.power_w[-1] == pytest.approx(power_w)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6])
+def test_effects_see_the_flux_of_the_rotor_where_it_lies(angle: float) -> None:
+    """A twist is the torque's, and the torque is that of the twisted rotor: both come out of one equation."""
+    made = fitter(prepared([*plan(), Plan(SegmentStage.RESISTANCE, hold(-2.0, 2.0))], angle=angle, noise_a=0.0))
+    model = with_free(free_model(), made, BrakeCompliance(), rad_per_nm=0.05)
+    piece = made.prepared.pieces[-1]
+    place = made.equations.place(model, piece, made.equations.frame(model, piece, None))
+    i_d, i_q = map(float, to_dq(piece.signals.i_ab, angle)[-1])
+
+    def torque_nm(delta: float) -> float:
+        d, q = i_d * math.cos(delta) + i_q * math.sin(delta), i_q * math.cos(delta) - i_d * math.sin(delta)
+        return 1.5 * MOTOR.pole_pairs * ((PM_WB + L_D * d) * q - L_Q * q * d)
+
+    twist = brentq(lambda delta: delta - 0.05 * torque_nm(delta), -1.0, 1.0)
+    assert place.cascade.corrected.theta_rad[-1] - angle == pytest.approx(twist, rel=1e-2)
+    assert 0.05 * torque_nm(0.0) != pytest.approx(twist, rel=3e-2)

@@ -20,7 +20,8 @@ def _observed(noise: Array | float = 0.0, bias_v: float = 0.0) -> tuple[Array, A
     psi, inductance = TRUE_MAP.flux_and_inductance(i_dq)
     i_ab, v_ab = to_ab(i_dq, ANGLE), to_ab(V_DQ, ANGLE) + bias_v
     ohm = np.full(len(i_ab), R_S)
-    return smooth_flux(psi, inductance, v_ab, i_ab, ohm, ANGLE, PM_WB, 1.0 / FS, TAU_S)
+    turn = np.array([[math.cos(ANGLE), math.sin(ANGLE)]])
+    return smooth_flux(psi, inductance, v_ab, i_ab, ohm, turn, PM_WB, 1.0 / FS, TAU_S)
 
 
 def test_exact_signals_come_back_as_they_are() -> None:
