@@ -53,6 +53,8 @@ class NoiseFloor(Lenient):
     """What the residual would be if only the sensors' noise were left."""
 
     rms_v: Number
+    heldout_rms_v: Number = None
+    """Of what was held out alone: noise makes more of some stages than of others."""
 
 
 class ParameterValue(Lenient):

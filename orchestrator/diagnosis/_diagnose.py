@@ -29,7 +29,7 @@ from orchestrator.diagnosis.reporting.findings import (
     said_by_effects,
     unexplained,
 )
-from orchestrator.diagnosis.reporting.ladder import current_error, kept_rungs, noise_rms_v, rung
+from orchestrator.diagnosis.reporting.ladder import current_error, held_out, kept_rungs, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.expected import with_expected
 from orchestrator.diagnosis.selection.forward_search import Search
@@ -250,7 +250,7 @@ def _diagnosed(
         _show(plain, search, ladder, on_step)
     report = DiagnosisReport(
         recording=recording.manifest.name,
-        noise_floor=NoiseFloor(rms_v=noise_rms_v(last)),
+        noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
         effects=found,
         minor=beyond_the_rest((e for e in active if e.name in search.minor), rest),

@@ -258,7 +258,7 @@ def _matches(found: Sequence[set[str]], names: Sequence[str]) -> bool:
 
 
 def _closed(report: dict[str, Any]) -> tuple[float | None, float | None]:
-    floor = report["noise_floor"]["rms_v"]
+    floor = report["noise_floor"].get("heldout_rms_v") or report["noise_floor"]["rms_v"]
     before, after = report["ladder"][0]["heldout_rms_v"], report["ladder"][-1]["heldout_rms_v"]
     if None in (floor, before, after) or before <= FLOORS * floor:
         return None, None

@@ -147,6 +147,9 @@ def test_the_held_out_error_is_held_against_its_floor() -> None:
     found = judge(answered(draw_case("single", 0, SEED), report("dead_time")))
     assert found.closed == pytest.approx((0.1 - 3.3e-3) / (0.1 - 3e-3))
     assert found.over_floor == pytest.approx(1.1)
+    noisier = report("dead_time")
+    noisier["noise_floor"]["heldout_rms_v"] = 3.3e-3
+    assert judge(answered(draw_case("single", 0, SEED), noisier)).over_floor == pytest.approx(1.0)
 
 
 def test_an_interval_holds_the_truth_or_does_not() -> None:

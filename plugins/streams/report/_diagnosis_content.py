@@ -43,8 +43,10 @@ def ladder_rows(found: SavedDiagnosis) -> Rows:
     """The error after each added effect; the last line is the noise floor. None where nothing was fitted."""
     if found.report.convention is not None:
         return []
-    floor = quantity(found.report.noise_floor.rms_v, "V")
-    return [*rungs(found.report.ladder), ("noise alone", "1", floor, floor, "")]
+    floor = found.report.noise_floor
+    held_out = floor.rms_v if floor.heldout_rms_v is None else floor.heldout_rms_v
+    alone = "noise alone", "1", quantity(floor.rms_v, "V"), quantity(held_out, "V"), ""
+    return [*rungs(found.report.ladder), alone]
 
 
 def effect_rows(found: SavedDiagnosis) -> Rows:

@@ -118,12 +118,12 @@ def test_dead_time_is_named_with_its_twin_and_its_size(diagnosed: Diagnosis) -> 
 
 def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
     first, last = diagnosed.report.ladder[0], diagnosed.report.ladder[-1]
-    floor = diagnosed.report.noise_floor.rms_v
+    floor = diagnosed.report.noise_floor.heldout_rms_v
     assert first.heldout_rms_v is not None
     assert last.heldout_rms_v is not None
     assert floor is not None
     assert first.heldout_rms_v > 20 * floor
-    assert last.heldout_rms_v < 1.25 * floor
+    assert last.heldout_rms_v < 1.15 * floor
     assert last.current_rms_a == pytest.approx(0.0045, rel=0.15)
 
 
