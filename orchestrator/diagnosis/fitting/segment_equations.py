@@ -156,18 +156,21 @@ class SegmentEquations:
     def _flux(self, piece: SegmentSignals, base: Signals, model: Model) -> tuple[dict[str, Array], LocalMap]:
         """Flux linkage in the stator frame, magnet included, as the effects see it; and the map it was read from.
 
-        Where the rotor is not as it is believed to lie the map is read where it does, as far as that flux tells.
+        Where the rotor does not lie as it is believed to, or not all of the current magnetises, the map is read again
+        where it does, as far as that flux tells.
         """
         outer = [a for a in model.active if a.candidate.effect.layer < EffectLayer.FRAME]
-        turning = [a for a in model.active if a.candidate.effect.layer is EffectLayer.FRAME and not a.is_absent]
+        moving = [a for a in model.active if a.candidate.effect.layer >= EffectLayer.FRAME and not a.is_absent]
         inner = apply_effects(base, outer).signals
         local = local_map(piece, inner, model.magnetics)
         found = self._flux_read(piece, inner, local)
-        for _ in range(self.criteria.fitting.flux_turns if turning else 0):
-            turned = apply_effects(inner.model_copy(update=found), turning)
-            if "theta_rad" not in turned.changed:
+        for _ in range(self.criteria.fitting.flux_turns if moving else 0):
+            moved = apply_effects(inner.model_copy(update=found), moving)
+            if not moved.changed & {"theta_rad", "i_m_ab"}:
                 break
-            found = self._flux_read(piece, turned.signals, local_map(piece, turned.signals, model.magnetics))
+            there = moved.signals
+            at = inner.model_copy(update={"theta_rad": there.theta_rad})
+            found = self._flux_read(piece, at, local_map(piece, there, model.magnetics))
         return found, local
 
     def _flux_read(self, piece: SegmentSignals, signals: Signals, local: LocalMap) -> dict[str, Array]:

@@ -75,7 +75,9 @@ class TimerScatter:
             return voltage_v * self.steps
         q = leg_step_v(voltage_v) * self.steps
         m = np.arange(1.0, 1.0 + HARMONICS)
-        kept = np.exp(-((2.0 * np.pi * m * (self.trembling_v / q)[:, None]) ** 2)) / m**2
+        # What trembles by more than a step keeps nothing, by however much.
+        trembling = np.minimum(self.trembling_v / q, 10.0)
+        kept = np.exp(-((2.0 * np.pi * m * trembling[:, None]) ** 2)) / m**2
         return np.asarray(voltage_v * self.steps * np.sqrt(kept.sum(axis=1) / (1.0 / m**2).sum()))
 
 
