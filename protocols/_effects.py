@@ -344,7 +344,10 @@ class Effect(Protocol):
     One that shows only in some recordings says so by a method ``shows_in(signals) -> bool``: where it is true of no
     segment, a diagnosis does not look for the effect, which then costs nothing. One that readings prove, whatever the
     motor is, says it by ``measured(segments) -> EffectParameters | None``: a diagnosis then begins with it. One whose
-    parameters say more than a size says that by ``remarks(parameters) -> Sequence[Remark]`` where it is named.
+    parameters say more than a size says that by ``remarks(parameters) -> Sequence[Remark]`` where it is named. One that
+    cannot know all of what it does, such as what iron remembers of before a segment, says it by
+    ``doubts(signals, parameters) -> Sequence[Correction]``: each is what a standard deviation of that would change, and
+    noise of that form is expected in the segment.
     """
 
     name: ClassVar[str]

@@ -133,13 +133,15 @@ def _without_eddies(
 
 
 @njit(cache=True, nogil=True)
-def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: float) -> Array:
+def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: float, off: Array) -> Array:
     """Sum of vector stop operators of the flux (n, 2), which had its first `before` values before.
 
     Where it began, the iron remembered nothing.
 
     Parameters
     ----------
+    off : array, shape (stops, 2)
+        What it remembers beside that where the rest of the values begin, in the stops' limits.
     softness : float
         Outwards a stop moves by 1 - (size / limit)^(1 / softness) of what is elastic; 0: as long as it is below its
         limit, by all of it.
@@ -163,6 +165,11 @@ def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: f
                     parts += min(int(8.0 * math.sqrt(da * da + db * db) / limits[m]), 3)
                 for _ in range(parts):
                     a, b = _moved(a, b, da / parts, db / parts, limits[m], softness)
+            if k == before:
+                a += off[m, 0] * limits[m]
+                b += off[m, 1] * limits[m]
+                beyond = max(math.sqrt(a * a + b * b) / limits[m], 1.0)
+                a, b = a / beyond, b / beyond
             if k >= before:
                 out[k - before, 0] += a
                 out[k - before, 1] += b
@@ -187,6 +194,10 @@ def _moved(a: float, b: float, da: float, db: float, limit: float, softness: flo
         a *= scale
         b *= scale
     return a, b
+
+
+FORGOTTEN = 0.25
+"""Of a stop's limit, the standard deviation of what is not known of it where a segment begins."""
 
 
 class Hysteresis:
@@ -222,19 +233,36 @@ class Hysteresis:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
+        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * self._held(signals, p, np.zeros((2, 2))))
+
+    def doubts(self, signals: Signals, p: Parameters) -> list[Correction]:
+        """What the iron may remember of before a segment, beside the way that is known: each stop along each axis."""
+        known, doubts = self._held(signals, p, np.zeros((2, 2))), []
+        for stop in range(2):
+            for axis in range(2):
+                off = np.zeros((2, 2))
+                off[stop, axis] = FORGOTTEN
+                more = self._held(signals, p, off) - known
+                doubts.append(Correction(i_m_ab=signals.i_m_ab - p.half_width_a * more))
+        return doubts
+
+    def _held(self, signals: Signals, p: Parameters, off: Array) -> Array:
+        """What the stops hold, shape (n, 2), of a half width."""
         shares, apart = np.array([p.early_share, 1.0 - p.early_share]), math.sqrt(p.variance)
         limits = shares * np.exp([-apart, apart])
         psi = _flux(signals)
         way = _way_here(signals, psi, p.overshoot)
-        held = _stops(
-            np.concatenate([way, psi]),
-            len(way),
-            shares / p.yield_wb,
-            limits / limits.sum(),
-            # A hundredth power is as sharp as none, and costs one.
-            p.softness if p.softness > 1e-2 else 0.0,
+        return np.asarray(
+            _stops(
+                np.concatenate([way, psi]),
+                len(way),
+                shares / p.yield_wb,
+                limits / limits.sum(),
+                # A hundredth power is as sharp as none, and costs one.
+                p.softness if p.softness > 1e-2 else 0.0,
+                off,
+            )
         )
-        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * held)
 
 
 def _way_here(signals: Signals, psi: Array, overshoot: float, steps: int = 8) -> Array:

@@ -7,14 +7,14 @@ measured on a few segments (`orchestrator.diagnosis.fitting.columns`); the other
 from __future__ import annotations
 
 import math
-from collections.abc import Container, Sequence
+from collections.abc import Container, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
-from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects
+from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects, doubts_of
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, Signals
 
@@ -76,7 +76,20 @@ class Cascade:
             behind = at + 1
         other = apply_effects(self.stages[at].signals, [moved])
         names = other.changed | (self.stages[behind].changed if behind > at else frozenset())
-        change, answers = _less(other.signals, self.stages[behind].signals, names), dict[str, Change]()
+        return self._inwards(behind, _less(other.signals, self.stages[behind].signals, names), answering)
+
+    def doubts(self) -> Iterator[Change]:
+        """What changes behind the innermost effect by each thing that an effect cannot know of the segment."""
+        for k, active in enumerate(self.effects):
+            before = self.stages[k].signals
+            for doubted in doubts_of(active, before):
+                yield self._inwards(k + 1, _less(doubted.signals, before, doubted.changed))[0]
+
+    def _inwards(
+        self, behind: int, change: Change, answering: Container[str] | None = None
+    ) -> tuple[Change, dict[str, Change]]:
+        """A change before the effects from a place on, led through them, and what each added where all were asked."""
+        answers = dict[str, Change]()
         for k in range(behind, len(self.effects)):
             inner = self.effects[k]
             if inner.is_absent or (answering is not None and inner.name not in answering):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -40,36 +41,60 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
         sensors = item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS
         if item.is_absent or not (signals.bridge_on or sensors):
             continue
-        correction = _correction(item, signals)
-        arrays = correction.arrays
-        for name, array in arrays.items():
-            before = getattr(signals, name)
-            _require_array(item.name, name, signals.v_ab if before is None else before, array)
-        changed |= arrays.keys()
-        if "i_ab" in arrays:
-            changed |= {"i_m_ab"} if signals.i_quiet_ab is None else {"i_m_ab", "i_quiet_ab"}
-        signals = signals.corrected(correction)
+        one = _applied(item, "correct", signals, _said(item, "correct", signals))
+        changed |= one.changed
+        signals = one.signals
     return Corrected(signals, frozenset(changed))
 
 
-def _correction(item: Active, signals: Signals) -> Correction:
+def is_doubtful(item: Active) -> bool:
+    """Whether an effect that is there says what it cannot know."""
+    return not item.is_absent and hasattr(item.candidate.effect, "doubts")
+
+
+def doubts_of(item: Active, signals: Signals) -> list[Corrected]:
+    """The signals with one standard deviation of each thing that an effect cannot know of a segment.
+
+    Raises
+    ------
+    PluginError
+        Where the effect raises, or returns what signals cannot be.
+    """
+    if not (signals.bridge_on and is_doubtful(item)):
+        return []
+    return [_applied(item, "doubts", signals, doubt) for doubt in _said(item, "doubts", signals)]
+
+
+def _said(item: Active, method: str, signals: Signals) -> Any:
     try:
-        found: object = item.candidate.effect.correct(signals, item.parameters)
+        return getattr(item.candidate.effect, method)(signals, item.parameters)
     except FluxbenchError:
         raise
     except (Exception, SystemExit) as error:  # somebody else's code may raise anything
-        raise PluginError("effects", item.name, f"correct: {type(error).__name__}: {error}") from error
-    if not isinstance(found, Correction):
-        raise PluginError("effects", item.name, f"correct: returned {type(found).__name__} instead of a Correction")
-    return found
+        raise PluginError("effects", item.name, f"{method}: {type(error).__name__}: {error}") from error
+
+
+def _applied(item: Active, method: str, signals: Signals, correction: object) -> Corrected:
+    """The signals with what a method of an effect returned, which is checked."""
+    if not isinstance(correction, Correction):
+        returned = type(correction).__name__
+        raise PluginError("effects", item.name, f"{method}: returned {returned} instead of a Correction")
+    arrays = correction.arrays
+    for name, array in arrays.items():
+        before = getattr(signals, name)
+        _require_array(item.name, f"{method}: {name}", signals.v_ab if before is None else before, array)
+    changed = set(arrays)
+    if "i_ab" in arrays:
+        changed |= {"i_m_ab"} if signals.i_quiet_ab is None else {"i_m_ab", "i_quiet_ab"}
+    return Corrected(signals.corrected(correction), frozenset(changed))
 
 
 def _require_array(effect: str, name: str, before: RealArray, now: object) -> None:
     shape = getattr(now, "shape", None)
     if not isinstance(now, np.ndarray) or shape != before.shape:
-        raise PluginError("effects", effect, f"correct: {name} has shape {shape}, not {before.shape}")
+        raise PluginError("effects", effect, f"{name} has shape {shape}, not {before.shape}")
     if now.dtype.kind != "f":
-        raise PluginError("effects", effect, f"correct: {name} is of type {now.dtype}, not float64")
+        raise PluginError("effects", effect, f"{name} is of type {now.dtype}, not float64")
     # What is finite adds up to something finite, unless it is beyond all bounds: then each number is asked.
     if not math.isfinite(now.sum()) and not np.isfinite(now).all():
-        raise PluginError("effects", effect, f"correct: {name} is not finite")
+        raise PluginError("effects", effect, f"{name} is not finite")

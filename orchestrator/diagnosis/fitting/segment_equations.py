@@ -13,7 +13,7 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.cascade import Cascade, Change, array_of, step_of
 from orchestrator.diagnosis.fitting.columns import ColumnProbe
-from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.corrections import apply_effects, is_doubtful
 from orchestrator.diagnosis.fitting.model import ColumnName, Model, SegmentFrame, SegmentRows
 from orchestrator.diagnosis.weak_form.carrier_ripple import taken_of_ripple
 from orchestrator.diagnosis.weak_form.equations import (
@@ -78,19 +78,19 @@ class SegmentEquations:
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(piece, corrected, model.magnetics)
         mean = local.inductance.mean(axis=0)
-        inverter = self._inverter(piece, model)
+        inverter = {**self._inverter(piece, model), **self._doubting(piece, model)}
         if old is not None and self._same_noise(mean, inverter, old):
             whitener, mean, inverter = old.whitener, old.mean_inductance, old.inverter
         else:
-            slopes = self._slopes(piece, base, model.active) if inverter else None
+            slopes = self._slopes(piece, base, model.active) if self._inverter(piece, model) else None
             turned = None if slopes is None else _in_frame_of(piece, slopes)
             factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
             covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, turned)
-            common, scatter = None, self.noise.of_model
+            common, scatter = self._doubted_rows(piece, cascade, local), self.noise.of_model
             if scatter.scatters:
-                common = self._common_rows(piece, corrected, local, slopes)
-                common *= scatter_sizes(TimerScatter.of(piece), scatter)
-            whitener = Whitener(covariance, common)
+                rows = self._common_rows(piece, corrected, local, slopes)
+                common.append(rows * scatter_sizes(TimerScatter.of(piece), scatter))
+            whitener = Whitener(covariance, np.column_stack(common) if common else None)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
             white = old.white_basis
@@ -137,6 +137,17 @@ class SegmentEquations:
             return {}
         there = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER and not a.is_absent]
         return {(a.name, p.name): a.coordinate(p.name) for a in there for p in a.candidate.parameters}
+
+    def _doubting(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
+        """Coordinates of the effects that do not know all of what they do."""
+        there = [a for a in model.active if piece.signals.bridge_on and is_doubtful(a)]
+        return {(a.name, p.name): a.coordinate(p.name) for a in there for p in a.candidate.parameters}
+
+    def _doubted_rows(self, piece: SegmentSignals, cascade: Cascade, local: LocalMap) -> list[Array]:
+        """What each doubt of an effect does to the equations, one standard deviation of it: shape (rows, doubts)."""
+        at, magnet = cascade.corrected, self.pm_flux_wb
+        sums = [difference(piece, at, change, local, magnet) for change in cascade.doubts()]
+        return [piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
 
     def _same_noise(self, inductance: Array, inverter: dict[ColumnName, float], old: SegmentFrame) -> bool:
         """Whether the noise's covariance bears what has moved since an earlier frame."""
