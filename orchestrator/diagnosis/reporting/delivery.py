@@ -11,6 +11,7 @@ from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
 from orchestrator.diagnosis.selection.shares import left_of_excitation
+from orchestrator.diagnosis.selection.verdict import most_strained
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
@@ -108,6 +109,9 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     if verdict == "unknown_remains" and most is not None and 100.0 * moved[most] > limits.widest_band_percent:
         text = "{effect} moves the model's map by {moved_percent:.2g} %, and may stand in for what is unknown"
         against.append(Remark.of("may_stand_in", text, effect=most, moved_percent=100.0 * moved[most]))
+    if verdict not in ("clean", "explained") and (name := most_strained(fit)):
+        text = "{effect} has a form as no such effect has, and may stand in for what is unknown"
+        against.append(Remark.of("strained_form", text, effect=name))
     if band_percent > limits.widest_band_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))

@@ -62,6 +62,14 @@ def _is_strained(fit: Fit) -> bool:
     return any(abs(a.off_prior(n)) > limit for a in fit.model.active for n in a.bent_by)
 
 
+def most_strained(fit: Fit) -> str | None:
+    """The effect whose form is furthest from where such effects have theirs; None where none is too far."""
+    forms = {a.name: [n for n in a.free if n not in a.candidate.amplitudes] for a in fit.model.active}
+    off = {a.name: max(abs(a.off_prior(n)) for n in forms[a.name]) for a in fit.model.active if forms[a.name]}
+    most = max(off, key=lambda name: off[name], default=None)
+    return most if most is not None and off[most] > fit.criteria.selection.strained else None
+
+
 def remainder(fit: Fit) -> float:
     """What is left of chi2 - 1, ripple included: of what was fitted or of what was held out, whichever is more."""
     return max(fit.chi2_per_dof, held_out_chi2(fit) or 0.0) - 1.0

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.delivery import objections_to
+from plugins.effects.resistance import WindingHeating
 from protocols import Verdict
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared
 
@@ -31,3 +35,12 @@ def test_what_moves_the_map_may_stand_in_while_something_unknown_remains(fit: Fi
     assert _codes(fit, "unknown_remains", slot_harmonics=0.004, dead_time=0.002) == []
     found = objections_to(fit, "unknown_remains", 0.1, {"slot_harmonics": 0.004, "third_current_sensor": 0.0156})
     assert [one.values["effect"] for one in found] == ["third_current_sensor"]
+
+
+def test_a_form_that_no_such_effect_has_may_stand_in_while_something_unknown_remains(fit: Fit) -> None:
+    (heating,) = scaled_library([WindingHeating()], fit.prepared.manifest)
+    for off, codes in ((3.0, []), (5.0, ["strained_form"])):
+        active = heating.absent().freeing("time_constant_s").moved("time_constant_s", off)
+        bent = replace(fit, model=fit.model.with_active([active]))
+        assert _codes(bent, "unknown_remains") == codes
+        assert _codes(bent, "explained") == []
