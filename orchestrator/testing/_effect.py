@@ -103,6 +103,17 @@ class EffectConformance(EffectPhysicsChecks, Kit, ABC):
             assert array.shape == shape, f"{name} has shape {array.shape} instead of {shape}"
             assert array.dtype.kind == "f", f"{name} is of type {array.dtype}"
 
+    def test_doubts_are_corrections_of_finite_signals(self) -> None:
+        """Of an effect that says what it cannot know."""
+        effect, signals = self.make_effect(), self.signals()
+        doubts = getattr(effect, "doubts", None)
+        for doubt in () if doubts is None else doubts(signals, effect.Parameters(**self._values("typical"))):
+            assert isinstance(doubt, Correction), f"doubts returned {type(doubt).__name__} instead of a Correction"
+            after = signals.corrected(doubt)
+            for name in SIGNAL_ARRAYS:
+                assert getattr(after, name).shape == getattr(signals, name).shape, f"{name} has another shape"
+                assert np.isfinite(getattr(after, name)).all(), f"{name} is not finite"
+
     def test_every_value_within_bounds_gives_finite_signals(self) -> None:
         for parameter in self.make_effect().Parameters.declared():
             for bound in ("low", "high"):

@@ -166,8 +166,10 @@ def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: f
                 for _ in range(parts):
                     a, b = _moved(a, b, da / parts, db / parts, limits[m], softness)
             if k == before:
-                a += off[m, 0] * limits[m]
-                b += off[m, 1] * limits[m]
+                # Beyond its limit a stop holds no more: what leads there stands for as much inwards.
+                more_a, more_b = off[m, 0] * limits[m], off[m, 1] * limits[m]
+                side = -1.0 if (a + more_a) ** 2 + (b + more_b) ** 2 > limits[m] ** 2 else 1.0
+                a, b = a + side * more_a, b + side * more_b
                 beyond = max(math.sqrt(a * a + b * b) / limits[m], 1.0)
                 a, b = a / beyond, b / beyond
             if k >= before:

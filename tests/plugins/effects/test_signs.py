@@ -400,6 +400,26 @@ def test_a_controller_that_goes_beyond_its_aim_leaves_the_iron_on_the_other_bran
     assert 0.02 < _held_at_first(came_from, overshoot=0.01)[0] < 0.03
 
 
+def test_what_iron_may_remember_beside_its_way_stays_where_nothing_moves_and_is_gone_after_a_loop() -> None:
+    k = np.arange(4000)
+    loop = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    p = Hysteresis.Parameters(half_width_a=0.03, yield_wb=0.015, early_share=0.5)
+    for psi, stays in ((np.repeat(loop[:1], 4000, axis=0), True), (loop, False)):
+        signals = _signals(4000).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros((1, 2))})
+        known = signals.corrected(Hysteresis().correct(signals, p)).i_m_ab
+        doubts = [doubt.arrays["i_m_ab"] - signals.i_m_ab for doubt in Hysteresis().doubts(signals, p)]
+        assert len(doubts) == 4
+        for doubt in doubts:
+            # No stop holds more than its limit, whatever it remembers.
+            assert np.abs(doubt).max() <= 0.5 * 0.03 + 1e-12
+            assert np.abs(signals.i_m_ab - known - doubt).max() <= 0.03 + 1e-12
+            if stays:
+                assert_close(doubt, np.broadcast_to(doubt[0], doubt.shape), 1e-12, of=0.03)
+                assert np.linalg.norm(doubt[0]) > 1e-3
+            else:
+                assert_close(doubt[2000:, 0], np.zeros(2000), 1e-6, of=0.03)
+
+
 def test_skin_effect_drops_what_its_two_corners_let_through() -> None:
     n, hertz = 20_000, 50.0
     turn = np.exp(2j * np.pi * hertz * np.arange(n) / FS)

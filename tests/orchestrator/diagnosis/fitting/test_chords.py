@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import itertools
-from typing import ClassVar
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.chords import fit_along_chords
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit, Model
 from plugins.effects.inverter import VoltageBias
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -73,3 +75,19 @@ def test_an_amplitude_that_is_no_multiple_of_its_secant_is_reached() -> None:
     begun = with_free(free_model(), maker, BentBias())
     reached = fit_along_chords(maker, begun, rounds=10, tolerance=1e-4)
     assert 0.5 * np.tanh(10.0 * reached.model.active[0].values["size"]) == pytest.approx(0.15, rel=0.02)
+
+
+def test_steps_that_a_new_frame_undoes_are_not_made_again_and_again(maker: Fitter) -> None:
+    tried: list[float] = []
+
+    @dataclass
+    class Undoing(Fitter):
+        def renewed(self, model: Model, *args: Any, **known: Any) -> Fit:
+            made = super().renewed(model, *args, **known)
+            tried.append(made.model.active[0].values["bias_a_v"])
+            return replace(made, objective=made.objective + (1e9 if len(tried) > 1 else 0.0))
+
+    undoing = Undoing(maker.prepared, maker.noise, maker.pm_flux_wb)
+    fit = fit_along_chords(undoing, with_free(free_model(), maker, VoltageBias()), rounds=20, tolerance=1e-4)
+    assert fit.model.active[0].values["bias_a_v"] == 0.0
+    assert 1 < len(tried) < 8

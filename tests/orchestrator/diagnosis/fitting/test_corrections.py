@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.corrections import apply_effects, doubts_of
 from orchestrator.testing._signals import exciting_signals
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -98,3 +98,27 @@ def test_while_all_gates_are_off_only_the_sensors_effects_are_there() -> None:
 def test_what_signals_cannot_be_is_refused_in_one_line(returned: Callable[[Signals], Any], told: str) -> None:
     with pytest.raises(PluginError, match=f"effects: returning: correct: .*{told}"):
         apply_effects(exciting_signals(), [active(Returning(returned), size=1.0)])
+
+
+class Doubting(Returning):
+    """Doubts what it is told to."""
+
+    def doubts(self, signals: Signals, p: Returning.Parameters) -> list[Any]:
+        return [self._correct(signals)]
+
+
+def test_what_an_effect_cannot_know_is_asked_where_it_is_there() -> None:
+    signals = exciting_signals()
+    doubting = Doubting(lambda s: Correction(i_ab=s.i_ab + 0.1))
+    (doubt,) = doubts_of(active(doubting, size=1.0), signals)
+    assert doubt.changed == {"i_ab", "i_m_ab"}
+    np.testing.assert_allclose(doubt.signals.i_m_ab - signals.i_m_ab, 0.1)
+    assert doubts_of(active(doubting), signals) == []
+    assert doubts_of(active(doubting, size=1.0), signals.model_copy(update={"bridge_on": False})) == []
+    assert doubts_of(active(VoltageBias(), bias_a_v=1.0), signals) == []
+
+
+def test_a_doubt_that_signals_cannot_have_is_refused_in_one_line() -> None:
+    doubting = Doubting(lambda s: Correction(v_ab=s.v_ab * np.nan))
+    with pytest.raises(PluginError, match="effects: returning: doubts: v_ab is not finite"):
+        doubts_of(active(doubting, size=1.0), exciting_signals())

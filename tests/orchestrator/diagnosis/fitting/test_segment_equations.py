@@ -11,9 +11,11 @@ from scipy.optimize import brentq
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.weak_form.equations import difference
 from orchestrator.numerics.frames import from_two_phases, to_dq
 from plugins.effects.frame import BrakeCompliance
 from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.iron import EddyCurrents, Hysteresis
 from plugins.effects.timing import VoltageDelay
 from protocols import Correction, Effect, LossHistory, SegmentStage
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -23,6 +25,7 @@ from tests.orchestrator.diagnosis.pieces import (
     MOTOR,
     PM_WB,
     R_S,
+    TRUE_MAP,
     Plan,
     fitter,
     free_model,
@@ -31,6 +34,7 @@ from tests.orchestrator.diagnosis.pieces import (
     prepared,
     with_voltage,
 )
+from tests.support.close import assert_close
 
 
 @pytest.fixture(scope="module")
@@ -118,3 +122,30 @@ def test_effects_see_the_flux_of_the_rotor_where_it_lies(angle: float) -> None:
     twist = brentq(lambda delta: delta - 0.05 * torque_nm(delta), -1.0, 1.0)
     assert place.cascade.corrected.theta_rad[-1] - angle == pytest.approx(twist, rel=1e-2)
     assert 0.05 * torque_nm(0.0) != pytest.approx(twist, rel=3e-2)
+
+
+def test_effects_see_the_flux_of_the_current_that_magnetises() -> None:
+    made = fitter(prepared(plan(sparse=True), noise_a=0.0))
+    model = with_free(free_model(), made, EddyCurrents(), core_loss_ohm=300.0)
+    piece = made.prepared.pieces[-1]
+    place = made.equations.place(model, piece, made.equations.frame(model, piece, None))
+    magnetising = TRUE_MAP.flux_and_inductance(to_dq(place.cascade.corrected.i_m_ab, 0.0))[0] + np.array([PM_WB, 0.0])
+    of_all = TRUE_MAP.flux_and_inductance(to_dq(piece.signals.i_ab, 0.0))[0] + np.array([PM_WB, 0.0])
+    seen = place.frame.base.psi_ab
+    assert seen is not None
+    apart = np.abs(of_all - magnetising).max()
+    assert apart > 1e-3 * np.ptp(of_all)
+    assert_close(seen, magnetising, 1e-6, of=apart)
+
+
+def test_what_iron_may_remember_is_expected_as_noise() -> None:
+    made = fitter(prepared(plan(sparse=True)))
+    model = with_free(free_model(), made, Hysteresis(), half_width_a=0.5)
+    piece = next(p for p in made.prepared.pieces if p.stage is SegmentStage.CLASSICAL)
+    place = made.equations.place(model, piece, made.equations.frame(model, piece, None))
+    bare = made.equations.frame(free_model(), piece, None).whitener
+    for change in place.cascade.doubts():
+        rows = piece.windows.combine(difference(piece, place.cascade.corrected, change, place.local, PM_WB))
+        known, unknown = np.linalg.norm(place.frame.whitener(rows)), np.linalg.norm(bare(rows))
+        assert unknown > 3.0
+        assert known < 1.0
