@@ -102,9 +102,9 @@ def all_together(
         whole = downwards(setup.fitter, whole)
         rivals = {**rivals, **others}
     whole = no_sharper_than_asked(setup, whole)
-    if (instead := with_the_map_instead(setup, whole)) is not whole:
-        whole, doubles = without_doubles(setup.fitter, instead)
-        rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
+    # All that scatters, and the map, were told since doubles were asked last.
+    whole, doubles = without_doubles(setup.fitter, with_the_map_instead(setup, whole))
+    rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
     if not whole.model.active:
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
