@@ -62,7 +62,10 @@ def doubts_of(item: Active, signals: Signals) -> list[Corrected]:
     """
     if not (signals.bridge_on and is_doubtful(item)):
         return []
-    return [_applied(item, "doubts", signals, doubt) for doubt in _said(item, "doubts", signals)]
+    found = _said(item, "doubts", signals)
+    if not isinstance(found, Sequence):
+        raise PluginError("effects", item.name, f"doubts: returned {type(found).__name__} instead of a sequence")
+    return [_applied(item, "doubts", signals, doubt) for doubt in found]
 
 
 def _said(item: Active, method: str, signals: Signals) -> Any:

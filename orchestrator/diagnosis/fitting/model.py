@@ -86,8 +86,8 @@ class SegmentFrame:
     """Whitened, on the map's free directions."""
     mean_inductance: Array
     """Of the map that the noise was carried through, shape (3,)."""
-    inverter: dict[ColumnName, float]
-    """Coordinates of the inverter's effects when the noise was carried through them."""
+    carried_by: dict[ColumnName, float]
+    """Coordinates of those effects that the noise was carried through: the inverter's, and those with doubts."""
 
 
 @dataclass(frozen=True)

@@ -78,9 +78,9 @@ class SegmentEquations:
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(piece, corrected, model.magnetics)
         mean = local.inductance.mean(axis=0)
-        inverter = {**self._inverter(piece, model), **self._doubting(piece, model)}
-        if old is not None and self._same_noise(mean, inverter, old):
-            whitener, mean, inverter = old.whitener, old.mean_inductance, old.inverter
+        carriers = {**self._inverter(piece, model), **self._doubting(piece, model)}
+        if old is not None and self._same_noise(mean, carriers, old):
+            whitener, mean, carriers = old.whitener, old.mean_inductance, old.carried_by
         else:
             slopes = self._slopes(piece, base, model.active) if self._inverter(piece, model) else None
             turned = None if slopes is None else _in_frame_of(piece, slopes)
@@ -96,7 +96,7 @@ class SegmentEquations:
             white = old.white_basis
         else:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
-        return Place(piece, SegmentFrame(base, local, whitener, raw, white, mean, inverter), cascade, local)
+        return Place(piece, SegmentFrame(base, local, whitener, raw, white, mean, carriers), cascade, local)
 
     def place(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Place:
         """A segment where the model stands, in a frame of before."""
@@ -149,13 +149,13 @@ class SegmentEquations:
         sums = [difference(piece, at, change, local, magnet) for change in cascade.doubts()]
         return [piece.windows.combine(np.stack(sums, axis=-1))] if sums else []
 
-    def _same_noise(self, inductance: Array, inverter: dict[ColumnName, float], old: SegmentFrame) -> bool:
+    def _same_noise(self, inductance: Array, carriers: dict[ColumnName, float], old: SegmentFrame) -> bool:
         """Whether the noise's covariance bears what has moved since an earlier frame."""
         limits = self.criteria.fitting
         bearable = limits.same_inductance * float(inductance[[0, 2]].min())
-        if np.abs(inductance - old.mean_inductance).max() >= bearable or inverter.keys() != old.inverter.keys():
+        if np.abs(inductance - old.mean_inductance).max() >= bearable or carriers.keys() != old.carried_by.keys():
             return False
-        return all(abs(x - old.inverter[k]) <= limits.same_inverter * max(abs(x), 1.0) for k, x in inverter.items())
+        return all(abs(x - old.carried_by[k]) <= limits.same_inverter * max(abs(x), 1.0) for k, x in carriers.items())
 
     def _untouched_basis(self, piece: SegmentSignals, local: LocalMap, model: Model) -> Array:
         known = self._raw_basis.get(piece.segment.id)

@@ -122,3 +122,6 @@ def test_a_doubt_that_signals_cannot_have_is_refused_in_one_line() -> None:
     doubting = Doubting(lambda s: Correction(v_ab=s.v_ab * np.nan))
     with pytest.raises(PluginError, match="effects: returning: doubts: v_ab is not finite"):
         doubts_of(active(doubting, size=1.0), exciting_signals())
+    doubting.doubts = lambda s, p: None  # type: ignore[method-assign,assignment,return-value]
+    with pytest.raises(PluginError, match="effects: returning: doubts: returned NoneType instead of a sequence"):
+        doubts_of(active(doubting, size=1.0), exciting_signals())
