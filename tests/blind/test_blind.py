@@ -10,6 +10,7 @@ import hashlib
 import json
 import resource
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -90,6 +91,26 @@ def test_a_wrong_answer_can_be_made_again(tmp_path: Path, capsys: pytest.Capture
 def test_the_right_thing_is_said(kind: str, index: int) -> None:
     answer = examine(draw_case(kind, index, SEED))
     assert judge(answer).wrong == [], f"{answer.case.hidden}: {said(answer)}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("name", "large"),
+    [
+        ("brake_compliance", {"twist": 0.015}),
+        ("hysteresis", {"loop_a": 0.04}),
+        ("rotor_misalignment", {"angle": 0.087}),
+    ],
+)
+def test_a_large_effect_leaves_no_more_than_a_small_one(name: str, large: dict[str, Any]) -> None:
+    """What a model neglects grows with the square of what it has."""
+    case = draw_case("single", number_of(name, CATALOGUE), SEED)
+    bench = dataclasses.replace(case.bench, plant=case.bench.plant._replace(**large))
+    answer = examine(dataclasses.replace(case, bench=bench))
+    assert answer.report is not None
+    assert answer.report["verdict"] == "explained"
+    assert [effect["name"] for effect in answer.report["effects"]] == [name]
+    assert answer.report["ladder"][-1]["chi2"] < 1.15
 
 
 @pytest.mark.slow
