@@ -78,11 +78,11 @@ class SegmentEquations:
         same = not cascade.changed & {"i_m_ab", "theta_rad"}
         local = seen if same else local_map(piece, corrected, model.magnetics)
         mean = local.inductance.mean(axis=0)
-        carriers = {**self._inverter(piece, model), **self._doubting(piece, model)}
+        carriers = self._carriers(piece, model)
         if old is not None and self._same_noise(mean, carriers, old):
             whitener, mean, carriers = old.whitener, old.mean_inductance, old.carried_by
         else:
-            slopes = self._slopes(piece, base, model.active) if self._inverter(piece, model) else None
+            slopes = self._slopes(piece, base, model)
             turned = None if slopes is None else _in_frame_of(piece, slopes)
             factor = np.asarray(corrected.resistance_ohm / model.r_s, dtype=np.float64)
             covariance = banded_covariance(piece, local, factor, self.noise, model.r_s, turned)
@@ -107,7 +107,7 @@ class SegmentEquations:
         """What a segment's readings may have in common, whitened: columns as of `_common_rows`."""
         corrected = apply_effects(frame.base, model.active).signals
         local = local_map(piece, corrected, model.magnetics)
-        slopes = self._slopes(piece, frame.base, model.active) if self._inverter(piece, model) else None
+        slopes = self._slopes(piece, frame.base, model)
         return frame.whitener(self._common_rows(piece, corrected, local, slopes))
 
     def _common_rows(self, piece: SegmentSignals, corrected: Signals, local: LocalMap, slopes: Array | None) -> Array:
@@ -131,16 +131,10 @@ class SegmentEquations:
                 sums.append(difference(piece, corrected, {"v_ab": volt}, local, self.pm_flux_wb))
         return piece.windows.combine(np.stack(sums, axis=-1))
 
-    def _inverter(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
-        """Coordinates of the effects that multiply current noise."""
-        if not piece.signals.bridge_on:
-            return {}
-        there = [a for a in model.active if a.candidate.effect.layer is EffectLayer.INVERTER and not a.is_absent]
-        return {(a.name, p.name): a.coordinate(p.name) for a in there for p in a.candidate.parameters}
-
-    def _doubting(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
-        """Coordinates of the effects that do not know all of what they do."""
-        there = [a for a in model.active if piece.signals.bridge_on and is_doubtful(a)]
+    def _carriers(self, piece: SegmentSignals, model: Model) -> dict[ColumnName, float]:
+        """Coordinates of the effects that have a part in the noise: that multiply it, or do not know all they do."""
+        on = piece.signals.bridge_on
+        there = [a for a in model.active if on and (_multiplies_noise(a) or is_doubtful(a))]
         return {(a.name, p.name): a.coordinate(p.name) for a in there for p in a.candidate.parameters}
 
     def _doubted_rows(self, piece: SegmentSignals, cascade: Cascade, local: LocalMap) -> list[Array]:
@@ -202,12 +196,14 @@ class SegmentEquations:
         inductance = inductance_to_ab(local.inductance, theta)
         return {"psi_ab": psi_ab, "psi_smooth_ab": smooth, "i_smooth_ab": i_smooth, "inductance_ab": inductance}
 
-    def _slopes(self, piece: SegmentSignals, base: Signals, active: Sequence[Active]) -> Array:
+    def _slopes(self, piece: SegmentSignals, base: Signals, model: Model) -> Array | None:
         """How the inverter's effects multiply current noise, by shifting the measured current by its noise.
 
-        d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2).
+        d v_impressed / d i_measured in the stator frame [ohm], shape (n, 2, 2); None where no effect does.
         """
-        inverter = [a for a in active if a.candidate.effect.layer is EffectLayer.INVERTER]
+        inverter = [a for a in model.active if _multiplies_noise(a)]
+        if not (inverter and piece.signals.bridge_on):
+            return None
         voltage = np.empty((len(base.v_dc), 2, 2))
         sensor = self.noise.of(piece)
         for axis in range(2):
@@ -278,6 +274,10 @@ class SegmentEquations:
 
     def _sums(self, at: Place, change: Change, step: float) -> Array:
         return difference(at.piece, at.cascade.corrected, change, at.local, self.pm_flux_wb) / step
+
+
+def _multiplies_noise(active: Active) -> bool:
+    return active.candidate.effect.layer is EffectLayer.INVERTER and not active.is_absent
 
 
 def scatter_sizes(timer: TimerScatter, noise: ModelNoise) -> Array:

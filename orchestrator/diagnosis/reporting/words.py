@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.diagnosis._diagnose import Diagnosis
 from orchestrator.diagnosis.conventions import convention_words
 from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
-from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.selection.identifiability import parted_by
 from orchestrator.numerics.frames import to_dq
 from orchestrator.presentation.names import parameter_words
@@ -126,14 +126,14 @@ def _gain(diagnosis: Diagnosis) -> str:
     ladder = diagnosis.report.ladder
     if len(ladder) < 2:
         return "nothing was added"
-    before, after = ladder[0], ladder[-1]
+    before, after, noise = ladder[0], ladder[-1], diagnosis.report.noise_floor
     fits = [diagnosis.search.steps[0].fit, diagnosis.search.fit]
     if before.heldout_rms_v is None or after.heldout_rms_v is None:
         told = f"error {quantity(before.rms_v, 'V')} -> {quantity(after.rms_v, 'V')}"
-        floor = noise_rms_v(fits[1])
+        floor = noise.rms_v
     else:
         told = f"held-out error {quantity(before.heldout_rms_v, 'V')} -> {quantity(after.heldout_rms_v, 'V')}"
-        floor = noise_rms_v(fits[1], held_out)
+        floor = noise.heldout_rms_v
     resistances = " -> ".join(quantity(fit.model.r_s, "ohm", 4) for fit in fits)
     gauges = [f"{a.candidate.effect.gauge.rstrip('.')}." for a in fits[1].model.active if a.candidate.effect.gauge]
     said = f"{told} (noise {quantity(floor, 'V')}); the model's R_s {resistances}"

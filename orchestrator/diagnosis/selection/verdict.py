@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.baseline import is_sharp
+from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.shares import left_of_excitation, unexplained_at_rest_v
 from protocols import Verdict
@@ -58,16 +60,19 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
 
 def _is_strained(fit: Fit) -> bool:
     """Whether a form is bent further than such effects are: where something is left, it stands in for another one."""
-    limit = fit.criteria.selection.strained
-    return any(abs(a.off_prior(n)) > limit for a in fit.model.active for n in a.bent_by)
+    return any(_strain(a, a.bent_by) > fit.criteria.selection.strained for a in fit.model.active)
 
 
 def most_strained(fit: Fit) -> str | None:
     """The effect whose form is furthest from where such effects have theirs; None where none is too far."""
-    forms = {a.name: [n for n in a.free if n not in a.candidate.amplitudes] for a in fit.model.active}
-    off = {a.name: max(abs(a.off_prior(n)) for n in forms[a.name]) for a in fit.model.active if forms[a.name]}
-    most = max(off, key=lambda name: off[name], default=None)
-    return most if most is not None and off[most] > fit.criteria.selection.strained else None
+    strains = {a.name: _strain(a, [n for n in a.free if n not in a.candidate.amplitudes]) for a in fit.model.active}
+    most = max(strains, key=lambda name: strains[name], default=None)
+    return most if most is not None and strains[most] > fit.criteria.selection.strained else None
+
+
+def _strain(active: Active, names: Iterable[str]) -> float:
+    """How far some numbers of an effect are from where such effects have them, in standard deviations of the prior."""
+    return max((abs(active.off_prior(n)) for n in names), default=0.0)
 
 
 def remainder(fit: Fit) -> float:
