@@ -123,6 +123,9 @@ class FittingCriteria(Strict):
     """Spline intervals on each axis that are laid through a given map."""
     least_range: float = _is(0.05, "1", "practice")
     """Range of the map on an axis where no current flowed, as a part of the other's."""
+    beyond_map: float = _is(0.005, "1", "practice")
+    """How far currents may leave the map, as a part of its range, before it is made wider: there it goes on linearly,
+    and where a rotor lies is known after the map was laid."""
     finer_above_chi2: float = _is(1.03, "1", "theory")
     """chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
     finer_below_chi2: float = _is(10.0, "1", "simulated")

@@ -9,6 +9,7 @@ roughness.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -106,12 +107,14 @@ class EvenSpline:
         return np.repeat(x, ny), np.tile(y, nx)
 
     def on(self, other: EvenSpline, coefficients: Array) -> Array:
-        """Coefficients in another basis over the same rectangle, by least squares along each variable."""
+        """Coefficients in another basis, by least squares along each; beyond this one slopes go on linearly."""
         many = 8 * np.maximum(self.cells, other.cells)
-        x = np.linspace(self.low, self.high, many[0])
-        y = np.linspace(-self.reach, self.reach, many[1])
-        first = np.linalg.lstsq(other._along_first(x), self._along_first(x), rcond=None)[0]
-        second = np.linalg.lstsq(other._along_second(y), self._along_second(y), rcond=None)[0]
+        x = np.linspace(other.low, other.high, many[0])
+        y = np.linspace(-other.reach, other.reach, many[1])
+        own_first = _continued(self._along_first, x, self.low, self.high)
+        own_second = _continued(self._along_second, y, -self.reach, self.reach)
+        first = np.linalg.lstsq(other._along_first(x), own_first, rcond=None)[0]
+        second = np.linalg.lstsq(other._along_second(y), own_second, rcond=None)[0]
         full = coefficients.reshape(self.functions)[:, self.fold]
         return np.ascontiguousarray((first @ full @ second.T)[:, : other.functions[1]]).reshape(-1)
 
@@ -192,6 +195,13 @@ def _values(u: Array, cells: int, order: int) -> Array:
     out = np.zeros((len(u), cells + DEGREE))
     np.put_along_axis(out, cell[:, None] + np.arange(_SUPPORT), powers @ (CARDINAL[:, order:] * falling).T, axis=1)
     return out
+
+
+def _continued(along: Callable[[Array, int], Array], x: Array, low: float, high: float) -> Array:
+    """The splines along one variable, each a parabola beyond its range."""
+    edge = np.clip(x, low, high)
+    beyond = (x - edge)[:, None]
+    return along(edge, 0) + beyond * (along(edge, 1) + 0.5 * beyond * along(edge, 2))
 
 
 def _squared_derivatives(cells: int, step: float) -> list[Array]:

@@ -12,14 +12,40 @@ from plugins.effects._vectors import doubles
 from protocols import RealArray
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _weights(rate: float) -> tuple[float, float]:
+    """What a lag keeps of itself over an interval of so many time constants, and takes of a change within it."""
+    decay = math.exp(-rate)
+    return decay, 1.0 - (1.0 - decay) / rate
+
+
 @njit(cache=True, nogil=True)
-def low_pass(x: Array, decay: float) -> Array:
-    """y_k+1 = decay y_k + (1 - decay)(x_k + x_k+1)/2 on each column of (n, m), from y_0 = x_0."""
+def low_pass(x: Array, rate: float) -> Array:
+    """First-order lag of each column of (n, m), from y_0 = x_0; exact for what is linear between samples.
+
+    `rate` is the sampling interval in time constants.
+    """
+    decay, part = _weights(rate)
     y = np.empty_like(x)
     for m in range(x.shape[1]):
         y[0, m] = x[0, m]
         for k in range(1, x.shape[0]):
-            y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * 0.5 * (x[k - 1, m] + x[k, m])
+            y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * x[k - 1, m] + part * (x[k, m] - x[k - 1, m])
+    return y
+
+
+@njit(cache=True, nogil=True)
+def high_pass_means(x: Array, rate: float) -> Array:
+    """Mean over each interval of x less its lag, the last interval's as the one before; exact as `low_pass`.
+
+    By the lag's own equation, tau y' = x - y, that is what y changes by, over the interval in time constants.
+    """
+    y = low_pass(x, rate)
+    last = x.shape[0] - 1
+    for m in range(x.shape[1]):
+        for k in range(last):
+            y[k, m] = (y[k + 1, m] - y[k, m]) / rate
+        y[last, m] = y[last - 1, m] if last > 0 else 0.0
     return y
 
 

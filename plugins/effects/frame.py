@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import ClassVar
 
 import numpy as np
@@ -110,5 +109,5 @@ def _torque_nm(signals: Signals) -> Array | None:
 
 def _late(x: Array, lag_s: float, signals: Signals) -> Array:
     """The same (n,) behind a first-order lag."""
-    decay = math.exp(-1.0 / (lag_s * signals.sampling_frequency_hz))
-    return np.asarray(low_pass(np.ascontiguousarray(x[:, None]), decay)[:, 0])
+    rate = 1.0 / (lag_s * signals.sampling_frequency_hz)
+    return np.asarray(low_pass(np.ascontiguousarray(x[:, None]), rate)[:, 0])

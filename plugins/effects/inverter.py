@@ -178,7 +178,7 @@ class DeadTime:
     gauge: ClassVar[str] = ""
 
     class Parameters(Knee):
-        voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-20.0, high=20.0)
+        voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-60.0, high=60.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=10.0, other_form=2.0)
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0, detail=True)
         grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
@@ -263,7 +263,7 @@ class DeviceDrop:
     gauge: ClassVar[str] = "The on-state resistance r_on equals R_s."
 
     class Parameters(Knee):
-        voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=5.0)
+        voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=20.0)
         threshold_a: float = shape("A", typical=0.03, prior_width=1.0, low=1e-3, high=1.0)
         growth: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=1.0)
         warming: float = refinement("1", neutral=0.0, prior_width=0.05, low=-0.5, high=0.5)

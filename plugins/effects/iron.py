@@ -48,7 +48,7 @@ class EddyCurrents:
         core_loss_ohm: float = amplitude(
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
-        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=3e-4, other_form=1e-4)
+        lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=3e-4, other_form=4e-5)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:

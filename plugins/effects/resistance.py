@@ -10,7 +10,7 @@ from numba import njit
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
-from plugins.effects._filters import low_pass
+from plugins.effects._filters import high_pass_means
 from plugins.effects._vectors import doubles, less_of_means
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
 
@@ -167,12 +167,12 @@ class SkinEffect:
         low_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
-        """Subtract what the extra resistance drops, at the mean current of each interval."""
+        """Subtract what the extra resistance drops in the mean of each interval."""
         rate = 2.0 * math.pi * p.corner_hz / signals.sampling_frequency_hz
         spread = math.sqrt(p.variance)
-        i = doubles(signals.i_ab)
-        fast = i - low_pass(i, math.exp(-rate * math.exp(-spread)))
+        # The readings' noise is fast, and would be multiplied.
+        i = doubles(signals.i_ab if signals.i_smooth_ab is None else signals.i_smooth_ab)
+        fast = high_pass_means(i, rate * math.exp(-spread))
         if spread > 0.0:
-            faster = i - low_pass(i, math.exp(-rate * math.exp(spread)))
-            fast = p.low_share * fast + (1.0 - p.low_share) * faster
-        return Correction(v_ab=less_of_means(signals.v_ab, fast, p.extra_ohm * np.eye(2)))
+            fast = p.low_share * fast + (1.0 - p.low_share) * high_pass_means(i, rate * math.exp(spread))
+        return Correction(v_ab=signals.v_ab - p.extra_ohm * fast)

@@ -61,9 +61,10 @@ class VoltageDelay:
 class CurrentFilter:
     """First-order lag of the current sensors: tau dm/dt = i - m [A], tau in s.
 
-    While tau is well below a sampling interval, a sample lags a current that is piecewise linear by tau times
-    its slope in the interval before: i = m + tau di/dt. Where it is long it falls with the ripple's frequency; a
-    delay of the voltage does not. A lead is none: a wrong declared delay is the voltage's.
+    A sample lags a current that is linear between samples by what is left of its lag before, and by its slope since:
+    d_k = E d_(k-1) + tau / T_s (1 - E) (i_k - i_(k-1)), d = i - m, E = exp(-T_s / tau). While tau is well below a
+    sampling interval that is tau times the slope, like a delay of the voltage; where it is long it falls with the
+    ripple's frequency, and a delay does not. A lead is none: a wrong declared delay is the voltage's.
     """
 
     name: ClassVar[str] = "current_filter"
@@ -74,7 +75,7 @@ class CurrentFilter:
     gauge: ClassVar[str] = ""
 
     class Parameters(EffectParameters):
-        time_constant_s: float = amplitude("s", typical=5e-6, prior_width=1e-5, low=0.0, high=3e-5)
+        time_constant_s: float = amplitude("s", typical=5e-6, prior_width=1e-5, low=0.0, high=1e-3)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The current before the lag."""
@@ -87,17 +88,21 @@ class CurrentFilter:
 
 @njit(cache=True, nogil=True)
 def _led(i_ab: Array, smooth_ab: Array, samples: float) -> Array:
-    """Vectors (n, 2) and so many samples of a smoother course's slope.
+    """Vectors (n, 2) before a first-order lag of so many samples, told by the slope of a smoother course.
 
     Where a model on trial leads the smooth current further away than the reading's own span, the reading leads it back.
     """
     out = np.empty_like(i_ab)
+    stays = math.exp(-1.0 / samples) if samples > 0.0 else 0.0
     for axis in range(2):
         span = np.max(i_ab[:, axis]) - np.min(i_ab[:, axis])
         before = 0.0
+        late = 0.0
         for k in range(i_ab.shape[0]):
             read = i_ab[k, axis]
             near = min(max(smooth_ab[k, axis], read - span), read + span)
-            out[k, axis] = read + (samples * (near - before) if k > 0 else 0.0)
+            if k > 0:
+                late = stays * late + samples * (1.0 - stays) * (near - before)
+            out[k, axis] = read + late
             before = near
     return out

@@ -188,11 +188,11 @@ def _flux_rows(grid: EvenSpline, i_dq: Array) -> Array:
 
 def fitted_baseline(setup: DiagnosisSetup) -> Fit:
     """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
-    part = with_detail(
-        setup,
-        setup.coarse_fitter,
-        setup.coarse_fitter.fit(baseline_model(setup, Saturated()), renewals=1),
-    )
+    coarsest = setup.coarse_fitter.fit(baseline_model(setup, Saturated()), renewals=1)
+    part = with_detail(setup, setup.coarse_fitter, coarsest)
+    if part.chi2_per_dof > setup.criteria.finer_below_chi2:
+        # It is not detail that is missing, and a fine map is bent to what is.
+        part = coarsest
     fit = setup.fitter.fit(part.model, renewals=0)
     # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
     worth_it = setup.criteria.finer_above_chi2 < fit.chi2_per_dof < setup.criteria.finer_below_chi2
@@ -201,10 +201,36 @@ def fitted_baseline(setup: DiagnosisSetup) -> Fit:
 
 def with_detail(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on the finest map that is worth its freedom; a knee may lie well between a finer one's nodes."""
+    fit = within_reach(setup, fitter, fit)
     for intervals in setup.criteria.intervals[1:]:
         finer = finer_map(setup, fitter, fit, (intervals, intervals))
         fit = fit if finer is None else finer
     return fit if min(fit.model.space.grid.cells) < setup.criteria.intervals[-1] else _sharper(setup, fitter, fit)
+
+
+def within_reach(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+    """The same model on a map as wide as the currents that the rotor sees where it lies.
+
+    The first map is as wide as they are where it is believed to lie. Beyond a map there is nothing to fit, however
+    well the wider one does.
+    """
+    grid, space = _reaching(fit), fit.model.space
+    if grid == space.grid or not space.is_free:
+        return fit
+    return fitter.fit(_on_grid(setup, fit, grid, space.roughness), steps=2, renewals=0)
+
+
+def _reaching(fit: Fit) -> EvenSpline:
+    """The fit's grid, or one that reaches all currents in its frame where some leave it by more than a little."""
+    grid = fit.model.space.grid
+    seen = [p.local.i_dq for p in fit.frame.pieces]
+    low, high = (float(side([side(i[:, 0]) for i in seen])) for side in (np.min, np.max))
+    q = max(float(np.abs(i[:, 1]).max()) for i in seen)
+    bearable = fit.criteria.fitting.beyond_map
+    inside = max(grid.low - low, high - grid.high) <= bearable * (grid.high - grid.low)
+    if inside and q <= (1.0 + bearable) * grid.reach:
+        return grid
+    return EvenSpline(min(low, grid.low), max(high, grid.high), max(q, grid.reach), grid.cells)
 
 
 def worth_its_freedom(trial: Fit, fit: Fit) -> bool:
@@ -228,8 +254,11 @@ def on_usual_map(setup: DiagnosisSetup, fit: Fit) -> Model:
 
 
 def _on_map(setup: DiagnosisSetup, fit: Fit, cells: tuple[int, int], roughness: float = 1.0) -> Model:
-    space = _free(setup, _grid(setup, cells), roughness)
-    return replace(fit.model, space=space, magnetics=fit.model.magnetics.on(space.grid))
+    return _on_grid(setup, fit, replace(fit.model.space.grid, cells=cells), roughness)
+
+
+def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float) -> Model:
+    return replace(fit.model, space=_free(setup, grid, roughness), magnetics=fit.model.magnetics.on(grid))
 
 
 def earns_its_sharpness(sharp: Fit, usual: Fit) -> bool:
@@ -261,7 +290,7 @@ def _sharpened(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int
     d, q = space.grid.cells
     finer = [next((n for n in limits.sharper_intervals if n > own), own) for own in (d, q)]
     for cells in (finer[0], q), (d, finer[1]):
-        if _grid(setup, cells).size <= limits.most_map_numbers:
+        if replace(space.grid, cells=cells).size <= limits.most_map_numbers:
             yield cells, space.roughness
     yield (d, q), min(limits.rougher * space.roughness, limits.roughest)
 

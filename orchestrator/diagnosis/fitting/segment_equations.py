@@ -71,6 +71,9 @@ class SegmentEquations:
         )
         if self.ripples:
             base = base.replaced({"v_ab": base.v_ab + taken_of_ripple(piece, base, model.magnetics)})
+        if old is not None:
+            # What a sensor's lag is told by, as good as it is known by now.
+            base = base.model_copy(update={"i_smooth_ab": old.base.i_smooth_ab})
         flux, seen = self._flux(piece, base, model)
         base = base.model_copy(update=flux)
         cascade = Cascade.of(base, model.active)

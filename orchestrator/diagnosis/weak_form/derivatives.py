@@ -1,7 +1,8 @@
 """Derivatives of the weak form by the co-energy's coefficients, from moments of the current in each spline cell.
 
 Within a cell of the map each spline is one polynomial, so a sum of grad B(i) over samples follows from sums of
-t_d^m t_q^n, m and n up to five: exact, and far cheaper than the splines at each sample.
+t_d^m t_q^n, m and n up to five: exact, and far cheaper than the splines at each sample. Beyond the map, where slopes
+go on linearly, the term that bends along both axes at once is left out.
 """
 
 from __future__ import annotations
@@ -35,7 +36,7 @@ def sum_basis(
     i_dq : array, shape (n, 2)
         Magnetising current in the true rotor frame.
     delta : array, shape (n,) or (0,)
-        True minus believed angle; the flux is turned back into the believed frame by its mean. Empty: zero.
+        True minus believed angle, by which the flux is turned back into the believed frame. Empty: zero.
     overlap : float
         How far beyond its cell a polynomial is still used, in cells: slopes part with its fourth power, 9e-5.
     """
@@ -43,13 +44,11 @@ def sum_basis(
     nq = (counts.shape[0] - 2 + 1) // 2
     out = np.zeros((hats, n_bins, 2, (counts[0] + 5) * nq))
     where = np.zeros((n_bins, 2), dtype=np.int64)
-    moments = np.zeros((n_bins, 2, 6, 6))
+    # Of the powers as they are and, where the rotor turns, times the cosine and the sine of its angle.
+    turns = delta.shape[0] > 0
+    moments = np.zeros((n_bins, 2, 2, 6, 6))
     waiting = np.zeros(n_bins, dtype=np.bool_)
-    cos = 1.0
-    sin = 0.0
-    if delta.shape[0] > 0:
-        cos = math.cos(delta.mean())
-        sin = math.sin(delta.mean())
+    cos_now, sin_now, cos_after, sin_after = 1.0, 0.0, 1.0, 0.0
     now = np.empty((2, 6))
     after = np.empty((2, 6))
     last_bin = -1
@@ -60,7 +59,7 @@ def sum_basis(
         if hats_before != span:
             for b in range(n_bins):
                 if waiting[b]:
-                    _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
+                    _flush(out, span, b, hats, where[b], moments[b], turns, numbers, counts, pieces)
                     waiting[b] = False
             span = hats_before
         b = bins[k]
@@ -71,7 +70,7 @@ def sum_basis(
         fresh = not waiting[b]
         inside = _within(u0, u1, where[b, 0], counts[0], overlap) and _within(v0, v1, where[b, 1], counts[1], overlap)
         if waiting[b] and not inside:
-            _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
+            _flush(out, span, b, hats, where[b], moments[b], turns, numbers, counts, pieces)
             fresh = True
         if fresh:
             where[b, 0] = min(max(math.floor(0.5 * (u0 + u1)), 0), counts[0] - 1)
@@ -79,20 +78,30 @@ def sum_basis(
             waiting[b] = True
         # The powers at the end of the last interval are those at the start of this one, if the cell is the same.
         if fresh or b != last_bin:
-            _powers(u0 - where[b, 0], v0 - where[b, 1], now)
-        _powers(u1 - where[b, 0], v1 - where[b, 1], after)
+            _powers(u0, where[b, 0], counts[0], now[0])
+            _powers(v0, where[b, 1], counts[1], now[1])
+        _powers(u1, where[b, 0], counts[0], after[0])
+        _powers(v1, where[b, 1], counts[1], after[1])
         last_bin = b
         w1 = place - hats_before
         w0 = 1.0 - w1
+        if turns:
+            cos_now, sin_now = math.cos(delta[k]), math.sin(delta[k])
+            cos_after, sin_after = math.cos(delta[k + 1]), math.sin(delta[k + 1])
         for m in range(6):
             for j in range(6):
-                z = after[0, m] * after[1, j] - now[0, m] * now[1, j]
-                moments[b, 0, m, j] += w0 * z
-                moments[b, 1, m, j] += w1 * z
+                x, y = now[0, m] * now[1, j], after[0, m] * after[1, j]
+                z = cos_after * y - cos_now * x
+                moments[b, 0, 0, m, j] += w0 * z
+                moments[b, 1, 0, m, j] += w1 * z
+                if turns:
+                    z = sin_after * y - sin_now * x
+                    moments[b, 0, 1, m, j] += w0 * z
+                    moments[b, 1, 1, m, j] += w1 * z
         now, after = after, now
     for b in range(n_bins):
         if waiting[b]:
-            _flush(out, span, b, hats, where[b], moments[b], cos, sin, numbers, counts, pieces)
+            _flush(out, span, b, hats, where[b], moments[b], turns, numbers, counts, pieces)
     return out
 
 
@@ -104,13 +113,15 @@ def _within(x0: float, x1: float, cell: int, cells: int, overlap: float) -> bool
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _powers(t: float, s: float, out: Array) -> None:
-    """1, t, ... t^5 and the same of s."""
-    out[0, 0] = 1.0
-    out[1, 0] = 1.0
+def _powers(u: float, cell: int, cells: int, out: Array) -> None:
+    """1, t, ... t^5 of a place within a cell; beyond the map their tangents at its edge, as the map's slopes go on."""
+    t = min(max(u, 0.0), float(cells)) - cell
+    beyond = u - cell - t
+    power = 1.0
+    out[0] = 1.0
     for p in range(1, 6):
-        out[0, p] = out[0, p - 1] * t
-        out[1, p] = out[1, p - 1] * s
+        out[p] = power * (t + p * beyond)
+        power *= t
 
 
 @njit(cache=True, nogil=True)
@@ -121,8 +132,7 @@ def _flush(
     hats: int,
     cell: NDArray[np.int64],
     moments: Array,
-    cos: float,
-    sin: float,
+    turns: bool,
     numbers: Array,
     counts: NDArray[np.int64],
     pieces: Array,
@@ -133,28 +143,30 @@ def _flush(
     slope = np.empty(6)
     for side in range(2):
         hat = span - 1 + side
-        m = moments[side]
-        for r in range(6 if 0 <= hat < hats else 0):
-            # Along d first: sums over the powers of t_d, with and without the derivative.
-            for j in range(6):
-                plain[j] = 0.0
-                slope[j] = 0.0
-                for a in range(6):
-                    plain[j] += pieces[r, a] * m[a, j]
-                for a in range(1, 6):
-                    slope[j] += pieces[r, a] * a * m[a - 1, j]
-            for s in range(6):
-                d = 0.0
-                q = 0.0
+        # Cosines' part of the flux along each axis stays on it, the sines' goes to the other.
+        for part in range(2 if turns else 1):
+            m = moments[side, part]
+            for r in range(6 if 0 <= hat < hats else 0):
+                # Along d first: sums over the powers of t_d, with and without the derivative.
                 for j in range(6):
-                    d += pieces[s, j] * slope[j]
-                for j in range(1, 6):
-                    q += pieces[s, j] * j * plain[j - 1]
-                d /= numbers[1]
-                q /= numbers[3]
-                col = (cell[0] + r) * nq + counts[2 + cell[1] + s]
-                out[hat, slot, 0, col] -= cos * d - sin * q
-                out[hat, slot, 1, col] -= sin * d + cos * q
-        for a in range(6):
-            for j in range(6):
-                m[a, j] = 0.0
+                    plain[j] = 0.0
+                    slope[j] = 0.0
+                    for a in range(6):
+                        plain[j] += pieces[r, a] * m[a, j]
+                    for a in range(1, 6):
+                        slope[j] += pieces[r, a] * a * m[a - 1, j]
+                for s in range(6):
+                    d = 0.0
+                    q = 0.0
+                    for j in range(6):
+                        d += pieces[s, j] * slope[j]
+                    for j in range(1, 6):
+                        q += pieces[s, j] * j * plain[j - 1]
+                    d /= numbers[1]
+                    q /= numbers[3]
+                    col = (cell[0] + r) * nq + counts[2 + cell[1] + s]
+                    out[hat, slot, part, col] -= d
+                    out[hat, slot, 1 - part, col] -= q if part == 0 else -q
+            for a in range(6):
+                for j in range(6):
+                    m[a, j] = 0.0

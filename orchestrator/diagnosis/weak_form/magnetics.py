@@ -46,7 +46,7 @@ class Magnetics:
         return self.grid.patches(self.coefficients)
 
     def on(self, grid: EvenSpline) -> Magnetics:
-        """The same co-energy on another grid over the same rectangle."""
+        """The same co-energy on another grid; beyond its own the flux goes on linearly."""
         return Magnetics(grid, self.grid.on(grid, self.coefficients))
 
 

@@ -45,7 +45,7 @@ def smooth_flux(
     psi_ab, smooth_ab : array
         In the stator frame, magnet included [Wb].
     i_smooth_ab : array
-        i + L^-1 (psi_smooth - psi(i)) [A].
+        i + L^-1 (psi_smooth - psi(i)) [A], no further from i than the largest i: a map on trial may be nearly flat.
     """
     n = psi_dq.shape[0]
     psi = np.empty((n, 2))
@@ -59,6 +59,9 @@ def smooth_flux(
         mean_d += inductance[k, 0] / n
         mean_q += inductance[k, 2] / n
     least = 1e-3 * mean_d * mean_q
+    largest = 0.0
+    for k in range(n):
+        largest = max(largest, math.hypot(i_ab[k, 0], i_ab[k, 1]))
     for k in range(n):
         c, s = turn[0 if rests else k]
         d = psi_dq[k, 0] + pm_flux
@@ -78,6 +81,9 @@ def smooth_flux(
         det = max(inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2, least)
         i_d = (inductance[k, 2] * step_d - inductance[k, 1] * step_q) / det
         i_q = (inductance[k, 0] * step_q - inductance[k, 1] * step_d) / det
+        bearable = largest / max(largest, math.hypot(i_d, i_q), 1e-300)
+        i_d *= bearable
+        i_q *= bearable
         current[k, 0] = i_ab[k, 0] + c * i_d - s * i_q
         current[k, 1] = i_ab[k, 1] + s * i_d + c * i_q
     return psi, out, current

@@ -80,6 +80,17 @@ def test_what_a_coarse_spline_is_a_finer_one_over_the_same_cells_is_too() -> Non
     assert_close(fine.rows(EVERYWHERE, 0, 0) @ coarse.on(fine, c), expected, 1e-11, of=c)
 
 
+def test_on_a_wider_rectangle_it_is_as_it_was_and_goes_on_as_a_parabola() -> None:
+    own, wider = EvenSpline(-3.0, 2.0, 4.0, (3, 4)), EvenSpline(-4.0, 3.0, 5.0, (60, 80))
+    c = own.squares()[0] + 0.1 * RANDOM.normal(size=own.size)
+    on_wider = own.on(wider, c)
+    inside = EVERYWHERE * 0.9
+    assert_close(wider.rows(inside, 0, 0) @ on_wider, own.rows(inside, 0, 0) @ c, 1e-4, of=c)
+    edge, beyond = np.array([[2.0, 1.0]]), np.array([[2.8, 1.0]])
+    value, slope, bend = (own.rows(edge, order, 0) @ c for order in range(3))
+    assert_close(wider.rows(beyond, 0, 0) @ on_wider, value + 0.8 * slope + 0.32 * bend, 1e-4, of=c)
+
+
 def test_differences_of_the_coefficients_are_mixed_derivatives() -> None:
     spline = EvenSpline(-3.0, 2.0, 4.0, (4, 6))
     x_squared, y_squared = spline.squares()

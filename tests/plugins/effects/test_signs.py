@@ -165,6 +165,23 @@ def test_sensor_lag_is_undone_on_a_triangle() -> None:
     assert np.abs(out.i_ab - true)[1:].max() < 0.1 * tau * np.abs(slope).max() * 2
 
 
+@pytest.mark.parametrize("samples", [0.2, 1.0, 3.0])
+def test_sensor_lag_of_any_length_is_undone_where_the_true_course_is_known(samples: float) -> None:
+    """The sensor's own equation in small steps, the current being straight between samples."""
+    signals, fine = _signals(), 500
+    true = np.stack([0.5 * np.abs(np.arange(400) % 20 - 10.0), np.zeros(400)], axis=1)
+    read = true.copy()
+    reading = float(true[0, 0])
+    for k in range(1, 400):
+        for x in true[k - 1, 0] + (true[k, 0] - true[k - 1, 0]) * (np.arange(fine) + 0.5) / fine:
+            reading += (x - reading) / (samples * fine)
+        read[k, 0] = reading
+    known = _reads(signals, read).model_copy(update={"i_smooth_ab": true})
+    out = _corrected(CurrentFilter(), known, time_constant_s=samples / FS)
+    # By half an explicit step, in which the current moves by so much.
+    assert np.abs(out.i_ab - true).max() < np.abs(np.diff(true, axis=0)).max() / fine
+
+
 def test_a_smooth_current_that_ran_away_does_not_take_the_reading_along() -> None:
     signals = _signals()
     away = signals.model_copy(update={"i_smooth_ab": 1e4 * np.random.default_rng(3).normal(size=(400, 2))})

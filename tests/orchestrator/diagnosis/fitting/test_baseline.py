@@ -22,15 +22,19 @@ from orchestrator.diagnosis.fitting.baseline import (
     map_space,
     on_usual_map,
     with_detail,
+    within_reach,
 )
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.motor_model import kept_model, restored
 from orchestrator.diagnosis.selection.forward_search import Step
+from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.recording import open_recording
 from plugins.drives.simulated import map_motor
+from plugins.effects.frame import RotorMisalignment
 from protocols import FluxMap, MotorModel, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
 from tests.support.tiny import run_tiny
@@ -104,6 +108,24 @@ def test_a_map_that_does_not_reach_the_recordings_currents_is_refused(setup: Dia
     far = _flux_map(1.0).model_copy(update={"i_d": np.linspace(50.0, 60.0, 15)})
     with pytest.raises(NotMeasuredError, match="does not cover"):
         given_model(setup, far)
+
+
+def test_a_map_is_made_as_wide_as_the_currents_where_the_rotor_lies(setup: DiagnosisSetup) -> None:
+    effect = RotorMisalignment()
+    library = scaled_library([effect], setup.prepared.manifest, ())
+    fit = setup.fitter.fit(baseline_model(setup, Saturated()), renewals=0)
+    assert within_reach(setup, setup.fitter, fit) is fit
+    turned = library[0].absent().moved("angle_rad", 4.0)
+    seen = setup.fitter.evaluate(fit.model.with_active([turned]), setup.fitter.frame(fit.model.with_active([turned])))
+    wider = within_reach(setup, setup.fitter, seen).model.space.grid
+    own = fit.model.space.grid
+    angle = turned.values["angle_rad"]
+    currents = np.concatenate([to_dq(p.signals.i_ab, p.segment.rotor_angle_rad + angle) for p in setup.prepared.pieces])
+    assert wider.low <= currents[:, 0].min() + 1e-9
+    assert wider.high >= currents[:, 0].max() - 1e-9
+    assert wider.reach >= np.abs(currents[:, 1]).max() - 1e-9
+    assert (wider.low, wider.high, wider.reach) != (own.low, own.high, own.reach)
+    assert wider.cells == own.cells
 
 
 def test_a_machine_that_is_linear_asks_for_no_finer_map(setup: DiagnosisSetup) -> None:

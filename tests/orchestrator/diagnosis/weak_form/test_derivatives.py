@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.diagnosis.weak_form.derivatives import sum_basis
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows, sum_intervals
-from orchestrator.numerics.tensor_spline import CARDINAL, EvenSpline
+from orchestrator.numerics.tensor_spline import CARDINAL, EvenSpline, derivatives
 from orchestrator.numerics.types import Array
 
 GRID = EvenSpline(-3.0, 3.0, 3.0, (5, 6))
@@ -25,11 +25,11 @@ def _largest_slope() -> float:
     return float(max(np.abs(GRID.rows(at, 1, 0)).max(), np.abs(GRID.rows(at, 0, 1)).max()))
 
 
-def _one_by_one(i_dq: Array, windows: Windows, turn: float) -> Array:
+def _one_by_one(i_dq: Array, windows: Windows, turn: Array | float) -> Array:
     """The same sums from the basis' slopes at each sample."""
     slopes = np.stack([GRID.rows(i_dq, 1, 0), GRID.rows(i_dq, 0, 1)], axis=1)
-    c, s = np.cos(turn), np.sin(turn)
-    steps = -np.diff(np.einsum("xy,nyk->nxk", np.array([[c, -s], [s, c]]), slopes), axis=0)
+    c, s = np.broadcast_arrays(np.cos(turn), np.sin(turn), np.zeros(len(i_dq)))[:2]
+    steps = -np.diff(np.einsum("xyn,nyk->nxk", np.array([[c, -s], [s, c]]), slopes), axis=0)
     sums = [
         sum_intervals(np.ascontiguousarray(steps[:, :, k]), windows.step, windows.hats, windows.bins, windows.n_bins)
         for k in range(GRID.size)
@@ -38,10 +38,10 @@ def _one_by_one(i_dq: Array, windows: Windows, turn: float) -> Array:
 
 
 @pytest.mark.parametrize("windows", [plain_windows(1999, 160.0), periodic_windows(1999, 500.0, 20.0, 40)])
-@pytest.mark.parametrize("turn", [0.0, 0.1])
-def test_sums_from_moments_are_sums_over_samples(windows: Windows, turn: float) -> None:
+@pytest.mark.parametrize("turn", [0.0, 0.1, 0.1 + 0.05 * np.sin(np.arange(2000) / 7.0)])
+def test_sums_from_moments_are_sums_over_samples(windows: Windows, turn: Array | float) -> None:
     i_dq = _current(2000)
-    delta = np.full(2000, turn) if turn else np.zeros(0)
+    delta = np.full(2000, turn) if np.any(turn) else np.zeros(0)
     numbers, counts = GRID.layout
     sums = sum_basis(i_dq, delta, windows.step, windows.hats, windows.bins, windows.n_bins, numbers, counts, CARDINAL)
     expected = _one_by_one(i_dq, windows, turn)
@@ -56,3 +56,23 @@ def test_without_overlap_hardly_anything_is_left() -> None:
     expected = _one_by_one(i_dq, windows, 0.0)
     # All but the half of an interval that ends in the next cell.
     np.testing.assert_allclose(sum_basis(*args, 0.0), expected, atol=2e-6 * _largest_slope())
+
+
+def test_beyond_the_map_the_sums_follow_its_slopes_that_go_on_linearly() -> None:
+    """Beyond one edge at a time: in a corner the kernel leaves out the term that bends along both."""
+    t = np.linspace(0.0, 1.0, 2000)[:, None]
+    windows = plain_windows(1999, 160.0)
+    assert windows is not None
+    numbers, counts = GRID.layout
+    c = np.random.default_rng(2).normal(size=GRID.size)
+    for centre in ([3.2, 0.5], [-3.2, 0.5], [0.5, 3.2]):
+        i_dq = np.array(centre) + 0.5 * np.concatenate([np.sin(6.0 * t), np.cos(9.0 * t)], axis=1) * [1.0, 0.3]
+        i_dq = i_dq if centre[0] != 0.5 else i_dq[:, ::-1] + [-2.7, 2.7]
+        steps = np.ascontiguousarray(-np.diff(derivatives(i_dq, GRID.patches(c), numbers)[0], axis=0))
+        expected = sum_intervals(steps, windows.step, windows.hats, windows.bins, windows.n_bins)
+        sums = sum_basis(
+            i_dq, np.zeros(0), windows.step, windows.hats, windows.bins, windows.n_bins, numbers, counts, CARDINAL
+        )
+        atol = 2.2 * OVERLAP**4 * _largest_slope() * float(np.abs(c).sum())
+        np.testing.assert_allclose(sums @ c, expected, atol=atol)
+        assert float(np.abs(expected).max()) > 20.0 * atol

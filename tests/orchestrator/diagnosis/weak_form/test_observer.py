@@ -47,3 +47,16 @@ def test_noise_is_less_by_the_readings_in_a_time_constant() -> None:
 def test_a_wrong_voltage_does_not_run_away() -> None:
     true, drawn = _observed()[0], _observed(bias_v=2.0)[1]
     np.testing.assert_allclose((drawn - true)[500:].mean(axis=0), 2.0 * TAU_S, rtol=0.02)
+
+
+def test_a_map_that_is_nearly_flat_leads_the_current_no_further_than_the_largest_reading() -> None:
+    i_dq = response(V_DQ, V_DQ.mean(axis=0) / R_S)
+    psi, inductance = TRUE_MAP.flux_and_inductance(i_dq)
+    i_ab, v_ab = to_ab(i_dq, ANGLE), to_ab(V_DQ, ANGLE)
+    turn = np.array([[math.cos(ANGLE), math.sin(ANGLE)]])
+    psi[500:600] += 0.1
+    inductance[500:600, 2] *= 1e-6
+    current = smooth_flux(psi, inductance, v_ab, i_ab, np.full(len(i_ab), R_S), turn, PM_WB, 1.0 / FS, TAU_S)[2]
+    off, largest = np.linalg.norm(current - i_ab, axis=1), float(np.linalg.norm(i_ab, axis=1).max())
+    assert off.max() <= largest * (1.0 + 1e-9)
+    np.testing.assert_allclose(off[500:600], largest, rtol=1e-9)
