@@ -74,7 +74,7 @@ def test_a_form_is_begun_again_without_what_ran_to_the_end_of_its_range() -> Non
     (step,) = with_free(free_model(), maker, DeviceDrop(), voltage_v=0.5).active
     soft = replace(step, values={**step.values, "softness": 1.0}).freeing("threshold_a", "softness")
     stuck = maker.fit(free_model().with_active([soft]))
-    assert stuck.chi2_per_dof > 100.0
+    assert stuck.chi2_per_dof > 3.0
     better = polished(maker, stuck, 1.0)
     assert better.chi2_per_dof < 1.2
     assert "growth" in better.model.active[0].free
