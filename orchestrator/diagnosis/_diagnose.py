@@ -330,7 +330,7 @@ def _remarks(
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
-    if verdict in ("explained", "mostly_explained") and chi2 > limits.noteworthy_chi2 and left.shape:
+    if verdict in ("explained", "mostly_explained") and chi2 - 1.0 > limits.noise_known and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=left.shape[0].group))
     if verdict == "clean" and chi2 > limits.detected_chi2:

@@ -208,9 +208,9 @@ class SelectionCriteria(Strict):
     """Part of the error (an amplitude) that may be left for ``explained``."""
     mostly_explained: float = _is(0.30, "1", "practice")
     """The same for ``mostly_explained``."""
-    explained_left: float = _is(1.0, "1", "simulated")
+    explained_left: float = _is(0.4, "1", "simulated")
     """Most of chi2 - 1, fitted or held out, that may be left for ``explained``, whatever there was at first: the right
-    effects in slightly other forms leave some 0.8, ..."""
+    effects at three times their usual size, in slightly other forms, leave 0.3 at most, ..."""
     mostly_left: float = _is(1.5, "1", "practice")
     """... and for ``mostly_explained``, ..."""
     immaterial_left: float = _is(4.0, "1", "practice")
@@ -225,10 +225,12 @@ class SelectionCriteria(Strict):
     """... and rms error of the simulated current over its range."""
     too_quiet_chi2: float = _is(0.8, "1", "theory")
     """chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
+    formless_left: float = _is(1.0, "1", "simulated")
+    """chi2 - 1 up to which what a search has found is taken for all there is, beyond which a form must be wrong."""
     strained: float = _is(4.0, "1", "simulated")
     """Standard deviations of its prior by which a refinement bends its effect's form further than such effects are."""
     noteworthy_chi2: float = _is(1.5, "1", "practice")
-    """chi2 per degree of freedom above which a note says that an explained recording is not free of error."""
+    """chi2 per degree of freedom that is left without an effect, above which that is no refinement of another's form."""
     log_evidence: float = _is(16.0, "nat", "theory")
     """Gain for an effect to be added: chance alone reaches this once in some 1e6 tries, and some twenty effects with
     shapes to choose from are tried on each recording."""

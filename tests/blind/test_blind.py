@@ -97,9 +97,12 @@ def test_the_right_thing_is_said(kind: str, index: int) -> None:
 @pytest.mark.parametrize(
     ("name", "large"),
     [
-        ("brake_compliance", {"twist": 0.015}),
+        ("brake_compliance", {"twist": 0.02}),
         ("hysteresis", {"loop_a": 0.04}),
         ("rotor_misalignment", {"angle": 0.087}),
+        ("skin_effect", {"skin_ohm": 5.0}),
+        ("eddy_currents", {"eddy_ohm": 300.0}),
+        ("current_filter", {"filter_s": 1e-4}),
     ],
 )
 def test_a_large_effect_leaves_no_more_than_a_small_one(name: str, large: dict[str, Any]) -> None:

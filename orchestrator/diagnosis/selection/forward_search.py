@@ -94,7 +94,7 @@ def forward(
     most : int, optional
         Effects that the model may have, where that is less than the criteria's. The search ends where many are missing.
     """
-    few, start = most is not None, len(steps[-1].fit.model.active)
+    few, start = most is not None, len(steps[0].fit.model.active)
     most = fitter.prepared.criteria.selection.most_effects if most is None else most
     search = Search(list(steps), rivals={name: list(tied) for name, tied in (rivals or {}).items()})
     # What did as well in the place of an accepted effect cannot be told to be there beside it.

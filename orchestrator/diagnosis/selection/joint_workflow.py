@@ -228,7 +228,7 @@ def formed_together(
 
 def _formless(fit: Fit) -> bool:
     """Whether so much is left beside all effects that a form must be wrong."""
-    return fit.chi2_per_dof > 1.0 + fit.criteria.selection.explained_left
+    return fit.chi2_per_dof > 1.0 + fit.criteria.selection.formless_left
 
 
 def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:

@@ -55,7 +55,7 @@ def settled(fitter: Fitter, fit: Fit) -> Fit:
 
     Else without those refinements that can be spared.
     """
-    best = fitter.fit(fit.model, fit.frame, steps=8, renewals=0, tolerance=3e-4)
+    best = fitter.fit(fit.model, fit.frame, steps=8, renewals=3, tolerance=3e-4)
     for index in range(len(best.model.active)):
         active = best.model.active[index]
         for spared in (active.bent_by, to_spare(best, active)):

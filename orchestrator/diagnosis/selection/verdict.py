@@ -31,17 +31,21 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     """
     if unexplained_at_rest_v(after) > 0.0:
         return "unknown_remains"
-    return _judged(before, after, effects, remainder(after))
+    return _judged(before, after, effects, remainder(after), after.criteria.selection.explained_left)
 
 
 def fitted_verdict(before: Fit, after: Fit) -> Verdict:
-    """The same of what was fitted alone, for decisions on names: what was held out judges them, and makes none."""
-    return _judged(before, after, len(after.model.active), after.chi2_per_dof - 1.0)
+    """The same of what was fitted alone, for decisions on names: what was held out judges them, and makes none.
 
-
-def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
+    A search may take for explained what is not yet good enough to be told so.
+    """
     limits = after.criteria.selection
-    if after.chi2_per_dof <= limits.detected_chi2 and left <= limits.explained_left:
+    return _judged(before, after, len(after.model.active), after.chi2_per_dof - 1.0, limits.formless_left)
+
+
+def _judged(before: Fit, after: Fit, effects: int, left: float, bearable: float) -> Verdict:
+    limits = after.criteria.selection
+    if after.chi2_per_dof <= limits.detected_chi2 and left <= bearable:
         return "explained" if effects else "clean"
     if not effects and left <= limits.noise_known and left_of_excitation(after) <= limits.material_voltage:
         return "clean"
@@ -51,7 +55,7 @@ def _judged(before: Fit, after: Fit, effects: int, left: float) -> Verdict:
         return "unknown_remains"
     if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
         return "unknown_remains"
-    if fraction <= limits.explained and left <= limits.explained_left:
+    if fraction <= limits.explained and left <= bearable:
         return "explained"
     immaterial = fraction <= limits.explained and left_of_excitation(after) <= limits.material_voltage
     forgiven = left <= limits.mostly_left or immaterial

@@ -141,7 +141,7 @@ def _after(
     for step in found:
         last = step is found[-1]
         frame = setup.fitter.frame(step.fit.model, fits[-1].fit.frame)
-        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=1 if last else 0, tolerance=3e-4)
+        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=2 if last else 0, tolerance=3e-4)
         fits.append(Step(step.added, fit, step.log_evidence))
     search = forward(setup.fitter, fits, library, rivals=quick.rivals)
     search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
@@ -173,15 +173,23 @@ def with_scatter_as_found(
 
 
 def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
-    """The first few effects of a part of the recording, on a finer map where that is what is missing."""
+    """The first few effects of a part of the recording, on a finer map where that is what is missing.
+
+    The largest effect is found on a map that it has not bent; what is small may be that map's own detail.
+    """
     part = setup.coarse_fitter.fit(steps[-1].fit.model, renewals=0)
-    most = len(part.model.active) + part.criteria.selection.few_effects
-    quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=most)
-    coarse_map = quick.fit.chi2_per_dof > setup.criteria.finer_above_chi2 and quick.fit.model.space.is_free
-    if quick.fit.model.active and coarse_map:
-        finer = with_detail(setup, setup.coarse_fitter, quick.fit)
-        return _finer(quick, finer, setup.coarse_fitter, library, most=most)
-    return quick
+    before = len(part.model.active)
+    quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=before + 1)
+    quick = _with_last(quick, _detailed(setup, quick.fit))
+    most = before + part.criteria.selection.few_effects
+    quick = _gone_on(quick, setup.coarse_fitter, library, most)
+    return _finer(quick, _detailed(setup, quick.fit), setup.coarse_fitter, library, most=most)
+
+
+def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
+    """A part's fit on a finer map, where effects leave more than noise on its own."""
+    coarse_map = fit.chi2_per_dof > setup.criteria.finer_above_chi2 and fit.model.space.is_free
+    return with_detail(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
 
 
 def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:
@@ -202,10 +210,21 @@ def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate
     """The search gone on from its last step on a finer map; as it was where the map is the same."""
     if fit is search.fit:
         return search
-    steps = [*search.steps[:-1], Step(search.steps[-1].added, fit, search.steps[-1].log_evidence)]
-    again = forward(fitter, steps, library, rivals=search.rivals, most=most)
+    return _gone_on(_with_last(search, fit), fitter, library, most)
+
+
+def _gone_on(search: Search, fitter: Fitter, library: Sequence[Candidate], most: int | None) -> Search:
+    """The search continued from its last step."""
+    again = forward(fitter, search.steps, library, rivals=search.rivals, most=most)
     again.traces = [*search.traces, *again.traces]
     return again
+
+
+def _with_last(search: Search, fit: Fit) -> Search:
+    """The search with another fit at its last step; as it was where that is the same."""
+    if fit is search.fit:
+        return search
+    return replace(search, steps=[*search.steps[:-1], replace(search.steps[-1], fit=fit)])
 
 
 def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:

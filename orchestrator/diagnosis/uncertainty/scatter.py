@@ -215,7 +215,7 @@ class Likelihood:
 def explained_by_scatter(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
     scatter = _likeliest_of(likelihood)
-    enough = scatter.chi2 <= 1.0 + likelihood.criteria.selection.explained_left
+    enough = scatter.chi2 <= 1.0 + likelihood.criteria.selection.formless_left
     return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
 
 
