@@ -230,7 +230,7 @@ class SelectionCriteria(Strict):
     strained: float = _is(4.0, "1", "simulated")
     """Standard deviations of its prior by which a refinement bends its effect's form further than such effects are."""
     noteworthy_chi2: float = _is(1.5, "1", "practice")
-    """chi2 per degree of freedom that is left without an effect, above which that is no refinement of another's form."""
+    """chi2 per degree of freedom left without an effect, above which that is no refinement of another's form."""
     log_evidence: float = _is(16.0, "nat", "theory")
     """Gain for an effect to be added: chance alone reaches this once in some 1e6 tries, and some twenty effects with
     shapes to choose from are tried on each recording."""

@@ -151,12 +151,14 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     # Not of a grid's first row or column, where the map would have to extrapolate.
     held_out = set(injections[2 :: cutting.held_out_every]) if len(injections) >= cutting.held_out_from else set()
     pieces: list[SegmentSignals] = []
+    short: list[Segment] = []
     for segment in segments:
         piece = _piece(recording, segment, segment.id in held_out, wanted.get(segment.id), cutting)
         if piece is None:
-            remarks.append(Remark.of("too_short", "{segment}: too short to be used", segment=segment.id))
+            short.append(segment)
         else:
             pieces.append(piece)
+    remarks += _too_short(short)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
     pieces.sort(key=lambda p: p.segment.start_s)
@@ -199,6 +201,16 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
         return piece
     read = {name: getattr(piece, name)[: stop * piece.averaged] for name in ("current_ab", "command_ab")}
     return replace(piece, signals=signals, windows=windows, **read)
+
+
+def _too_short(segments: Sequence[Segment]) -> list[Remark]:
+    """One remark for all segments of a stage that tell nothing."""
+    by_stage: dict[SegmentStage, list[str]] = {}
+    for segment in segments:
+        by_stage.setdefault(segment.stage, []).append(segment.id)
+    text = "{segment}: too short to be used"
+    names = (ids[0] if len(ids) == 1 else f"{ids[0]} to {ids[-1]} ({len(ids)})" for ids in by_stage.values())
+    return [Remark.of("too_short", text, segment=name) for name in names]
 
 
 def _thinned(

@@ -67,6 +67,16 @@ def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out(clean: Reco
     assert not any(p.held_out for p in prepare(clean, few).pieces if p.stage is SegmentStage.INJECTION)
 
 
+def test_what_is_too_short_is_said_once_a_stage(clean: Recording) -> None:
+    holds = clean.segments(SegmentStage.RESISTANCE)
+    longest = max(segment.samples for segment in holds)
+    made = prepare(clean, Criteria(weak_form=WeakFormCriteria(least_samples=longest + 1)))
+    said = [remark.text for remark in made.remarks if remark.code == "too_short"]
+    assert f"{holds[0].id} to {holds[-1].id} ({len(holds)}): too short to be used" in said
+    assert not any(holds[1].id in text for text in said)
+    assert len(said) < 4
+
+
 def test_a_part_to_search_in_keeps_points_evenly_spread_and_their_beginnings() -> None:
     made = prepared(plan())
     cutting = WeakFormCriteria(coarse_points=2, coarse_turn=0.5)
