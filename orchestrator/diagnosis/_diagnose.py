@@ -29,7 +29,7 @@ from orchestrator.diagnosis.reporting.findings import (
     said_by_effects,
     unexplained,
 )
-from orchestrator.diagnosis.reporting.ladder import current_error, held_out, kept_rungs, noise_rms_v, rung
+from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.expected import with_expected
 from orchestrator.diagnosis.selection.forward_search import Search
@@ -235,7 +235,9 @@ def _diagnosed(
     found = of_map + tuple(e for e in active if e.name not in search.minor)
     periodic = any(not line.switching for line in setup.fitter.noise.lines)
     error = current_error(last)
-    verdict = "unknown_remains" if periodic else verdict_of(first, last, len(found))
+    # As whoever reads the model back will find it, not as the search left it.
+    held = plain.fitter.hold(last.model)
+    verdict = "unknown_remains" if periodic else verdict_of(first, held, len(found))
     if verdict != "unknown_remains" and not can_tell(last, noise_rms_v(last), error):
         verdict = "cannot_tell"
     left = unexplained(plain, first.chi2_per_dof, last)
@@ -245,7 +247,7 @@ def _diagnosed(
     joint = joint_fit(setup.fitter, search, library)
     uncertainty = MapUncertainty.of(setup.fitter, sized, library)
     band_percent = 100.0 * uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
-    ladder = (*(rung(step) for step in search.steps[:-1]), *kept_rungs(plain, search.steps[-1:]))
+    ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
         _show(plain, search, ladder, on_step)
     report = DiagnosisReport(

@@ -71,9 +71,12 @@ class SegmentEquations:
         )
         if self.ripples:
             base = base.replaced({"v_ab": base.v_ab + taken_of_ripple(piece, base, model.magnetics)})
+        # A sensor's lag and skin effect are told by the current without noise: by that of before, or else of this flux.
         if old is not None:
-            # What a sensor's lag is told by, as good as it is known by now.
             base = base.model_copy(update={"i_smooth_ab": old.base.i_smooth_ab})
+        elif model.active:
+            quiet = self._flux(piece, base, model)[0]["i_smooth_ab"]
+            base = base.model_copy(update={"i_smooth_ab": quiet})
         flux, seen = self._flux(piece, base, model)
         base = base.model_copy(update=flux)
         cascade = Cascade.of(base, model.active)

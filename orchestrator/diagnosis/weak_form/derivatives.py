@@ -1,8 +1,8 @@
 """Derivatives of the weak form by the co-energy's coefficients, from moments of the current in each spline cell.
 
 Within a cell of the map each spline is one polynomial, so a sum of grad B(i) over samples follows from sums of
-t_d^m t_q^n, m and n up to five: exact, and far cheaper than the splines at each sample. Beyond the map, where slopes
-go on linearly, the term that bends along both axes at once is left out.
+t_d^m t_q^n, m and n up to five: exact, and far cheaper than the splines at each sample. Beyond the map slopes go on
+linearly, as the map's own do; off its corners these bend along both axes at once besides, and the map's do not.
 """
 
 from __future__ import annotations
