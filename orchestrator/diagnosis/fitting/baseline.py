@@ -224,7 +224,7 @@ def _reaching(fit: Fit) -> EvenSpline:
     """The fit's grid, or one that reaches all currents in its frame where some leave it by more than a little."""
     grid = fit.model.space.grid
     seen = [p.local.i_dq for p in fit.frame.pieces]
-    low, high = (float(side([side(i[:, 0]) for i in seen])) for side in (np.min, np.max))
+    low, high = min(float(i[:, 0].min()) for i in seen), max(float(i[:, 0].max()) for i in seen)
     q = max(float(np.abs(i[:, 1]).max()) for i in seen)
     bearable = fit.criteria.fitting.beyond_map
     inside = max(grid.low - low, high - grid.high) <= bearable * (grid.high - grid.low)

@@ -221,9 +221,7 @@ def _gone_on(search: Search, fitter: Fitter, library: Sequence[Candidate], most:
 
 
 def _with_last(search: Search, fit: Fit) -> Search:
-    """The search with another fit at its last step; as it was where that is the same."""
-    if fit is search.fit:
-        return search
+    """The search with this fit at its last step."""
     return replace(search, steps=[*search.steps[:-1], replace(search.steps[-1], fit=fit)])
 
 
