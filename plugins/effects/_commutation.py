@@ -5,29 +5,31 @@ as fast as the current i charges the output capacitances of both its devices, to
 i_k = C V_dc / t_d the swing just ends within t_d; below, the other switch cuts it short. In parts of t_d, the mean of
 the edge is late by
 
-    late(x) = 1 - r x where x <= 0,    1 - A(x) / x up to x = 1,    1 / (2x) beyond,    x = i / i_k
+    late = int_0^1 (1 - u) ds,    dq/ds = x = i / i_k,    u(q) the node's part of the bus, 0 <= q <= 1
 
-for the current i out of the leg at a falling edge and into it at a rising one; the leg loses
-V_dt (late(-x_rising) - late(x_falling)). A is the integral of the node's part u of the bus over the part x of the
-charge that has flown. With constant capacitances u = x and A = x^2 / 2. Those of junctions fall as v^-m with the
-voltage v across each, and are largest at both rails:
+for the current i out of the leg at a falling edge and into it at a rising one, s in parts of t_d, q the part of a
+swing's charge that has flown; the leg loses V_dt (late_rising - late_falling). With constant capacitances u = q. Those
+of junctions fall as v^-m with the voltage v across each, and are largest at both rails:
 
-    x(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
+    q(u) = (u^(1-m) + 1 - (1-u)^(1-m)) / 2
 
 Against its current, a leg's node stands until the switch that closes has taken that current over, which takes the
-longer the larger it is: r (B. J. Baliga, Fundamentals of Power Semiconductor Devices, doi:10.1007/978-0-387-47314-7).
+longer the larger it is: late = 1 - r x (B. J. Baliga, Fundamentals of Power Semiconductor Devices,
+doi:10.1007/978-0-387-47314-7).
 
 Source: S. M. Sze, K. K. Ng, Physics of Semiconductor Devices, section 2.2.2 (m = 1/2 of an abrupt junction, 1/3 of a
 graded one; more of a compensated one), doi:10.1002/0470068329.
 
 x is not of the mean current. Each leg's edge steps the voltage on the other phases; rises are about a quarter, falls
 about three quarters through a symmetric carrier's period. With the time of its edge, dead time included, known of every
-leg, the current in a swing is that of the valley or the peak before it and a ramp from every edge that comes before the
-swing ends. How late one edge is decides how late others are: few passes settle it.
+leg, the current in a swing is that of the valley or the peak before it, with a ramp from every edge that comes before
+the swing ends, less what the node's own rise takes. How late one edge is decides how late others are: few passes
+settle it.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 import numpy as np
@@ -38,57 +40,91 @@ from orchestrator.numerics.types import Array
 
 Legs = tuple[float, float, float]
 
+_SQRT3 = math.sqrt(3.0)
+
+QUICK = 3.0
+"""Knees: a swing that ends within an eighth of the dead time is told by its mean current."""
+
+STEPS = 5
+"""Of a swing by a constant current; twice as many are the fewest of a dead time."""
+
 PASSES = 4
-SETTLED = 5e-4
+SETTLED = 1e-3
 """Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
 
 
 @lru_cache(maxsize=32)
-def swung_early(grading: float, entries: int = 256) -> Array:
-    """Table of A(x) / x over x = 0..1: the part of the dead time that a swing which it cuts short is early."""
-    u = np.linspace(0.0, 1.0, 2049)[1:]
-    left, power = 1.0 - u, 1.0 - grading
-    x = 0.5 * (u**power + 1.0 - left**power)
-    below = 0.5 * (u + (u ** (1.0 + power) + left ** (1.0 + power) - 1.0) / (1.0 + power))
-    early = np.interp(np.linspace(0.0, 1.0, entries + 1), np.append(0.0, x), np.append(0.0, u - below / x))
-    return np.asarray(early, dtype=np.float64)
+def swing_course(grading: float, entries: int = 256) -> Array:
+    """Table of a node's part u of the bus over the part q = 0..1 of the charge of a whole swing that has flown."""
+    u = np.linspace(0.0, 1.0, 4097)
+    power = 1.0 - grading
+    charge = 0.5 * (u**power + 1.0 - (1.0 - u) ** power)
+    return np.asarray(np.interp(np.linspace(0.0, 1.0, entries + 1), charge, u), dtype=np.float64)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _early(x: float, table: Array) -> float:
-    """`swung_early` at x = 0..1."""
-    place = x * (table.shape[0] - 1)
-    m = min(int(place), table.shape[0] - 2)
-    return float(table[m] + (place - m) * (table[m + 1] - table[m]))
+def _node(q: float, course: Array) -> float:
+    """`swing_course` at q = 0..1."""
+    place = q * (course.shape[0] - 1)
+    m = min(int(place), course.shape[0] - 2)
+    return float(course[m] + (place - m) * (course[m + 1] - course[m]))
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _late(knees: float, leg: float, brake: float, before: float, takeover: float, early: Array) -> float:
+@njit(cache=True, nogil=True)
+def _late(
+    helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, takeover: float, course: Array
+) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
     Parameters
     ----------
-    knees : float
-        The current that helps the edge.
+    helping : float
+        The current [knees] that helps the edge at its command, but for what other legs' edges make of it.
+    pull : tuple
+        What a volt on each leg's terminal takes of it over a carrier's period; the leg's own first.
+    due : tuple
+        When the others' edges come after the command, told by the volts that a pulse gains by such a time.
+    volts : float
+        The same of the dead time.
     leg : float
         The leg's own dead time.
-    brake : float
-        By how much a swing of all the dead time brakes the current that drives it.
-    before : float
-        The delay as it was believed, which tells how long the swing is.
     takeover : float
         Of the dead time, that a switch takes to take over a knee's current.
-    early : array
-        See `swung_early`.
+    course : array
+        See `swing_course`.
     """
-    x = knees * leg
-    if x <= 0.0:
-        return leg - takeover * knees
-    swing = min(leg, 2.0 * before)
-    braked = 1.0 + brake * swing * swing
-    if x >= braked:
-        return leg * 0.5 * braked / x
-    return leg * (1.0 - _early(x / braked, early))
+    now = helping - pull[1] * max(0.0, -due[0]) - pull[2] * max(0.0, -due[1])
+    if now * leg > QUICK:
+        # As of an even swing: what the currents do within it is small.
+        width = volts / now
+        mean = helping - pull[1] * _ramp(due[0], width) - pull[2] * _ramp(due[1], width)
+        return (0.5 + pull[0] * volts / (24.0 * now * now)) / max(mean, 0.5 * now)
+    wait = volts * leg
+    then = helping - pull[1] * max(0.0, wait - due[0]) - pull[2] * max(0.0, wait - due[1])
+    if now + abs(volts * leg) * (abs(pull[1]) + abs(pull[2])) <= 0.0:
+        return leg - takeover * then
+    steps = math.ceil(STEPS * max(2.0, now * leg))
+    step = leg / steps
+    late, risen, charge, node = 0.0, 0.0, 0.0, 0.0
+    for m in range(steps):
+        i = _helping(helping, pull, due, volts * step * m, volts * risen)
+        half = min(max(charge + 0.5 * step * i, 0.0), 1.0)
+        i = _helping(helping, pull, due, volts * step * (m + 0.5), volts * (risen + 0.5 * step * node))
+        whole = max(charge + step * i, 0.0)
+        if whole >= 1.0:
+            part = (1.0 - charge) / (whole - charge)
+            return late + step * part * (0.5 - 0.5 * node)
+        middle = _node(half, course)
+        late += step * (1.0 - middle)
+        risen += step * middle
+        charge, node = whole, _node(whole, course)
+    return late - takeover * min(0.0, then)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _helping(helping: float, pull: Legs, due: tuple[float, float], since: float, risen: float) -> float:
+    """The current at a time after a command, told in volts like `due`, of a node that has risen for a time."""
+    return helping - pull[0] * risen - pull[1] * max(0.0, since - due[0]) - pull[2] * max(0.0, since - due[1])
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -102,6 +138,17 @@ def _ramp(start: float, width: float) -> float:
     return left * left * left / (3.0 * width * width)
 
 
+@njit(cache=True, nogil=True, inline="always")
+def _pulls(inductance: Array, scale: float) -> tuple[Legs, Legs, Legs]:
+    """By how much a volt on each leg's terminal moves each phase's current, over a time; a leg's own comes first."""
+    aa, ab, bb = inductance[0], inductance[1], inductance[2]
+    half = scale / (3.0 * (aa * bb - ab * ab))
+    own_a, across, other = 2.0 * half * bb, half * _SQRT3 * ab, half * 1.5 * aa
+    own_b, own_c = 0.25 * own_a + across + other, 0.25 * own_a - across + other
+    a_b, c_a, b_c = -0.5 * own_a - across, -0.5 * own_a + across, 0.25 * own_a - other
+    return (own_a, a_b, c_a), (own_b, b_c, a_b), (own_c, c_a, b_c)
+
+
 @njit(cache=True, nogil=True)
 def lost_at_edges(
     v_ab: Array,
@@ -109,10 +156,11 @@ def lost_at_edges(
     volts: Array,
     legs: Array,
     knees_per_a: float,
-    pull: Array,
+    inductance_ab: Array,
+    period_s: float,
     cycles: int,
     takeover: float,
-    early: Array,
+    course: Array,
 ) -> Array:
     """Voltage (n, 2) that dead time takes over each interval.
 
@@ -125,23 +173,23 @@ def lost_at_edges(
         Each leg's own dead time in parts of that.
     knees_per_a : float
         1 / i_k.
-    pull : array, shape (3, 3)
-        By how many knees a volt on one phase's terminal moves each current over a carrier's period.
+    inductance_ab : array, shape (n, 3) or (1, 3)
+        L_aa, L_ab, L_bb of the motor in the stator frame, at every interval or at all of them.
+    period_s : float
+        Of the carrier.
     cycles : int
         Carrier periods in an interval.
     takeover : float
         r: of the dead time, that a switch takes to take over the current of a knee.
-    early : array
-        See `swung_early`.
+    course : array
+        See `swing_course`.
     """
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    by_a = (pull[0, 0], pull[0, 1], pull[0, 2])
-    by_b = (pull[1, 1], pull[1, 2], pull[1, 0])
-    by_c = (pull[2, 2], pull[2, 0], pull[2, 1])
     up, down = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
     for k in range(n):
         after = min(k + 1, n - 1)
+        by_a, by_b, by_c = _pulls(inductance_ab[min(k, inductance_ab.shape[0] - 1)], knees_per_a * period_s)
         a, b, c = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
         per_cycle = knees_per_a / cycles
         step_a, step_b, step_c = phases_of(
@@ -153,13 +201,13 @@ def lost_at_edges(
             for _ in range(PASSES):
                 (a0, b0, c0), (a1, b1, c1) = up, down
                 a_up, a_down = _edges(
-                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], takeover, early
+                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], takeover, course
                 )
                 b_up, b_down = _edges(
-                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], takeover, early
+                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], takeover, course
                 )
                 c_up, c_down = _edges(
-                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], takeover, early
+                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], takeover, course
                 )
                 up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
                 moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
@@ -186,7 +234,7 @@ def _edges(
     volts: float,
     leg: float,
     takeover: float,
-    early: Array,
+    course: Array,
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
 
@@ -195,13 +243,10 @@ def _edges(
     drift = step
     for y in range(3):
         drift -= pull[y] * (commanded[y] - volts * (rises[y] - falls[y]))
-    swing_up, swing_down = volts * min(leg, 2.0 * rises[0]), volts * min(leg, 2.0 * falls[0])
     rising, falling = valley + 0.25 * drift, valley + 0.75 * drift
-    for y in range(1, 3):
-        ahead = 0.5 * (commanded[y] - commanded[0])
-        rising += pull[y] * _ramp(volts * rises[y] - ahead, swing_up)
-        falling += pull[y] * (ahead + volts * (rises[0] - rises[y]) - _ramp(volts * falls[y] + ahead, swing_down))
-    # The leg's own swing brakes the current that drives it.
-    brake = pull[0] * volts / 12.0
-    rise = _late(-rising, leg, brake, rises[0], takeover, early)
-    return rise, _late(falling, leg, brake, falls[0], takeover, early)
+    first, second = 0.5 * (commanded[1] - commanded[0]), 0.5 * (commanded[2] - commanded[0])
+    falling += pull[1] * (first + volts * (rises[0] - rises[1])) + pull[2] * (second + volts * (rises[0] - rises[2]))
+    up = (volts * rises[1] - first, volts * rises[2] - second)
+    down = (volts * falls[1] + first, volts * falls[2] + second)
+    rise = _late(-rising, pull, up, volts, leg, takeover, course)
+    return rise, _late(falling, pull, down, volts, leg, takeover, course)

@@ -9,10 +9,10 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from orchestrator.numerics.frames import from_two_phases
+from orchestrator.numerics.frames import from_two_phases, inductance_to_ab
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from plugins.effects._commutation import lost_at_edges, swung_early
+from plugins.effects._commutation import lost_at_edges, swing_course
 from plugins.effects._filters import lagged_steps
 from plugins.effects._vectors import doubles, less_constant
 from protocols import (
@@ -121,9 +121,6 @@ def _without_sign(
     return out
 
 
-_PHASES_RAD = np.arange(3) * 2.0 * np.pi / 3.0
-
-
 class Knee(EffectParameters):
     """How the step at zero current is rounded, beside the current within which it happens."""
 
@@ -200,10 +197,13 @@ class DeadTime:
         if p.switched > 0.0:
             # Current between samples hardly bends: two carrier periods stand for all of them.
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
-            pull = _pull(signals) / p.threshold_a
-            early = swung_early(p.grading)
+            motor_ab, period_s = _inductance(signals), 1.0 / signals.pwm_frequency_hz
+            course = swing_course(p.grading)
             takeover = p.takeover * p.threshold_a / (_rated_a(signals) or p.threshold_a)
-            lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, pull, cycles, takeover, early)
+            knees_per_a = 1.0 / p.threshold_a
+            lost = lost_at_edges(
+                commanded, i_ab, volts, legs, knees_per_a, motor_ab, period_s, cycles, takeover, course
+            )
             v_ab = v_ab - p.switched * lost
         return Correction(v_ab=v_ab)
 
@@ -229,15 +229,14 @@ def _rated_a(signals: Signals) -> float:
     return (signals.motor.rated_current_a if signals.motor is not None else None) or 0.0
 
 
-def _pull(signals: Signals) -> Array:
-    """By how much a volt on one phase's terminal moves each current over a carrier's period [A/V]; 0 if unknown."""
+def _inductance(signals: Signals) -> Array:
+    """L_aa, L_ab, L_bb in the stator frame [H], by the model or else the nameplate; endless where neither is known."""
+    if signals.inductance_ab is not None:
+        return doubles(signals.inductance_ab)
     motor = signals.motor
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
-        return np.zeros((3, 3))
-    phase = _PHASES_RAD - float(np.mean(signals.theta_rad))
-    d, q = np.cos(phase), -np.sin(phase)
-    inverse = d[:, None] * d / motor.d_inductance_h + q[:, None] * q / motor.q_inductance_h
-    return np.asarray(inverse / (1.5 * signals.pwm_frequency_hz), dtype=np.float64)
+        return np.array([[1e9, 0.0, 1e9]])
+    return inductance_to_ab(np.array([[motor.d_inductance_h, 0.0, motor.q_inductance_h]]), np.mean(signals.theta_rad))
 
 
 class DeviceDrop:

@@ -3,11 +3,12 @@
 Nothing here is the simulated drive's. A leg's node is a curve in time from its last command on, of which any stretch
 has a closed integral: a swing by the phase current is S-shaped, as of a capacitance that is largest at both rails,
 
-    node(t) = x - sin(2 pi x) / (2 pi),    x = t i / Q,    Q the charge of a whole swing,
+    node(t) = x - sin(2 pi x) / (2 pi),    dx/dt = i / Q,    Q the charge of a whole swing,
 
 cut short after the dead time by the other device; where no current helps, the other device turns on after the dead time
-and a delay that grows with the current. Drops follow the logarithm of the current. Between commands the plant goes in
-Runge-Kutta steps under the mean of each stretch.
+and a delay that grows with the current. A swing that takes long goes in short stretches, each by the current of its own
+time. Drops follow the logarithm of the current. Between commands the plant goes in Runge-Kutta steps under the mean of
+each stretch.
 """
 
 from __future__ import annotations
@@ -20,7 +21,9 @@ from numba import njit
 from tests.blind.plant import OLD_A, OLD_B, SQRT3, Array, Plant, advance
 
 SAG, DEVICE, EDGES, CARRIER = 22, 23, 24, 33
-"""Bus below its open voltage, heat of the devices, (time, direction, current) of three legs' last commands, parity."""
+"""Bus below its open voltage, heat of the devices, (time, direction, charge flown) of three legs' commands, parity."""
+SLOW, STRETCHES = 8.0, 12
+"""A swing that would take an eighth of the dead time or longer goes in so many stretches of dead time."""
 
 
 class Bridge(NamedTuple):
@@ -62,29 +65,59 @@ NO_BRIDGE = Bridge()
 
 
 @njit(cache=True, nogil=True)
-def swung(b: Bridge, dead_s: float, t: float, i: float) -> float:
-    """Integral of a node's rise from its command until t [s of full bus]; i is the current that helps it."""
-    if t <= 0.0:
-        return 0.0
-    if i <= 0.0:
-        return max(0.0, t - dead_s - b.slow_s_per_a * abs(i))
-    whole = b.charge_c / i
-    end = min(t, dead_s, whole)
-    area = 0.0
-    if whole > 0.0:
-        x = end / whole
-        area = whole * (0.5 * x * x + (math.cos(2 * math.pi * x) - 1.0) / (4 * math.pi * math.pi))
-    return area + max(0.0, t - min(dead_s, whole))
+def _forced(b: Bridge, dead_s: float, i: float) -> float:
+    """When the other device turns on, after the command; i is the current that helps."""
+    return dead_s + b.slow_s_per_a * max(0.0, -i)
 
 
 @njit(cache=True, nogil=True)
-def _node(b: Bridge, memory: Array, leg: int, start: float, stop: float) -> float:
-    """Mean of a node over a stretch, 0 to 1, after its last command."""
-    at, up, i = memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 1], memory[EDGES + 3 * leg + 2]
+def _area(x: float) -> float:
+    """Integral of a node's rise over the share of charge that has flown."""
+    return 0.5 * x * x + (math.cos(2 * math.pi * x) - 1.0) / (4 * math.pi * math.pi)
+
+
+@njit(cache=True, nogil=True)
+def swung(b: Bridge, dead_s: float, since: float, t: float, i: float, flown: float) -> float:
+    """Integral of a node's rise over t [s of full bus], which begins so long after its command; i helps it."""
+    free = min(max(_forced(b, dead_s, i) - since, 0.0), t)
+    rate = i / b.charge_c if b.charge_c > 0.0 else math.copysign(1e15, i)
+    then = min(max(flown + rate * free, 0.0), 1.0)
+    if abs(then - flown) < 1e-9:
+        return t - free + free * (flown - math.sin(2 * math.pi * flown) / (2 * math.pi))
+    swing = (then - flown) / rate
+    return t - free + (_area(then) - _area(flown)) / rate + (free - swing) * (1.0 if then == 1.0 else 0.0)
+
+
+@njit(cache=True, nogil=True)
+def _node(b: Bridge, memory: Array, leg: int, now: float, t: float, i: float) -> float:
+    """Mean of a node over a stretch, 0 to 1, after its last command; i flows out of the leg."""
+    at, up, flown = memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 1], memory[EDGES + 3 * leg + 2]
     dead_s = b.dead_a_s if leg == 0 else b.dead_s
     if up > 0.5:
-        return (swung(b, dead_s, stop - at, -i) - swung(b, dead_s, start - at, -i)) / (stop - start)
-    return 1.0 - (swung(b, dead_s, stop - at, i) - swung(b, dead_s, start - at, i)) / (stop - start)
+        return swung(b, dead_s, now - at, t, -i, flown) / t
+    return 1.0 - swung(b, dead_s, now - at, t, i, flown) / t
+
+
+@njit(cache=True, nogil=True)
+def _flow(b: Bridge, memory: Array, leg: int, now: float, t: float, i: float) -> None:
+    """The charge that a swing has moved after a stretch of this mean current."""
+    at, up, flown = memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 1], memory[EDGES + 3 * leg + 2]
+    helping = -i if up > 0.5 else i
+    left = _forced(b, b.dead_a_s if leg == 0 else b.dead_s, helping) - (now - at)
+    if left <= t:
+        flown = 1.0
+    elif b.charge_c > 0.0:
+        flown = min(max(flown + helping * t / b.charge_c, 0.0), 1.0)
+    elif helping > 0.0:
+        flown = 1.0
+    memory[EDGES + 3 * leg + 2] = flown
+
+
+@njit(cache=True, nogil=True)
+def _swings_slowly(b: Bridge, memory: Array, leg: int, now: float, i: float) -> bool:
+    dead_s = b.dead_a_s if leg == 0 else b.dead_s
+    waits = memory[EDGES + 3 * leg + 2] < 1.0 and now - memory[EDGES + 3 * leg] < dead_s
+    return waits and abs(i) * dead_s < SLOW * b.charge_c
 
 
 @njit(cache=True, nogil=True)
@@ -139,12 +172,14 @@ def go_through(
         then = settled if now < settled else b.half_s
         for leg in range(3):
             if due[leg] < b.half_s and due[leg] <= now and (memory[EDGES + 3 * leg + 1] > 0.5) != rising:
-                memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 2] = due[leg], i[leg]
+                memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 2] = due[leg], 0.0
                 memory[EDGES + 3 * leg + 1] = 1.0 if rising else 0.0
             if now < due[leg] < then:
                 then = due[leg]
+            if _swings_slowly(b, memory, leg, now, i[leg]):
+                then = min(then, now + b.dead_s / STRETCHES)
         t = then - now
-        high = (_node(b, memory, 0, now, then), _node(b, memory, 1, now, then), _node(b, memory, 2, now, then))
+        high = (_node(b, memory, 0, now, t, i_a), _node(b, memory, 1, now, t, i_b), _node(b, memory, 2, now, t, i[2]))
         bus, warm = p.bus_v - memory[SAG], 1.0 + b.v_per_k * memory[DEVICE]
         lost = (_drop(b, warm, i[0], high[0]), _drop(b, warm, i[1], high[1]), _drop(b, warm, i[2], high[2]))
         u_a, u_b, u_c = high[0] * bus - lost[0], high[1] * bus - lost[1], high[2] * bus - lost[2]
@@ -153,6 +188,8 @@ def go_through(
             loose, memory,
         )  # fmt: skip
         later = (memory[OLD_A], memory[OLD_B], -memory[OLD_A] - memory[OLD_B])
+        for leg in range(3):
+            _flow(b, memory, leg, now, t, 0.5 * (i[leg] + later[leg]))
         slope_a, slope_b = (later[0] - i_a) / t, (later[1] - i_b) / t
         drawn = 0.5 * (high[0] * (i[0] + later[0]) + high[1] * (i[1] + later[1]) + high[2] * (i[2] + later[2]))
         if b.source_ohm > 0.0:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numba import njit
 
 from orchestrator.diagnosis import diagnose_recording
 from orchestrator.recording import open_recording
@@ -60,7 +61,42 @@ def test_a_node_s_integral_is_that_of_its_curve(i: float) -> None:
     node = helped if i > 0 else (t >= dead_s + 1e-8 * abs(i)).astype(float)
     for end in (7000, 15000, 30000):
         area = float(np.trapezoid(node[: end + 1], t[: end + 1]))
-        assert swung(b, dead_s, float(t[end]), i) == pytest.approx(area, abs=2e-10)
+        assert swung(b, dead_s, 0.0, float(t[end]), i, 0.0) == pytest.approx(area, abs=2e-10)
+
+
+@njit(cache=True)
+def in_small_steps(legs: Array, dead_s: float, charge: float, periods: int, step: float) -> Array:
+    """Currents (periods, 2) at each valley of three nodes that the currents swing, by Euler's method."""
+    duty = 0.5 + (legs - 0.5 * (legs.max() + legs.min())) / BUS_V
+    out, i, up = np.zeros((periods, 2)), np.zeros(2), np.zeros(3)
+    since, flown, node = np.ones(3), np.ones(3), np.ones(3)
+    for k in range(round(periods * TS / step)):
+        abc = (i[0], 0.5 * (3**0.5 * i[1] - i[0]), -0.5 * (3**0.5 * i[1] + i[0]))
+        for leg in range(3):
+            wanted = 1.0 if abs(k * step % TS - 0.5 * TS) < duty[leg] * 0.5 * TS else 0.0
+            if wanted != up[leg]:
+                up[leg], since[leg], flown[leg] = wanted, 0.0, 0.0
+            helping = -abc[leg] if wanted else abc[leg]
+            flown[leg] = 1.0 if since[leg] >= dead_s else min(max(flown[leg] + helping * step / charge, 0.0), 1.0)
+            risen = flown[leg] - np.sin(2 * np.pi * flown[leg]) / (2 * np.pi)
+            node[leg] = BUS_V * (risen if wanted else 1.0 - risen)
+            since[leg] += step
+        i[0] += step / L_D * ((2 * node[0] - node[1] - node[2]) / 3 - R * i[0])
+        i[1] += step / L_Q * ((node[1] - node[2]) / 3**0.5 - R * i[1])
+        out[k // round(TS / step)] = i
+    return out
+
+
+@pytest.mark.parametrize("still_v", [(0.4, 0.3), (5.0, -2.0), (0.0, 40.0)])
+def test_nodes_that_swing_by_their_currents_go_as_in_steps_of_a_nanosecond(
+    linear: Table, still_v: tuple[float, float]
+) -> None:
+    dead_s, charge = 1.2e-6, 3e-8
+    read, _, _ = respond(EDGES._replace(dead_s=dead_s, dead_a_s=dead_s, charge_c=charge), linear, still(*still_v, 40))
+    v, u = still_v
+    legs = np.array([v, 0.5 * (3**0.5 * u - v), -0.5 * (3**0.5 * u + v)])
+    expected = in_small_steps(legs, dead_s, charge, 30, 1e-9)
+    np.testing.assert_allclose(read[1:31], expected, rtol=2e-3, atol=0.01 * charge / dead_s)
 
 
 def test_without_losses_the_bridge_gives_the_mean_voltage(linear: Table) -> None:

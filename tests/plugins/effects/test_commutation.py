@@ -7,7 +7,7 @@ import pytest
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
-from plugins.effects._commutation import lost_at_edges, swung_early
+from plugins.effects._commutation import lost_at_edges, swing_course
 from tests.support.cases import few
 
 BUS, PERIOD, STEP = 540.0, 1e-4, 1e-8
@@ -71,32 +71,17 @@ def test_the_kernel_agrees_with_legs_switched_step_by_step(
     commanded = VOLT * np.array(steps, dtype=np.float64)
     volts = DEAD * STEP / PERIOD * BUS
     knee = capacitance_f * BUS / (DEAD * STEP)
-    towards_d = np.cos(2.0 * np.pi / 3.0 * np.arange(3))
-    across = np.sin(2.0 * np.pi / 3.0 * np.arange(3))
-    pull = PERIOD / 1.5 * (np.outer(towards_d, towards_d) / L_D + np.outer(across, across) / L_Q)
+    motor = np.array([[L_D, 0.0, L_Q]])
     i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
-    early = swung_early(grading)
-    lost = to_phases(lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, pull / knee, 1, 0.0, early))[
-        0
-    ]
-    # How a swing's own course moves the currents is told as of an even one.
-    np.testing.assert_allclose(lost, commanded - mean, atol=(0.006 if grading == 0.0 else 0.018) * volts)
+    course = swing_course(grading)
+    told = lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, motor, PERIOD, 1, 0.0, course)
+    lost = to_phases(told)[0]
+    np.testing.assert_allclose(lost, commanded - mean, atol=0.006 * volts)
 
 
-@pytest.mark.parametrize("grading", [0.0, 1.0 / 3.0, 0.5, 0.8])
-def test_a_swing_is_half_the_bus_at_its_end_and_the_earlier_the_evener_its_capacitance(grading: float) -> None:
-    early, even = swung_early(grading), swung_early(0.0)
-    np.testing.assert_allclose(early[-1], 0.5, rtol=1e-6)
-    np.testing.assert_allclose(even, 0.5 * np.linspace(0.0, 1.0, len(even)), atol=2e-4)
-    assert (np.diff(early) >= 0.0).all()
-    assert (early <= even + 2e-4).all()
-
-
-@pytest.mark.parametrize("grading", [0.2, 0.5, 0.75])
-def test_the_part_of_a_swing_that_is_cut_short_is_the_integral_of_the_nodes_voltage(grading: float) -> None:
-    x, u = _swing(grading)
-    area = np.append(0.0, np.cumsum(0.5 * (u[1:] + u[:-1]) * np.diff(x)))
-    place = np.linspace(0.05, 1.0, 20)
-    early = swung_early(grading)
-    told = np.interp(place, np.linspace(0.0, 1.0, len(early)), early)
-    np.testing.assert_allclose(told, np.interp(place, x, area) / place, atol=2e-3)
+@pytest.mark.parametrize("grading", [0.0, 1.0 / 3.0, 0.5, 0.75])
+def test_a_node_follows_the_charge_of_its_capacitance(grading: float) -> None:
+    course, (x, u) = swing_course(grading), _swing(grading)
+    place = np.linspace(0.0, 1.0, len(course))
+    np.testing.assert_allclose(course, np.interp(place, x, u), atol=2e-3)
+    np.testing.assert_allclose(course + course[::-1], 1.0, atol=1e-6)
