@@ -23,14 +23,16 @@ graded one; more of a compensated one), doi:10.1002/0470068329.
 x is not of the mean current. Each leg's edge steps the voltage on the other phases; rises are about a quarter, falls
 about three quarters through a symmetric carrier's period. With the time of its edge, dead time included, known of every
 leg, the current in a swing is that of the valley or the peak before it, with a ramp from every edge that comes before
-the swing ends, less what the node's own rise takes. How late one edge is decides how late others are: few passes
-settle it.
+the swing ends, less what the node's own rise takes. In a microsecond a winding with its cable is not the inductance
+that it is in a carrier's period; how far it is, is a number of its own. How late one edge is decides how late others
+are: few passes settle it.
 """
 
 from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
@@ -53,27 +55,51 @@ SETTLED = 1e-3
 """Of the dead time: what an edge that is so much later does to the others is nothing beside their own knees."""
 
 
+class Swing(NamedTuple):
+    """What a leg's node does between a command and the end of its dead time."""
+
+    course: Array
+    """See `swing_course`."""
+    takeover: float = 0.0
+    """r: of the dead time, that a switch takes to take over the current of a knee."""
+    yielding: float = 0.0
+    """How far the currents go on within a swing as the inductance says; 0: they are those of the command."""
+
+
 @lru_cache(maxsize=32)
 def swing_course(grading: float, entries: int = 256) -> Array:
-    """Table of a node's part u of the bus over the part q = 0..1 of the charge of a whole swing that has flown."""
+    """Table of a node's part u of the bus over the part q = 0..1 of the charge of a whole swing that has flown, and of
+    its mean since q = 0; shape (2, entries + 1).
+    """
     u = np.linspace(0.0, 1.0, 4097)
     power = 1.0 - grading
     charge = 0.5 * (u**power + 1.0 - (1.0 - u) ** power)
-    return np.asarray(np.interp(np.linspace(0.0, 1.0, entries + 1), charge, u), dtype=np.float64)
+    q = np.linspace(0.0, 1.0, entries + 1)
+    # The integral of u over the charge is u q less that of q over u.
+    below = 0.5 * (u + (u ** (1.0 + power) + (1.0 - u) ** (1.0 + power) - 1.0) / (1.0 + power))
+    area = np.interp(q, charge, u * charge - below)
+    return np.stack([np.interp(q, charge, u), area / np.maximum(q, q[1])])
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _node(q: float, course: Array) -> float:
-    """`swing_course` at q = 0..1."""
-    place = q * (course.shape[0] - 1)
-    m = min(int(place), course.shape[0] - 2)
-    return float(course[m] + (place - m) * (course[m + 1] - course[m]))
+def _read(row: Array, q: float) -> float:
+    """A row of `swing_course` at q = 0..1."""
+    place = q * (row.shape[0] - 1)
+    m = min(int(place), row.shape[0] - 2)
+    return float(row[m] + (place - m) * (row[m + 1] - row[m]))
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _late_by(helping: float, leg: float, swing: Swing) -> float:
+    """`_late` by the current of the command alone."""
+    x = helping * leg
+    if x <= 0.0:
+        return leg - swing.takeover * helping
+    return 0.5 / helping if x >= 1.0 else leg * (1.0 - _read(swing.course[1], x))
 
 
 @njit(cache=True, nogil=True)
-def _late(
-    helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, takeover: float, course: Array
-) -> float:
+def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, swing: Swing) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
     Parameters
@@ -88,12 +114,13 @@ def _late(
         The same of the dead time.
     leg : float
         The leg's own dead time.
-    takeover : float
-        Of the dead time, that a switch takes to take over a knee's current.
-    course : array
-        See `swing_course`.
+    swing : Swing
     """
     now = helping - pull[1] * max(0.0, -due[0]) - pull[2] * max(0.0, -due[1])
+    if swing.yielding == 0.0:
+        return _late_by(now, leg, swing)
+    helping = now + swing.yielding * (helping - now)
+    pull = (swing.yielding * pull[0], swing.yielding * pull[1], swing.yielding * pull[2])
     if now * leg > QUICK:
         # As of an even swing: what the currents do within it is small.
         width = volts / now
@@ -102,7 +129,7 @@ def _late(
     wait = volts * leg
     then = helping - pull[1] * max(0.0, wait - due[0]) - pull[2] * max(0.0, wait - due[1])
     if now + abs(volts * leg) * (abs(pull[1]) + abs(pull[2])) <= 0.0:
-        return leg - takeover * then
+        return leg - swing.takeover * then
     steps = math.ceil(STEPS * max(2.0, now * leg))
     step = leg / steps
     late, risen, charge, node = 0.0, 0.0, 0.0, 0.0
@@ -114,11 +141,11 @@ def _late(
         if whole >= 1.0:
             part = (1.0 - charge) / (whole - charge)
             return late + step * part * (0.5 - 0.5 * node)
-        middle = _node(half, course)
+        middle = _read(swing.course[0], half)
         late += step * (1.0 - middle)
         risen += step * middle
-        charge, node = whole, _node(whole, course)
-    return late - takeover * min(0.0, then)
+        charge, node = whole, _read(swing.course[0], whole)
+    return late - swing.takeover * min(0.0, then)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -159,8 +186,7 @@ def lost_at_edges(
     inductance_ab: Array,
     period_s: float,
     cycles: int,
-    takeover: float,
-    course: Array,
+    swing: Swing,
 ) -> Array:
     """Voltage (n, 2) that dead time takes over each interval.
 
@@ -179,10 +205,7 @@ def lost_at_edges(
         Of the carrier.
     cycles : int
         Carrier periods in an interval.
-    takeover : float
-        r: of the dead time, that a switch takes to take over the current of a knee.
-    course : array
-        See `swing_course`.
+    swing : Swing
     """
     n = i_ab.shape[0]
     out = np.empty_like(v_ab)
@@ -201,13 +224,13 @@ def lost_at_edges(
             for _ in range(PASSES):
                 (a0, b0, c0), (a1, b1, c1) = up, down
                 a_up, a_down = _edges(
-                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], takeover, course
+                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
                 )
                 b_up, b_down = _edges(
-                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], takeover, course
+                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], swing
                 )
                 c_up, c_down = _edges(
-                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], takeover, course
+                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], swing
                 )
                 up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
                 moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
@@ -233,8 +256,7 @@ def _edges(
     falls: Legs,
     volts: float,
     leg: float,
-    takeover: float,
-    course: Array,
+    swing: Swing,
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
 
@@ -248,5 +270,5 @@ def _edges(
     falling += pull[1] * (first + volts * (rises[0] - rises[1])) + pull[2] * (second + volts * (rises[0] - rises[2]))
     up = (volts * rises[1] - first, volts * rises[2] - second)
     down = (volts * falls[1] + first, volts * falls[2] + second)
-    rise = _late(-rising, pull, up, volts, leg, takeover, course)
-    return rise, _late(falling, pull, down, volts, leg, takeover, course)
+    rise = _late(-rising, pull, up, volts, leg, swing)
+    return rise, _late(falling, pull, down, volts, leg, swing)

@@ -12,7 +12,7 @@ from numba import njit
 from orchestrator.numerics.frames import from_two_phases, inductance_to_ab
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from plugins.effects._commutation import lost_at_edges, swing_course
+from plugins.effects._commutation import Swing, lost_at_edges, swing_course
 from plugins.effects._filters import lagged_steps
 from plugins.effects._vectors import doubles, less_constant
 from protocols import (
@@ -163,6 +163,8 @@ class DeadTime:
     (`plugins.effects._commutation`). i_th is then C V_dc / t_d with C of both devices of a leg, the same at every PWM
     frequency, and i_th t_d the charge of a swing; `grading` is by which power their capacitances fall with the voltage,
     and `takeover` the part of the dead time by which an edge against the motor's rated current is later still.
+    `yielding` is how far the currents follow the edges within a swing itself as the inductance has them: 0 where they
+    are those of the command, 1 where a winding is its inductance in a microsecond, too.
     `leg_a_longer` and `leg_b_longer` are by how much of the mean dead time those legs' own is; leg c makes up for both.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
@@ -180,6 +182,7 @@ class DeadTime:
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0, detail=True)
         grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
         takeover: float = refinement("1", neutral=0.0, prior_width=0.05, low=0.0, high=1.0)
+        yielding: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.5)
         leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
         leg_b_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
 
@@ -198,12 +201,9 @@ class DeadTime:
             # Current between samples hardly bends: two carrier periods stand for all of them.
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
             motor_ab, period_s = _inductance(signals), 1.0 / signals.pwm_frequency_hz
-            course = swing_course(p.grading)
             takeover = p.takeover * p.threshold_a / (_rated_a(signals) or p.threshold_a)
-            knees_per_a = 1.0 / p.threshold_a
-            lost = lost_at_edges(
-                commanded, i_ab, volts, legs, knees_per_a, motor_ab, period_s, cycles, takeover, course
-            )
+            swing = Swing(swing_course(p.grading), takeover, p.yielding)
+            lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, motor_ab, period_s, cycles, swing)
             v_ab = v_ab - p.switched * lost
         return Correction(v_ab=v_ab)
 
