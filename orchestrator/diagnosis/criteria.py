@@ -229,6 +229,10 @@ class SelectionCriteria(Strict):
     """chi2 - 1 up to which what a search has found is taken for all there is, beyond which a form must be wrong."""
     strained: float = _is(4.0, "1", "simulated")
     """Standard deviations of its prior by which a refinement bends its effect's form further than such effects are."""
+    rare_size: float = _is(1.5, "1", "simulated")
+    """Standard deviations of its prior beyond which an effect is larger than most drives have it, ..."""
+    rare_count: int = _is(3, "1", "simulated")
+    """... and the number of such effects at once from which on something else may stand behind them."""
     noteworthy_chi2: float = _is(1.5, "1", "practice")
     """chi2 per degree of freedom left without an effect, above which that is no refinement of another's form."""
     log_evidence: float = _is(16.0, "nat", "theory")

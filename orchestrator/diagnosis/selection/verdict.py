@@ -74,6 +74,14 @@ def most_strained(fit: Fit) -> str | None:
     return most if most is not None and strains[most] > fit.criteria.selection.strained else None
 
 
+def rare_together(fit: Fit) -> list[str]:
+    """Effects larger than most drives have them, the largest first, where they are so many that it is suspicious."""
+    limits = fit.criteria.selection
+    sizes = {a.name: _strain(a, a.candidate.amplitudes) for a in fit.model.active}
+    large = sorted((n for n in sizes if sizes[n] > limits.rare_size), key=lambda n: sizes[n], reverse=True)
+    return large if len(large) >= limits.rare_count else []
+
+
 def _strain(active: Active, names: Iterable[str]) -> float:
     """How far some numbers of an effect are from where such effects have them, in standard deviations of the prior."""
     return max((abs(active.off_prior(n)) for n in names), default=0.0)

@@ -9,7 +9,8 @@ import pytest
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.delivery import objections_to
-from plugins.effects.resistance import WindingHeating
+from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
+from plugins.effects.sensors import CurrentGainMismatch, ThirdCurrentSensor
 from protocols import Verdict
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared
 
@@ -44,3 +45,13 @@ def test_a_form_that_no_such_effect_has_may_stand_in_while_something_unknown_rem
         bent = replace(fit, model=fit.model.with_active([active]))
         assert _codes(bent, "unknown_remains") == codes
         assert _codes(bent, "explained") == []
+
+
+def test_three_large_effects_at_once_may_be_another_that_acts_like_them(fit: Fit) -> None:
+    """A sensor that heard another phase was explained by gains 3 and 5 % off beside a resistance 5 % off."""
+    effects = (CurrentGainMismatch(), ThirdCurrentSensor(), PhaseResistanceImbalance())
+    library = scaled_library(effects, fit.prepared.manifest)
+    for off, codes in ((1.2, []), (1.8, ["rare_together"])):
+        active = [one.absent().freeing(*one.amplitudes).moved(one.amplitudes[0], off) for one in library]
+        assert _codes(replace(fit, model=fit.model.with_active(active)), "explained") == codes
+        assert _codes(replace(fit, model=fit.model.with_active(active[:2])), "explained") == []
