@@ -165,7 +165,8 @@ class DeadTime:
     and `takeover` the part of the dead time by which an edge against the motor's rated current is later still.
     `yielding` is how far the currents follow the edges within a swing itself as the inductance has them: 0 where they
     are those of the command, 1 where a winding is its inductance in a microsecond, too.
-    `leg_a_longer` and `leg_b_longer` are by how much of the mean dead time those legs' own is; leg c makes up for both.
+    `leg_a_longer` is by how much of the legs' mean leg a's own dead time is, which the other two make up for alike, and
+    `leg_b_over_c` by how much of it b's is above, and c's below theirs.
     Source: S.-G. Jeong, M.-H. Park, IEEE Trans. Ind. Electron. 38 (1991), doi:10.1109/41.88903.
     """
 
@@ -184,7 +185,7 @@ class DeadTime:
         takeover: float = refinement("1", neutral=0.0, prior_width=0.05, low=0.0, high=1.0)
         yielding: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.5)
         leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
-        leg_b_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
+        leg_b_over_c: float = refinement("1", neutral=0.0, prior_width=0.1, low=-1.5, high=1.5, detail=True)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
@@ -194,7 +195,7 @@ class DeadTime:
         volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
         commanded = v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
-        legs = np.maximum([1.0 + p.leg_a_longer, 1.0 + p.leg_b_longer, 1.0 - p.leg_a_longer - p.leg_b_longer], 0.0)
+        legs = np.maximum([1.0 + longer for longer in _longer(p)], 0.0)
         if p.switched < 1.0:
             v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p, legs)
         if p.switched > 0.0:
@@ -209,13 +210,19 @@ class DeadTime:
 
     def remarks(self, p: Parameters) -> list[Remark]:
         """Which leg's dead time is none of the others'."""
-        legs = {"a": p.leg_a_longer, "b": p.leg_b_longer, "c": -p.leg_a_longer - p.leg_b_longer}
+        legs = dict(zip("abc", _longer(p), strict=True))
         leg = max(legs, key=lambda one: abs(legs[one]))
         if abs(legs[leg]) < NOTEWORTHY_LEG:
             return []
         text = "leg {leg}'s is {percent:.2g} % {which} than the legs' mean: look at its gate driver"
         which = "longer" if legs[leg] > 0.0 else "shorter"
         return [Remark.of("leg_differs", text, leg=leg, percent=100.0 * abs(legs[leg]), which=which)]
+
+
+def _longer(p: DeadTime.Parameters) -> tuple[float, float, float]:
+    """By how much of the legs' mean dead time each one's own is longer."""
+    others = -0.5 * p.leg_a_longer
+    return p.leg_a_longer, others + p.leg_b_over_c, others - p.leg_b_over_c
 
 
 def _without_noise(signals: Signals) -> Array:

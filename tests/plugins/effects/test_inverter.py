@@ -96,7 +96,7 @@ def test_an_edge_against_the_current_is_the_later_the_larger_it_is(i_a: float, p
 def test_a_leg_with_more_dead_time_loses_more_and_its_neighbours_less(switched: float) -> None:
     signals = _signals(np.tile([2.0, 2.0, -4.0], (10, 1)), known=False)
     effect = DeadTime()
-    p = effect.Parameters(voltage_v=VOLTS, threshold_a=1e-3, switched=switched, leg_a_longer=0.3, leg_b_longer=-0.1)
+    p = effect.Parameters(voltage_v=VOLTS, threshold_a=1e-3, switched=switched, leg_a_longer=0.3, leg_b_over_c=0.05)
     v_ab = effect.correct(signals, p).v_ab
     assert v_ab is not None
     lost = to_phases(signals.v_ab - v_ab)[0]
@@ -169,11 +169,11 @@ def test_the_drops_size_is_that_at_the_rated_current() -> None:
 @pytest.mark.parametrize(
     ("a", "b", "said"),
     [
-        (0.32, -0.16, ["leg a's is 32 % longer than the legs' mean: look at its gate driver"]),
-        (0.05, 0.06, ["leg c's is 11 % shorter than the legs' mean: look at its gate driver"]),
-        (0.01, -0.02, []),
+        (0.32, 0.0, ["leg a's is 32 % longer than the legs' mean: look at its gate driver"]),
+        (0.05, 0.085, ["leg c's is 11 % shorter than the legs' mean: look at its gate driver"]),
+        (0.01, -0.015, []),
     ],
 )
 def test_a_leg_whose_dead_time_is_none_of_the_others_is_said(a: float, b: float, said: list[str]) -> None:
     effect = DeadTime()
-    assert [r.text for r in effect.remarks(effect.Parameters(leg_a_longer=a, leg_b_longer=b))] == said
+    assert [r.text for r in effect.remarks(effect.Parameters(leg_a_longer=a, leg_b_over_c=b))] == said
