@@ -108,15 +108,20 @@ class Active:
         """Refinements that are free."""
         return tuple(n for n in self.candidate.of_role(ParameterRole.REFINEMENT) if n in self.free)
 
-    def in_other_form(self) -> Active | None:
-        """The same at its second form, other refinements resting; None where it has but one, or stands nearer it."""
+    def in_other_form(self) -> list[Active]:
+        """The same at its second form, other refinements resting, and where there are such, with these as they are.
+
+        Nothing where it has but one form, or stands nearer the second.
+        """
         names = self.candidate.of_role(ParameterRole.REFINEMENT)
         named = self.candidate.named
         there = {n: x for n in names if (x := named(n).other_form) is not None}
         if all(abs(self.values[n] - x) <= abs(self.values[n] - named(n).neutral) for n, x in there.items()):
-            return None
-        mere = self.resting(*names).freeing(*(n for n in there if not named(n).detail))
-        return replace(mere, values={**mere.values, **there})
+            return []
+        leading = [n for n in there if not named(n).detail]
+        mere, bent = self.resting(*names).freeing(*leading), self.freeing(*leading)
+        forms = [mere, bent] if any(n not in there for n in self.bent_by) else [mere]
+        return [replace(form, values={**form.values, **there}) for form in forms]
 
     @cached_property
     def parameters(self) -> EffectParameters:

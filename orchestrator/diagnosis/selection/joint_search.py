@@ -51,7 +51,7 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
     for other in (c.absent_in_other_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
-        model = fit.model.with_active([other if a.name == other.name else a for a in fit.model.active])
+        model = _with_form(fit.model, other)
         if glanced(fitter, model, fit).chi2_per_dof <= limits.hopeless_form * fit.chi2_per_dof:
             trial = briefly_refitted(fitter, model, fit)
             fit = trial if trial.objective < fit.objective else fit
@@ -168,18 +168,21 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
         return fit
     for one in fit.model.active:
         # A form that has not been bent is the better of both as it is.
-        other = one.in_other_form() if one.bent_by else None
-        if other is None:
+        others = one.in_other_form() if one.bent_by else []
+        models = [_with_form(fit.model, form) for form in others]
+        left = [glanced(fitter, model, fit).chi2_per_dof for model in models]
+        if not models or min(left) > limits.hopeless_form * fit.chi2_per_dof:
             continue
-        active = [other if a.name == one.name else a for a in fit.model.active]
-        model = fit.model.with_active(active)
-        if glanced(fitter, model, fit).chi2_per_dof > limits.hopeless_form * fit.chi2_per_dof:
-            continue
-        trial = refitted(fitter, model, fit)
+        trial = refitted(fitter, models[left.index(min(left))], fit)
         trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
         if _evidence_gain(trial, fit) > limits.tie:
             fit = trial
     return fit
+
+
+def _with_form(model: Model, form: Active) -> Model:
+    """The model with that effect in another form."""
+    return model.with_active([form if a.name == form.name else a for a in model.active])
 
 
 def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
