@@ -58,3 +58,15 @@ def test_what_rests_is_neutral_and_not_free_and_all_else_is_as_it_was() -> None:
     assert bent.bent_by == ("softness", "wide")
     assert resting.bent_by == ("wide",)
     assert resting.free == tuple(name for name in bent.free if name != "softness")
+
+
+def test_a_second_form_begins_at_rest_and_with_what_the_first_was_bent_by() -> None:
+    (dead_time,) = scaled_library([DeadTime()], MANIFEST)
+    plain = dead_time.absent()
+    bent = plain.freeing("leg_a_longer").moved("leg_a_longer", 3.0)
+    (only,) = plain.in_other_form()
+    resting, keeping = bent.in_other_form()
+    assert only.values["switched"] == resting.values["switched"] == keeping.values["switched"] == 1.0
+    assert only.values["leg_a_longer"] == resting.values["leg_a_longer"] == 0.0
+    assert keeping.values["leg_a_longer"] == bent.values["leg_a_longer"]
+    assert keeping.in_other_form() == []
