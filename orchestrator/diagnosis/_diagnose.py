@@ -27,6 +27,7 @@ from orchestrator.diagnosis.reporting.findings import (
     found_effects,
     map_effects,
     said_by_effects,
+    said_of_sizes,
     unexplained,
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
@@ -264,6 +265,7 @@ def _diagnosed(
         remarks=(
             *_remarks(setup, search, verdict, left, doubtful),
             *said_by_effects(sized, {effect.name for effect in found}),
+            *said_of_sizes(last),
             *other_opinion(joint, active, last.criteria.selection),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,

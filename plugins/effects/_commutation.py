@@ -45,7 +45,7 @@ Legs = tuple[float, float, float]
 _SQRT3 = math.sqrt(3.0)
 
 QUICK = 3.0
-"""Knees: a swing that ends within an eighth of the dead time is told by its mean current."""
+"""Knees: a swing that ends within a third of the dead time is told by its mean current."""
 
 STEPS = 5
 """Of a swing by a constant current; twice as many are the fewest of a dead time."""
@@ -68,8 +68,9 @@ class Swing(NamedTuple):
 
 @lru_cache(maxsize=32)
 def swing_course(grading: float, entries: int = 256) -> Array:
-    """Table of a node's part u of the bus over the part q = 0..1 of the charge of a whole swing that has flown, and of
-    its mean since q = 0; shape (2, entries + 1).
+    """A node's part u of the bus over the part q = 0..1 of a swing's charge that has flown, and u's mean since q = 0.
+
+    Shape (2, entries + 1).
     """
     u = np.linspace(0.0, 1.0, 4097)
     power = 1.0 - grading

@@ -9,9 +9,10 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.findings import said_of_sizes
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
 from orchestrator.diagnosis.selection.shares import left_of_excitation
-from orchestrator.diagnosis.selection.verdict import most_strained, rare_together
+from orchestrator.diagnosis.selection.verdict import most_strained
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
@@ -112,12 +113,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     if verdict not in ("clean", "explained") and (name := most_strained(fit)):
         text = "{effect} has a form as no such effect has, and may stand in for what is unknown"
         against.append(Remark.of("strained_form", text, effect=name))
-    if large := rare_together(fit):
-        text = (
-            "{effects}: each is larger than most drives have it; one thing may act like all of them, as a sensor does "
-            "that hears another phase's current: measure at a second angle, too"
-        )
-        against.append(Remark.of("rare_together", text, effects=", ".join(large)))
+    against += said_of_sizes(fit)
     if band_percent > limits.widest_band_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))

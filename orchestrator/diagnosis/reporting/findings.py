@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import probabilities
 from orchestrator.diagnosis.selection.leftover import leftover_shape
 from orchestrator.diagnosis.selection.shares import Share, is_material
-from orchestrator.diagnosis.selection.verdict import left_fraction
+from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together
 from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
 from protocols import FoundEffect, ParameterValue, PluginError, Remark, ShapeShare, Unexplained
 
@@ -47,6 +47,16 @@ def found_effects(
             )
         )
     return tuple(sorted(effects, key=lambda effect: -(effect.share or 0.0)))
+
+
+def said_of_sizes(fit: Fit) -> list[Remark]:
+    """That more effects are large at once than is likely: one that is in no library may act like all of them."""
+    large = rare_together(fit)
+    text = (
+        "{effects}: each is larger than most drives have it; one thing may act like all of them, as a sensor does "
+        "that hears another phase's current: measure at a second angle, too"
+    )
+    return [Remark.of("rare_together", text, effects=", ".join(large))] if large else []
 
 
 def said_by_effects(fit: Fit, causes: Container[str]) -> list[Remark]:
