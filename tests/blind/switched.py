@@ -32,7 +32,7 @@ class Bridge(NamedTuple):
     half_s: float = 0.0
     """Half the carrier's period."""
     dead_a_s: float = 0.0
-    """Of leg a; the others' next."""
+    """Of leg a; the others' next, which is nil only where this is."""
     dead_s: float = 0.0
     charge_c: float = 0.0
     slow_s_per_a: float = 0.0
@@ -65,6 +65,11 @@ NO_BRIDGE = Bridge()
 
 
 @njit(cache=True, nogil=True)
+def _dead(b: Bridge, leg: int) -> float:
+    return b.dead_a_s if leg == 0 else b.dead_s
+
+
+@njit(cache=True, nogil=True)
 def _forced(b: Bridge, dead_s: float, i: float) -> float:
     """When the other device turns on, after the command; i is the current that helps."""
     return dead_s + b.slow_s_per_a * max(0.0, -i)
@@ -92,7 +97,7 @@ def swung(b: Bridge, dead_s: float, since: float, t: float, i: float, flown: flo
 def _node(b: Bridge, memory: Array, leg: int, now: float, t: float, i: float) -> float:
     """Mean of a node over a stretch, 0 to 1, after its last command; i flows out of the leg."""
     at, up, flown = memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 1], memory[EDGES + 3 * leg + 2]
-    dead_s = b.dead_a_s if leg == 0 else b.dead_s
+    dead_s = _dead(b, leg)
     if up > 0.5:
         return swung(b, dead_s, now - at, t, -i, flown) / t
     return 1.0 - swung(b, dead_s, now - at, t, i, flown) / t
@@ -103,7 +108,7 @@ def _flow(b: Bridge, memory: Array, leg: int, now: float, t: float, i: float) ->
     """The charge that a swing has moved after a stretch of this mean current."""
     at, up, flown = memory[EDGES + 3 * leg], memory[EDGES + 3 * leg + 1], memory[EDGES + 3 * leg + 2]
     helping = -i if up > 0.5 else i
-    left = _forced(b, b.dead_a_s if leg == 0 else b.dead_s, helping) - (now - at)
+    left = _forced(b, _dead(b, leg), helping) - (now - at)
     if left <= t:
         flown = 1.0
     elif b.charge_c > 0.0:
@@ -115,7 +120,7 @@ def _flow(b: Bridge, memory: Array, leg: int, now: float, t: float, i: float) ->
 
 @njit(cache=True, nogil=True)
 def _swings_slowly(b: Bridge, memory: Array, leg: int, now: float, i: float) -> bool:
-    dead_s = b.dead_a_s if leg == 0 else b.dead_s
+    dead_s = _dead(b, leg)
     waits = memory[EDGES + 3 * leg + 2] < 1.0 and now - memory[EDGES + 3 * leg] < dead_s
     return waits and abs(i) * dead_s < SLOW * b.charge_c
 

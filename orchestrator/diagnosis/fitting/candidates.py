@@ -108,7 +108,7 @@ class Active:
         """Refinements that are free."""
         return tuple(n for n in self.candidate.of_role(ParameterRole.REFINEMENT) if n in self.free)
 
-    def in_other_form(self) -> list[Active]:
+    def other_forms(self) -> list[Active]:
         """The same at its second form, other refinements resting, and where there are such, with these as they are.
 
         Nothing where it has but one form, or stands nearer the second.

@@ -168,7 +168,7 @@ def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
         return fit
     for one in fit.model.active:
         # A form that has not been bent is the better of both as it is.
-        others = one.in_other_form() if one.bent_by else []
+        others = one.other_forms() if one.bent_by else []
         models = [_with_form(fit.model, form) for form in others]
         left = [glanced(fitter, model, fit).chi2_per_dof for model in models]
         if not models or min(left) > limits.hopeless_form * fit.chi2_per_dof:

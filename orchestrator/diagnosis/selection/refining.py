@@ -116,8 +116,8 @@ def _forms(active: Active, fit: Fit) -> list[Active]:
     """
     if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
         return [active]
-    other, ended = active.in_other_form(), _at_an_end(active)
-    return [active, *other, *([active.resting(*ended)] if ended else [])]
+    ended = _at_an_end(active)
+    return [active, *active.other_forms(), *([active.resting(*ended)] if ended else [])]
 
 
 def _at_an_end(active: Active) -> list[str]:

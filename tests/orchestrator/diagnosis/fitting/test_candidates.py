@@ -64,9 +64,9 @@ def test_a_second_form_begins_at_rest_and_with_what_the_first_was_bent_by() -> N
     (dead_time,) = scaled_library([DeadTime()], MANIFEST)
     plain = dead_time.absent()
     bent = plain.freeing("leg_a_longer").moved("leg_a_longer", 3.0)
-    (only,) = plain.in_other_form()
-    resting, keeping = bent.in_other_form()
+    (only,) = plain.other_forms()
+    resting, keeping = bent.other_forms()
     assert only.values["switched"] == resting.values["switched"] == keeping.values["switched"] == 1.0
     assert only.values["leg_a_longer"] == resting.values["leg_a_longer"] == 0.0
     assert keeping.values["leg_a_longer"] == bent.values["leg_a_longer"]
-    assert keeping.in_other_form() == []
+    assert keeping.other_forms() == []
