@@ -33,6 +33,7 @@ from orchestrator.diagnosis.reporting.findings import (
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.expected import with_expected
+from orchestrator.diagnosis.selection.faint import with_faint
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
@@ -47,12 +48,13 @@ from orchestrator.diagnosis.selection.shares import (
     visited,
 )
 from orchestrator.diagnosis.selection.sufficiency import solvable
-from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_of
+from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together, verdict_of
 from orchestrator.diagnosis.selection.workflow import (
     ModelChoice,
     baseline_of,
     converged,
     map_steps,
+    no_sharper_than_asked,
     on_a_finer_map,
     pruned,
     search_effects,
@@ -224,8 +226,9 @@ def _diagnosed(
         spared: list[str] = []
     else:
         search = on_a_finer_map(setup, search, library)
-        search, spared = pruned(setup, converged(setup, search))
+        search, spared = pruned(setup, no_sharper_than_asked(setup, converged(setup, search)))
         search, doubtful = without_doubtful(setup, search)
+        search = with_faint(setup, search, library, {*spared, *search.traces})
     tell("how sure is what was found?")
     first, last, sized, plain = search.steps[0].fit, search.fit, search.sized, setup.unweighed
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
@@ -239,7 +242,8 @@ def _diagnosed(
     # As whoever reads the model back will find it, not as the search left it.
     held = plain.fitter.hold(last.model)
     verdict = "unknown_remains" if periodic else verdict_of(first, held, len(found))
-    if verdict != "unknown_remains" and not can_tell(last, noise_rms_v(last), error):
+    doubted = bool(rare_together(last)) or not can_tell(last, noise_rms_v(last), error)
+    if verdict != "unknown_remains" and doubted:
         verdict = "cannot_tell"
     left = unexplained(plain, first.chi2_per_dof, last)
     if periodic and not left.shape:

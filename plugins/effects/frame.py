@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import ClassVar
 
 import numpy as np
+from scipy.signal import cont2discrete, lfilter, lfilter_zi, ss2tf
 
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import low_pass
@@ -39,7 +41,8 @@ class BrakeCompliance:
     kappa is in electrical radians per Nm.
 
     A twist that follows the torque turns the magnet's flux and so induces a voltage. It lags the torque by the
-    time that the brake's inertia and friction ask for: without a lag it would be one more q-axis inductance.
+    time that friction asks for: without a lag it would be one more q-axis inductance. In the flexible form the rotor
+    has inertia and swings on the brake's spring, delta + lag_s delta' + inertia_s2 delta'' = kappa T_e.
     """
 
     name: ClassVar[str] = "brake_compliance"
@@ -52,13 +55,15 @@ class BrakeCompliance:
     class Parameters(EffectParameters):
         rad_per_nm: float = amplitude("rad/Nm", typical=0.005, prior_width=0.01, low=0.0, high=0.1)
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
+        inertia_s2: float = refinement("s^2", neutral=0.0, prior_width=1e-6, low=0.0, high=1e-3, other_form=3e-8)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Add the twist to the angle; without a flux in the signals there is no torque, and nothing changes."""
         torque = _torque_nm(signals)
         if torque is None:
             return Correction()
-        return Correction(theta_rad=signals.theta_rad + p.rad_per_nm * _late(torque, p.lag_s, signals))
+        twist = _swinging(torque, p.lag_s, p.inertia_s2, signals)
+        return Correction(theta_rad=signals.theta_rad + p.rad_per_nm * twist)
 
 
 class BrakeBacklash:
@@ -105,6 +110,19 @@ def _torque_nm(signals: Signals) -> Array | None:
         return None
     pairs = signals.motor.pole_pairs if signals.motor is not None else 1
     return np.asarray(1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0]), dtype=np.float64)
+
+
+def _swinging(x: Array, lag_s: float, inertia_s2: float, signals: Signals) -> Array:
+    """y (n,) of y + lag y' + inertia y'' = x, from rest at x_0; exact for what is linear between samples."""
+    if inertia_s2 == 0.0:
+        return _late(x, lag_s, signals)
+    # In y and its rate over the natural frequency both states are of one size, however fast they are.
+    natural = 1.0 / math.sqrt(inertia_s2)
+    state = np.array([[0.0, natural], [-natural, -lag_s * natural**2]])
+    force, seen, step = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]]), 1.0 / signals.sampling_frequency_hz
+    phi, gamma, out, through, _ = cont2discrete((state, force, seen, np.zeros((1, 1))), step, method="foh")
+    above, below = ss2tf(phi, gamma, out, through)
+    return np.asarray(lfilter(above[0], below, x, zi=lfilter_zi(above[0], below) * x[0])[0])
 
 
 def _late(x: Array, lag_s: float, signals: Signals) -> Array:

@@ -35,6 +35,7 @@ WITHIN = 0.2
 FAINT_EDGES = (0.02, 0.05, 0.1, 0.2)
 """Sizes, in units of the typical one, between which faint effects are counted apart."""
 FAINT_FIGURES = tuple(f"faint, {a:g} to {b:g} of typical: named" for a, b in itertools.pairwise(FAINT_EDGES))
+FAINT_LISTED = tuple(f"{figure}, or listed as smaller" for figure in FAINT_FIGURES)
 
 ABOUT_FOREIGN = {
     "foreign": "foreign: unknown flagged",
@@ -69,7 +70,7 @@ class Judgement:
     @property
     def wrong(self) -> list[str]:
         """Names of the figures that this answer misses, aside from how much of what is faint is found."""
-        return [name for name, right in self.right.items() if not right and name not in FAINT_FIGURES]
+        return [name for name, right in self.right.items() if not right and name not in (*FAINT_FIGURES, *FAINT_LISTED)]
 
 
 def judge(answer: Answer) -> Judgement:
@@ -146,22 +147,22 @@ def _short(value: float | None) -> str:
 
 def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     found = [_or_twins(case, effect) for effect in report["effects"]]
+    listed = [*found, *(_or_twins(case, effect) for effect in report.get("minor", ()))]
     names = [truth.name for truth in case.truths]
     unknown = report["verdict"] == "unknown_remains"
     right: dict[str, bool] = {}
     if case.kind == "clean":
-        right["clean: no false name"] = not found
+        right["clean: no false name"] = not listed
         right["clean: said to be clean"] = report["verdict"] == "clean"
     elif case.kind == "single":
         right["single: first name right"] = bool(found) and names[0] in found[0]
     elif case.kind == "clutter":
-        listed = set().union(*found, *(_or_twins(case, effect) for effect in report.get("minor", ())))
-        right["clutter: named, or listed as smaller"] = any(_alike(names[0], name) for name in listed)
+        right["clutter: named, or listed as smaller"] = any(_alike(names[0], name) for name in set().union(*listed))
         right["clutter: no false name"] = all(one & set(names) for one in found)
     elif case.kind == "ordinary":
         right["ordinary: no false name"] = all(one & set(names) for one in found)
     elif case.kind == "switched_clean":
-        right["switched, clean: no false name"] = not found
+        right["switched, clean: no false name"] = not listed
         right["switched, clean: said to be clean"] = report["verdict"] == "clean"
     elif case.kind == "switched":
         right["switched: no false name"] = all(one & {*names, *case.brought} for one in found)
@@ -174,12 +175,13 @@ def _right(case: Case, report: dict[str, Any]) -> dict[str, bool]:
     elif case.kind in ABOUT_FOREIGN:
         right[ABOUT_FOREIGN[case.kind]] = unknown or _in_the_rows(case, report) or _slow_leg_told(case, report)
     elif case.kind == "faint":
-        figure = FAINT_FIGURES[sum(case.truths[0].size > edge for edge in FAINT_EDGES[1:-1])]
-        right[figure] = bool(found) and names[0] in found[0]
-        right["faint: no wrong name"] = all(names[0] in one for one in found)
+        at = sum(case.truths[0].size > edge for edge in FAINT_EDGES[1:-1])
+        right[FAINT_FIGURES[at]] = bool(found) and names[0] in found[0]
+        right[FAINT_LISTED[at]] = any(names[0] in one for one in listed)
+        right["faint: no wrong name"] = all(names[0] in one for one in listed)
     elif case.kind == "nuisance":
         about = "nuisance: " + ("first name right" if names else "no false name")
-        right[about] = (bool(found) and names[0] in found[0]) if names else not found
+        right[about] = (bool(found) and names[0] in found[0]) if names else not listed
     if case.kind == "single":
         right["single: exact set"] = _matches(found, names)
     if case.kind not in ("left_out", *ABOUT_FOREIGN):

@@ -12,6 +12,7 @@ from tests.blind.score import (
     ABOUT_FOREIGN,
     ACCEPTED,
     FAINT_FIGURES,
+    FAINT_LISTED,
     FOUND_FIRST,
     SWITCHED_MAP,
     Judgement,
@@ -29,7 +30,7 @@ AIMS = {
     "left out: unknown flagged": "97 %",
     "foreign: unknown flagged": "90 %",
     "explained, and not flagged unknown": "99 %",
-    FAINT_FIGURES[1]: "95 % from 0.03 on",
+    FAINT_LISTED[1]: "95 % from 0.03 on",
     FAINT_FIGURES[2]: "95 %",
 }
 ORDER = (
@@ -40,7 +41,7 @@ ORDER = (
     ACCEPTED, "ordinary: no false name", "switched, clean: no false name", "switched, clean: said to be clean",
     f"switched, clean: {SWITCHED_MAP}", "switched: no false name", "switched: dead time within 20 %",
     f"switched: {SWITCHED_MAP}", "nuisance: no false name", "nuisance: first name right",
-    "faint: no wrong name", *FAINT_FIGURES, "too little to say: said so", "answered at all",
+    "faint: no wrong name", *FAINT_FIGURES, *FAINT_LISTED[:-1], "too little to say: said so", "answered at all",
 )  # fmt: skip
 
 

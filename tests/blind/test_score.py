@@ -51,8 +51,21 @@ def test_a_faint_effect_may_go_unnamed_but_not_by_another_name() -> None:
     unnamed, named, wrong = (judge(answered(case, found)) for found in (report(), report(name), report("hysteresis")))
     assert 0.02 <= case.truths[0].size <= 0.2
     assert unnamed.wrong == named.wrong == []
-    assert sum(named.right.values()) == sum(unnamed.right.values()) + 1
+    assert sum(named.right.values()) == sum(unnamed.right.values()) + 2
     assert "faint: no wrong name" in wrong.wrong
+
+
+def test_what_is_listed_as_smaller_is_a_name_like_others() -> None:
+    """Found where it is there, and false where it is not."""
+    case = draw_case("faint", 0, SEED)
+    smaller = report(case.truths[0].name, verdict="clean")
+    smaller |= {"minor": smaller["effects"], "effects": []}
+    listed, unnamed = judge(answered(case, smaller)), judge(answered(case, report(verdict="clean")))
+    assert sum(listed.right.values()) == sum(unnamed.right.values()) + 1
+    other = report("hysteresis", verdict="clean")
+    other |= {"minor": other["effects"], "effects": []}
+    assert "faint: no wrong name" in judge(answered(case, other)).wrong
+    assert "clean: no false name" in judge(answered(draw_case("clean", 0, SEED), other)).wrong
 
 
 def test_a_twin_counts_as_the_name() -> None:

@@ -98,6 +98,8 @@ def _needed(diagnosis: Diagnosis, found: FoundEffect) -> list[str]:
 
 def _cause(diagnosis: Diagnosis) -> str:
     report = diagnosis.report
+    if report.verdict == "clean" and report.minor:
+        return f"none that counts; {listed([e.name for e in report.minor])} shows, and is in the model"
     if report.verdict == "clean":
         return "none: the model fits within the noise"
     amplitudes = {a.name: a.candidate.amplitudes for a in diagnosis.search.fit.model.active}
@@ -148,6 +150,8 @@ def _next(diagnosis: Diagnosis) -> str:
     for found in diagnosis.report.effects:
         if needed := _needed(diagnosis, found):
             return f"no stage by itself; {listed(needed)} would tell {found.name} from {listed(found.twins)}"
+    if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
+        return "the same once more, the rotor locked at a second angle"
     if diagnosis.report.verdict == "unknown_remains":
         return "no experiment of the catalogue; look at the leftover's shape"
     if diagnosis.report.verdict == "mostly_explained":

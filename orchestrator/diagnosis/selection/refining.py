@@ -99,8 +99,8 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     active = fit.model.active[index]
     if fitter.effort.exhausted or set(active.candidate.of_role(ParameterRole.REFINEMENT)) <= set(active.free):
         return None
-    best = fit
-    for form in _forms(active, fit):
+    best = _bent(fitter, fit, index, active, fit, inflation) or fit
+    for form in _other_forms(active, best.model.active[index], fit):
         best = _bent(fitter, fit, index, form, best, inflation) or best
     if best is fit:
         return None
@@ -109,15 +109,16 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     return best if log_evidence(best, inflation) > log_evidence(fit, inflation) + tie else None
 
 
-def _forms(active: Active, fit: Fit) -> list[Active]:
-    """Where an effect's flexible form begins: as it is, and where more than noise is left at others.
+def _other_forms(active: Active, bent: Active, fit: Fit) -> list[Active]:
+    """Where else an effect's flexible form begins, where more than noise is left.
 
-    At its second form; and without what ran to the end of its range, which stood in for something else.
+    At its second form, also with what the first was bent by; and without what ran to the end of its range, which stood
+    in for something else.
     """
     if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
-        return [active]
+        return []
     ended = _at_an_end(active)
-    return [active, *active.other_forms(), *([active.resting(*ended)] if ended else [])]
+    return [*active.other_forms(), *bent.other_forms()[1:], *([active.resting(*ended)] if ended else [])]
 
 
 def _at_an_end(active: Active) -> list[str]:

@@ -9,9 +9,12 @@ from dataclasses import replace
 from orchestrator.diagnosis.fitting.baseline import (
     DiagnosisSetup,
     baseline_model,
+    earns_its_sharpness,
     fitted_baseline,
     freed_further,
     given_model,
+    is_sharp,
+    on_usual_map,
     with_detail,
 )
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, MAP_RUNGS, SATURATION, Active, Candidate
@@ -291,6 +294,15 @@ def converged(setup: DiagnosisSetup, search: Search) -> Search:
         fit = polished(setup.fitter, repolished(setup.fitter, fit), 1.0)
     steps = [*search.steps[:-1], Step(last.added, settled(setup.fitter, fit), last.log_evidence)]
     return Search(steps, search.traces, search.rivals, search.view)
+
+
+def no_sharper_than_asked(setup: DiagnosisSetup, search: Search) -> Search:
+    """The search with its last fit on a usual map, where a sharp one does hardly better now that all is known."""
+    fit = search.fit
+    if not fit.model.active or not is_sharp(fit):
+        return search
+    usual = setup.fitter.fit(on_usual_map(setup, fit), steps=8, renewals=2, tolerance=3e-4)
+    return search if earns_its_sharpness(fit, usual) else _with_last(search, usual)
 
 
 def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:

@@ -230,6 +230,25 @@ def test_brake_twists_with_the_torque() -> None:
     assert out.theta_rad[0] - 0.2 == pytest.approx(0.005 * 1.5 * 2 * 0.3 * i_q)
 
 
+@pytest.mark.parametrize("hz", [20.0, 159.0, 700.0])
+def test_a_rotor_swings_on_its_brake_as_a_spring_with_inertia_and_friction(hz: float) -> None:
+    """The torque's amplitude and phase, 1 / (1 + j w lag - w^2 inertia), once what began it has died away."""
+    n, lag_s, inertia_s2 = 4000, 4e-4, 1e-6
+    omega = 2.0 * math.pi * hz
+    time_s = np.arange(n) / FS
+    along = np.stack([np.cos(np.full(n, 0.2)), np.sin(np.full(n, 0.2))], axis=1)
+    signals = _reads(_signals(n), np.sin(omega * time_s)[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1))
+    signals = signals.model_copy(update={"psi_ab": 0.3 * along})
+    out = _corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=inertia_s2)
+    twist = 0.005 * 1.5 * 2 * 0.3 / (1.0 + 1j * omega * lag_s - omega**2 * inertia_s2)
+    expected = np.imag(twist * np.exp(1j * omega * time_s))
+    # A reading every 14th of a period is a chord of the sine.
+    assert_close((out.theta_rad - 0.2)[n // 2 :], expected[n // 2 :], 0.02, of=[abs(twist)])
+    light = _corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=1e-14)
+    without = _corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s)
+    assert_close(light.theta_rad, without.theta_rad, 1e-6, of=[abs(twist)])
+
+
 def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
     signals = _signals()
     out = _corrected(EddyCurrents(), signals, core_loss_ohm=1000.0)

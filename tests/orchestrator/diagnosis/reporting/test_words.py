@@ -53,6 +53,11 @@ def test_a_clean_recording_has_nothing_to_say(search: Search) -> None:
     assert words.to_decide == "nothing left to decide"
 
 
+def test_what_is_too_faint_to_be_a_cause_is_said(search: Search) -> None:
+    words = said(search, verdict="clean", effects=[], minor=[BIAS])
+    assert words.likely_cause == "none that counts; voltage_bias shows, and is in the model"
+
+
 def test_what_was_found_is_named_with_its_size_and_its_signature(search: Search) -> None:
     words = said(search)
     assert words.likely_cause == "voltage_bias (bias a 300.0 mV, 95 %: 299.0 to 301.0)"

@@ -8,8 +8,9 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.selection.refining import polished, settled, to_spare
+from orchestrator.diagnosis.selection.refining import _other_forms, polished, settled, to_spare
 from plugins.effects.inverter import DeadTime, DeviceDrop
+from plugins.effects.iron import Hysteresis
 from protocols import ParameterRole, Signals
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import Array, fitter, free_model, plan, prepared, with_voltage
@@ -78,6 +79,19 @@ def test_a_form_is_begun_again_without_what_ran_to_the_end_of_its_range() -> Non
     better = polished(maker, stuck, 1.0)
     assert better.chi2_per_dof < 1.2
     assert "growth" in better.model.active[0].free
+
+
+def test_a_second_form_is_also_begun_with_what_the_first_has_been_bent_by() -> None:
+    """Iron of many thresholds asks for two stops and for soft ones: neither is worth much without the other."""
+    maker = fitter(prepared(plan()))
+    (candidate,) = scaled_library([Hysteresis()], maker.prepared.manifest)
+    simple = candidate.absent().freeing("yield_wb")
+    bent = simple.moved("variance", 0.6).freeing("variance")
+    fit = maker.fit(free_model())
+    left = replace(fit, chi2=3.0 * fit.dof)
+    forms = [(form.values["softness"], form.values["variance"]) for form in _other_forms(simple, bent, left)]
+    assert forms == [(0.6, 0.0), (0.6, bent.values["variance"])]
+    assert _other_forms(simple, bent, replace(fit, chi2=1.0 * fit.dof)) == []
 
 
 def test_few_numbers_bend_a_form_and_details_wait() -> None:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting.baseline import is_sharp
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
-from orchestrator.diagnosis.selection.workflow import on_a_finer_map, pruned, with_its_scatter, without_doubtful
+from orchestrator.diagnosis.selection.workflow import (
+    no_sharper_than_asked,
+    on_a_finer_map,
+    pruned,
+    with_its_scatter,
+    without_doubtful,
+)
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from protocols import SegmentStage
@@ -82,3 +91,23 @@ def test_a_name_within_the_noise_has_to_do_more_than_a_finer_map(monkeypatch: py
     monkeypatch.setattr(workflow, "with_detail", lambda *_: finer)
     library = [a.candidate for a in named.model.active]
     assert [(step.added, step.fit) for step in on_a_finer_map(setup, search, library).steps] == [(None, finer)]
+
+
+@pytest.mark.parametrize("earned", [False, True])
+def test_a_map_that_was_made_sharp_for_an_effect_s_form_is_a_usual_one(
+    earned: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    maker = fitter(with_voltage(prepared(plan()), np.array([0.3, 0.0])))
+    first = maker.fit(free_model())
+    biased = with_free(first.model, maker, VoltageBias())
+    space = replace(first.model.space, roughness=9.0, prior=first.model.space.prior / 9.0)
+    usual, sharp = maker.fit(biased), maker.fit(replace(biased, space=space))
+    if earned:
+        monkeypatch.setattr(workflow, "earns_its_sharpness", lambda *_: True)
+    search = Search([Step(None, first), Step("voltage_bias", sharp, 20.0)])
+    after = no_sharper_than_asked(setup_of(maker), search)
+    assert is_sharp(sharp)
+    assert is_sharp(after.fit) == earned
+    assert after.fit.model.names == ("voltage_bias",)
+    asked_nothing = Search([Step(None, first), Step("voltage_bias", usual, 20.0)])
+    assert no_sharper_than_asked(setup_of(maker), asked_nothing) is asked_nothing
