@@ -212,8 +212,8 @@ class Hysteresis:
     aim by the part `overshoot` and back.
     In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
     `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
-    took for the earlier. With a `softness` they yield before their limits, outwards moving by
-    1 - (size / limit)^(1 / softness) of kappa psi.
+    took for the earlier. A third one between them may have `middle_share` of all. With a `softness` they yield before
+    their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
     Mech. Div. 102 (1976) 249.
     """
@@ -230,19 +230,20 @@ class Hysteresis:
         yield_wb: float = shape("Wb", typical=0.02, prior_width=1.0, low=5e-4, high=1.0)
         variance: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=2.5)
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
+        middle_share: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=0.8)
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * self._held(signals, p, np.zeros((2, 2))))
+        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * self._held(signals, p, np.zeros((3, 2))))
 
     def doubts(self, signals: Signals, p: Parameters) -> list[Correction]:
-        """What the iron may remember of before a segment, beside the way that is known: each stop along each axis."""
-        known, doubts = self._held(signals, p, np.zeros((2, 2))), []
-        for stop in range(2):
+        """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
+        known, doubts = self._held(signals, p, np.zeros((3, 2))), []
+        for stop in (0, 2):
             for axis in range(2):
-                off = np.zeros((2, 2))
+                off = np.zeros((3, 2))
                 off[stop, axis] = FORGOTTEN
                 more = self._held(signals, p, off) - known
                 doubts.append(Correction(i_m_ab=signals.i_m_ab - p.half_width_a * more))
@@ -250,19 +251,21 @@ class Hysteresis:
 
     def _held(self, signals: Signals, p: Parameters, off: Array) -> Array:
         """What the stops hold, shape (n, 2), of a half width."""
-        shares, apart = np.array([p.early_share, 1.0 - p.early_share]), math.sqrt(p.variance)
-        limits = shares * np.exp([-apart, apart])
+        rest, apart = 1.0 - p.middle_share, math.sqrt(p.variance)
+        shares = np.array([rest * p.early_share, p.middle_share, rest * (1.0 - p.early_share)])
+        limits = shares * np.exp([-apart, 0.0, apart])
+        there = shares > 0.0
         psi = _flux(signals)
         way = _way_here(signals, psi, p.overshoot)
         return np.asarray(
             _stops(
                 np.concatenate([way, psi]),
                 len(way),
-                shares / p.yield_wb,
-                limits / limits.sum(),
+                shares[there] / p.yield_wb,
+                limits[there] / limits.sum(),
                 # A hundredth power is as sharp as none, and costs one.
                 p.softness if p.softness > 1e-2 else 0.0,
-                off,
+                off[there],
             )
         )
 

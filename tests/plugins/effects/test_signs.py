@@ -366,6 +366,18 @@ def test_stops_that_hold_out_alike_are_one_however_they_share_and_else_yield_apa
     assert_close(fallen, expected, 0.02, of=expected)
 
 
+def test_a_third_stop_yields_between_the_two() -> None:
+    """Of 2 A/Wb half are the middle one's; the others yield at half and at twice its flux."""
+    form = {"middle_share": 0.5, "variance": math.log(2.0) ** 2}
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015, **form}, 0.2)
+    stiff, yields = np.array([0.5, 1.0, 0.5]), np.array([0.5, 1.0, 2.0])
+    limits = 0.03 * stiff * yields / (stiff @ yields)
+    falling = slice(3250, 3750)
+    swing = psi[3250] - psi[falling]
+    expected = np.minimum(swing[:, None] * stiff, 2.0 * limits).sum(axis=1)
+    assert_close(held[3250] - held[falling], expected, 0.02, of=expected)
+
+
 def test_a_soft_stop_yields_before_its_limit_and_the_softer_the_sooner() -> None:
     sizes = {"half_width_a": 0.03, "yield_wb": 0.015}
     psi, sharp = _loop(sizes, 0.2)
