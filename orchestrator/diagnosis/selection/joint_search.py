@@ -82,7 +82,7 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tupl
     fit = in_simpler_forms(fitter, in_better_form(fitter, fit))
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
     fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
-    fit = in_forms_still_asked_for(fitter, fit)
+    fit = in_forms_still_asked_for(fitter, in_better_form(fitter, fit, at_once=True))
     return fit, {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
 
 
@@ -158,20 +158,27 @@ def with_flexible_forms(fitter: Fitter, fit: Fit, share: float | None = None) ->
     return fit.model.with_active(active)
 
 
-def in_better_form(fitter: Fitter, fit: Fit) -> Fit:
+def in_better_form(fitter: Fitter, fit: Fit, *, at_once: bool = False) -> Fit:
     """The fit with those effects in their second form that do better so; no descent from the first leads there.
 
     It is as it was where the first forms leave nothing.
+
+    Parameters
+    ----------
+    at_once : bool
+        Only those that do better after one step; by default also those that are bent so as to stand in for it.
     """
     limits = fit.criteria.selection
     if fit.chi2_per_dof <= limits.detected_chi2:
         return fit
     for one in fit.model.active:
-        # A form that has not been bent is the better of both as it is.
-        others = one.other_forms() if one.bent_by else []
-        models = [_with_form(fit.model, form) for form in others]
-        left = [glanced(fitter, model, fit).chi2_per_dof for model in models]
-        if not models or min(left) > limits.hopeless_form * fit.chi2_per_dof:
+        models = [_with_form(fit.model, form) for form in one.other_forms()]
+        glances = [glanced(fitter, model, fit) for model in models]
+        left = [glance.chi2_per_dof for glance in glances]
+        promising = [glance.objective < fit.objective for glance in glances]
+        if one.bent_by and not at_once:
+            promising = [chi2 <= limits.hopeless_form * fit.chi2_per_dof for chi2 in left]
+        if not any(promising):
             continue
         trial = refitted(fitter, models[left.index(min(left))], fit)
         trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
