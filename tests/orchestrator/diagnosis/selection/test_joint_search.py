@@ -212,6 +212,20 @@ def test_a_form_that_was_bent_to_what_is_missing_is_begun_again_at_its_second() 
     assert better.chi2_per_dof < 0.5 * (1.0 + stuck.chi2_per_dof)
 
 
+def test_a_form_that_was_never_bent_is_begun_at_its_second_where_that_does_better_at_once() -> None:
+    made = prepared(plan(), noise_a=0.002)
+    library = scaled_library([DeadTime()], made.manifest)
+    for threshold_a, switched in ((2.0, 1.0), (0.1, 0.0)):
+        form = {"switched": 1.0, "grading": 0.5} if switched else {}
+        true = DeadTime.Parameters(voltage_v=2.0, threshold_a=threshold_a, **form)
+        maker = fitter(with_voltage(made, _lost_to(true, made)))
+        simple = refitted(maker, free_model().with_active([library[0].absent().moved("voltage_v", 0.25)]))
+        assert simple.model.active[0].bent_by == ()
+        better = in_better_form(maker, simple, at_once=True)
+        assert better.model.active[0].values["switched"] == pytest.approx(switched, abs=0.05)
+        assert (better.objective < simple.objective) == (switched > 0.0)
+
+
 def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: Fitter) -> None:
     library = scaled_library([DeadTime(), VoltageBias()], maker.prepared.manifest)
     both = together(maker, free_model(), library)
