@@ -166,21 +166,21 @@ def in_better_form(fitter: Fitter, fit: Fit, *, at_once: bool = False) -> Fit:
     Parameters
     ----------
     at_once : bool
-        Only those that do better after one step; by default also those that are bent so as to stand in for it.
+        Those that do better after one step; by default those that are bent so that they may stand in for it.
     """
     limits = fit.criteria.selection
     if fit.chi2_per_dof <= limits.detected_chi2:
         return fit
     for one in fit.model.active:
-        models = [_with_form(fit.model, form) for form in one.other_forms()]
+        # Before its end a search knows too little to tell two simple forms apart.
+        models = [_with_form(fit.model, form) for form in one.other_forms() if at_once or one.bent_by]
         glances = [glanced(fitter, model, fit) for model in models]
-        left = [glance.chi2_per_dof for glance in glances]
-        promising = [glance.objective < fit.objective for glance in glances]
-        if one.bent_by and not at_once:
-            promising = [chi2 <= limits.hopeless_form * fit.chi2_per_dof for chi2 in left]
-        if not any(promising):
+        best = min(range(len(glances)), key=lambda k: glances[k].objective, default=None)
+        if best is None or glances[best].chi2_per_dof > limits.hopeless_form * fit.chi2_per_dof:
             continue
-        trial = refitted(fitter, models[left.index(min(left))], fit)
+        if at_once and glances[best].objective >= fit.objective:
+            continue
+        trial = refitted(fitter, models[best], fit)
         trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
         if _evidence_gain(trial, fit) > limits.tie:
             fit = trial
