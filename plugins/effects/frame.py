@@ -112,14 +112,19 @@ def _torque_nm(signals: Signals) -> Array | None:
     return np.asarray(1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0]), dtype=np.float64)
 
 
+NO_TIME = 1e-3
+"""Of a sample period, a lag that is none; and no matrix exponential tells it beside a lag of many."""
+
+
 def _swinging(x: Array, lag_s: float, inertia_s2: float, signals: Signals) -> Array:
     """y (n,) of y + lag y' + inertia y'' = x, from rest at x_0; exact for what is linear between samples."""
-    if inertia_s2 == 0.0:
+    step = 1.0 / signals.sampling_frequency_hz
+    if inertia_s2 <= lag_s * NO_TIME * step:
         return _late(x, lag_s, signals)
     # In y and its rate over the natural frequency both states are of one size, however fast they are.
     natural = 1.0 / math.sqrt(inertia_s2)
     state = np.array([[0.0, natural], [-natural, -lag_s * natural**2]])
-    force, seen, step = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]]), 1.0 / signals.sampling_frequency_hz
+    force, seen = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
     phi, gamma, out, through, _ = cont2discrete((state, force, seen, np.zeros((1, 1))), step, method="foh")
     above, below = ss2tf(phi, gamma, out, through)
     return np.asarray(lfilter(above[0], below, x, zi=lfilter_zi(above[0], below) * x[0])[0])

@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
 from orchestrator.numerics.types import Array
@@ -247,6 +249,19 @@ def test_a_rotor_swings_on_its_brake_as_a_spring_with_inertia_and_friction(hz: f
     light = _corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=1e-14)
     without = _corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s)
     assert_close(light.theta_rad, without.theta_rad, 1e-6, of=[abs(twist)])
+
+
+@given(
+    hz=st.floats(1e3, 1e5),
+    lag_s=st.floats(math.log(1e-5), math.log(0.1)).map(math.exp),
+    inertia_s2=st.floats(math.log(1e-30), math.log(1e-3)).map(math.exp),
+)
+def test_a_rotor_at_rest_stays_at_rest_whatever_its_inertia(hz: float, lag_s: float, inertia_s2: float) -> None:
+    along = np.tile([math.cos(0.2), math.sin(0.2)], (400, 1))
+    signals = _reads(_signals(), 2.0 * np.stack([-along[:, 1], along[:, 0]], axis=1))
+    signals = signals.model_copy(update={"psi_ab": 0.3 * along, "sampling_frequency_hz": hz})
+    out = _corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=inertia_s2)
+    assert_close(out.theta_rad - 0.2, np.full(400, 0.005 * 1.5 * 2 * 0.3 * 2.0), 1e-6, of=[0.01])
 
 
 def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
