@@ -1,0 +1,251 @@
+"""Iron and magnets: each correction undoes the catalogue's equation."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
+from orchestrator.numerics.types import Array
+from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating
+from plugins.effects.timing import VoltageDelay
+from protocols import LossHistory
+from tests.plugins.effects.readings import FS, corrected, readings
+from tests.support.close import assert_close
+
+
+def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
+    signals = readings()
+    out = corrected(EddyCurrents(), signals, core_loss_ohm=1000.0)
+    eddy = (signals.v_ab[9] - 4.0 * signals.i_ab[10]) / 1000.0
+    np.testing.assert_allclose(signals.i_m_ab[10] - out.i_m_ab[10], eddy)
+
+
+@pytest.mark.parametrize("lag_s", [5e-6, 8e-5, 5e-4])
+def test_a_late_eddy_current_bends_between_samples_as_an_exponential(lag_s: float) -> None:
+    """Its mean over an interval, beside the mean of both ends, is in the resistive drop that the voltage loses."""
+    v = np.random.default_rng(2).normal(size=(400, 2))
+    signals = readings().model_copy(update={"v_ab": v, "i_ab": np.zeros((400, 2)), "i_m_ab": np.zeros((400, 2))})
+    out = corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s)
+    eddy = -out.i_m_ab
+    decay = math.exp(-1.0 / (lag_s * FS))
+    mean = v / 1000.0 + (eddy - v / 1000.0) * lag_s * FS * (1.0 - decay)
+    after = v / 1000.0 + (eddy - v / 1000.0) * decay
+    bend = 4.0 * (mean - 0.5 * (eddy + after))
+    assert_close((v - out.v_ab)[:-1], bend[:-1], 1e-9, of=bend)
+    assert_close(eddy[1:], after[:-1], 1e-12, of=eddy)
+
+
+@pytest.mark.parametrize(("lag_s", "part", "within"), [(0.0, 0.3, 1e-9), (5e-5, 0.5, 1e-9), (5e-5, 0.2, 0.1)])
+def test_eddies_behind_a_late_voltage_follow_what_it_was_at_the_reading(
+    lag_s: float, part: float, within: float
+) -> None:
+    """Beside an exponential through both voltages of each interval: exact without a lag, and at half of one."""
+    v = np.random.default_rng(2).normal(size=(400, 2))
+    nil = np.zeros((400, 2))
+    signals = readings().model_copy(update={"v_ab": v, "i_ab": nil, "i_m_ab": nil})
+    late = corrected(VoltageDelay(), signals, delay_s=part / FS)
+    eddy = -1000.0 * corrected(EddyCurrents(), late, core_loss_ohm=1000.0, lag_s=lag_s).i_m_ab
+    old, new = (math.exp(-share / (lag_s * FS)) if lag_s > 0.0 else 0.0 for share in (part, 1.0 - part))
+    expected = np.zeros((400, 2))
+    for k in range(1, 399):
+        midway = v[k - 1] + (expected[k] - v[k - 1]) * old
+        expected[k + 1] = v[k] + (midway - v[k]) * new
+    assert_close(eddy[60:], expected[60:], within, of=expected)
+
+
+def test_a_delay_that_the_drive_declares_is_felt_as_one_that_is_found() -> None:
+    signals = readings()
+    found = corrected(VoltageDelay(), signals, delay_s=0.4 / FS)
+    command = np.asarray(signals.v_ab, dtype=np.float64)
+    beside = late_beside(command, 0.4)
+    assert beside is not None
+    assert found.v_late_ab is not None
+    assert_close(delayed(command, 0.4), found.v_ab, 1e-12, of=found.v_ab)
+    assert_close(beside, found.v_late_ab, 1e-12, of=found.v_ab)
+    assert late_beside(command, 1.0) is None
+
+
+def test_what_eddies_feel_of_a_small_delay_is_small() -> None:
+    """Early or late: a search walks through none at all without a step."""
+    signals = readings()
+    felt = [
+        corrected(EddyCurrents(), corrected(VoltageDelay(), signals, delay_s=by), core_loss_ohm=1000.0).i_m_ab
+        for by in (-1e-9, 0.0, 1e-9)
+    ]
+    assert_close(felt[0], felt[1], 1e-4, of=signals.i_m_ab)
+    assert_close(felt[2], felt[1], 1e-4, of=signals.i_m_ab)
+
+
+def test_a_damper_may_be_on_one_axis_alone() -> None:
+    signals = readings()
+    axis_d = np.array([math.cos(0.2), math.sin(0.2)])
+    both = signals.i_m_ab - corrected(EddyCurrents(), signals, core_loss_ohm=1000.0).i_m_ab
+    damped = signals.i_m_ab - corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, saliency=1.0).i_m_ab
+    assert_close(damped @ axis_d, 2.0 * both @ axis_d, 1e-12, of=both)
+    assert np.abs(damped @ np.array([-axis_d[1], axis_d[0]])).max() < 1e-12 * np.abs(both).max()
+
+
+def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:
+    k = np.arange(4000)
+    psi = np.stack([swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi})
+    held = signals.i_m_ab - corrected(Hysteresis(), signals, **values).i_m_ab
+    return psi[:, 0], held[:, 0]
+
+
+def test_hysteresis_loop_is_as_wide_as_said_and_loses_energy() -> None:
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015}, 0.2)
+    assert held.max() == pytest.approx(0.03, rel=1e-6)
+    assert held.min() == pytest.approx(-0.03, rel=1e-6)
+    area = float(np.sum(0.5 * (held[3000:-1] + held[3001:]) * np.diff(psi[3000:])))
+    assert area > 0.0
+
+
+def test_small_hysteresis_loops_are_reversible() -> None:
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015}, 0.001)
+    slope = np.polyfit(psi, held, 1)[0]
+    assert slope == pytest.approx(0.03 / 0.015, rel=1e-6)
+
+
+def test_a_hysteresis_loop_keeps_its_form_whatever_its_width() -> None:
+    """So the step from none says what any width does, and a search is not led astray by the typical one."""
+    form = {"yield_wb": 0.015, "variance": 0.3, "early_share": 0.4, "softness": 0.5}
+    wide, narrow = (_loop({"half_width_a": width, **form}, 0.02)[1] for width in (0.03, 0.001))
+    assert_close(30.0 * narrow, wide, 1e-9, of=wide)
+
+
+def test_stops_that_hold_out_alike_are_one_however_they_share_and_else_yield_apart() -> None:
+    """What yields first is then no matter of which stop it is: a search is not trapped on the wrong side of none."""
+    sizes = {"half_width_a": 0.03, "yield_wb": 0.015}
+    psi, alike = _loop(sizes, 0.2)
+    _, unequal = _loop({**sizes, "early_share": 0.8}, 0.2)
+    assert_close(unequal, alike, 1e-12, of=alike)
+    # 30 mA in all of 1.6 A/Wb: 10 mA of 1 A/Wb and 20 mA of 0.6 A/Wb yield at 10 and 33 mWb.
+    two = {"early_share": 1.0 / 1.6, "variance": (0.5 * math.log(10.0 / 3.0)) ** 2}
+    _, apart = _loop({"half_width_a": 0.03, "yield_wb": 0.03 / 1.6, **two}, 0.2)
+    falling = slice(3250, 3750)
+    fallen = apart[3250] - apart[falling]
+    swing = psi[3250] - psi[falling]
+    expected = np.minimum(1.0 * swing, 0.02) + np.minimum(0.6 * swing, 0.04)
+    assert_close(fallen, expected, 0.02, of=expected)
+
+
+def test_a_third_stop_yields_between_the_two() -> None:
+    """Of 2 A/Wb half are the middle one's; the others yield at half and at twice its flux."""
+    form = {"middle_share": 0.5, "variance": math.log(2.0) ** 2}
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015, **form}, 0.2)
+    stiff, yields = np.array([0.5, 1.0, 0.5]), np.array([0.5, 1.0, 2.0])
+    limits = 0.03 * stiff * yields / (stiff @ yields)
+    falling = slice(3250, 3750)
+    swing = psi[3250] - psi[falling]
+    expected = np.minimum(swing[:, None] * stiff, 2.0 * limits).sum(axis=1)
+    assert_close(held[3250] - held[falling], expected, 0.02, of=expected)
+
+
+def test_a_soft_stop_yields_before_its_limit_and_the_softer_the_sooner() -> None:
+    sizes = {"half_width_a": 0.03, "yield_wb": 0.015}
+    psi, sharp = _loop(sizes, 0.2)
+    _, nearly = _loop({**sizes, "softness": 0.02}, 0.2)
+    _, soft = _loop({**sizes, "softness": 0.6}, 0.2)
+    _, softer = _loop({**sizes, "softness": 1.0}, 0.2)
+    assert_close(nearly, sharp, 0.05, of=sharp)
+    assert soft.max() == pytest.approx(0.03, rel=0.02)
+    # On the way up, before the limit is reached, less is held the softer the stop; on the way back all are elastic.
+    rising = (np.diff(psi, append=psi[:1]) > 0.0) & (sharp > 0.015) & (sharp < 0.025)
+    assert rising[3000:].any()
+    assert (softer < soft)[3000:][rising[3000:]].all()
+    assert (soft < sharp)[3000:][rising[3000:]].all()
+    turn = 3000 + 250
+    stiff = (sharp[turn] - sharp[turn + 20]) / (psi[turn] - psi[turn + 20])
+    assert (soft[turn] - soft[turn + 20]) / (psi[turn] - psi[turn + 20]) == pytest.approx(stiff, rel=1e-3)
+
+
+def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps() -> None:
+    k = np.arange(4000)
+    fine = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), 0.1 * np.cos(2 * np.pi * k / 1000)], axis=1)
+    held = []
+    for every in (1, 10):
+        psi = np.ascontiguousarray(fine[::every])
+        signals = readings(len(psi)).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros((1, 2))})
+        out = corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, softness=0.6)
+        held.append((signals.i_m_ab - out.i_m_ab)[:: 10 // every])
+    assert_close(held[1][100:], held[0][100:], 0.03, of=held[0])
+
+
+@pytest.mark.parametrize("side", [1.0, -1.0])
+def test_iron_remembers_from_where_the_current_came(side: float) -> None:
+    k = np.arange(4000)
+    psi = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi})
+    far = signals.i_ab[0] - side * np.array([3.0, 0.0])
+    held = []
+    for came_from in (far, signals.i_ab[0]):
+        coming = signals.model_copy(update={"came_from_ab": came_from[None]})
+        out = corrected(Hysteresis(), coming, half_width_a=0.03, yield_wb=0.015)
+        held.append((coming.i_m_ab - out.i_m_ab)[:, 0])
+    assert held[0][0] == pytest.approx(side * 0.03, rel=0.05)
+    assert held[1][0] == 0.0
+    # After half a loop nothing is left of that.
+    assert_close(held[0][1000:], held[1][1000:], 1e-9, of=held[0])
+
+
+def _held_at_first(came_from: Array, **values: float) -> Array:
+    """What a sharp stop holds as a segment begins that the current came to on this way, shape (2,) [A]."""
+    psi = np.repeat([[0.2, 0.0]], 4000, axis=0)
+    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": came_from})
+    out = corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, **values)
+    return np.asarray((signals.i_m_ab - out.i_m_ab)[0], dtype=np.float64)
+
+
+def test_iron_remembers_a_sweep_before_a_way_that_is_too_short_to_wipe_it_out() -> None:
+    here = readings().i_ab[0]
+    near, far = here - [0.01, 0.0], np.array([3.0, 0.0])
+    below, above = (_held_at_first(np.array([here + side * far, near])) for side in (-1.0, 1.0))
+    assert below[0] == pytest.approx(0.03, rel=0.05)
+    assert above[0] == pytest.approx(-0.03, rel=0.1)
+
+
+def test_a_controller_that_goes_beyond_its_aim_leaves_the_iron_on_the_other_branch() -> None:
+    came_from = (readings().i_ab[0] - [3.0, 0.0])[None]
+    assert _held_at_first(came_from, overshoot=0.3)[0] == pytest.approx(-0.03, rel=0.05)
+    # 15 mWb are 0.27 A or so: a hundredth of 3 A turns little of a loop.
+    assert 0.02 < _held_at_first(came_from, overshoot=0.01)[0] < 0.03
+
+
+def test_what_iron_may_remember_beside_its_way_stays_where_nothing_moves_and_is_gone_after_a_loop() -> None:
+    k = np.arange(4000)
+    loop = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    p = Hysteresis.Parameters(half_width_a=0.03, yield_wb=0.015, early_share=0.5)
+    for psi, stays in ((np.repeat(loop[:1], 4000, axis=0), True), (loop, False)):
+        signals = readings(4000).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros((1, 2))})
+        known = signals.corrected(Hysteresis().correct(signals, p)).i_m_ab
+        doubts = [doubt.arrays["i_m_ab"] - signals.i_m_ab for doubt in Hysteresis().doubts(signals, p)]
+        assert len(doubts) == 4
+        for doubt in doubts:
+            # No stop holds more than its limit, whatever it remembers.
+            assert np.abs(doubt).max() <= 0.5 * 0.03 + 1e-12
+            assert np.abs(signals.i_m_ab - known - doubt).max() <= 0.03 + 1e-12
+            if stays:
+                assert_close(doubt, np.broadcast_to(doubt[0], doubt.shape), 1e-12, of=0.03)
+                assert np.linalg.norm(doubt[0]) > 1e-3
+            else:
+                assert_close(doubt[2000:, 0], np.zeros(2000), 1e-6, of=0.03)
+
+
+def test_magnets_warm_by_the_copper_loss_and_by_what_else_stays_as_it_is() -> None:
+    time_s = np.linspace(0.0, 20.0, 201)
+    late = LossHistory(time_s=time_s, power_w=np.where(time_s < 10.0, 0.0, 5.0))
+    signals = readings().model_copy(update={"losses": late})
+    values = {"flux_change_wb": -0.0043, "time_constant_s": 8.0}
+    slid = []
+    for steady in (0.0, 1.0, 0.4):
+        out = corrected(MagnetHeating(), signals, **values, steady=steady)
+        slid.append(((out.i_m_ab - signals.i_m_ab) @ [math.cos(0.2), math.sin(0.2)])[0])
+    # At 5 s no copper has been warm; what stays as it is has come (1 - e^(-5/8)) / (1 - e^(-20/8)) of its way.
+    whole = -0.0043 / 0.043
+    assert slid[0] == pytest.approx(0.0, abs=1e-12)
+    assert slid[1] == pytest.approx(whole * math.expm1(-5.0 / 8.0) / math.expm1(-20.0 / 8.0), rel=1e-2)
+    assert slid[2] == pytest.approx(0.4 * slid[1], rel=1e-9)
