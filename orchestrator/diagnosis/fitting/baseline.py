@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
-from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, smoothness_prior
+from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
 from orchestrator.numerics.frames import to_dq
@@ -134,11 +134,19 @@ def _separable(setup: DiagnosisSetup, grid: EvenSpline) -> MapSpace:
 
 def _free(setup: DiagnosisSetup, grid: EvenSpline, roughness: float = 1.0) -> MapSpace:
     strength = roughness * setup.criteria.roughness
-    prior = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, strength)
+    smooth = smoothness_prior(grid, math.sqrt(setup.l_d_h * setup.l_q_h), setup.current_a, strength)
+    prior = np.concatenate([smooth, magnet_prior(grid, _magnet_std_wb(setup))])
     known = inductances_at_rest(setup.prepared.fleet, grid)
     if known is None:
         return MapSpace(grid, np.zeros(grid.size), np.eye(grid.size), prior, roughness)
     return MapSpace(grid, known[0], np.eye(grid.size), np.concatenate([prior, known[1]]), roughness)
+
+
+def _magnet_std_wb(setup: DiagnosisSetup) -> float:
+    """How far the magnet's flux may be from the one that the effects take it for."""
+    scale = math.sqrt(setup.l_d_h * setup.l_q_h) * setup.current_a
+    is_known = setup.fitter.pm_flux_wb > 0.0 or setup.prepared.manifest.motor.pm_flux_wb is not None
+    return scale * (setup.criteria.known_magnet if is_known else setup.criteria.unknown_magnet)
 
 
 def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:

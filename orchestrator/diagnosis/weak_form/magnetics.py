@@ -66,6 +66,14 @@ def smoothness_prior(grid: EvenSpline, inductance_h: float, current_a: float, st
     sigma = strength * inductance_h / current_a**2
     # As much information as 25 independent derivatives of each kind, however fine the grid.
     blocks = [rows / (sigma * max(math.sqrt(len(rows) / 25.0), 1.0)) for rows in grid.differences(4)]
-    # Constants, and the magnet's own flux, are invisible to a locked rotor: held near zero.
+    # A constant is nothing: held near zero.
     blocks.append(np.eye(grid.size) / (1e3 * inductance_h * current_a**2))
     return np.asarray(np.concatenate(blocks), dtype=np.float64)
+
+
+def magnet_prior(grid: EvenSpline, std_wb: float) -> Array:
+    """The row of a prior on psi_d without current, beside the magnet's own, shape (1, grid.size).
+
+    It is invisible while the rotor stands; one that twists by nothing at all would make of it as much as is wanted.
+    """
+    return grid.rows(np.clip(np.zeros((1, 2)), [grid.low, 0.0], [grid.high, 0.0]), 1, 0) / std_wb

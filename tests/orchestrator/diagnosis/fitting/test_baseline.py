@@ -34,7 +34,7 @@ from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.recording import open_recording
 from plugins.drives.simulated import map_motor
-from plugins.effects.frame import RotorMisalignment
+from plugins.effects.frame import BrakeCompliance, RotorMisalignment
 from protocols import FluxMap, MotorModel, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
 from tests.support.tiny import run_tiny
@@ -68,6 +68,15 @@ def _flux_map(reach: float, bend: float = 0.0) -> FluxMap:
         l_dq_std=nothing,
         l_qq_std=nothing,
     )
+
+
+def test_a_rotor_that_hardly_twists_does_not_set_the_magnet_free(setup: DiagnosisSetup) -> None:
+    brake = scaled_library([BrakeCompliance()], setup.prepared.manifest)[0].absent().moved("rad_per_nm", 1e-6)
+    model = baseline_model(setup, Saturated())
+    fits = [setup.fitter.fit(model.with_active(active)) for active in ([], [replace(brake, free=())])]
+    at_rest = [float(fit.model.magnetics.flux_and_inductance(np.zeros((1, 2)))[0][0, 0]) for fit in fits]
+    assert np.abs(at_rest).max() < 0.01 * PM_WB
+    assert fits[1].chi2 == pytest.approx(fits[0].chi2, rel=1e-3)
 
 
 def test_each_rung_of_the_map_holds_the_one_before(setup: DiagnosisSetup) -> None:
