@@ -137,10 +137,10 @@ class FittingCriteria(Strict):
     ripple_matters: float = _is(0.02, "1", "theory")
     """R_s over the inductance, times the carrier's period, from which on what R_s takes of the ripple within a period
     is asked for: its square over 24, 2e-5 of the voltage, is what the best recordings show."""
-    known_magnet: float = _is(1e-3, "L I", "practice")
-    """How far psi_d without current may be from a magnet's flux that is known: at most what nobody would notice."""
+    known_magnet: float = _is(0.05, "psi_M or L I", "practice")
+    """How far a nameplate's magnet flux is from the magnet's, as a part of it or of what the current makes."""
     unknown_magnet: float = _is(10.0, "L I", "practice")
-    """The same where none is known: machines have up to as much."""
+    """The same where the nameplate has none: machines have up to as much."""
     given_map_error: float = _is(1e-4, "L I", "practice")
     """Standard deviation of a given map's fluxes for the spline that is laid through them."""
     least_gain: float = _is(0.2, "1", "theory")

@@ -144,9 +144,10 @@ def _free(setup: DiagnosisSetup, grid: EvenSpline, roughness: float = 1.0) -> Ma
 
 def _magnet_std_wb(setup: DiagnosisSetup) -> float:
     """How far the magnet's flux may be from the one that the effects take it for."""
-    scale = math.sqrt(setup.l_d_h * setup.l_q_h) * setup.current_a
-    is_known = setup.fitter.pm_flux_wb > 0.0 or setup.prepared.manifest.motor.pm_flux_wb is not None
-    return scale * (setup.criteria.known_magnet if is_known else setup.criteria.unknown_magnet)
+    magnet, by_current = setup.fitter.pm_flux_wb, math.sqrt(setup.l_d_h * setup.l_q_h) * setup.current_a
+    if magnet > 0.0 or setup.prepared.manifest.motor.pm_flux_wb is not None:
+        return setup.criteria.known_magnet * max(magnet, by_current)
+    return setup.criteria.unknown_magnet * by_current
 
 
 def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:
