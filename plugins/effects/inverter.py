@@ -189,9 +189,8 @@ class DeadTime:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
-        own = signals.drive.pwm_frequency_hz if signals.drive is not None else None
         bus = signals.drive.dc_bus_voltage_v if signals.drive is not None else float(np.mean(signals.v_dc))
-        scale = p.voltage_v * signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz) / bus
+        scale = p.voltage_v * _times_own_frequency(signals) / bus
         volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
         commanded = v_ab = doubles(signals.v_ab)
         i_ab = _without_noise(signals)
@@ -217,6 +216,12 @@ class DeadTime:
         text = "leg {leg}'s is {percent:.2g} % {which} than the legs' mean: look at its gate driver"
         which = "longer" if legs[leg] > 0.0 else "shorter"
         return [Remark.of("leg_differs", text, leg=leg, percent=100.0 * abs(legs[leg]), which=which)]
+
+
+def _times_own_frequency(signals: Signals) -> float:
+    """The PWM frequency in units of the drive's own; 1 where that is not known."""
+    own = signals.drive.pwm_frequency_hz if signals.drive is not None else None
+    return signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz)
 
 
 def _longer(p: DeadTime.Parameters) -> tuple[float, float, float]:
@@ -302,7 +307,9 @@ def _warmth(signals: Signals, lag_s: float) -> Array:
 class VoltageBias:
     """Constant voltage error of each leg: e = T (b_a, b_b, -b_a - b_b) [V], while the bridge is on.
 
-    Its cause is a constant error of the modulation or of the gate drivers' delays.
+    Its cause is a constant error of the modulation or of the gate drivers' delays. What delays make happens at every
+    edge: in the flexible form the part `at_edges` of it grows with the PWM frequency, and `bias_a_v` and `bias_b_v` are
+    those at the drive's own.
     """
 
     name: ClassVar[str] = "voltage_bias"
@@ -315,10 +322,12 @@ class VoltageBias:
     class Parameters(EffectParameters):
         bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)
         bias_b_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)
+        at_edges: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract the bias from the commanded voltage."""
-        return Correction(v_ab=less_constant(signals.v_ab, from_two_phases(p.bias_a_v, p.bias_b_v)))
+        share = 1.0 - p.at_edges + p.at_edges * _times_own_frequency(signals)
+        return Correction(v_ab=less_constant(signals.v_ab, share * from_two_phases(p.bias_a_v, p.bias_b_v)))
 
 
 class BusSag:
