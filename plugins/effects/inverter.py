@@ -40,14 +40,18 @@ FAR = 32.0
 """How much coarser a second table is, for currents far beyond the step: a logarithm there is straight to 1e-5."""
 
 
-def _soft_sign(softness: float, parts: tuple[float, ...], step: float, end: float) -> Array:
-    """Table of s(x) over x = 0..end: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `WIDTHS`."""
-    x = np.arange(0.0, end + 1.5 * step, step)
-    table = (1.0 - sum(parts)) * _knee(x, 1.0 / softness)
+def _soft_sign(x: Array, softness: float, parts: tuple[float, ...]) -> Array:
+    """s(x), x at least 0: x / (1 + x^p)^(1/p), but for the `parts` of it that happen within `WIDTHS`."""
+    whole = (1.0 - sum(parts)) * _knee(x, 1.0 / softness)
     for part, width in zip(parts, WIDTHS, strict=True):
         if part != 0.0:
-            table += part * _knee(x / width, PARTS_SHARPNESS)
-    return table
+            whole += part * _knee(x / width, PARTS_SHARPNESS)
+    return whole
+
+
+def _charging(x: Array) -> Array:
+    """What a dead time takes where capacitances have to be charged: they swing in a straight line, 1 within it."""
+    return np.asarray(np.where(x < 1.0, 0.5 * x, 1.0 - 0.5 / np.maximum(x, 1.0)), dtype=np.float64)
 
 
 def _knee(x: Array, sharpness: float) -> Array:
@@ -59,16 +63,18 @@ def _knee(x: Array, sharpness: float) -> Array:
 
 
 @lru_cache(maxsize=32)
-def _tables(softness: float, parts: tuple[float, ...], growth: float, step: float, end: float) -> Array:
-    """Tables of (1 - growth) s(x) + growth log(1 + x), one up to `end`, one with steps and end `FAR` times as large.
+def _tables(softness: float, parts: tuple[float, ...], charged: float, growth: float, step: float, end: float) -> Array:
+    """Tables of a step of these parts, one up to `end`, one with steps and end `FAR` times as large; shape (2, m).
 
-    Shape (2, m).
+    The part `charged` goes as `_charging`, the part `growth` as log(1 + x), what is left as `_soft_sign`.
     """
-    near = _soft_sign(softness, parts, step, end)
-    x = step * np.arange(len(near))
-    # Beyond the first one's end s is flat; the second is not read before.
-    far = (1.0 - growth) * near[-1] + growth * np.log1p(FAR * x)
-    return np.stack([(1.0 - growth) * near + growth * np.log1p(x), far])
+
+    def whole(x: Array) -> Array:
+        mere = _soft_sign(x, softness, parts)
+        return (1.0 - charged - growth) * mere + charged * _charging(x) + growth * np.log1p(x)
+
+    x = np.arange(0.0, end + 1.5 * step, step)
+    return np.stack([whole(x), whole(FAR * x)])
 
 
 @njit(cache=True, nogil=True)
@@ -78,12 +84,12 @@ def _look_up(tables: Array, place: float, growth: float) -> float:
     if size < end:
         m = int(size)
         value = tables[0, m] + (size - m) * (tables[0, m + 1] - tables[0, m])
-    elif growth == 0.0:
-        value = tables[0, end]
     elif size < FAR * end:
         size /= FAR
         m = int(size)
         value = tables[1, m] + (size - m) * (tables[1, m + 1] - tables[1, m])
+    elif growth == 0.0:
+        value = tables[1, end]
     else:
         value = tables[1, end] + growth * math.log(size / (FAR * end))
     return float(value if place >= 0.0 else -value)
@@ -137,17 +143,17 @@ def _less_step(
     threshold_a: float,
     knee: Knee,
     legs: Array,
-    growth: float = 0.0,
     *,
+    charged: float = 0.0,
+    growth: float = 0.0,
     step: float = 0.01,
     end: float = 40.0,
 ) -> Array:
     """The voltage without `volts` (n,) against the sign of each phase current, in each leg times its part (3,).
 
-    (1 - growth) s + growth log(1 + |i| / i_th) is read, linearly between entries, from tables of this `step` and `end`,
-    in thresholds.
+    It is read, linearly between entries, from `_tables` of this `step` and `end`, in thresholds.
     """
-    tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), growth, step, end)
+    tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), charged, growth, step, end)
     return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), tables, growth))
 
 
@@ -158,7 +164,9 @@ class DeadTime:
     is V_dt at the drive's own PWM frequency and nominal bus voltage. Near zero current the parasitic
     capacitances take over, and s crosses zero within i_th; its form here is x / (1 + |x|^p)^(1/p), p = 1 / `softness`.
     In the flexible form the softness is free, and parts of the step happen within half, one and a half and three i_th
-    (`narrow`, `wide`, `wider`): the capacitances are not constant. A share `switched` of the voltage is lost as at the
+    (`narrow`, `wide`, `wider`): the capacitances are not constant. The part `charged` goes as where they are: a leg
+    swings in a straight line, within the dead time at i_th, and of it |i| / 2 i_th is lost below, 1 - i_th / 2 |i|
+    above. A share `switched` of the voltage is lost as at the
     edges of a switching leg, each with the current of its own instant, ripple included
     (`plugins.effects._commutation`). i_th is then C V_dc / t_d with C of both devices of a leg, the same at every PWM
     frequency, and i_th t_d the charge of a swing; `grading` is by which power their capacitances fall with the voltage,
@@ -180,6 +188,7 @@ class DeadTime:
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=8.0, prior_width=8.0, low=-60.0, high=60.0)
         threshold_a: float = shape("A", typical=0.1, prior_width=1.0, low=1e-3, high=10.0, other_form=2.0)
+        charged: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         switched: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0, detail=True)
         grading: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.8, other_form=0.5)
         takeover: float = refinement("1", neutral=0.0, prior_width=0.05, low=0.0, high=1.0)
@@ -196,7 +205,7 @@ class DeadTime:
         i_ab = _without_noise(signals)
         legs = np.maximum([1.0 + longer for longer in _longer(p)], 0.0)
         if p.switched < 1.0:
-            v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p, legs)
+            v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p, legs, charged=p.charged)
         if p.switched > 0.0:
             # Current between samples hardly bends: two carrier periods stand for all of them.
             cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
@@ -290,7 +299,7 @@ class DeviceDrop:
         volts = np.full(len(signals.v_dc), at_knee)
         if p.warming != 0.0:
             volts *= 1.0 + p.warming * _warmth(signals, p.warming_s)
-        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3), p.growth))
+        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3), growth=p.growth))
 
 
 def _warmth(signals: Signals, lag_s: float) -> Array:

@@ -32,9 +32,12 @@ class EddyCurrents:
     A sample taken just before the voltage changes has seen the voltage of the interval before: what it was at its end,
     where commands act late within it. In the flexible form
     the eddy current's path has an inductance too, and follows within `lag_s`, which is nothing or some sample periods:
-    read in the zero vector, a current without a lag is hardly there. And its conductance is
-    (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on one axis alone.
-    Source: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238.
+    read in the zero vector, a current without a lag is hardly there. The part `diffused` of it sinks into a sheet as a
+    field does, in a ladder of paths: the m-th of `LADDER` has 1/m^2 of the conductance and follows within lag_s / m^2.
+    And the conductance is (1 + `saliency`) / R_c on d and (1 - `saliency`) / R_c on q: at 1 and -1 there is a damper on
+    one axis alone.
+    Sources: the core-loss resistance of the equivalent circuit, e.g. S. Morimoto et al., doi:10.1109/28.315238; the
+    ladder is the diffusion equation's, the sum over m of 6 / (pi m)^2 / (1 + s tau / m^2).
     """
 
     name: ClassVar[str] = "eddy_currents"
@@ -49,30 +52,50 @@ class EddyCurrents:
             "ohm", typical=1e3, prior_width=1e3, low=20.0, high=1e7, neutral=1e7, strong_when_small=True
         )
         lag_s: float = refinement("s", neutral=0.0, prior_width=2e-5, low=0.0, high=3e-4, other_form=4e-5)
+        diffused: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the eddy current from the magnetising current, and its steps from the resistive drop."""
-        late = p.lag_s * signals.sampling_frequency_hz
-        decay = math.exp(-1.0 / late) if late > 1e-2 else 0.0
-        # What the exponential within an interval has beside the chord between its samples.
-        bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
-        # Of what an interval's end has beside its mean: all without a lag, nothing where the lag is long.
-        felt = math.tanh(0.25 / late) if late > 1e-2 else 1.0
         theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
         nothing = np.zeros((0, 2))
         i_m_ab, v_ab = _without_eddies(
             doubles(signals.i_m_ab),
             doubles(signals.v_ab),
-            nothing if signals.v_late_ab is None else felt * doubles(signals.v_late_ab),
+            nothing if signals.v_late_ab is None else doubles(signals.v_late_ab),
             doubles(signals.i_ab),
             doubles(signals.resistance_ohm),
             unit_vectors(theta_rad) if p.saliency != 0.0 else nothing,
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
-            decay,
-            bend,
+            _paths(p.lag_s * signals.sampling_frequency_hz, p.diffused),
         )
         return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
+
+
+LADDER = 4
+"""Paths of a field that sinks into a sheet; the last has what is left, for all that are faster."""
+
+
+def _paths(late: float, diffused: float) -> Array:
+    """What each path has of the conductance, its decay, bend and feeling as `_without_eddies` asks, shape (paths, 4).
+
+    `late` is the slowest one's lag in sample periods.
+    """
+    rungs = np.arange(1.0, LADDER + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
+    parts = diffused * 6.0 / (math.pi * rungs) ** 2
+    parts[-1] = 0.0
+    parts[-1] = diffused - parts.sum()
+    parts[0] += 1.0 - diffused
+    return np.array([(part, *_path(late / rung**2)) for part, rung in zip(parts, rungs, strict=True)])
+
+
+def _path(late: float) -> tuple[float, float, float]:
+    """A path's decay in a sample period, the bend of a step of its current, and how much of a late end it feels."""
+    decay = math.exp(-1.0 / late) if late > 1e-2 else 0.0
+    # What the exponential within an interval has beside the chord between its samples.
+    bend = 0.5 * (1.0 + decay) - late * (1.0 - decay)
+    # Of what an interval's end has beside its mean: all without a lag, nothing where the lag is long.
+    return decay, bend, math.tanh(0.25 / late) if late > 1e-2 else 1.0
 
 
 @njit(cache=True, nogil=True)
@@ -84,51 +107,48 @@ def _without_eddies(
     ohm: Array,
     axis: Array,
     siemens: Array,
-    decay: float,
-    bend: float,
+    paths: Array,
 ) -> tuple[Array, Array]:
     """The magnetising current without the eddies', and the voltage without what their steps drop, shapes (n, 2).
 
     Parameters
     ----------
     late_ab : array, shape (n, 2) or (0, 2)
-        What the lagging current has felt at an interval's end beside the mean voltage; empty where nothing.
+        What an interval's end has beside the mean voltage; empty where nothing.
     axis : array, shape (n, 2) or (0, 2)
         Cosine and sine of the d axis' angle; empty where both axes are alike.
     siemens : array, shape (2,)
         Conductance on d and on q.
-    decay : float
-        Of the current's lag, in a sample period: the voltage is held over an interval, and at its end the current has
-        come this much nearer to it.
-    bend : float
-        Of a step of the current, what its mean over an interval is beside the mean of both samples.
+    paths : array, shape (m, 4)
+        Of each path that a current follows by: its part of the conductance; its decay in a sample period: the voltage
+        is held over an interval, and at its end the current has come this much nearer to it; of a step of its current,
+        what its mean over an interval is beside the mean of both samples; what it feels of an interval's end.
     """
-    i_out, v_out = np.empty_like(i_m_ab), np.empty_like(v_ab)
-    felt_a, felt_b = 0.0, 0.0
-    late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
-    for k in range(v_ab.shape[0]):
-        # The sample has seen the voltage of the interval before.
-        before = max(k - 1, 0)
-        if late_ab.shape[0] > 0:
-            late_a, late_b = late_ab[before, 0], late_ab[before, 1]
-            next_a, next_b = late_ab[k, 0], late_ab[k, 1]
-        drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
-        kept = decay if k > 0 else 0.0
-        felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] + late_a - drop_a)
-        felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
-        step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
-        step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
-        if axis.shape[0] == 0:
-            i_out[k, 0], i_out[k, 1] = i_m_ab[k, 0] - siemens[0] * felt_a, i_m_ab[k, 1] - siemens[0] * felt_b
-            v_out[k, 0], v_out[k, 1] = v_ab[k, 0] - siemens[0] * step_a, v_ab[k, 1] - siemens[0] * step_b
-            continue
-        cos, sin = axis[k, 0], axis[k, 1]
-        d, q = dq_of(felt_a, felt_b, cos, sin)
-        i_out[k, 0] = i_m_ab[k, 0] - (siemens[0] * d * cos - siemens[1] * q * sin)
-        i_out[k, 1] = i_m_ab[k, 1] - (siemens[0] * d * sin + siemens[1] * q * cos)
-        d, q = dq_of(step_a, step_b, cos, sin)
-        v_out[k, 0] = v_ab[k, 0] - (siemens[0] * d * cos - siemens[1] * q * sin)
-        v_out[k, 1] = v_ab[k, 1] - (siemens[0] * d * sin + siemens[1] * q * cos)
+    i_out, v_out = i_m_ab.copy(), v_ab.copy()
+    salient = axis.shape[0] > 0
+    for m in range(paths.shape[0]):
+        part, decay, bend, felt = paths[m]
+        felt_a, felt_b = 0.0, 0.0
+        late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
+        for k in range(v_ab.shape[0]):
+            # The sample has seen the voltage of the interval before.
+            before = max(k - 1, 0)
+            if late_ab.shape[0] > 0:
+                late_a, late_b = felt * late_ab[before, 0], felt * late_ab[before, 1]
+                next_a, next_b = felt * late_ab[k, 0], felt * late_ab[k, 1]
+            drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
+            kept = decay if k > 0 else 0.0
+            felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] + late_a - drop_a)
+            felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
+            step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
+            step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
+            cos, sin = (axis[k, 0], axis[k, 1]) if salient else (1.0, 0.0)
+            d, q = dq_of(part * felt_a, part * felt_b, cos, sin)
+            i_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
+            i_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
+            d, q = dq_of(part * step_a, part * step_b, cos, sin)
+            v_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
+            v_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
     return i_out, v_out
 
 

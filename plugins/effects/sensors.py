@@ -161,7 +161,10 @@ class CurrentOffsetDrift:
 
 
 class CurrentNonlinearity:
-    """Every sensor reads i + k i^3 [A], k in 1/A^2: a core that begins to saturate, or the amplifier behind it."""
+    """Every sensor reads i + k i^3 [A], k in 1/A^2: a core that begins to saturate, or the amplifier behind it.
+
+    In the flexible form it reads i + h i^2 + k i^3, h `square_per_a`: what saturates first in one direction.
+    """
 
     name: ClassVar[str] = "current_nonlinearity"
     summary: ClassVar[str] = "The current sensors' characteristic is curved."
@@ -172,24 +175,26 @@ class CurrentNonlinearity:
 
     class Parameters(EffectParameters):
         cubic_per_a2: float = amplitude("1/A^2", typical=3e-4, prior_width=1e-3, low=-0.02, high=0.02)
+        square_per_a: float = refinement("1/A", neutral=0.0, prior_width=1e-3, low=-0.02, high=0.02)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
-        """Solve m = i + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
+        """Solve m = i + h i^2 + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
         clarke = _vectors(np.eye(3), signals.clarke_of_three is True)
-        return Correction(i_ab=_straightened(doubles(signals.i_ab), p.cubic_per_a2, clarke))
+        return Correction(i_ab=_straightened(doubles(signals.i_ab), p.square_per_a, p.cubic_per_a2, clarke))
 
 
 @njit(cache=True, nogil=True)
-def _straightened(i_ab: Array, cubic: float, clarke: Array) -> Array:
-    """Vectors (n, 2) without the cubes of the phase currents, of which `clarke` (3, 2) makes vectors."""
+def _straightened(i_ab: Array, square: float, cubic: float, clarke: Array) -> Array:
+    """Vectors (n, 2) without squares and cubes of the phase currents, of which `clarke` (3, 2) makes vectors."""
     out = i_ab.copy()
     for k in range(i_ab.shape[0]):
         phases = phases_of(i_ab[k, 0], i_ab[k, 1])
         for x in range(3):
             read = phases[x]
-            square = read * read
-            near = read * (1.0 - cubic * square / (1.0 + 3.0 * abs(cubic) * square))
-            cube = cubic * near * near * near
-            out[k, 0] -= cube * clarke[x, 0]
-            out[k, 1] -= cube * clarke[x, 1]
+            bent = read * (square + cubic * read)
+            # Newton's step, bounded where the curve folds back.
+            near = read * (1.0 - bent / (1.0 + abs(read * (2.0 * square + 3.0 * cubic * read))))
+            more = near * near * (square + cubic * near)
+            out[k, 0] -= more * clarke[x, 0]
+            out[k, 1] -= more * clarke[x, 1]
     return out

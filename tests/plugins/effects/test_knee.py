@@ -14,6 +14,7 @@ from orchestrator.numerics.types import Array
 from plugins.effects.inverter import WIDTHS, DeadTime, _soft_sign
 
 STEP, END = 0.01, 40.0
+TABLE = np.asarray(np.arange(0.0, END + 1.5 * STEP, STEP), dtype=np.float64)
 X = np.asarray(np.arange(1, 601) * 0.01, dtype=np.float64)
 NONE = (0.0,) * len(WIDTHS)
 
@@ -30,7 +31,7 @@ STEPS: dict[str, Callable[[Any], Any]] = {
 
 
 def _read(threshold: float, softness: float, parts: tuple[float, ...]) -> Array:
-    table = _soft_sign(softness, parts, STEP, END)
+    table = _soft_sign(TABLE, softness, parts)
     return np.asarray(np.interp(X / threshold, np.arange(len(table)) * STEP, table), dtype=np.float64)
 
 
@@ -52,7 +53,7 @@ def test_steps_of_other_forms_are_met_by_softness_and_then_parts(name: str) -> N
 
 
 def test_a_step_is_whole_far_beyond_its_knee_whatever_its_parts() -> None:
-    table = _soft_sign(0.5, (0.3, -0.2, 0.4), STEP, END)
+    table = _soft_sign(TABLE, 0.5, (0.3, -0.2, 0.4))
     assert table[0] == 0.0
     assert table[-1] == pytest.approx(1.0, abs=1e-3)
 
