@@ -275,6 +275,8 @@ class Signals(ArrayModel):
     v_dc: Samples
     theta_rad: Samples
     """Electrical angle of the d axis."""
+    turned_rad: float = 0.0
+    """How far the rotor is believed to lie from where most of the recording has it."""
     resistance_ohm: Samples
     i_m_ab: Vectors
     """The part of the stator current that magnetises [A]."""

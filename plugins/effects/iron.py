@@ -377,7 +377,9 @@ class SlotHarmonics:
 
     The energy r L i_d i_q beside the map's own, so that reciprocity is kept: its flux r L (i_q, i_d) [Wb] is taken
     out of the voltage. Which part of L(theta) appears depends on the angle at which the rotor is locked. In the
-    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2.
+    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2. And at another angle, turned by delta,
+    L_dq is `across` L 2 sin(3 delta) more, L_dd and L_qq are `along_d` and `along_q` times that: slots repeat six times
+    a turn, their phase is not known, and of two angles these numbers tell all that differs.
     """
 
     name: ClassVar[str] = "slot_harmonics"
@@ -390,36 +392,46 @@ class SlotHarmonics:
     class Parameters(EffectParameters):
         relative: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
         fading_per_a2: float = refinement("1/A^2", neutral=0.0, prior_width=0.1, low=-0.03, high=10.0)
+        across: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
+        along_d: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
+        along_q: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the change of this flux from the voltage of each interval."""
-        strength = p.relative * _inductance(signals) * signals.sampling_frequency_hz
+        there = 2.0 * math.sin(3.0 * signals.turned_rad)
+        parts = np.array([there * p.along_d, p.relative + there * p.across, there * p.along_q])
+        strengths = parts * _inductance(signals) * signals.sampling_frequency_hz
         v_ab = doubles(signals.v_ab)
         i_m_ab = doubles(signals.i_m_ab)
         axis = unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
-        return Correction(v_ab=_without_crossed(v_ab, i_m_ab, axis, strength, p.fading_per_a2))
+        return Correction(v_ab=_without_slots(v_ab, i_m_ab, axis, strengths, p.fading_per_a2))
 
 
 @njit(cache=True, nogil=True)
-def _without_crossed(v_ab: Array, i_ab: Array, axis: Array, strength: float, fading: float) -> Array:
-    """The voltage without `strength` times the steps of the gradient of i_d i_q / (1 + f |i|^2), shapes (n, 2).
+def _without_slots(v_ab: Array, i_ab: Array, axis: Array, strengths: Array, fading: float) -> Array:
+    """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2), (n, 2).
 
     Parameters
     ----------
     axis : array, shape (n, 2)
         Cosine and sine of the d axis' angle.
+    strengths : array, shape (3,)
+        a, r and b.
     """
     out = v_ab.copy()
+    along_d, across, along_q = strengths
     old_alpha, old_beta = 0.0, 0.0
     for k in range(v_ab.shape[0]):
         cos, sin = axis[k, 0], axis[k, 1]
         d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
         left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
-        bend = 2.0 * fading * d * q * left * left
-        psi_d, psi_q = q * left - bend * d, d * left - bend * q
+        mere_d, mere_q = along_d * d + across * q, across * d + along_q * q
+        # The form is half of what its own gradient makes along the current.
+        bend = fading * (mere_d * d + mere_q * q) * left * left
+        psi_d, psi_q = mere_d * left - bend * d, mere_q * left - bend * q
         alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
         if k > 0:
-            out[k - 1, 0] -= strength * (alpha - old_alpha)
-            out[k - 1, 1] -= strength * (beta - old_beta)
+            out[k - 1, 0] -= alpha - old_alpha
+            out[k - 1, 1] -= beta - old_beta
         old_alpha, old_beta = alpha, beta
     return out

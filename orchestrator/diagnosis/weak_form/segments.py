@@ -163,7 +163,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
-    pieces = _knowing_their_way(pieces)
+    pieces = _knowing_how_far_turned(_knowing_their_way(pieces))
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
@@ -400,6 +400,17 @@ def _knowing_their_way(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]
         way = np.zeros((1, 2)) if turned else np.concatenate([way, _way_of(before)])[-_MOST_WAY_POINTS:]
         known.append(replace(piece, signals=piece.signals.model_copy(update={"came_from_ab": way})))
     return known
+
+
+def _knowing_how_far_turned(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]:
+    """The pieces with how far the rotor was turned to each, from where it was for most of the recording."""
+    samples = dict[float, int]()
+    for piece in pieces:
+        angle = piece.segment.rotor_angle_rad
+        samples[angle] = samples.get(angle, 0) + piece.segment.samples
+    usual = max(samples, key=lambda angle: samples[angle], default=0.0)
+    turned = ((piece, piece.segment.rotor_angle_rad - usual) for piece in pieces)
+    return [replace(p, signals=p.signals.model_copy(update={"turned_rad": by_rad})) for p, by_rad in turned]
 
 
 def _way_of(piece: SegmentSignals) -> Array:
