@@ -377,7 +377,8 @@ class SlotHarmonics:
 
     The energy r L i_d i_q beside the map's own, so that reciprocity is kept: its flux r L (i_q, i_d) [Wb] is taken
     out of the voltage. Which part of L(theta) appears depends on the angle at which the rotor is locked. In the
-    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2. And at another angle, turned by delta,
+    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2. The part `by_flux` of it is what a gap
+    that is not even asks of the current, in proportion to the flux of the current: i_m = i + r psi / L. And at another angle, turned by delta,
     L_dq is `across` L 2 sin(3 delta) more, L_dd and L_qq are `along_d` and `along_q` times that: slots repeat six times
     a turn, their phase is not known, and of two angles these numbers tell all that differs.
     """
@@ -392,6 +393,7 @@ class SlotHarmonics:
     class Parameters(EffectParameters):
         relative: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
         fading_per_a2: float = refinement("1/A^2", neutral=0.0, prior_width=0.1, low=-0.03, high=10.0)
+        by_flux: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         across: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
         along_d: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
         along_q: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
@@ -400,11 +402,21 @@ class SlotHarmonics:
         """Take the change of this flux from the voltage of each interval."""
         there = 2.0 * math.sin(3.0 * signals.turned_rad)
         parts = np.array([there * p.along_d, p.relative + there * p.across, there * p.along_q])
-        strengths = parts * _inductance(signals) * signals.sampling_frequency_hz
-        v_ab = doubles(signals.v_ab)
-        i_m_ab = doubles(signals.i_m_ab)
-        axis = unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
-        return Correction(v_ab=_without_slots(v_ab, i_m_ab, axis, strengths, p.fading_per_a2))
+        theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
+        inductance = _inductance(signals)
+        strengths = (1.0 - p.by_flux) * parts * inductance * signals.sampling_frequency_hz
+        v_ab, i_m_ab = doubles(signals.v_ab), doubles(signals.i_m_ab)
+        less = _without_slots(v_ab, i_m_ab, unit_vectors(theta_rad), strengths, p.fading_per_a2)
+        if p.by_flux == 0.0:
+            return Correction(v_ab=less)
+        along_d, across, along_q = p.by_flux * parts / inductance
+        psi = to_dq(_flux(signals), theta_rad) - [_magnet_wb(signals), 0.0]
+        asked = to_ab(psi @ np.array([[along_d, across], [across, along_q]]), theta_rad)
+        return Correction(v_ab=less, i_m_ab=i_m_ab + asked)
+
+
+def _magnet_wb(signals: Signals) -> float:
+    return (signals.motor.pm_flux_wb if signals.motor is not None else None) or 0.0
 
 
 @njit(cache=True, nogil=True)
