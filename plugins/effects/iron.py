@@ -377,10 +377,11 @@ class SlotHarmonics:
 
     The energy r L i_d i_q beside the map's own, so that reciprocity is kept: its flux r L (i_q, i_d) [Wb] is taken
     out of the voltage. Which part of L(theta) appears depends on the angle at which the rotor is locked. In the
-    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2. The part `by_flux` of it is what a gap
-    that is not even asks of the current, in proportion to the flux of the current: i_m = i + r psi / L. And at another angle, turned by delta,
-    L_dq is `across` L 2 sin(3 delta) more, L_dd and L_qq are `along_d` and `along_q` times that: slots repeat six times
-    a turn, their phase is not known, and of two angles these numbers tell all that differs.
+    flexible form it fades as the teeth saturate: r / (1 + f |i|^2), f in 1/A^2. The part `by_flux` of it is what an
+    uneven gap asks of the current, in proportion to the flux without the magnet's: i_m = i + r psi / L, crossed. And
+    where the rotor is turned by delta, L_dq is `across` L 2 sin(3 delta) more, L_dd and L_qq are `along_d` and
+    `along_q` times that: slots repeat six times a turn, their phase is not known, and of two angles these numbers tell
+    all that differs.
     """
 
     name: ClassVar[str] = "slot_harmonics"

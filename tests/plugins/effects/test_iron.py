@@ -9,9 +9,9 @@ import pytest
 
 from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
 from orchestrator.numerics.types import Array
-from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating
+from plugins.effects.iron import EddyCurrents, Hysteresis, MagnetHeating, SlotHarmonics
 from plugins.effects.timing import VoltageDelay
-from protocols import LossHistory
+from protocols import LossHistory, Signals
 from tests.plugins.effects.readings import FS, corrected, readings
 from tests.support.close import assert_close
 
@@ -86,6 +86,56 @@ def test_a_damper_may_be_on_one_axis_alone() -> None:
     damped = signals.i_m_ab - corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, saliency=1.0).i_m_ab
     assert_close(damped @ axis_d, 2.0 * both @ axis_d, 1e-12, of=both)
     assert np.abs(damped @ np.array([-axis_d[1], axis_d[0]])).max() < 1e-12 * np.abs(both).max()
+
+
+@pytest.mark.parametrize("lag_s", [3e-5, 1.5e-4])
+def test_eddies_that_diffuse_rise_as_a_field_sinks_into_a_sheet(lag_s: float) -> None:
+    """A step's answer by the diffusion equation's own series, of many more terms than the ladder has."""
+    v = np.where(np.arange(400) < 100, 0.0, 1.0)[:, None] * np.array([1.0, 0.5])
+    signals = readings().model_copy(update={"v_ab": v, "i_ab": np.zeros((400, 2)), "i_m_ab": np.zeros((400, 2))})
+    eddy = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s, diffused=1.0).i_m_ab[100:, 0]
+    m, t = np.arange(1.0, 400.0), np.arange(300)[:, None] / FS
+    series = 1.0 - np.sum(6.0 / (np.pi * m) ** 2 * np.exp(-(m**2) * t / lag_s), axis=1)
+    assert_close(eddy[1:], series[1:], 5e-3)
+    single = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s).i_m_ab[100:, 0]
+    assert np.abs(single[1:] - series[1:]).max() > 4.0 * np.abs(eddy[1:] - series[1:]).max()
+
+
+def test_half_of_eddies_that_diffuse_is_half_way() -> None:
+    signals = readings()
+    none, half, all_of_it = (
+        corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=8e-5, diffused=part) for part in (0.0, 0.5, 1.0)
+    )
+    assert_close(half.i_m_ab, 0.5 * (none.i_m_ab + all_of_it.i_m_ab), 1e-12)
+    assert_close(half.v_ab, 0.5 * (none.v_ab + all_of_it.v_ab), 1e-12)
+
+
+def _with_flux(signals: Signals) -> Signals:
+    """Of a machine whose inductance is the same all around."""
+    inductance = math.sqrt(0.043 * 0.069)
+    return signals.model_copy(update={"psi_smooth_ab": inductance * np.asarray(signals.i_ab)})
+
+
+def test_slots_that_ask_for_current_are_those_that_give_flux_where_iron_is_linear() -> None:
+    signals = _with_flux(readings())
+    inductance = math.sqrt(0.043 * 0.069)
+    volts, amps = (corrected(SlotHarmonics(), signals, relative=0.02, by_flux=part) for part in (0.0, 1.0))
+    given = np.diff(inductance * (amps.i_m_ab - signals.i_m_ab), axis=0) * FS
+    assert_close(given, (signals.v_ab - volts.v_ab)[:-1], 1e-9)
+    assert_close(amps.v_ab, signals.v_ab, 1e-12)
+    assert_close(volts.i_m_ab, signals.i_m_ab, 0.0)
+
+
+@pytest.mark.parametrize("name", ["across", "along_d", "along_q"])
+@pytest.mark.parametrize("part", [0.0, 1.0])
+def test_slots_differ_only_where_the_rotor_is_turned(name: str, part: float) -> None:
+    signals = _with_flux(readings())
+    values = {"relative": 0.02, "by_flux": part}
+    turned = signals.model_copy(update={"turned_rad": 0.3})
+    for there, as_much in ((signals, True), (turned, False)):
+        mere, more = (corrected(SlotHarmonics(), there, **values, **other) for other in ({}, {name: 0.05}))
+        same = np.allclose(mere.v_ab, more.v_ab) and np.allclose(mere.i_m_ab, more.i_m_ab)
+        assert same is as_much
 
 
 def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:

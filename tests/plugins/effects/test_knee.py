@@ -12,6 +12,7 @@ from scipy.special import erf
 
 from orchestrator.numerics.types import Array
 from plugins.effects.inverter import WIDTHS, DeadTime, _soft_sign
+from tests.plugins.effects.readings import corrected, readings, reads
 
 STEP, END = 0.01, 40.0
 TABLE = np.asarray(np.arange(0.0, END + 1.5 * STEP, STEP), dtype=np.float64)
@@ -65,3 +66,18 @@ def test_parts_are_asked_once_the_softness_brings_nothing_more() -> None:
     assert declared["wide"]
     assert declared["wider"]
     assert declared["switched"]
+
+
+@pytest.mark.parametrize("knees", [0.0, 0.5, 1.0, 2.0, 30.0, 300.0])
+def test_constant_capacitances_take_what_it_takes_to_charge_them(knees: float) -> None:
+    """A leg swings by i / i_th of the bus within a dead time: the triangle under the swing is what is given back."""
+    i = 0.05 * knees * np.array([1.0, 0.0])
+    signals = reads(readings(), np.tile(i, (400, 1)))
+    whole, charged = (
+        corrected(DeadTime(), signals, voltage_v=8.0, threshold_a=0.05, softness=0.02, charged=part).v_ab
+        for part in (0.0, 1.0)
+    )
+    a, others = (0.5 * x if x < 1.0 else 1.0 - 0.5 / x for x in (knees, 0.5 * knees))
+    lost = (signals.v_ab - charged)[5, 0] / 8.0
+    assert lost == pytest.approx((2.0 * a + 2.0 * others) / 3.0, rel=1e-4, abs=1e-9)
+    assert lost <= (signals.v_ab - whole)[5, 0] / 8.0 + 1e-9

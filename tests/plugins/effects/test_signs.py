@@ -74,6 +74,9 @@ def test_sensor_errors_are_undone() -> None:
     assert_close(read.i_m_ab, signals.i_ab, 1e-14)
     bent = reads(signals, _from_two(true + 3e-4 * true**3))
     assert_close(corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4).i_ab, signals.i_ab, 1e-7)
+    bent = reads(signals, _from_two(true + 4e-4 * true**2 + 3e-4 * true**3))
+    both = corrected(CurrentNonlinearity(), bent, cubic_per_a2=3e-4, square_per_a=4e-4)
+    assert_close(both.i_ab, signals.i_ab, 1e-6)
 
 
 def _of_three(signals: Signals, i_abc: Array) -> Signals:
@@ -195,3 +198,13 @@ def test_a_devices_drop_changes_with_what_its_leg_has_carried() -> None:
     assert_close(warm[0], (1.0 - 0.1 * part) * cold[0], 1e-2 * part, of=cold[0])
     unknown = readings()
     assert_close(corrected(DeviceDrop(), unknown, **values, warming=-0.1).v_ab, unknown.v_ab - cold, 1e-12, of=cold)
+
+
+@pytest.mark.parametrize(("at_edges", "times"), [(0.0, 1.0), (0.5, 1.5), (1.0, 2.0)])
+def test_a_bias_of_the_gate_drivers_delays_grows_with_the_pwm_frequency(at_edges: float, times: float) -> None:
+    own, twice = (
+        signals.v_ab - corrected(VoltageBias(), signals, bias_a_v=0.2, bias_b_v=-0.1, at_edges=at_edges).v_ab
+        for signals in (readings(), readings(pwm_hz=2.0 * FS))
+    )
+    assert_close(own, np.tile([0.2, 0.0], (400, 1)), 1e-9)
+    assert_close(twice, times * own, 1e-9)

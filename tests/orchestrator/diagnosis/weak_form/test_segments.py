@@ -133,3 +133,4 @@ def test_a_turned_rotor_was_left_without_current(clean: Recording) -> None:
     assert last is not None
     assert not last.any()
     assert made.pieces[-2].signals.came_from_ab is not None
+    assert [piece.signals.turned_rad for piece in made.pieces[-2:]] == [0.0, 1.0]
