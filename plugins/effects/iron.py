@@ -153,7 +153,9 @@ def _without_eddies(
 
 
 @njit(cache=True, nogil=True)
-def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: float, off: Array) -> Array:
+def _stops(
+    psi: Array, before: int, stiffness: Array, limits: Array, softness: float, giving: float, off: Array
+) -> Array:
     """Sum of vector stop operators of the flux (n, 2), which had its first `before` values before.
 
     Where it began, the iron remembered nothing.
@@ -165,6 +167,8 @@ def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: f
     softness : float
         Outwards a stop moves by 1 - (size / limit)^(1 / softness) of what is elastic; 0: as long as it is below its
         limit, by all of it.
+    giving : float
+        Which part of what it yields it does so whatever the direction.
 
     Returns
     -------
@@ -184,7 +188,7 @@ def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: f
                 if softness > 0.0:
                     parts += min(int(8.0 * math.sqrt(da * da + db * db) / limits[m]), 3)
                 for _ in range(parts):
-                    a, b = _moved(a, b, da / parts, db / parts, limits[m], softness)
+                    a, b = _moved(a, b, da / parts, db / parts, limits[m], softness, giving)
             if k == before:
                 # Beyond its limit a stop holds no more: what leads there stands for as much inwards.
                 more_a, more_b = off[m, 0] * limits[m], off[m, 1] * limits[m]
@@ -199,13 +203,17 @@ def _stops(psi: Array, before: int, stiffness: Array, limits: Array, softness: f
 
 
 @njit(cache=True, nogil=True)
-def _moved(a: float, b: float, da: float, db: float, limit: float, softness: float) -> tuple[float, float]:
+def _moved(
+    a: float, b: float, da: float, db: float, limit: float, softness: float, giving: float
+) -> tuple[float, float]:
     """A stop (a, b) that its flux would move by (da, db), were it elastic."""
-    if softness > 0.0 and a * da + b * db > 0.0:
-        size = math.sqrt(a * a + b * b)
-        outwards = (a * da + b * db) / size
+    along = a * da + b * db
+    if softness > 0.0 and (along > 0.0 or giving > 0.0):
+        size = max(math.sqrt(a * a + b * b), 1e-12 * limit)
+        outwards = along / size
+        way = (1.0 - giving) * max(outwards, 0.0) + giving * math.sqrt(da * da + db * db)
         # Half of the way out stands for all of it.
-        yielding = min((size + 0.5 * outwards) / limit, 1.0) ** (1.0 / softness) * outwards / size
+        yielding = min(abs(size + 0.5 * outwards) / limit, 1.0) ** (1.0 / softness) * way / size
         da -= yielding * a
         db -= yielding * b
     a += da
@@ -233,7 +241,8 @@ class Hysteresis:
     In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
     `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
     took for the earlier. A third one between them may have `middle_share` of all. With a `softness` they yield before
-    their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi.
+    their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi; the part `giving` of what they yield
+    they do on every way, back as well, where they then move by more than kappa psi.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
     Mech. Div. 102 (1976) 249.
     """
@@ -252,6 +261,7 @@ class Hysteresis:
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
         middle_share: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=0.8)
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
+        giving: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
@@ -285,6 +295,7 @@ class Hysteresis:
                 limits[there] / limits.sum(),
                 # A hundredth power is as sharp as none, and costs one.
                 p.softness if p.softness > 1e-2 else 0.0,
+                p.giving,
                 off[there],
             )
         )
