@@ -241,9 +241,10 @@ class Hysteresis:
     In the flexible form the stops hold out to fluxes exp(-+sqrt(`variance`)) apart, and the one that yields earlier has
     `early_share` of kappa, whatever that is where there is no variance: a search is not led astray by which of them it
     took for the earlier. A third one between them may have `middle_share` of all. With a `softness` they yield before
-    their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi; the part `giving` of what they yield
-    they do on every way, back as well, where they then move by more than kappa psi. All of it is
-    1 + `widening_per_wb2` |psi|^2 times as wide where the current has made a flux psi.
+    their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi; the part `giving` of what they
+    yield they do on every way, back as well, where they then move by more than kappa psi. The part `by_axes` of all is
+    held by stops on d and on q that do not know of each other. And all of it is 1 + `widening_per_wb2` |psi|^2 times as
+    wide where the current has made a flux psi.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
     Mech. Div. 102 (1976) 249.
     """
@@ -263,6 +264,7 @@ class Hysteresis:
         middle_share: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=0.8)
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
         giving: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
+        by_axes: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=-50.0, high=500.0)
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
 
@@ -289,18 +291,22 @@ class Hysteresis:
         there = shares > 0.0
         psi = _flux(signals)
         way = _way_here(signals, psi, p.overshoot)
-        held = _stops(
-            np.concatenate([way, psi]),
-            len(way),
-            shares[there] / p.yield_wb,
-            limits[there] / limits.sum(),
+        course = np.concatenate([way, psi])
+
+        def stopped(course: Array) -> Array:
             # A hundredth power is as sharp as none, and costs one.
-            p.softness if p.softness > 1e-2 else 0.0,
-            p.giving,
-            off[there],
-        )
+            softness = p.softness if p.softness > 1e-2 else 0.0
+            stiffness, apart = shares[there] / p.yield_wb, limits[there] / limits.sum()
+            return np.asarray(_stops(course, len(way), stiffness, apart, softness, p.giving, off[there]))
+
+        held = stopped(course) if p.by_axes < 1.0 else np.zeros_like(psi)
+        if p.by_axes > 0.0:
+            theta_rad = float(signals.theta_rad[0])
+            alone = to_dq(course, theta_rad)[:, :, None] * np.array([1.0, 0.0])
+            d, q = (stopped(np.ascontiguousarray(alone[:, axis]))[:, 0] for axis in range(2))
+            held = (1.0 - p.by_axes) * held + p.by_axes * to_ab(np.stack([d, q], axis=1), theta_rad)
         if p.widening_per_wb2 == 0.0:
-            return np.asarray(held)
+            return held
         by_current = psi - _magnet_wb(signals) * unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
         wider = 1.0 + p.widening_per_wb2 * np.einsum("ij,ij->i", by_current, by_current)
         return np.asarray(np.maximum(wider, 0.0)[:, None] * held)
