@@ -293,17 +293,19 @@ class Hysteresis:
         way = _way_here(signals, psi, p.overshoot)
         course = np.concatenate([way, psi])
 
-        def stopped(course: Array) -> Array:
+        def stopped(course: Array, off: Array) -> Array:
             # A hundredth power is as sharp as none, and costs one.
             softness = p.softness if p.softness > 1e-2 else 0.0
             stiffness, apart = shares[there] / p.yield_wb, limits[there] / limits.sum()
             return np.asarray(_stops(course, len(way), stiffness, apart, softness, p.giving, off[there]))
 
-        held = stopped(course) if p.by_axes < 1.0 else np.zeros_like(psi)
+        held = stopped(course, off) if p.by_axes < 1.0 else np.zeros_like(psi)
         if p.by_axes > 0.0:
-            theta_rad = float(signals.theta_rad[0])
-            alone = to_dq(course, theta_rad)[:, :, None] * np.array([1.0, 0.0])
-            d, q = (stopped(np.ascontiguousarray(alone[:, axis]))[:, 0] for axis in range(2))
+            theta_rad, first = float(signals.theta_rad[0]), np.array([1.0, 0.0])
+            along, memory = to_dq(course, theta_rad), to_dq(off, theta_rad)
+            d, q = (
+                stopped(np.outer(along[:, axis], first), np.outer(memory[:, axis], first))[:, 0] for axis in range(2)
+            )
             held = (1.0 - p.by_axes) * held + p.by_axes * to_ab(np.stack([d, q], axis=1), theta_rad)
         if p.widening_per_wb2 == 0.0:
             return held

@@ -213,6 +213,45 @@ def test_a_soft_stop_yields_before_its_limit_and_the_softer_the_sooner() -> None
     assert (soft[turn] - soft[turn + 20]) / (psi[turn] - psi[turn + 20]) == pytest.approx(stiff, rel=1e-3)
 
 
+@pytest.mark.parametrize("softness", [0.5, 0.7, 1.0])
+def test_a_stop_that_gives_on_every_way_is_boucs_and_wens(softness: float) -> None:
+    """w dz/du = 1 - |z|^(n - 1) z sign du, in as many small steps as it takes."""
+    psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015, "softness": softness, "giving": 1.0}, 0.05)
+    z, expected = 0.0, []
+    for k in range(1, 2001):
+        step = (psi[k] - psi[k - 1]) / 0.015 / 50
+        for _ in range(50):
+            z += step - abs(step) * abs(z) ** (1.0 / softness - 1.0) * z
+        expected.append(0.03 * z)
+    assert_close(held[1001:2001], expected[1000:], 0.02, of=held)
+
+
+def test_stops_of_one_axis_do_not_know_of_the_other() -> None:
+    """The flux stands still on d and moves to and fro on q: a vector stop forgets what it held on d."""
+    k = np.arange(4000)
+    psi = np.stack([np.minimum(k * 2e-4, 0.1), 0.1 * np.sin(2 * np.pi * k / 1000) * (k > 1000)], axis=1)
+    signals = readings(4000).model_copy(
+        update={"psi_smooth_ab": psi, "theta_rad": np.zeros(4000), "came_from_ab": readings().i_ab[:1]}
+    )
+    vector, alone, half = (
+        signals.i_m_ab - corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, by_axes=part).i_m_ab
+        for part in (0.0, 1.0, 0.5)
+    )
+    assert alone[-1, 0] == pytest.approx(0.03, rel=1e-6)
+    assert abs(vector[-1, 0]) < 0.003
+    assert_close(alone[2000:, 1].max(), 0.03, 1e-6)
+    assert_close(half, 0.5 * (vector + alone), 1e-12)
+
+
+def test_a_loop_is_as_much_wider_as_its_flux_says() -> None:
+    sizes = {"half_width_a": 0.03, "yield_wb": 0.015}
+    psi, mere = _loop(sizes, 0.2)
+    _, wider = _loop({**sizes, "widening_per_wb2": 25.0}, 0.2)
+    _, narrower = _loop({**sizes, "widening_per_wb2": -50.0}, 0.2)
+    assert_close(wider, (1.0 + 25.0 * psi**2) * mere, 1e-12)
+    assert not narrower[np.abs(psi) > math.sqrt(1.0 / 50.0)].any()
+
+
 def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps() -> None:
     k = np.arange(4000)
     fine = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), 0.1 * np.cos(2 * np.pi * k / 1000)], axis=1)
