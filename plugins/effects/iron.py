@@ -244,7 +244,7 @@ class Hysteresis:
     their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi; the part `giving` of what they
     yield they do on every way, back as well, where they then move by more than kappa psi. The part `by_axes` of all is
     held by stops on d and on q that do not know of each other. And all of it is 1 + `widening_per_wb2` |psi|^2 times as
-    wide where the current has made a flux psi.
+    wide where the current has made a flux psi; negative, as much narrower.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
     Mech. Div. 102 (1976) 249.
     """
@@ -265,7 +265,7 @@ class Hysteresis:
         softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
         giving: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         by_axes: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
-        widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=-50.0, high=500.0)
+        widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=-500.0, high=500.0)
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
@@ -310,8 +310,8 @@ class Hysteresis:
         if p.widening_per_wb2 == 0.0:
             return held
         by_current = psi - _magnet_wb(signals) * unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
-        wider = 1.0 + p.widening_per_wb2 * np.einsum("ij,ij->i", by_current, by_current)
-        return np.asarray(np.maximum(wider, 0.0)[:, None] * held)
+        wider = 1.0 + abs(p.widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
+        return np.asarray(held * (wider if p.widening_per_wb2 > 0.0 else 1.0 / wider)[:, None])
 
 
 def _way_here(signals: Signals, psi: Array, overshoot: float, steps: int = 8) -> Array:

@@ -16,7 +16,11 @@ from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signa
 
 
 class PhaseResistanceImbalance:
-    """Extra resistance in phases a and b beside phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm."""
+    """Extra resistance in phases a and b beside phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm.
+
+    In the flexible form it warms, as a joint does that conducts badly: r (1 + `rise_per_watt` y), y the winding's loss
+    through a lag of `rise_s`; how the loss was shared between the phases is not asked.
+    """
 
     name: ClassVar[str] = "phase_resistance_imbalance"
     summary: ClassVar[str] = "The phases differ in resistance."
@@ -28,11 +32,16 @@ class PhaseResistanceImbalance:
     class Parameters(EffectParameters):
         extra_a_ohm: float = amplitude("ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0)
         extra_b_ohm: float = amplitude("ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0)
+        rise_per_watt: float = refinement("1/W", neutral=0.0, prior_width=0.005, low=0.0, high=0.1)
+        rise_s: float = refinement("s", neutral=30.0, prior_width=30.0, low=1.0, high=1000.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Subtract what the extra resistances drop, at the mean current of each interval."""
         ohm = from_phases(to_phases(np.eye(2)) * np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0]))
-        return Correction(v_ab=less_of_means(signals.v_ab, signals.i_ab, ohm))
+        i_ab = doubles(signals.i_ab)
+        if p.rise_per_watt > 0.0:
+            i_ab = i_ab * (1.0 + p.rise_per_watt * _warm(signals, 0.0, np.full(2, p.rise_s), 0.0))[:, None]
+        return Correction(v_ab=less_of_means(signals.v_ab, i_ab, ohm))
 
 
 class WindingHeating:
@@ -60,21 +69,27 @@ class WindingHeating:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Raise the resistance by what the loss so far has warmed."""
-        if signals.losses is None:
-            # No history: as if nothing had been lost to the surroundings.
-            warm = signals.heat_j / p.time_constant_s
-        else:
-            warm = _warmth(
-                doubles(signals.losses.time_s),
-                doubles(signals.losses.power_w),
-                p.rise_per_watt,
-                p.time_constant_s * np.array([1.0, p.slow_ratio]),
-                p.slow_share,
-                signals.start_s,
-                1.0 / signals.sampling_frequency_hz,
-                len(signals.v_dc),
-            )
+        warm = _warm(signals, p.rise_per_watt, p.time_constant_s * np.array([1.0, p.slow_ratio]), p.slow_share)
         return Correction(resistance_ohm=signals.resistance_ohm * (1.0 + p.rise_per_watt * warm))
+
+
+def _warm(signals: Signals, rise: float, constants_s: Array, slow_share: float) -> Array:
+    """The copper loss through lags of two time constants, at the samples [W]; as `_warmth`."""
+    if signals.losses is None:
+        # No history: as if nothing had been lost to the surroundings.
+        return np.asarray(signals.heat_j / constants_s[0], dtype=np.float64)
+    return np.asarray(
+        _warmth(
+            doubles(signals.losses.time_s),
+            doubles(signals.losses.power_w),
+            rise,
+            constants_s,
+            slow_share,
+            signals.start_s,
+            1.0 / signals.sampling_frequency_hz,
+            len(signals.v_dc),
+        )
+    )
 
 
 @njit(cache=True, nogil=True)
