@@ -85,8 +85,7 @@ def all_together(
         if alone is not fit:
             fit, rivals = exchanged(setup.coarse_fitter, downwards(setup.coarse_fitter, alone), library)
     begin("the same on the whole recording", BEGINS_AT["whole"])
-    resting = fit.model.with_active([replace(a, free=()) for a in fit.model.active])
-    whole = setup.fitter.fit(resting)
+    whole = setup.fitter.fit(at_rest(fit.model))
     if whole.model.space.is_free:
         whole = with_detail(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
@@ -129,14 +128,23 @@ def without_needless_scatter(
 def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """The fit on as sharp a map as it asks for now that all effects have their forms, and these anew on each.
 
-    Before any of them is asked to stay: what a map is too coarse for looks like one or another of them.
+    Before any of them is asked to stay: what a map is too coarse for looks like one or another of them. How sharp it
+    has to be is asked with the effects at rest, for there are many maps to try.
     """
     while _formless(fit) and fit.model.space.is_free:
-        sharper = with_detail(setup, setup.coarse_fitter, fit)
-        if sharper is fit:
+        resting = setup.coarse_fitter.fit(at_rest(fit.model), fit.frame)
+        sharper = with_detail(setup, setup.coarse_fitter, resting)
+        if sharper is resting:
             break
-        fit = in_own_forms(setup.coarse_fitter, sharper)
+        fit = in_own_forms(
+            setup.coarse_fitter, setup.coarse_fitter.renewed(sharper.model.with_active(fit.model.active))
+        )
     return fit
+
+
+def at_rest(model: Model) -> Model:
+    """The model with its effects held as they are."""
+    return model.with_active([replace(active, free=()) for active in model.active])
 
 
 def no_sharper_than_asked(setup: DiagnosisSetup, fit: Fit) -> Fit:
