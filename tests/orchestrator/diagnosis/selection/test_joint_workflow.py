@@ -159,11 +159,21 @@ def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
     chi2: float, asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    sharper = replace(whole, chi2=1.01 * whole.dof)
-    monkeypatch.setattr(joint_workflow, "with_detail", lambda *_: sharper)
-    monkeypatch.setattr(joint_workflow, "in_own_forms", lambda _, fit: fit)
-    fit = replace(whole, chi2=chi2 * whole.dof)
-    assert joint_workflow.on_a_sharper_map(setup, fit) is (sharper if asked else fit)
+    part = setup.coarse_fitter.fit(whole.model)
+    finer, tried = replace(part.model.space, roughness=9.0), list[Fit]()
+
+    def with_detail(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
+        tried.append(fit)
+        return fitter.fit(replace(fit.model, space=finer)) if len(tried) == 1 else fit
+
+    monkeypatch.setattr(joint_workflow, "with_detail", with_detail)
+    monkeypatch.setattr(joint_workflow, "in_own_forms", lambda _, fit: replace(fit, chi2=chi2 * fit.dof))
+    fit = replace(part, chi2=chi2 * part.dof)
+    after = joint_workflow.on_a_sharper_map(setup, fit)
+    assert [len(one.model.free) for one in tried] == ([0, 0] if asked else [])
+    assert (after.model.space is finer) == asked
+    assert (after is fit) != asked
+    assert [name for _, name in after.model.free] == [name for _, name in fit.model.free]
 
 
 @pytest.mark.parametrize("earned", [False, True])
