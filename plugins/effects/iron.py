@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import ClassVar
 
 import numpy as np
@@ -301,17 +302,23 @@ class Hysteresis:
 
         held = stopped(course, off) if p.by_axes < 1.0 else np.zeros_like(psi)
         if p.by_axes > 0.0:
-            theta_rad, first = float(signals.theta_rad[0]), np.array([1.0, 0.0])
-            along, memory = to_dq(course, theta_rad), to_dq(off, theta_rad)
-            d, q = (
-                stopped(np.outer(along[:, axis], first), np.outer(memory[:, axis], first))[:, 0] for axis in range(2)
-            )
-            held = (1.0 - p.by_axes) * held + p.by_axes * to_ab(np.stack([d, q], axis=1), theta_rad)
-        if p.widening_per_wb2 == 0.0:
-            return held
-        by_current = psi - _magnet_wb(signals) * unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
-        wider = 1.0 + abs(p.widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
-        return np.asarray(held * (wider if p.widening_per_wb2 > 0.0 else 1.0 / wider)[:, None])
+            held = (1.0 - p.by_axes) * held + p.by_axes * _by_axes(stopped, course, off, float(signals.theta_rad[0]))
+        return held if p.widening_per_wb2 == 0.0 else held * _width(signals, psi, p.widening_per_wb2)[:, None]
+
+
+def _by_axes(stopped: Callable[[Array, Array], Array], course: Array, off: Array, theta_rad: float) -> Array:
+    """What stops hold of a course of the flux (m, 2), each axis alone as if nothing were on the other, shape (n, 2)."""
+    first = np.array([1.0, 0.0])
+    along, memory = to_dq(course, theta_rad), to_dq(off, theta_rad)
+    d, q = (stopped(np.outer(along[:, k], first), np.outer(memory[:, k], first))[:, 0] for k in range(2))
+    return to_ab(np.stack([d, q], axis=1), theta_rad)
+
+
+def _width(signals: Signals, psi: Array, widening_per_wb2: float) -> Array:
+    """By how much a loop is wider, (n,), or narrower, where the current has made a flux psi (n, 2), magnet included."""
+    by_current = psi - _magnet_wb(signals) * unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
+    wider = 1.0 + abs(widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
+    return np.asarray(wider if widening_per_wb2 > 0.0 else 1.0 / wider)
 
 
 def _way_here(signals: Signals, psi: Array, overshoot: float, steps: int = 8) -> Array:
@@ -342,6 +349,11 @@ def _flux(signals: Signals) -> Array:
         return doubles(signals.psi_smooth_ab)
     drop = signals.v_ab - signals.resistance_ohm[:, None] * signals.i_ab
     return np.asarray(np.cumsum(drop, axis=0) / signals.sampling_frequency_hz)
+
+
+def _magnet_wb(signals: Signals) -> float:
+    """The nameplate's flux of the magnet; 0 where it has none."""
+    return (signals.motor.pm_flux_wb if signals.motor is not None else None) or 0.0
 
 
 def _inductance(signals: Signals) -> float:
@@ -438,10 +450,6 @@ class SlotHarmonics:
         psi = to_dq(_flux(signals), theta_rad) - [_magnet_wb(signals), 0.0]
         asked = to_ab(psi @ np.array([[along_d, across], [across, along_q]]), theta_rad)
         return Correction(v_ab=less, i_m_ab=i_m_ab + asked)
-
-
-def _magnet_wb(signals: Signals) -> float:
-    return (signals.motor.pm_flux_wb if signals.motor is not None else None) or 0.0
 
 
 @njit(cache=True, nogil=True)
