@@ -226,7 +226,7 @@ def within_reach(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     grid, space = _reaching(fit), fit.model.space
     if grid == space.grid or not space.is_free:
         return fit
-    return fitter.fit(_on_grid(setup, fit, grid, space.roughness), steps=2, renewals=0)
+    return fitter.fit(_on_grid(setup, fit, grid, space.roughness), fit.frame, steps=2, renewals=0)
 
 
 def _reaching(fit: Fit) -> EvenSpline:
@@ -324,7 +324,7 @@ def finer_map(
     space = fit.model.space
     if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
-    trial = fitter.fit(_on_map(setup, fit, cells, roughness), steps=2, renewals=0)
+    trial = fitter.fit(_on_map(setup, fit, cells, roughness), fit.frame, steps=2, renewals=0)
     return trial if worth_its_freedom(trial, fit) else None
 
 

@@ -19,7 +19,7 @@ from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, Model, SegmentFrame, SegmentRows
+from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, MapSpace, Model, SegmentFrame, SegmentRows
 from orchestrator.diagnosis.fitting.segment_equations import Place, SegmentEquations
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
@@ -81,7 +81,7 @@ class Fitter:
         Parameters
         ----------
         frame : Frame, optional
-            Kept from an earlier fit with the same map space.
+            Of an earlier fit: kept where it has the same map, else made anew as far as another map changes it.
         steps : int
             Most Gauss-Newton steps in one frame.
         renewals : int
@@ -89,7 +89,8 @@ class Fitter:
         tolerance : float
             Gain of a step, as a part of the excess chi2, below which the fit ends.
         """
-        best = self.renewed(model) if frame is None or frame.space is not model.space else self.evaluate(model, frame)
+        kept = frame is not None and frame.space is model.space
+        best = self.evaluate(model, frame) if frame is not None and kept else self.renewed(model, frame)
         best = self._descend(best, steps, tolerance)
         for _ in range(renewals):
             old = best
@@ -167,10 +168,10 @@ class Fitter:
         Parameters
         ----------
         held : bool
-            Nothing is solved for: R_s and the map stay the model's too.
+            Nothing is solved for: R_s and the map stay the model's too, and there are no columns.
         """
         self.poll()
-        wanted = [*model.free, *extra]
+        wanted = [] if held else [*model.free, *extra]
         place = partial(self._renewed_place, model, self._before(model, old))
         made, answers = self._rows(model, place, wanted, known)
         frame = self._framed(model, [kept for kept, _ in made], old)
@@ -210,8 +211,8 @@ class Fitter:
         return self.equations.renewed(model, self.prepared.pieces[k], before[k])
 
     def _before(self, model: Model, old: Frame | None) -> Sequence[SegmentFrame | None]:
-        """What an earlier frame has of each segment, where it is one of the same map and noise."""
-        if old is None or old.space is not model.space or old.noise is not self.noise:
+        """What an earlier frame has of each segment, where it is one of the same noise, and of a map as free as this."""
+        if old is None or old.noise is not self.noise or not _as_free(old.space, model.space):
             return (None,) * len(self.prepared.pieces)
         return old.pieces
 
@@ -290,6 +291,11 @@ class Fitter:
         chi2 is per degree of freedom as in a fit of the same freedom.
         """
         return self.renewed(model, held=True)
+
+
+def _as_free(one: MapSpace, other: MapSpace) -> bool:
+    """Whether what one map's equations are made of can be the other's: of two that are free, or of one and the same."""
+    return one is other or (one.is_free and other.is_free)
 
 
 def absent_columns(candidates: Sequence[Candidate]) -> list[tuple[Active, str]]:
