@@ -211,7 +211,7 @@ class Fitter:
         return self.equations.renewed(model, self.prepared.pieces[k], before[k])
 
     def _before(self, model: Model, old: Frame | None) -> Sequence[SegmentFrame | None]:
-        """What an earlier frame has of each segment, where it is one of the same noise, and of a map as free as this."""
+        """What an earlier frame has of each segment, where it is of the same noise, and of a map as free as this."""
         if old is None or old.noise is not self.noise or not _as_free(old.space, model.space):
             return (None,) * len(self.prepared.pieces)
         return old.pieces
