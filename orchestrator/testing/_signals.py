@@ -39,6 +39,7 @@ def exciting_signals(seed: int = 1) -> Signals:
         v_late_ab=0.1 * np.diff(v_ab, axis=0, prepend=v_ab[:1]),
         v_dc=np.full(n, 540.0),
         theta_rad=np.full(n, theta),
+        turned_rad=0.4,
         resistance_ohm=np.full(n, 4.0),
         i_m_ab=i_ab.copy(),
         heat_j=100.0 + np.cumsum(losses) / fs,

@@ -343,7 +343,8 @@ class BusSag:
     """The bus voltage sags under load while the drive modulates for the nominal one.
 
     v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The bus's own capacitors make the sag follow
-    the power with a lag.
+    the power with a lag, but for a part s that their resistance R_c in series lets follow at once: behind a source of
+    resistance R_0, s = R_c / (R_0 + R_c). A rectifier takes nothing back: what a motor returns lifts the bus.
     """
 
     name: ClassVar[str] = "bus_sag"
@@ -356,22 +357,55 @@ class BusSag:
     class Parameters(EffectParameters):
         per_watt: float = amplitude("1/W", typical=5e-5, prior_width=1e-4, low=0.0, high=0.01)
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
+        at_once: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=0.9)
+        one_way: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Scale the commanded voltage by what the bus has left."""
-        decay = math.exp(-1.0 / (p.lag_s * signals.sampling_frequency_hz))
-        return Correction(v_ab=_sagged(doubles(signals.v_ab), doubles(signals.i_ab), p.per_watt, decay))
+        intervals = p.lag_s * signals.sampling_frequency_hz
+        sag = _sag(doubles(signals.v_ab), doubles(signals.i_ab), intervals, p.at_once, 1.0 - p.one_way)
+        return Correction(v_ab=signals.v_ab * (1.0 - p.per_watt * sag)[:, None])
 
 
 @njit(cache=True, nogil=True)
-def _sagged(v_ab: Array, i_ab: Array, per_watt: float, decay: float) -> Array:
-    """The voltage (n, 2) times what a bus has left that sags with the power drawn over each interval, and lags it."""
-    out = np.empty_like(v_ab)
+def _sag(v_ab: Array, i_ab: Array, lag: float, at_once: float, back: float) -> Array:
+    """The power that a source would have to give for as much sag as there is, on the mean over each interval, (n,) [W].
+
+    Parameters
+    ----------
+    lag : float
+        Of the sag behind the power drawn, in intervals.
+    at_once : float
+        Part of it that does not lag.
+    back : float
+        Conductance of the source for a current that flows back, over that for one that flows out.
+    """
+    out = np.empty(v_ab.shape[0])
+    direct = at_once / (1.0 - at_once)
+    ways = (1.0, back)
+    given = (1.0 / (1.0 + direct), back / (1.0 + back * direct))
+    # Of a first-order lag, over an interval: how much of its first slope it goes, to the end and on the mean.
+    rates = (given[0] / (lag * (1.0 - at_once)), given[1] / (lag * (1.0 - at_once)))
+    to_end = (_part_gone(rates[0]), _part_gone(rates[1]))
+    on_mean = (_part_gone_on_mean(rates[0]), _part_gone_on_mean(rates[1]))
     late = 0.0
     for k in range(v_ab.shape[0]):
         after = min(k + 1, v_ab.shape[0] - 1)
         power = 0.75 * (v_ab[k, 0] * (i_ab[k, 0] + i_ab[after, 0]) + v_ab[k, 1] * (i_ab[k, 1] + i_ab[after, 1]))
-        late = power if k == 0 else decay * late + (1.0 - decay) * power
-        out[k, 0] = v_ab[k, 0] * (1.0 - per_watt * late)
-        out[k, 1] = v_ab[k, 1] * (1.0 - per_watt * late)
+        late = power if k == 0 else late
+        way = 0 if late + direct * power >= 0.0 else 1
+        slope = (power - given[way] * (late + direct * power)) / (lag * (1.0 - at_once))
+        mean = late + on_mean[way] * slope
+        out[k] = (mean + direct * power) / (1.0 + ways[way] * direct)
+        late += to_end[way] * slope
     return out
+
+
+@njit(cache=True, nogil=True)
+def _part_gone(rate: float) -> float:
+    return -math.expm1(-rate) / rate if rate > 1e-9 else 1.0
+
+
+@njit(cache=True, nogil=True)
+def _part_gone_on_mean(rate: float) -> float:
+    return (1.0 - _part_gone(rate)) / rate if rate > 1e-4 else 0.5 - rate / 6.0

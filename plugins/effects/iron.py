@@ -263,7 +263,7 @@ class Hysteresis:
         variance: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=2.5)
         early_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
         middle_share: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=0.8)
-        softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.5, other_form=0.6)
+        softness: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=4.0, other_form=0.6)
         giving: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         by_axes: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=-500.0, high=500.0)
@@ -429,11 +429,11 @@ class SlotHarmonics:
 
     class Parameters(EffectParameters):
         relative: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
+        across: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
+        along_d: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
+        along_q: float = amplitude("1", typical=0.02, prior_width=0.03, low=-0.3, high=0.3)
         fading_per_a2: float = refinement("1/A^2", neutral=0.0, prior_width=0.1, low=-0.03, high=10.0)
         by_flux: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
-        across: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
-        along_d: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
-        along_q: float = refinement("1", neutral=0.0, prior_width=0.03, low=-0.3, high=0.3)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take the change of this flux from the voltage of each interval."""

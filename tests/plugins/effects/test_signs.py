@@ -58,6 +58,36 @@ def test_bus_sag_lowers_the_voltage_by_the_power() -> None:
     np.testing.assert_allclose(out.v_ab[0], signals.v_ab[0] * (1 - 1e-3 * power))
 
 
+@pytest.mark.parametrize("at_once", [0.0, 0.2])
+def test_a_bus_that_lags_has_sagged_by_what_its_capacitor_gave_on_the_mean_over_an_interval(at_once: float) -> None:
+    volts, tau, n = 10.0, 5e-4, 4000
+    v_ab, i_ab = np.tile([volts, 0.0], (n, 1)), np.zeros((n, 2))
+    # The load comes between the first two rows: the first interval has half of it.
+    i_ab[1:, 0] = 2.0
+    signals = readings(n).model_copy(update={"v_ab": v_ab, "i_ab": i_ab})
+    values = {"per_watt": 1e-3, "lag_s": tau, "at_once": at_once}
+    sag = 1.0 - corrected(BusSag(), signals, **values).v_ab[:, 0] / volts
+    power, since = 1.5 * volts * 2.0, np.arange(n - 2) / FS
+    first = 0.5 * power
+    mean = power + (first - power) * np.exp(-since / tau) * tau * FS * -np.expm1(-1.0 / (tau * FS))
+    np.testing.assert_allclose(sag[1:-1], 1e-3 * (at_once * power + (1.0 - at_once) * mean), rtol=1e-9)
+
+
+def test_what_a_motor_returns_lifts_a_bus_that_takes_nothing_back_by_the_energy_in_its_capacitor() -> None:
+    volts, tau, n, per_watt = 10.0, 5e-4, 400, 1e-5
+    v_ab, i_ab = np.tile([volts, 0.0], (n, 1)), np.zeros((n, 2))
+    i_ab[1:, 0] = -2.0
+    signals = readings(n).model_copy(update={"v_ab": v_ab, "i_ab": i_ab})
+    lifted, steady = (
+        corrected(BusSag(), signals, per_watt=per_watt, lag_s=tau, one_way=way).v_ab[:, 0] / volts - 1.0
+        for way in (1.0, 0.0)
+    )
+    returned = 1.5 * volts * 2.0
+    # dv / v = k dE / (R C): the energy of each interval is there at its end, half of it on its mean.
+    np.testing.assert_allclose(np.diff(lifted[1:]), per_watt * returned / (tau * FS), rtol=1e-6)
+    assert steady[-1] == pytest.approx(per_watt * returned, rel=1e-6)
+
+
 def test_delay_mixes_in_the_voltage_of_the_interval_before() -> None:
     signals = readings()
     out = corrected(VoltageDelay(), signals, delay_s=25e-6)

@@ -43,9 +43,11 @@ def whole(maker: Fitter, model: Model, fit: Fit) -> list[Array]:
 
 
 def distance(some: list[Array], others: list[Array]) -> Array:
-    """Relative distance of each column."""
+    """Relative distance of each column; of what does not show both are nothing."""
     a, b = np.concatenate(some), np.concatenate(others)
-    return np.asarray(np.sqrt(np.sum((a - b) ** 2, axis=0) / np.sum(b**2, axis=0)))
+    shows = np.sum(b**2, axis=0) > 0.0
+    assert not a[:, ~shows].any()
+    return np.asarray(np.sqrt(np.sum((a - b)[:, shows] ** 2, axis=0) / np.sum(b[:, shows] ** 2, axis=0)))
 
 
 def training(maker: Fitter, fit: Fit) -> list[Array]:
