@@ -260,7 +260,9 @@ def _diagnosed(
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
         effects=found,
-        minor=beyond_the_rest((e for e in active if e.name in search.minor), rest),
+        minor=beyond_the_rest(
+            (e for e in active if e.name in search.minor), rest, last.criteria.selection.balanced_share
+        ),
         traces=tuple(dict.fromkeys([*search.minor, *doubtful, *spared, *search.traces])),
         joint=joint,
         ladder=ladder,

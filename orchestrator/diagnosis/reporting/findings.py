@@ -72,9 +72,12 @@ def _said_by(active: Active) -> list[Remark]:
         raise PluginError("effects", active.name, f"remarks: {type(error).__name__}: {error}") from error
 
 
-def beyond_the_rest(effects: Iterable[FoundEffect], rest: float) -> tuple[FoundEffect, ...]:
-    """Those that take away no less of the error than is left: of less, nobody can say that it is there."""
-    return tuple(effect for effect in effects if (effect.share or 0.0) >= rest)
+def beyond_the_rest(effects: Iterable[FoundEffect], rest: float, most: float) -> tuple[FoundEffect, ...]:
+    """Those that take away no less of the error than is left: of less, nobody can say that it is there.
+
+    Nor of what takes away more than `most` while something is left: another one puts it there.
+    """
+    return tuple(e for e in effects if (e.share or 0.0) >= rest and (rest <= 0.0 or (e.share or 0.0) <= most))
 
 
 def _interval(active: Active, name: str, half: float) -> ParameterValue:

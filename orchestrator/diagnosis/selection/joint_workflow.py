@@ -313,9 +313,10 @@ def ladder_of(
 def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]]:
     """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
 
-    Nor is one whose interval holds nothing at all: it may be balanced by another. All stay in the model. What drifts by
-    a part leaves that part of what it takes away: where less is left, the blocks disagree on something else. Where no
-    effect at all is sure, nothing has been found, however little is left.
+    Nor is one whose interval holds nothing at all: it may be balanced by another, as is one that takes away many times
+    what there is to take away. All stay in the model. What drifts by a part leaves that part of what it takes away:
+    where less is left, the blocks disagree on something else. Where no effect at all is sure, nothing has been found,
+    however little is left.
     """
     first, last = search.steps[0].fit, search.fit
     if search.shares and nothing_is_sure(fitter, search.sized):
@@ -328,7 +329,8 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     causes, absent = [n for n in last.model.names if n not in search.minor], perhaps_absent(fitter, search.sized)
     taken = {n: search.shares[n].of_error for n in causes}
     unsteady = [n for n in causes if drift[n] > steady and left > steady * min(taken[n], 1.0)]
-    doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent]
+    balanced = [n for n in causes if taken[n] > last.criteria.selection.balanced_share]
+    doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent or n in balanced]
     steps = [s for s in search.steps[:-1] if s.added not in doubtful]
     added = next((n for n in reversed(causes) if n not in doubtful), None)
     steps = [s for s in steps if s.added != added or added is None]

@@ -71,5 +71,16 @@ def test_what_takes_away_less_than_is_left_is_not_listed() -> None:
         FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
         for name, share in (("a", 0.5), ("b", 0.02))
     ]
-    assert [effect.name for effect in beyond_the_rest(some, 0.42)] == ["a"]
-    assert [effect.name for effect in beyond_the_rest(some, 0.0)] == ["a", "b"]
+    assert [effect.name for effect in beyond_the_rest(some, 0.42, 3.0)] == ["a"]
+    assert [effect.name for effect in beyond_the_rest(some, 0.0, 3.0)] == ["a", "b"]
+
+
+@pytest.mark.parametrize(("left", "listed"), [(0.1, ["a"]), (0.0, ["a", "b"])])
+def test_what_takes_away_many_times_the_error_while_something_is_left_is_not_listed(
+    left: float, listed: list[str]
+) -> None:
+    some = [
+        FoundEffect(name=name, parameters={}, twins=(), relative_size=1.0, log_evidence=20.0, share=share)
+        for name, share in (("a", 0.5), ("b", 30.0))
+    ]
+    assert [effect.name for effect in beyond_the_rest(some, left, 3.0)] == listed
