@@ -30,9 +30,12 @@ def baselines(recording: RecordingReader, library: Sequence[Effect]) -> dict[str
     bare = first_steps(setup, "saturated", {c.name: c for c in candidates})[-1].fit
     fit = setup.coarse_fitter.fit(bare.model, renewals=0)
     view = linear_view(setup.coarse_fitter, fit, candidates)
-    names = [a.name for a, _ in view.columns]
-    noise = max((fit.chi2 - _fall(view.normal, view.right, np.arange(len(names)))) / fit.dof, 1.0)
-    normal, right, rows = view.normal / noise, view.right / noise, fit.dof
+    # What only a second angle would show is no column of one.
+    shown = np.flatnonzero(np.diag(view.normal) > 0.0)
+    names = [view.columns[k][0].name for k in shown]
+    normal, right, rows = view.normal[np.ix_(shown, shown)], view.right[shown], fit.dof
+    noise = max((fit.chi2 - _fall(normal, right, np.arange(len(names)))) / fit.dof, 1.0)
+    normal, right = normal / noise, right / noise
     found = {}
     for method, search in METHODS.items():
         offered = [np.zeros(0, dtype=np.int64), *search(normal, right)]
