@@ -245,9 +245,11 @@ class Hysteresis:
     their limits, outwards moving by 1 - (size / limit)^(1 / softness) of kappa psi; the part `giving` of what they
     yield they do on every way, back as well, where they then move by more than kappa psi. The part `by_axes` of all is
     held by stops on d and on q that do not know of each other. And all of it is 1 + `widening_per_wb2` |psi|^2 times as
-    wide where the current has made a flux psi; negative, as much narrower.
+    wide where the current has made a flux psi; negative, as much narrower. Where iron saturates it asks for more and
+    more current, and the stops follow that: psi (1 + `stiffening_per_wb2` psi^2), magnet included.
     Sources: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng.
-    Mech. Div. 102 (1976) 249.
+    Mech. Div. 102 (1976) 249; what the stops follow: D. C. Jiles, D. L. Atherton, J. Magn. Magn. Mater. 61 (1986) 48,
+    doi:10.1016/0304-8853(86)90066-1.
     """
 
     name: ClassVar[str] = "hysteresis"
@@ -268,6 +270,7 @@ class Hysteresis:
         by_axes: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         widening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=-500.0, high=500.0)
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
+        stiffening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=0.0, high=500.0)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
@@ -295,6 +298,9 @@ class Hysteresis:
         course = np.concatenate([way, psi])
 
         def stopped(course: Array, off: Array) -> Array:
+            if p.stiffening_per_wb2 > 0.0:
+                square = np.einsum("ij,ij->i", course, course)
+                course = course * (1.0 + p.stiffening_per_wb2 * square)[:, None]
             # A hundredth power is as sharp as none, and costs one.
             softness = p.softness if p.softness > 1e-2 else 0.0
             stiffness, apart = shares[there] / p.yield_wb, limits[there] / limits.sum()

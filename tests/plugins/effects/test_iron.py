@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import least_squares
 
 from orchestrator.diagnosis.weak_form.segments import delayed, late_beside
 from orchestrator.numerics.types import Array
@@ -138,10 +139,10 @@ def test_slots_differ_only_where_the_rotor_is_turned(name: str, part: float) -> 
         assert same is as_much
 
 
-def _loop(values: dict[str, float], swing_wb: float) -> tuple[Array, Array]:
+def _loop(values: dict[str, float], swing_wb: float, around_wb: float = 0.0) -> tuple[Array, Array]:
     k = np.arange(4000)
-    psi = np.stack([swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
-    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi})
+    psi = np.stack([around_wb + swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
+    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi, "theta_rad": np.zeros(4000)})
     held = signals.i_m_ab - corrected(Hysteresis(), signals, **values).i_m_ab
     return psi[:, 0], held[:, 0]
 
@@ -158,6 +159,58 @@ def test_small_hysteresis_loops_are_reversible() -> None:
     psi, held = _loop({"half_width_a": 0.03, "yield_wb": 0.015}, 0.001)
     slope = np.polyfit(psi, held, 1)[0]
     assert slope == pytest.approx(0.03 / 0.015, rel=1e-6)
+
+
+@pytest.mark.parametrize("apart", [0.0, 1.0])
+def test_saturated_iron_is_stiffer_to_small_loops_by_what_its_field_rises_faster_and_its_large_ones_are_as_wide(
+    apart: float,
+) -> None:
+    form = {"half_width_a": 0.03, "yield_wb": 0.015, "stiffening_per_wb2": 4.0, "by_axes": apart}
+    for around in (0.0, 0.4):
+        psi, held = _loop(form, 0.0005, around)
+        slope = np.polyfit(psi[2000:], held[2000:], 1)[0]
+        assert slope == pytest.approx(2.0 * (1.0 + 3.0 * 4.0 * around**2), rel=1e-3)
+    _, wide = _loop(form, 0.5)
+    assert np.abs(wide).max() == pytest.approx(0.03, rel=1e-6)
+
+
+def _jiles_and_atherton(field: Array, pinning: float, reversible: float) -> Array:
+    """Magnetisation by a field, both in their saturation's units, from nothing; fields do not act on each other."""
+    anhysteretic = np.tanh(field)
+    irreversible, out = 0.0, np.zeros_like(field)
+    for k in range(1, len(field)):
+        step = field[k] - field[k - 1]
+        away = anhysteretic[k] - irreversible
+        if away * step > 0.0:
+            irreversible += (1.0 - math.exp(-abs(step) / pinning)) * away
+        out[k] = (1.0 - reversible) * irreversible + reversible * anhysteretic[k]
+    return out
+
+
+def test_jiles_and_atherton_leave_less_of_soft_stops_and_less_again_of_those_that_stiffen() -> None:
+    """Each at its best, beside the field of iron without hysteresis."""
+    time = np.arange(6000) / 1000
+    # A large loop, and smaller ones around a bias, as an injection makes them.
+    field = np.where(time < 3.0, 0.9, 0.25) * np.sin(2 * np.pi * time) + np.where(time < 3.0, 0.0, 0.5)
+    flux = 0.3 * _jiles_and_atherton(field, pinning=0.1, reversible=0.2)
+    psi = np.stack([flux, np.zeros(6000)], axis=1)
+    signals = readings(6000).model_copy(update={"psi_smooth_ab": psi, "theta_rad": np.zeros(6000)})
+    without = np.stack([np.arctanh(flux / 0.3), flux, flux**3, flux**5], axis=1)
+
+    def left(x: Array, names: tuple[str, ...]) -> Array:
+        values = {"yield_wb": math.exp(x[0]), **dict(zip(names, np.exp(x[1:]), strict=True))}
+        held = signals.i_m_ab - corrected(Hysteresis(), signals, half_width_a=0.1, **values).i_m_ab
+        columns = np.column_stack([without, held[:, 0]])[1000:]
+        return np.asarray(field[1000:] - columns @ np.linalg.lstsq(columns, field[1000:])[0])
+
+    start = {"softness": 0.5, "stiffening_per_wb2": 2.0}
+    forms: tuple[tuple[str, ...], ...] = ((), ("softness",), ("softness", "stiffening_per_wb2"))
+    sharp, soft, stiff = (
+        float(np.std(least_squares(left, [math.log(0.03), *(start[n] for n in names)], args=(names,)).fun))
+        for names in forms
+    )
+    assert soft < 0.8 * sharp
+    assert stiff < 0.9 * soft
 
 
 def test_a_hysteresis_loop_keeps_its_form_whatever_its_width() -> None:
