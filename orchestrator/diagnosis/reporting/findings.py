@@ -25,19 +25,24 @@ def found_effects(
     rivals: Mapping[str, Sequence[str]],
     sizes: Mapping[str, Share] | None = None,
 ) -> tuple[FoundEffect, ...]:
-    """The active effects with 95 % intervals, by share; see `coordinate_spread`."""
+    """The active effects with 95 % intervals, by share; see `coordinate_spread`.
+
+    Of what the recording does not show at all, as slots at a second angle where there is none, nothing is said.
+    """
     if not fit.model.active:
         return ()
     chances, sizes = probabilities(fit), sizes or {}
     half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
+    shows = np.diag(fit.projected()[0]) > 0.0
     effects, k = [], 0
     for active in fit.model.active:
-        widths = dict(zip(active.free, half[k : k + len(active.free)], strict=True))
+        own = slice(k, k + len(active.free))
+        widths = {n: w for n, w, s in zip(active.free, half[own], shows[own], strict=True) if s}
         k += len(active.free)
         effects.append(
             FoundEffect(
                 name=active.name,
-                parameters={n: _interval(active, n, float(widths[n])) for n in active.free},
+                parameters={n: _interval(active, n, float(w)) for n, w in widths.items()},
                 twins=tuple(rivals.get(active.name, ())),
                 relative_size=active.relative_size,
                 log_evidence=evidence.get(active.name, 0.0),

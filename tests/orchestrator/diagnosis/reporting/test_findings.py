@@ -7,9 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.findings import beyond_the_rest, found_effects, map_effects, said_by_effects
 from plugins.effects.inverter import VoltageBias
+from plugins.effects.iron import SlotHarmonics
 from protocols import FoundEffect, PluginError, Remark
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_voltage
@@ -28,6 +30,15 @@ def test_intervals_hold_what_was_put_in_and_are_as_wide_as_asked_for() -> None:
         assert told.high is not None
         assert told.low < truth < told.high
         assert told.unit == "V"
+
+
+def test_of_what_only_a_second_angle_shows_nothing_is_said_at_one() -> None:
+    bias = fitted_bias(MAKER)
+    slots = scaled_library([SlotHarmonics()], MAKER.prepared.manifest)[0]
+    fit = MAKER.fit(bias.model.with_active([*bias.model.active, slots.absent()]))
+    told = {effect.name: list(effect.parameters) for effect in found_effects(MAKER, fit, {}, {})}
+    assert told["slot_harmonics"] == ["relative"]
+    assert told["voltage_bias"] == ["bias_a_v", "bias_b_v"]
 
 
 def test_a_map_that_is_constant_has_neither_saturation_nor_cross_saturation() -> None:
