@@ -226,7 +226,16 @@ def within_reach(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     grid, space = _reaching(fit), fit.model.space
     if grid == space.grid or not space.is_free:
         return fit
-    return fitter.fit(_on_grid(setup, fit, grid, space.roughness), fit.frame, steps=2, renewals=0)
+    return _fitted_anew(fitter, _on_grid(setup, fit, grid, space.roughness), fit)
+
+
+def _fitted_anew(fitter: Fitter, model: Model, fit: Fit) -> Fit:
+    """A fit's model on another map, fitted.
+
+    Effects that rest are where the fit's frame was made, and what the map does not change of that is kept. Those that
+    have moved since see another current there.
+    """
+    return fitter.fit(model, None if fit.model.free else fit.frame, steps=2, renewals=0)
 
 
 def _reaching(fit: Fit) -> EvenSpline:
@@ -324,7 +333,7 @@ def finer_map(
     space = fit.model.space
     if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
-    trial = fitter.fit(_on_map(setup, fit, cells, roughness), fit.frame, steps=2, renewals=0)
+    trial = _fitted_anew(fitter, _on_map(setup, fit, cells, roughness), fit)
     return trial if worth_its_freedom(trial, fit) else None
 
 

@@ -35,6 +35,7 @@ from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.recording import open_recording
 from plugins.drives.simulated import map_motor
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
+from plugins.effects.timing import CurrentFilter
 from protocols import FluxMap, MotorModel, Nameplate, NotMeasuredError, Saturated
 from tests.orchestrator.diagnosis.pieces import L_D, L_Q, PM_WB, R_S, Array, fitter, plan, prepared, setup_of
 from tests.support.tiny import run_tiny
@@ -184,6 +185,23 @@ def sharp(tmp_path_factory: pytest.TempPathFactory) -> DiagnosisSetup:
     run = run_tiny(tmp_path_factory.mktemp("sharp"), drive=drive, motor=motor, limits=limits, stages=SWEEPS)
     assert run.outcome.ending == "finished", run.outcome.reason
     return open_for_diagnosis(open_recording(run.path))
+
+
+@pytest.mark.parametrize("rests", [False, True])
+def test_a_finer_map_is_that_of_the_current_that_effects_see_where_they_have_come_to(
+    sharp: DiagnosisSetup, rests: bool
+) -> None:
+    """A frame in which they have moved far is of before; where they rest it is as good as one made anew."""
+    bare = sharp.fitter.fit(baseline_model(sharp, Saturated()), renewals=0)
+    lag = scaled_library([CurrentFilter()], sharp.prepared.manifest)[0].absent()
+    lag = lag.moved("time_constant_s", lag.coordinate("time_constant_s") + 20.0)
+    moved = bare.model.with_active([lag if not rests else replace(lag, free=())])
+    fit = sharp.fitter.fit(moved, renewals=2) if rests else sharp.fitter.evaluate(moved, bare.frame)
+    cells = (fit.model.space.grid.cells[0], 12)
+    finer = finer_map(sharp, sharp.fitter, fit, cells)
+    assert finer is not None
+    anew = sharp.fitter.fit(on_the_grid(sharp, fit, cells), steps=2, renewals=0)
+    assert finer.chi2 == pytest.approx(anew.chi2, rel=2e-3 if rests else 1e-12)
 
 
 def test_iron_that_saturates_sharply_gets_a_finer_map_along_that_axis_alone(sharp: DiagnosisSetup) -> None:
