@@ -343,8 +343,9 @@ class BusSag:
     """The bus voltage sags under load while the drive modulates for the nominal one.
 
     v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The bus's own capacitors make the sag follow
-    the power with a lag, but for a part s that their resistance R_c in series lets follow at once: behind a source of
-    resistance R_0, s = R_c / (R_0 + R_c). A rectifier takes nothing back: what a motor returns lifts the bus.
+    the power with a lag, but for the part `at_once`, which their resistance R_c in series lets follow without: behind
+    a source of resistance R_0 that is R_c / (R_0 + R_c). A rectifier takes nothing back, and what a motor returns lifts
+    the bus; of any source, `one_way` is the part of 1 / R_0 that it has outwards only.
     """
 
     name: ClassVar[str] = "bus_sag"
@@ -392,7 +393,8 @@ def _sag(v_ab: Array, i_ab: Array, lag: float, at_once: float, back: float) -> A
     for k in range(v_ab.shape[0]):
         after = min(k + 1, v_ab.shape[0] - 1)
         power = 0.75 * (v_ab[k, 0] * (i_ab[k, 0] + i_ab[after, 0]) + v_ab[k, 1] * (i_ab[k, 1] + i_ab[after, 1]))
-        late = power if k == 0 else late
+        if k == 0:
+            late = power
         way = 0 if late + direct * power >= 0.0 else 1
         slope = (power - given[way] * (late + direct * power)) / (lag * (1.0 - at_once))
         mean = late + on_mean[way] * slope

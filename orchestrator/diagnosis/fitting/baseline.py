@@ -226,11 +226,11 @@ def within_reach(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     grid, space = _reaching(fit), fit.model.space
     if grid == space.grid or not space.is_free:
         return fit
-    return _fitted_anew(fitter, _on_grid(setup, fit, grid, space.roughness), fit)
+    return _fitted_on(fitter, _on_grid(setup, fit, grid, space.roughness), fit)
 
 
-def _fitted_anew(fitter: Fitter, model: Model, fit: Fit) -> Fit:
-    """A fit's model on another map, fitted.
+def _fitted_on(fitter: Fitter, model: Model, fit: Fit) -> Fit:
+    """The model of a fit on another map, fitted there.
 
     Effects that rest are where the fit's frame was made, and what the map does not change of that is kept. Those that
     have moved since see another current there.
@@ -333,7 +333,7 @@ def finer_map(
     space = fit.model.space
     if all(n <= own for n, own in zip(cells, space.grid.cells, strict=True)) and roughness <= space.roughness:
         return None
-    trial = _fitted_anew(fitter, _on_map(setup, fit, cells, roughness), fit)
+    trial = _fitted_on(fitter, _on_map(setup, fit, cells, roughness), fit)
     return trial if worth_its_freedom(trial, fit) else None
 
 

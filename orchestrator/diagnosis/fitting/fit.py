@@ -89,8 +89,10 @@ class Fitter:
         tolerance : float
             Gain of a step, as a part of the excess chi2, below which the fit ends.
         """
-        kept = frame is not None and frame.space is model.space
-        best = self.evaluate(model, frame) if frame is not None and kept else self.renewed(model, frame)
+        if frame is not None and frame.space is model.space:
+            best = self.evaluate(model, frame)
+        else:
+            best = self.renewed(model, frame)
         best = self._descend(best, steps, tolerance)
         for _ in range(renewals):
             old = best

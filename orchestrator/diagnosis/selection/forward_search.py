@@ -102,7 +102,7 @@ def forward(
     while len(search.fit.model.active) < most and not fitter.effort.exhausted:
         if few and len(search.fit.model.active) > start and _many_are_missing(_viewed(fitter, search, candidates)):
             break
-        if not _one_more(fitter, search, candidates, rejected, few=few) and not _bent_after_all(fitter, search):
+        if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
             break
     search.traces = [n for n in dict.fromkeys(search.traces) if n not in search.fit.model.names]
     return search
@@ -124,9 +124,7 @@ def _many_are_missing(view: LinearView) -> bool:
     return fit.chi2 - score(view)[0].gain > fit.criteria.selection.many_missing * least
 
 
-def _one_more(
-    fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str], *, few: bool
-) -> bool:
+def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:
     """Add the effect that the data ask for most, or reject the best one; False where they ask for none."""
     fit, limits = search.fit, fitter.prepared.criteria.selection
     rejected |= _alike(fit, candidates)
@@ -155,24 +153,20 @@ def _one_more(
         for g, n, t in ranked[1:]
         if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
     ]
-    _taken(fitter, search, Step(name, trial, gain), candidates, inflation, few=few)
+    _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
     rejected.clear()
     rejected.update(n for tied in search.rivals.values() for n in tied)
     return True
 
 
-def _taken(
-    fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float, *, few: bool
-) -> None:
-    """Let an effect into the model, and bend it unless absent ones explain more of what it leaves."""
+def _taken(fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float) -> None:
+    """Let an effect into the model, and bend it unless an absent one explains more of what it leaves."""
     fit = in_simple_form(fitter, step.fit)
     search.view = linear_view(fitter, fit, candidates, rigid_in(fit.model.active[-1:]))
-    # Beside many others it is bent when all are there.
-    many = few and _many_are_missing(search.view)
-    search.unbent = many or _stands_before_a_form(search.view)
+    search.unbent = _stands_before_a_form(search.view)
     if not search.unbent:
         fit = flexible(fitter, fit, inflation)
-    search.steps.append(replace(step, fit=fit if many else repolished(fitter, fit)))
+    search.steps.append(replace(step, fit=repolished(fitter, fit)))
     fitter.tell(f"+ {plain(step.added or '')}: chi2 {number(search.fit.chi2_per_dof)}")
 
 
