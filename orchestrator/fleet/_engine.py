@@ -114,7 +114,7 @@ class _OnCluster:
         self._next_task, self._client, self._settings = next_task, client, settings
         self._flying: dict[Any, tuple[Task, int]] = {}
         self._lost: deque[tuple[Task, int]] = deque()
-        self._finished = as_completed(loop=client.loop, with_results=True, raise_errors=False)
+        self._finished = as_completed(loop=client.loop)
         self._job = uuid.uuid4().hex[:8]
         self._address = client.scheduler.address if client.scheduler is not None else "?"
         self._threads, self._count_again = 1, 0.0
@@ -123,9 +123,9 @@ class _OnCluster:
         try:
             self._fill()
             while self._flying:
-                future, result = next(self._finished)
+                future = next(self._finished)
                 task, attempt = self._flying.pop(future)
-                done = self._judged(future, result, task, attempt)
+                done = self._judged(future, task, attempt)
                 del future, task  # what nobody keeps, the scheduler forgets
                 if done is not None:
                     yield done
@@ -153,22 +153,26 @@ class _OnCluster:
         self._flying[future] = task, attempt
         self._finished.add(future)
 
-    def _judged(self, future: Any, result: Any, task: Task, attempt: int) -> Done | None:
+    def _judged(self, future: Any, task: Task, attempt: int) -> Done | None:
         from distributed.scheduler import KilledWorker
 
-        if future.status == "finished":
-            return Done(task, result, None, attempt, future)
-        error = result[1] if isinstance(result, tuple) else result
-        if isinstance(error, KilledWorker):
+        try:
+            # Where its worker has died since, it is waited for again.
+            return Done(task, future.result(), None, attempt, future)
+        except KilledWorker:
             if attempt < self._settings.attempts:
                 self._lost.append((task, attempt + 1))
                 return None
             return Done(task, None, f"its worker died {attempt} times", attempt)
-        if future.status != "error":
-            from protocols import StorageError
+        except Exception as error:
+            if future.status != "error":
+                raise self._gone() from None
+            return Done(task, None, said_of(error), attempt)
 
-            raise StorageError(f"the scheduler {self._address} is gone; started again, the job goes on where it was")
-        return Done(task, None, said_of(error), attempt)
+    def _gone(self) -> Exception:
+        from protocols import StorageError
+
+        return StorageError(f"the scheduler {self._address} is gone; started again, the job goes on where it was")
 
     def _workers(self) -> int:
         """Threads of all workers; as counted before, while there is none because it is being started again."""

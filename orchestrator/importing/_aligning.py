@@ -106,9 +106,10 @@ def fitted_clock(
     i_s, i = i_s[known], i[known]
     step_s = max(_step(i_s), _step(v_s), _CRITERIA.shortest_step_s)
     clock, begins_s = _to_a_sample(other, (i_s, i), (v_s, v), step_s)
+    ohm = mapping.motor.stator_resistance_ohm or 0.0
     for _ in range(3):
-        clock = clock.later(*_late((i_s, i), (clock.of(v_s), v), begins_s, step_s))
-    late_s, slope, _ = _late((i_s, i), (clock.of(v_s), v), begins_s, step_s)
+        clock = clock.later(*_late((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s))
+    late_s, slope, _ = _late((i_s, i), (clock.of(v_s), v), begins_s, ohm, step_s)
     if abs(late_s) + 0.5 * abs(slope) * float(np.ptp(i_s)) > 0.5 * step_s:
         raise InputError(
             str(other), "align", "no offset and drift between the clocks fits the voltage's edges throughout"
@@ -176,7 +177,7 @@ def _line(x: Numbers, y: Numbers) -> tuple[float, float]:
     return float(found[0]), float(found[1])
 
 
-def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> tuple[float, float, float]:
+def _late(current: Track, voltage: Track, begins_s: Numbers, ohm: float, step_s: float) -> tuple[float, float, float]:
     """How much later than its stamps the voltage acts [s], how that grows, and from when on: windows that tell."""
     (i_s, i), (v_s, v) = current, voltage
     told = []
@@ -185,7 +186,7 @@ def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> t
         first, end = np.searchsorted(v_s, [grid[0] - 3.0 * step_s, grid[-1] + 3.0 * step_s])
         if grid.size > 2 and end - first > 2:
             there = _complex(np.column_stack([np.interp(grid, i_s, x) for x in i.T]))
-            told.append((0.5 * (grid[0] + grid[-1]), _shift(there, grid, v_s[first:end], v[first:end], step_s)))
+            told.append((0.5 * (grid[0] + grid[-1]), _shift(there, grid, v_s[first:end], v[first:end], ohm, step_s)))
     if not told:
         return 0.0, 0.0, 0.0
     times, late_s = np.array(told).T
@@ -194,22 +195,23 @@ def _late(current: Track, voltage: Track, begins_s: Numbers, step_s: float) -> t
     return at_middle, slope, middle
 
 
-def _shift(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, step_s: float) -> float:
+def _shift(i: Complex, grid: Numbers, v_s: Numbers, v: Numbers, ohm: float, step_s: float) -> float:
     """By how much later the voltage acts [s], to a part of a sample: where it explains the current's steps best.
 
-    Its volt-seconds are taken anew for each shift: means over samples that an edge lies in tell no fraction.
+    Its volt-seconds are taken anew for each shift: means over samples that an edge lies in tell no fraction. The
+    resistance is the nameplate's: a free one acts on a turning current as a delay does.
     """
-    steps, now = np.diff(i), i[:-1] - i[:-1].mean()
-    steps = steps - steps.mean()
+    steps, now = np.diff(i), 0.5 * (i[:-1] + i[1:])
 
     def left(late_s: float) -> float:
-        u = _complex(held_means(v_s + late_s, v, grid))
-        columns = np.stack([u - u.mean(), now])
-        gram, along = (columns @ columns.conj().T).real, (columns @ steps.conj()).real
+        u = _complex(held_means(v_s + late_s, v, grid)) - ohm * now
+        # A salient machine's axes differ: with their conjugates, a symmetric matrix of each.
+        columns = np.stack([a - a.mean() for a in (u, u.conj(), 1j * u.conj())])
+        gram, along = (columns @ columns.conj().T).real, (columns @ (steps - steps.mean()).conj()).real
         return -float(np.linalg.lstsq(gram, along, rcond=1e-12)[0] @ along)
 
     middle = 0.0
-    for width in (1.0, 0.25):
+    for width in (1.0, 0.25, 0.05):
         tried = middle + width * np.linspace(-1.0, 1.0, 9)
         unexplained = np.array([left(x * step_s) for x in tried])
         place = _sharp(unexplained, int(np.argmin(unexplained)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
@@ -170,6 +171,8 @@ class _Parquet:
             raise self._complaint(error) from None
 
     def _complaint(self, error: Exception) -> RecordingError:
+        if isinstance(error, OSError) and error.errno:
+            return RecordingError(str(self._path), "", f"cannot be read: {os.strerror(error.errno)}")
         # pyarrow has no common base for what a damaged file makes it raise (ArrowException, OSError, ValueError, ...).
         reason = str(error).partition("\n")[0] or type(error).__name__
         return RecordingError(str(self._path), "", f"not a readable Parquet file: {reason}")

@@ -12,6 +12,10 @@ from orchestrator.numerics.types import Array
 from plugins.effects._vectors import doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
 
+MAP_DOUBT = 0.01
+"""Of the inductance that a reading's ripple is told by: what a map of some hundred numbers leaves open in corners of
+the plane that only a sweep's dwells reach."""
+
 
 class SamplingOffset:
     """Currents are read tau after the turning point of a symmetric carrier, where a row begins; negative: before.
@@ -44,11 +48,27 @@ class SamplingOffset:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
-        v_ab, i_ab, ohm = doubles(signals.v_ab), doubles(signals.i_ab), doubles(signals.resistance_ohm)
-        given = _given(v_ab, i_ab, ohm, doubles(signals.v_dc), p.offset_s, 1.0 / signals.pwm_frequency_hz)
-        inductance = signals.inductance_ab
-        beside = np.zeros_like(i_ab) if inductance is None else _moved(doubles(inductance), given)
+        given, beside = _beside_readings(signals, p.offset_s)
+        v_ab, ohm = doubles(signals.v_ab), doubles(signals.resistance_ohm)
         return Correction(v_ab=_between_readings(v_ab, given, beside, ohm, signals.sampling_frequency_hz))
+
+    def doubts(self, signals: Signals, p: Parameters) -> list[Correction]:
+        """What R_s takes beside the readings' mean follows the map's own L, which is not that sure in its corners."""
+        _, beside = _beside_readings(signals, p.offset_s)
+        taken = doubles(signals.resistance_ohm)[:, None] * beside
+        return [Correction(v_ab=signals.v_ab + MAP_DOUBT * taken)]
+
+
+def _beside_readings(signals: Signals, offset_s: float) -> tuple[Array, Array]:
+    """Volt-seconds that the winding was given from each row's turning point to its reading, and the current of these.
+
+    Both of shape (n, 2).
+    """
+    v_ab, i_ab, ohm = doubles(signals.v_ab), doubles(signals.i_ab), doubles(signals.resistance_ohm)
+    given = _given(v_ab, i_ab, ohm, doubles(signals.v_dc), offset_s, 1.0 / signals.pwm_frequency_hz)
+    if signals.inductance_ab is None:
+        return given, np.zeros_like(i_ab)
+    return given, _moved(doubles(signals.inductance_ab), given)
 
 
 @njit(cache=True, nogil=True)

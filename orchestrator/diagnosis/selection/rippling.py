@@ -21,7 +21,7 @@ def with_its_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
 
 def is_of_the_other_kind(setup: DiagnosisSetup, fit: Fit) -> bool:
     """Whether a finished model does better where it is the other way round: beside large effects a bare map errs."""
-    if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2 or not _matters(setup):
+    if not _matters(setup):
         return False
     other = setup.with_ripple(ripples=not setup.prepared.ripples)
     return _does_better(_fitted(other, fit.model), _fitted(setup, fit.model))

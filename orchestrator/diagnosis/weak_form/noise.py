@@ -203,7 +203,18 @@ def banded_covariance(
     blocks = np.einsum("hb,dgb,jtbdxy->jthxgy", w.carriers, shifted, sums, optimize=True)
     size = 2 * len(w.carriers)
     root = np.repeat(np.sqrt(noise.colour(piece)), 2)
-    return _banded(blocks.reshape(w.hats, 2, size, size) * np.outer(root, root))
+    blocks = blocks.reshape(w.hats, 2, size, size) * np.outer(root, root)
+    return _banded(blocks if w.unread is None else _apart(blocks, w.unread))
+
+
+def _apart(blocks: Array, axis: int) -> Array:
+    """The blocks with one axis' rows as noisy as the other's, and with nothing in common with them."""
+    blocks = blocks.copy()
+    mine, other = np.arange(axis, blocks.shape[-1], 2), np.arange(1 - axis, blocks.shape[-1], 2)
+    blocks[:, :, mine, :] = 0.0
+    blocks[:, :, :, mine] = 0.0
+    blocks[:, 0, mine, mine] = blocks[:, 0, other, other]
+    return blocks
 
 
 def _banded(blocks: Array) -> Array:

@@ -47,6 +47,8 @@ USABLE = (
     SegmentStage.INJECTION,
     SegmentStage.STEPS,
 )
+_ROUNDED = 1e-6
+"""Of the other axis: single precision turned from frame to frame makes a tenth of it."""
 _LAST_READINGS = 20
 """Whose mean is where a current was as a segment ended."""
 _MOST_WAY_POINTS = 24
@@ -199,6 +201,7 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
     if windows is None:
         return piece
+    windows = replace(windows, unread=piece.windows.unread)
     read = {name: getattr(piece, name)[: stop * piece.averaged] for name in ("current_ab", "command_ab")}
     return replace(piece, signals=signals, windows=windows, **read)
 
@@ -259,6 +262,7 @@ def _piece(
     windows = windows_of(segment, fs, i_ab, v_ab, criteria)
     if windows is None:
         return None
+    windows = replace(windows, unread=unread_axis(segment, current_ab, command_ab))
     n = len(i_ab)
     pwm = segment.settings.get("pwm_frequency_hz") or drive.pwm_frequency_hz or drive.sampling_frequency_hz
     signals = Signals(
@@ -330,6 +334,16 @@ def swept_axis(segment: Segment, i_ab: RealArray, criteria: WeakFormCriteria) ->
     if min(swing_d, swing_q) > criteria.diagonal_share * max(swing_d, swing_q):
         return "dq"
     return "d" if swing_d > swing_q else "q"
+
+
+def unread_axis(segment: Segment, i_ab: RealArray, v_ab: RealArray) -> int | None:
+    """The axis (0 for d, 1 for q) of which neither current nor voltage is anything but a rounded zero.
+
+    A sensor has noise: what is nothing throughout was written, not read.
+    """
+    size = np.array([np.abs(to_dq(x, segment.rotor_angle_rad)).max(axis=0) for x in (i_ab, v_ab)])
+    nothing = np.flatnonzero((size <= _ROUNDED * size.max(axis=1, keepdims=True)).all(axis=0))
+    return int(nothing[0]) if len(nothing) == 1 else None
 
 
 def windows_of(

@@ -36,6 +36,8 @@ class Windows:
         Intervals in an injection period; 0 where nothing is injected.
     orders : tuple of int
         Fourier mode of each carrier; the mean is of order 0.
+    unread : int, optional
+        The axis whose current nobody read (0 for d, 1 for q): its equations say nothing.
     """
 
     hats: int
@@ -44,6 +46,7 @@ class Windows:
     carriers: Array
     period: float = 0.0
     orders: tuple[int, ...] = (0,)
+    unread: int | None = None
 
     @property
     def n_bins(self) -> int:
@@ -54,13 +57,21 @@ class Windows:
         """Number of weak-form equations: hats x carriers x two axes."""
         return self.hats * len(self.carriers) * 2
 
+    @property
+    def telling(self) -> int:
+        """Number of those that say something."""
+        return self.rows if self.unread is None else self.rows // 2
+
     def combine(self, sums: Array) -> Array:
         """Carriers applied to sums of shape (hats, n_bins, 2, ...) -> (rows, ...): hat, carrier, axis."""
-        if self.carriers.size == 1:
-            return np.ascontiguousarray(sums).reshape(self.rows, *sums.shape[3:])
-        mixed = np.tensordot(self.carriers, sums, axes=(1, 1))
-        rows = np.moveaxis(mixed, 0, 1)
-        return np.ascontiguousarray(rows).reshape(self.rows, *sums.shape[3:])
+        if self.carriers.size != 1:
+            sums = np.moveaxis(np.tensordot(self.carriers, sums, axes=(1, 1)), 0, 1)
+        rows = np.ascontiguousarray(sums).reshape(self.rows, *sums.shape[3:])
+        if self.unread is None:
+            return rows
+        told = rows.copy()
+        told[self.unread :: 2] = 0.0
+        return told
 
     def absolute_weight(self) -> Array:
         """sum_k |w_mk| for each row, shape (rows,): what turns y_m / Ts into a mean."""

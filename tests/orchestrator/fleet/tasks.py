@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -39,3 +40,15 @@ def die(deaths: str, most: int) -> str:
             file.flush()
             os.kill(os.getpid(), signal.SIGKILL)
     return "alive"
+
+
+def leave(numbers: str, seconds: float) -> int:
+    """Answer after so long, and kill the process that did so as long afterwards, the first time."""
+    time.sleep(seconds)
+    with Path(numbers).open("a+") as file:
+        file.seek(0)
+        first = not file.read()
+        file.write("x")
+    if first:
+        threading.Timer(seconds, os.kill, (os.getpid(), signal.SIGKILL)).start()
+    return 7

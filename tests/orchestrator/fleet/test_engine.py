@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import socket
 import ssl
+import time
 from collections.abc import Callable, Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -25,7 +26,7 @@ from orchestrator.fleet import (
 )
 from protocols import InputError
 from tests.orchestrator.fleet.small import REFERENCE, damage, small_recordings
-from tests.orchestrator.fleet.tasks import die, double, refuse, stumble
+from tests.orchestrator.fleet.tasks import die, double, leave, refuse, stumble
 
 if TYPE_CHECKING:
     from distributed import Client
@@ -121,6 +122,17 @@ def test_a_dead_worker_costs_its_task_one_retry_and_its_neighbours_nothing(clien
     assert (answers["once"].result, answers["once"].attempts) == ("alive", 2)
     assert (answers["always"].failed, answers["always"].attempts) == ("its worker died 2 times", 2)
     assert all(answers[f"t{n}"].result == 2 * n for n in range(12))
+
+
+@pytest.mark.slow
+def test_an_answer_that_was_lost_with_its_worker_is_made_again(client: Client, tmp_path: Path) -> None:
+    """The job looks at it only when it is gone."""
+    asked = one_by_one([Task("other", double, (4,)), Task("lost", leave, (str(tmp_path / "left"), 0.5))])
+    results = {}
+    for answer in work_through(asked, client):
+        results[answer.task.name] = answer.result
+        time.sleep(1.2)
+    assert results == {"lost": 7, "other": 8}
 
 
 @pytest.mark.slow

@@ -124,7 +124,7 @@ def test_two_loggers_are_aligned_by_their_edges(desk: Desk, offset_s: float, ppm
     v = np.concatenate([c.v_ab for _, c in found])
     at = np.searchsorted(log.t, np.concatenate([s.start_s + np.arange(s.samples) / 1e4 for s, _ in found]) - 1e-6)
     off = v - log.v[at]
-    assert np.sqrt(np.mean(off**2)) < 0.04 * np.sqrt(np.mean(log.v**2))  # a twentieth of a sample, with square waves
+    assert np.sqrt(np.mean(off**2)) < 0.025 * np.sqrt(np.mean(log.v**2))  # a thirtieth of a sample, with square waves
 
 
 def test_points_that_follow_each_other_in_equal_times_are_told_apart_by_their_means(desk: Desk) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -182,6 +183,15 @@ def test_a_capture_that_goes_away_while_open_is_named(make_recording: Make) -> N
     recording = open_recording(directory)
     capture_path(directory, FIRST).unlink()
     assert "cannot be read" in complaint(lambda: recording.load(recording.segments()[0]))
+
+
+def test_a_disk_that_opens_no_capture_is_named_as_that(make_recording: Make, monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object) -> None:
+        raise OSError(errno.ENOSPC, "Failed to open local file")
+
+    directory = make_recording()
+    monkeypatch.setattr(pq, "ParquetFile", full)
+    assert "cannot be read: No space left on device" in complaint(lambda: open_recording(directory))
 
 
 @pytest.mark.parametrize("kept", [0, 3, 100, -1, -9])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -148,3 +150,18 @@ def test_a_current_that_was_written_as_zero_says_nothing_of_the_sensors() -> Non
     assert float(np.sqrt(np.diag(_quietest(scatters)[0].covariance)).min()) == pytest.approx(3e-3, rel=0.1)
     alone = _quietest(scatters[:1])[0].covariance
     assert np.sqrt(np.diag(alone)) == pytest.approx([2e-3, 2e-3], rel=0.1)
+
+
+@pytest.mark.parametrize("unread", [0, 1])
+def test_the_axis_that_was_read_is_whitened_as_if_the_other_were_not_there(unread: int) -> None:
+    one = piece(Plan(SegmentStage.CLASSICAL, sweep(1 - unread, 2.0, 0.0, 1200)), angle=0.3)
+    alone = replace(one, windows=replace(one.windows, unread=unread))
+    noise = SensorNoise(NOISE_A**2 * np.eye(2), NOISE_A**2 * np.eye(2), 0.0)
+    local = local_map(one, one.signals, TRUE_MAP)
+    banded = banded_covariance(alone, local, np.ones(len(one.signals.v_dc)), noise, R_S, None)
+    rows = np.random.default_rng(5).normal(size=alone.windows.rows)
+    other = rows.copy()
+    other[unread::2] *= 3.0
+    white, changed = (Whitener(banded)(x).reshape(-1, 2) for x in (rows, other))
+    np.testing.assert_array_equal(white[:, 1 - unread], changed[:, 1 - unread])
+    assert np.isfinite(white).all()

@@ -17,6 +17,7 @@ from orchestrator.diagnosis.weak_form.segments import (
     mean_between,
     prepare,
     swept_axis,
+    unread_axis,
 )
 from orchestrator.recording import Recording
 from protocols import Segment, SegmentStage
@@ -134,3 +135,14 @@ def test_a_turned_rotor_was_left_without_current(clean: Recording) -> None:
     assert not last.any()
     assert made.pieces[-2].signals.came_from_ab is not None
     assert [piece.signals.turned_rad for piece in made.pieces[-2:]] == [0.0, 1.0]
+
+
+@pytest.mark.parametrize("unread", [0, 1])
+@pytest.mark.parametrize("angle", [0.0, 2.0])
+def test_what_is_a_rounded_zero_throughout_was_not_read(unread: int, angle: float) -> None:
+    one = piece(Plan(SegmentStage.CLASSICAL, sweep(1 - unread, 2.0, 0.0)), angle=angle)
+    rounded = [np.asarray(x, dtype=np.float32) for x in (one.signals.i_ab, one.signals.v_ab)]
+    assert unread_axis(one.segment, *rounded) == unread
+    noisy = rounded[0] + np.random.default_rng(4).normal(0.0, 1e-4, rounded[0].shape)
+    assert unread_axis(one.segment, noisy, rounded[1]) is None
+    assert unread_axis(one.segment, 0.0 * rounded[0], 0.0 * rounded[1]) is None

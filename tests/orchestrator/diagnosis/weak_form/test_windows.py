@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -81,3 +83,15 @@ def test_modes_that_a_period_cannot_show_are_left_out() -> None:
     assert windows is not None
     assert windows.orders == (0, 1, 1, 2, 2)
     assert len(windows.carriers) == len(windows.orders)
+
+
+@pytest.mark.parametrize("unread", [0, 1])
+def test_an_axis_that_nobody_read_says_nothing(unread: int) -> None:
+    whole = periodic_windows(4000, 1000.0, 20.0, 40)
+    assert whole is not None
+    windows = replace(whole, unread=unread)
+    x = np.random.default_rng(3).normal(size=(4000, 2))
+    told, every = (_sums(one, x).reshape(-1, 2) for one in (windows, whole))
+    assert not told[:, unread].any()
+    np.testing.assert_array_equal(told[:, 1 - unread], every[:, 1 - unread])
+    assert 2 * windows.telling == windows.rows == whole.telling
