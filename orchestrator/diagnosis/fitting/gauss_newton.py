@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,9 @@ from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
+
+MOST_POWER = 1.25
+"""Of a shape, that an amplitude goes by: one leaves their quotient as it is. Beyond, it does not go along with it."""
 
 
 def newton_step(
@@ -85,10 +89,28 @@ def is_stuck(active: Active, name: str, wanted: float) -> bool:
 
 
 def moved_by(model: Model, move: Array) -> Model:
+    """The model with every free coordinate moved; an amplitude by a power of a shape that moves along with it.
+
+    Heat that is stored for longer than a recording lasts, or iron that hardly yields, tells the quotient of both alone:
+    along that valley, which no sum of steps follows, the power is one.
+    """
     active, k = [], 0
     for item in model.active:
-        for name in item.free:
-            item = item.moved(name, item.coordinate(name) + float(move[k]))
-            k += 1
-        active.append(item)
+        steps = dict(zip(item.free, move[k : k + len(item.free)].tolist(), strict=True))
+        k += len(item.free)
+        moved = item
+        for name, step in steps.items():
+            moved = moved.moved(name, item.coordinate(name) + step)
+        active.append(_by_powers(item, moved, steps))
     return model.with_active(active)
+
+
+def _by_powers(item: Active, moved: Active, steps: Mapping[str, float]) -> Active:
+    """The moved effect with those amplitudes moved by a power of a shape that are asked to go as that does, or less."""
+    shapes = [n for n in item.candidate.of_role(ParameterRole.SHAPE) if n in steps]
+    widest = max((math.log(moved.values[n] / item.values[n]) for n in shapes), key=abs, default=0.0)
+    for name in item.candidate.amplitudes:
+        x, step = item.coordinate(name), steps.get(name, 0.0)
+        if x and 0.0 < step / x * widest <= MOST_POWER * widest**2:
+            moved = moved.moved(name, x * math.exp(step / x))
+    return moved

@@ -10,6 +10,7 @@ import pytest
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, is_stuck, moved_by, newton_step, reach
 from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.resistance import WindingHeating
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
 
@@ -89,3 +90,25 @@ def test_a_bounded_step_ends_at_the_bounds(maker: Fitter) -> None:
     move, _ = bounded_step(fit, (own, right + 1e12), 1.0)
     low, _ = reach(active, "bias_a_v")
     assert active.coordinate("bias_a_v") + move[0] == pytest.approx(low)
+
+
+def test_an_amplitude_that_goes_along_with_its_shape_keeps_to_the_valley_of_their_quotient(maker: Fitter) -> None:
+    """As winding heat on a recording shorter than its time constant."""
+    (active,) = with_free(free_model(), maker, WindingHeating(), rise_per_watt=1e-3, time_constant_s=200.0).active
+    model = free_model().with_active([replace(active, free=("rise_per_watt", "time_constant_s"))])
+    x, at = active.coordinate("rise_per_watt"), active.coordinate("time_constant_s")
+    for step in (-1.0, 0.7):
+        folds = np.log(active.moved("time_constant_s", at + step).values["time_constant_s"] / 200.0)
+        (moved,) = moved_by(model, np.array([folds * x, step])).active
+        assert moved.values["time_constant_s"] == pytest.approx(200.0 * np.exp(folds))
+        quotient = moved.values["rise_per_watt"] / moved.values["time_constant_s"]
+        assert quotient == pytest.approx(1e-3 / 200.0)
+
+
+def test_an_amplitude_that_does_not_go_along_with_a_shape_moves_by_its_step(maker: Fitter) -> None:
+    (active,) = with_free(free_model(), maker, WindingHeating(), rise_per_watt=1e-3, time_constant_s=200.0).active
+    model = free_model().with_active([replace(active, free=("rise_per_watt", "time_constant_s"))])
+    x = active.coordinate("rise_per_watt")
+    for by, step in ((0.5, -0.5), (0.5, 0.1), (0.5, 0.0), (0.0, 1.0)):
+        (moved,) = moved_by(model, np.array([by * x, step])).active
+        assert moved.values["rise_per_watt"] == pytest.approx((1.0 + by) * 1e-3)
