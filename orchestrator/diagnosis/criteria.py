@@ -320,6 +320,8 @@ class SelectionCriteria(Strict):
     """Times the first model's whole error that an effect may take away while something unknown remains; what takes
     more is balanced by another. Sound ones took 1.7 times at most, one that stood in for another alone 3.6, balanced
     ones 28 to 236."""
+    balanced_pair: float = _is(2.0, "1", "practice")
+    """The same of two or more that take as much each: these balance each other. Such pairs took 2.0 to 3.6 each."""
     least_constancy: float = _is(0.2, "1", "simulated")
     """Largest scatter, relative to itself, of an effect that is named while something unknown remains."""
     one_column: float = _is(0.995, "1", "simulated")

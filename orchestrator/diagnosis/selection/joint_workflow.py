@@ -329,7 +329,10 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     causes, absent = [n for n in last.model.names if n not in search.minor], perhaps_absent(fitter, search.sized)
     taken = {n: search.shares[n].of_error for n in causes}
     unsteady = [n for n in causes if drift[n] > steady and left > steady * min(taken[n], 1.0)]
-    balanced = [n for n in causes if taken[n] > last.criteria.selection.balanced_share]
+    limits = last.criteria.selection
+    several = sum(share.of_error > limits.balanced_pair for share in search.shares.values()) > 1
+    most = limits.balanced_pair if several else limits.balanced_share
+    balanced = [n for n in causes if taken[n] > most]
     doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent or n in balanced]
     steps = [s for s in search.steps[:-1] if s.added not in doubtful]
     added = next((n for n in reversed(causes) if n not in doubtful), None)

@@ -141,6 +141,20 @@ def test_what_takes_away_many_times_the_whole_error_is_balanced_by_another_and_n
     assert ("voltage_bias" not in doubtful) == named
 
 
+@pytest.mark.parametrize(("other", "named"), [(1.5, True), (2.5, False)])
+def test_two_that_take_away_much_more_than_the_error_each_balance_each_other(
+    other: float, named: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
+    search = joint_workflow.ladder_of(setup, [Step(None, bare)], whole, {}, [])
+    sizes = {"voltage_bias": 3.0, "current_gain_mismatch": other}
+    larger = {name: replace(share, of_error=sizes[name]) for name, share in search.shares.items()}
+    monkeypatch.setattr(joint_workflow, "fitted_verdict", lambda *_: "unknown_remains")
+    monkeypatch.setattr(joint_workflow, "left_fraction", lambda *_: 0.01)
+    _, doubtful = joint_workflow.without_stand_ins(setup.fitter, replace(search, shares=larger))
+    assert ("voltage_bias" not in doubtful) == named
+
+
 @pytest.mark.parametrize("sure", [False, True])
 def test_where_nothing_is_sure_nothing_is_found(sure: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     setup, bare, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
