@@ -14,7 +14,7 @@ from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signa
 
 MAP_DOUBT = 0.01
 """Of the inductance that a reading's ripple is told by: what a map of some hundred numbers leaves open in corners of
-the plane that only a sweep's dwells reach."""
+the plane that only a sweep's dwells reach, as seen on a simulated servo of 48 V."""
 
 
 class SamplingOffset:
