@@ -156,6 +156,8 @@ class _OnCluster:
     def _judged(self, future: Any, task: Task, attempt: int) -> Done | None:
         from distributed.scheduler import KilledWorker
 
+        from protocols import StorageError
+
         try:
             # Where its worker has died since, it is waited for again.
             return Done(task, future.result(), None, attempt, future)
@@ -166,13 +168,9 @@ class _OnCluster:
             return Done(task, None, f"its worker died {attempt} times", attempt)
         except Exception as error:
             if future.status != "error":
-                raise self._gone() from None
+                gone = f"the scheduler {self._address} is gone; started again, the job goes on where it was"
+                raise StorageError(gone) from None
             return Done(task, None, said_of(error), attempt)
-
-    def _gone(self) -> Exception:
-        from protocols import StorageError
-
-        return StorageError(f"the scheduler {self._address} is gone; started again, the job goes on where it was")
 
     def _workers(self) -> int:
         """Threads of all workers; as counted before, while there is none because it is being started again."""

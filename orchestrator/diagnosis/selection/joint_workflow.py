@@ -314,9 +314,9 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     """While something unknown remains, a cause of the joint fit that is unsteady, or smaller than the rest, is none.
 
     Nor is one whose interval holds nothing at all: it may be balanced by another, as is one that takes away many times
-    what there is to take away. All stay in the model. What drifts by a part leaves that part of what it takes away:
-    where less is left, the blocks disagree on something else. Where no effect at all is sure, nothing has been found,
-    however little is left.
+    what there is to take away, or twice that where another does as well. All stay in the model. What drifts by a part
+    leaves that part of what it takes away: where less is left, the blocks disagree on something else. Where no effect
+    at all is sure, nothing has been found, however little is left.
     """
     first, last = search.steps[0].fit, search.fit
     if search.shares and nothing_is_sure(fitter, search.sized):
@@ -325,11 +325,11 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)
-    steady = last.criteria.selection.least_constancy
+    limits = last.criteria.selection
+    steady = limits.least_constancy
     causes, absent = [n for n in last.model.names if n not in search.minor], perhaps_absent(fitter, search.sized)
     taken = {n: search.shares[n].of_error for n in causes}
     unsteady = [n for n in causes if drift[n] > steady and left > steady * min(taken[n], 1.0)]
-    limits = last.criteria.selection
     several = sum(share.of_error > limits.balanced_pair for share in search.shares.values()) > 1
     most = limits.balanced_pair if several else limits.balanced_share
     balanced = [n for n in causes if taken[n] > most]
