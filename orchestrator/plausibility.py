@@ -133,7 +133,15 @@ def slow_part(x: NDArray[_Real], rate_hz: float, window_s: float = 0.02) -> NDAr
     return means
 
 
-def apart_rad(v_on_i: complex, v_squared: float, i_squared: float, alike: float = 0.5) -> float | None:
+SLOW_VOLTAGE = 1e-3
+"""Of a waveform's voltage, below which its slow part is what is left of whole periods, and tells nothing."""
+DRIVING = 0.3
+"""Of R_s, that voltage over current has to be for their angle to mean anything: less leaves a current that decays."""
+
+
+def apart_rad(
+    v_on_i: complex, v_squared: float, i_squared: float, alike: float = 0.5, least_ohm: float = 0.0
+) -> float | None:
     """Angle between voltage and current where it says that one is wrong; None where a winding takes the power.
 
     Parameters
@@ -144,6 +152,8 @@ def apart_rad(v_on_i: complex, v_squared: float, i_squared: float, alike: float 
         Means of the squares.
     alike : float
         Share of the voltage that has to go with the current for their angle to mean anything; 1 is all of it.
+    least_ohm : float
+        Voltage over current that there has to be for the same.
 
     Returns
     -------
@@ -152,7 +162,8 @@ def apart_rad(v_on_i: complex, v_squared: float, i_squared: float, alike: float 
     """
     angle = math.atan2(v_on_i.imag, v_on_i.real)
     size = math.sqrt(v_squared * i_squared)
-    return angle if size > 0.0 and abs(v_on_i) > alike * size and abs(angle) > math.pi / 3.0 else None
+    tells = v_squared > least_ohm**2 * i_squared and abs(v_on_i) > alike * size
+    return angle if tells and size > 0.0 and abs(angle) > math.pi / 3.0 else None
 
 
 def is_reversed(angle_rad: float) -> bool:

@@ -295,6 +295,9 @@ class MapCriteria(Lenient):
     """Largest difference where current paths cross: two to four times what the paper prints of its own measurement."""
     parity_percent: float = 5.0
     """Largest break of the symmetry in i_q, which a wrong rotor angle makes; as large as what crossings may be."""
+    reciprocity_percent: float = 10.0
+    """By which the slopes of a map that is not symmetric by construction may differ, of its inductance: where they were
+    told from too little, it was a third and more."""
     energy_percent: float = 2.0
     """rms by which an energy may be off the map by a method that errs; one that is off all of them is wrong itself."""
     difference_percent: float = 5.0

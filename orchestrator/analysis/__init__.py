@@ -16,7 +16,7 @@ from orchestrator.analysis._integration import Inductances, IntegratedFlux, alon
 from orchestrator.analysis._known_resistance import KnownResistance, known_resistance
 from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._ripple import Ripple, demodulate, injection_frequency
+from orchestrator.analysis._ripple import ONE_AXIS, Ripple, demodulate, injection_frequency, is_one_way
 from orchestrator.analysis._rotor_lock import judge_lock
 from orchestrator.analysis._spin import (
     SpinFit,
@@ -47,6 +47,7 @@ __all__ = [
     "COPPER_PER_K",
     "KNOTS",
     "NO_LOSS",
+    "ONE_AXIS",
     "STEP_KNOTS",
     "Beliefs",
     "Candidate",
@@ -91,6 +92,7 @@ __all__ = [
     "injection_frequency",
     "integrate",
     "invert",
+    "is_one_way",
     "join_paths",
     "judge_lock",
     "known_map",

@@ -17,6 +17,7 @@ slope of the inductances, and half of it shifts the mean current away from the c
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -27,6 +28,11 @@ from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple_regression import symmetric_regression
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
+
+ONE_WAY = 0.15
+"""Power of a ripple across its axis over that along it, below which it does not turn: current control answers as much
+where one axis hears the other. A quarter of a turn makes 0.22."""
+ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
 
 
 @dataclass(frozen=True)
@@ -65,6 +71,12 @@ class Ripple:
     amplitude_v: float
     decay_per_s: float
     samples: int
+
+
+def is_one_way(v_ab: NDArray[np.floating]) -> bool:
+    """Whether a voltage ripples along one axis, or nearly so."""
+    across, along = np.linalg.eigvalsh(np.cov(np.asarray(v_ab, dtype=np.float64).T))
+    return bool(across < 2.0 * ONE_WAY * along)
 
 
 def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float, where: str = "capture") -> float:
@@ -117,9 +129,10 @@ def demodulate(
     discard_s: float | None = None,
     time_constant_s: float | None = None,
     loss: PhaseLoss = NO_LOSS,
+    beside: Sequence[Capture] = (),
     where: str = "capture",
 ) -> Ripple:
-    """Find the Hessian of the energy from the ripple of one injection capture.
+    """Find the Hessian of the energy from the ripple of one injection capture, or of several of one operating point.
 
     Parameters
     ----------
@@ -136,6 +149,8 @@ def demodulate(
     loss : PhaseLoss
         What the inverter is known to keep. It follows the ripple where a phase current passes zero, and the inductance
         then looks too large along that phase's axis.
+    beside : sequence of Capture
+        Of the same point and injected frequency, along other axes: a wave that does not turn shows but its own.
     where : str
         Name of the segment, for errors.
 
@@ -144,46 +159,54 @@ def demodulate(
     NotMeasuredError
         Where no injection is found, or it does not rotate, or lasts for too few periods.
     """
+    captures = (capture, *beside)
     frequency = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, where)
     if discard_s is None and time_constant_s is None:
-        whole = _demodulated(capture, rotor_angle_rad, voltage_delay_samples, 0, frequency, loss, where)
+        whole = _demodulated(captures, rotor_angle_rad, voltage_delay_samples, 0, frequency, loss, where)
         time_constant_s = 1.0 / whole.decay_per_s
-    duration_s = len(capture) / capture.sampling_frequency_hz
+    duration_s = min(len(one) for one in captures) / capture.sampling_frequency_hz
     if discard_s is None:
         discard_s = min(5.0 * (time_constant_s or 0.0), duration_s / 3.0)
     skip = round(discard_s * capture.sampling_frequency_hz)
-    return _demodulated(capture, rotor_angle_rad, voltage_delay_samples, skip, frequency, loss, where)
+    return _demodulated(captures, rotor_angle_rad, voltage_delay_samples, skip, frequency, loss, where)
 
 
 def _demodulated(
-    capture: Capture, angle: float, delay: float, skip: int, frequency: float, loss: PhaseLoss, where: str
+    captures: Sequence[Capture], angle: float, delay: float, skip: int, frequency: float, loss: PhaseLoss, where: str
 ) -> Ripple:
     # numba stays out of an import that only wants the names
-    from orchestrator.analysis._ripple_moments import ripple_moments
+    from orchestrator.analysis._ripple_moments import pooled, ripple_moments
 
-    rate = capture.sampling_frequency_hz
+    rate = captures[0].sampling_frequency_hz
     first = max(skip, math.ceil(delay))
-    width = _window(rate / frequency, len(capture) - first)
-    if len(capture) - first < width:
-        problem = (
-            f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {len(capture) - first} are there"
-        )
+    there = min(len(one) for one in captures) - first
+    width = _window(rate / frequency, there)
+    if there < width:
+        problem = f"{width} samples ({width * frequency / rate:.0f} periods) are needed, {there} are there"
         raise NotMeasuredError(where, "samples", problem)
     drop_ohm, inductance, centre = np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2)
     for _ in range(2):
-        moments = ripple_moments(
-            capture.i_ab,
-            capture.v_ab,
-            sampling_s=1.0 / rate,
-            angle_rad=angle,
-            delay=delay,
-            first=first,
-            width=width,
-            drop_ohm=drop_ohm,
-            centre_i=centre,
-            inductance_h=inductance,
-            loss=loss,
+        moments = pooled(
+            [
+                ripple_moments(
+                    one.i_ab,
+                    one.v_ab,
+                    sampling_s=1.0 / rate,
+                    angle_rad=angle,
+                    delay=delay,
+                    first=first,
+                    width=width,
+                    drop_ohm=drop_ohm,
+                    centre_i=centre,
+                    inductance_h=inductance,
+                    loss=loss,
+                )
+                for one in captures
+            ]
         )
+        across, along = np.linalg.eigvalsh(moments.normal[:2, :2])
+        if across < ONE_WAY * along:
+            raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
         fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, 1.0 / rate, where)
         ripple_wb = math.sqrt((moments.normal[0, 0] + moments.normal[1, 1]) / moments.samples)
         # Where little decays over a period, R Q is too little of the ripple to matter in its products ...

@@ -6,6 +6,7 @@ Knows nothing of what the moments mean; `_ripple_regression` solves for that.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,6 +44,25 @@ class Moments:
     moved_i: Array
     samples: int
     windows: int
+
+
+def pooled(some: Sequence[Moments]) -> Moments:
+    """The moments of several captures of one operating point as of one."""
+    samples, windows = sum(m.samples for m in some), sum(m.windows for m in some)
+
+    def mean(values: Sequence[Array]) -> Array:
+        return np.asarray(sum(m.windows / windows * x for m, x in zip(some, values, strict=True)))
+
+    mean_i = mean([m.mean_i for m in some])
+    return Moments(
+        normal=np.sum([m.normal for m in some], axis=0),
+        mean_squares=mean([m.mean_squares for m in some]),
+        mean_i=mean_i,
+        mean_v2=float(mean([np.array(m.mean_v2) for m in some])),
+        moved_i=np.sqrt(mean([m.moved_i**2 + (m.mean_i - mean_i) ** 2 for m in some])),
+        samples=samples,
+        windows=windows,
+    )
 
 
 def ripple_moments(

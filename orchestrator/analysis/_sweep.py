@@ -12,7 +12,6 @@ together elsewhere.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -285,10 +284,15 @@ def _branches(trace: SweepTrace, columns: Array) -> list[Array]:
         head = [rows[slice(*flats[n - 1])].mean(axis=0)] if n > 0 else []
         tail = [rows[slice(*flats[n])].mean(axis=0)] if n < len(flats) else []
         runs.append(np.array([*head, *rows[a:b], *tail]).reshape(-1, rows.shape[1]))
-    if not flats:
-        runs = _halves(runs[0])
+    # A triangle turns round without a rest, though it may begin and end with one.
+    runs = [piece for run in runs for piece in (_halves(run) if not flats or _turns_round(run) else [run])]
     span = np.ptp(trace.travel)
     return [run for run in runs if len(run) > 2 and abs(run[-1, 0] - run[0, 0]) > 0.1 * span]
+
+
+def _turns_round(run: Array) -> bool:
+    """Whether a run goes much farther than from its begin to its end."""
+    return len(run) > 2 and bool(np.ptp(run[:, 0]) > 1.3 * abs(run[-1, 0] - run[0, 0]))
 
 
 def _arrival(trace: SweepTrace) -> int:
@@ -302,11 +306,12 @@ def _arrival(trace: SweepTrace) -> int:
 
 
 def _halves(run: Array) -> list[Array]:
-    """Cut where the travel turns round (a sweep without rests)."""
-    middle = 0.5 * (run[:, 0].min() + run[:, 0].max())
-    above = run[:, 0] > middle
-    passes = np.flatnonzero(above[1:] != above[:-1]) + 1
-    turns = [int(a + np.argmax(np.abs(run[a:b, 0] - middle))) for a, b in pairwise(passes)]
+    """Cut where the travel turns round: at the farthest of each stay on one side of its middle."""
+    off = run[:, 0] - 0.5 * (run[:, 0].min() + run[:, 0].max())
+    side = np.where(np.abs(off) > 0.1 * np.ptp(off), np.sign(off), 0.0)
+    aside = np.flatnonzero(side)
+    stays = np.split(aside, np.flatnonzero(np.diff(side[aside])) + 1)
+    turns = [int(stay[np.argmax(np.abs(off[stay]))]) for stay in stays if len(stay)]
     return [piece for piece in np.split(run, turns) if len(piece) > 2]
 
 

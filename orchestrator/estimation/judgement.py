@@ -55,8 +55,8 @@ def judged(found: Found, rated_a: float | None, criteria: MapCriteria) -> Estima
     resistance = min(found.resistances.values(), key=lambda r: r.high - r.low, default=None)
     checks = best.checks if best is not None else MapChecks()
     pair = _independent(maps)
-    difference = None if pair is None else difference_percent(*pair, rated_flux_wb(pair[0], rated_a))
-    against = [*_objections(best, maps, criteria), *_apart(difference, criteria)]
+    difference = None if pair is None else difference_percent(*pair, _rated_flux_wb(pair, maps, rated_a))
+    against = [*_objections(best, maps, criteria), *_apart(difference, criteria), *_unchecked(maps, difference)]
     return EstimationReport(
         resistance=resistance,
         method=best.map.method if best is not None else None,
@@ -105,6 +105,28 @@ def _independent(maps: Mapping[str, FluxMapEstimate]) -> tuple[FluxMap, FluxMap]
     return by[Basis.INJECTION][0], by[Basis.INTEGRATION][0]
 
 
+def _rated_flux_wb(
+    pair: tuple[FluxMap, FluxMap], maps: Mapping[str, FluxMapEstimate], rated_a: float | None
+) -> float | None:
+    """By the first of all maps that reaches the rated current; a map of few points may just miss it."""
+    told = (rated_flux_wb(one, rated_a) for one in (pair[0], *(made.map for made in maps.values())))
+    return next((flux for flux in told if flux is not None), None)
+
+
+def _unchecked(maps: Mapping[str, FluxMapEstimate], difference: float | None) -> list[Remark]:
+    """Said where there is a map, and nothing that could have spoken against it."""
+    checks = [made.checks for made in maps.values()]
+    measured = [made.checks for made in maps.values() if made.map.basis is not Basis.ENERGY]
+    told = [c.crossings for c in checks] + [c.parity for c in measured] + [c.reciprocity_percent for c in measured]
+    if not maps or difference is not None or any(one is not None for one in told):
+        return []
+    text = (
+        "nothing here checks the map: no paths of currents that cross, no currents on both sides of i_q = 0, one "
+        "method only; a diagnosis holds it against the readings"
+    )
+    return [Remark.of("unchecked", text)]
+
+
 def _objections(
     best: FluxMapEstimate | None, maps: Mapping[str, FluxMapEstimate], criteria: MapCriteria
 ) -> list[Remark]:
@@ -126,7 +148,19 @@ def _objections(
                 "is the rotor angle right?"
             )
             told.append(Remark.of("bad_parity", text, axis=axis, off_percent=parity))
+    worst = _measured_reciprocity_percent(best, maps)
+    if worst is not None and worst > criteria.reciprocity_percent:
+        text = "the slopes of psi_d along i_q and of psi_q along i_d differ by {apart_percent:.0f} % of the inductance"
+        told.append(Remark.of("bad_reciprocity", text, apart_percent=worst))
     return told
+
+
+def _measured_reciprocity_percent(best: FluxMapEstimate, maps: Mapping[str, FluxMapEstimate]) -> float | None:
+    """Of the recommended map; of the one beside it where that is an energy's, which rests on that alone."""
+    if best.map.basis is not Basis.ENERGY:
+        return best.checks.reciprocity_percent
+    beside = [made.checks.reciprocity_percent for made in maps.values() if made.map.basis is not Basis.ENERGY]
+    return beside[0] if len(beside) == 1 else None
 
 
 def _apart(difference: float | None, criteria: MapCriteria) -> list[Remark]:

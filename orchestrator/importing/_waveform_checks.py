@@ -21,7 +21,17 @@ from orchestrator.importing._units import unit_that_fits
 from orchestrator.importing._vectors import TO_PEAK
 from orchestrator.numerics.alignment import Alignment, alignment_of
 from orchestrator.numerics.frames import from_phases
-from orchestrator.plausibility import DOUBTED, HEXAGON, apart_rad, is_reversed, rms, slow_part, within
+from orchestrator.plausibility import (
+    DOUBTED,
+    DRIVING,
+    HEXAGON,
+    SLOW_VOLTAGE,
+    apart_rad,
+    is_reversed,
+    rms,
+    slow_part,
+    within,
+)
 from protocols import SegmentStage
 
 _LOCKED = (SegmentStage.RESISTANCE, SegmentStage.CLASSICAL, SegmentStage.INJECTION)
@@ -212,12 +222,14 @@ class WaveformChecks:
 
     def _polarity(self, w: Waveforms) -> None:
         i, v = (slow_part(x, w.rate_hz) for x in (w.i_ab, w.v_ab))
-        if rms(i) < 0.2 * rms(w.i_ab) or not self._is_significant(rms(i)):
+        if rms(i) < 0.2 * rms(w.i_ab) or rms(v) < SLOW_VOLTAGE * rms(w.v_ab) or not self._is_significant(rms(i)):
             return
         self._power_w += float(np.sum(v * i))
         self._square_a2 += float(np.sum(i * i))
         i_c, v_c = i[:, 0] + 1j * i[:, 1], v[:, 0] + 1j * v[:, 1]
-        angle = apart_rad(complex(np.vdot(i_c, v_c)), float(np.sum(v * v)), float(np.sum(i * i)))
+        least_ohm = DRIVING * (self._mapping.motor.stator_resistance_ohm or 0.0)
+        power = complex(np.vdot(i_c, v_c))
+        angle = apart_rad(power, float(np.sum(v * v)), float(np.sum(i * i)), least_ohm=least_ohm)
         if angle is not None:
             hint = "one of both is reversed (factor: -1)" if is_reversed(angle) else "phases are exchanged"
             self._findings.doubt(

@@ -62,7 +62,7 @@ def alignment_of(
     inner = slice(latest + 1, i.size + earliest - 1)
     if inner.stop - inner.start < 100:
         return None
-    sine = _is_sine(v)
+    sine = _is_smooth(v)
     if sine and ohm is None:
         return None
     places = np.arange(inner.start, inner.stop)
@@ -82,14 +82,20 @@ def alignment_of(
     return best
 
 
-def _is_sine(v: NDArray[np.complex128], pure: float = 1e-3) -> bool:
-    """Whether each row follows from the two before it: v[k+1] + v[k-1] = 2 cos(w) v[k] leaves so little."""
+def _is_smooth(v: NDArray[np.complex128], pure: float = 0.3, even: float = 0.3) -> bool:
+    """Whether the voltage has no edges: a sine, whatever a current controller adds to it.
+
+    Each row follows from the two before it, v[k+1] + v[k-1] = 2 cos(w) v[k] but for a part, as it does of a square of
+    many rows too; but of that most steps are nothing beside the largest, of a sine they are alike.
+    """
     ahead, sides = v[1:-1], v[2:] + v[:-2]
     power = float(np.vdot(ahead, ahead).real)
     if power == 0.0:
         return False
     left = sides - float(np.vdot(ahead, sides).real) / power * ahead
-    return float(np.vdot(left, left).real) < pure * power
+    steps = np.abs(np.diff(v))
+    alike = float(np.median(steps)) > even * float(np.quantile(steps, 0.99))
+    return alike and float(np.vdot(left, left).real) < pure * power
 
 
 def _centred(x: Numbers) -> NDArray[np.complex128]:

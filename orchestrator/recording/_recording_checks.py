@@ -14,8 +14,10 @@ import numpy as np
 
 from orchestrator.plausibility import (
     DRIVE_RANGES,
+    DRIVING,
     MOTOR_RANGES,
     REFUSED,
+    SLOW_VOLTAGE,
     Numbers,
     apart_rad,
     is_reversed,
@@ -142,13 +144,15 @@ class SoundRecording:
         motor = self.manifest.motor
         least = 0.05 * max(motor.rated_current_a or 0.0, *(x.current_a for x in seen))
         # Offsets of the sensors and of the inverter go together in any way.
-        telling = [x for x in seen if x.v_squared > 0.0 and x.i_squared > 0.0]
+        telling = [x for x in seen if x.v_squared > (SLOW_VOLTAGE * x.voltage_v) ** 2 and x.i_squared > 0.0]
         if not telling or math.sqrt(i2 / len(seen)) < least:
             return
+        least_ohm = DRIVING * (motor.stator_resistance_ohm or 0.0)
+        driven = [x for x in telling if x.v_squared > least_ohm**2 * x.i_squared]
         # Each with its voltage to the size of its current: a segment in which the drive lost its way has one voice.
-        product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in telling), 0j)
-        told_a2 = sum(x.i_squared for x in telling)
-        angle = apart_rad(product, told_a2, told_a2)
+        product = sum((x.v_on_i * math.sqrt(x.i_squared / x.v_squared) for x in driven), 0j)
+        driven_a2, told_a2 = (sum(x.i_squared for x in those) for those in (driven, telling))
+        angle = apart_rad(product, driven_a2, driven_a2)
         if angle is not None:
             told = f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart, but a winding takes power"
             hint = "one of both is reversed" if is_reversed(angle) else "phases are exchanged, or frames differ"

@@ -24,8 +24,10 @@ from orchestrator.analysis import (
     check_map,
     demodulate,
     each_capture,
+    injection_frequency,
     integrate,
     invert,
+    is_one_way,
     join_paths,
     rated_flux_wb,
 )
@@ -33,6 +35,7 @@ from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
+from plugins.estimators._one_way import OneWay, by_point
 from protocols import (
     Basis,
     Capture,
@@ -133,10 +136,21 @@ class InjectionEstimator:
         time_constant_s = self._time_constant(recording, segments)
         found: list[_Group] = []
         skipped = []
-        ripples = each_capture(
-            recording, segments, lambda s, c: _ripple(recording, s, c, time_constant_s=time_constant_s, loss=loss)
+
+        def ripple_of(segment: Segment, capture: Capture, *beside: Capture) -> Ripple | str:
+            return _ripple(recording, segment, capture, *beside, time_constant_s=time_constant_s, loss=loss)
+
+        told: list[tuple[Segment, Ripple | OneWay | str]] = list(
+            zip(
+                segments, each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c)), strict=True
+            )
         )
-        for segment, ripple in zip(segments, ripples, strict=True):
+        for point in by_point([one for _, one in told if isinstance(one, OneWay)]):
+            captures = [recording.load(one.segment) for one in point]
+            told.append((point[0].segment, ripple_of(point[0].segment, *captures)))
+        for segment, ripple in told:
+            if isinstance(ripple, OneWay):
+                continue
             if isinstance(ripple, str):
                 skipped.append(ripple)
                 continue
@@ -175,11 +189,22 @@ def _known_loss(context: EstimationContext) -> PhaseLoss:
     return NO_LOSS if swept is None else swept.loss
 
 
+def _one_way(segment: Segment, capture: Capture) -> OneWay | None:
+    """The segment where its voltage ripples along one axis only; None where it turns, or where nothing is injected."""
+    if not is_one_way(capture.v_ab):
+        return None
+    try:
+        frequency_hz = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, segment.id)
+    except NotMeasuredError:
+        return None
+    return OneWay(segment, frequency_hz, np.asarray(capture.i_ab[len(capture) // 2 :], dtype=np.float64).mean(axis=0))
+
+
 def _ripple(
     recording: RecordingReader,
     segment: Segment,
     capture: Capture,
-    *,
+    *beside: Capture,
     discard_s: float | None = None,
     time_constant_s: float | None = None,
     loss: PhaseLoss = NO_LOSS,
@@ -193,6 +218,7 @@ def _ripple(
             discard_s=discard_s,
             time_constant_s=time_constant_s,
             loss=loss if _same_pwm(recording, segment) else NO_LOSS,
+            beside=beside,
             where=segment.id,
         )
     except NotMeasuredError as error:

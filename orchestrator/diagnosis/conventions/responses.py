@@ -5,7 +5,8 @@ Under injection, with u the ripple of the voltage and n the declared delay,
     i_k+1 - i_k = sum_j h_j u_k-n-j - r i_k
 
 is fitted to all segments at once, h real and over lags before and after the declared delay: L is Ts / sum h along the
-mean axis, and the first h that is not nil says when the voltage acts. Of voltage steps the differences are fitted.
+mean axis, and the first h that is not nil says when the voltage acts. Of voltage steps the differences are fitted, and
+edges alone: what a controller answers to noise comes after it, and r would be of that noise.
 """
 
 from __future__ import annotations
@@ -126,10 +127,12 @@ def answer(survey: Survey, injections: Sequence[Sighting]) -> Answer | None:
 
 def _answer(survey: Survey, injections: Sequence[Sighting], lags: NDArray[np.int64]) -> Answer | None:
     declared = math.floor(survey.manifest.drive.voltage_delay_samples or 0.0)
-    moments, right = np.zeros((len(lags) + 1, len(lags) + 1)), np.zeros(len(lags) + 1)
+    by_steps = any(seen.segment.stage is SegmentStage.STEPS for seen in injections)
+    width = len(lags) if by_steps else len(lags) + 1
+    moments, right = np.zeros((width, width)), np.zeros(width)
     power, count = 0.0, 0
     for seen in injections:
-        columns, steps = _columns(seen, declared, lags)
+        columns, steps = _columns(seen, declared, lags, survey.criteria.edge)
         if steps is None:
             continue
         moments += columns @ columns.T
@@ -146,28 +149,38 @@ def _answer(survey: Survey, injections: Sequence[Sighting], lags: NDArray[np.int
     found = inverse @ right
     left = max(power - float(found @ right), 0.0) / count
     weights = found[: len(lags)]
-    if injections[0].segment.stage is SegmentStage.STEPS:
+    if by_steps:
         # Iron that saturates bends the current all the way to an edge, alike at all lags.
         weights = weights - np.median(weights)
     total = float(weights.sum())
     if total == 0.0:
         return None
-    deviations = np.sqrt(np.maximum(np.diag(inverse) * left, 0.0))[:-1]
+    deviations = np.sqrt(np.maximum(np.diag(inverse) * left, 0.0))[: len(lags)]
     return Answer(lags.astype(np.float64), weights, deviations, 1.0 / (survey.sampling_frequency_hz * total))
 
 
-def _columns(seen: Sighting, declared: int, lags: NDArray[np.int64]) -> tuple[Array, Array | None]:
-    """Rows of alpha and beta one after the other: u at each lag, and i."""
+def _columns(seen: Sighting, declared: int, lags: NDArray[np.int64], edge: float) -> tuple[Array, Array | None]:
+    """Rows of alpha and beta one after the other: u at each lag, and i; of steps, their edges at each lag.
+
+    Parameters
+    ----------
+    edge : float
+        Part of the largest step of a voltage from which on it is an edge.
+    """
     n, u, i = len(seen.i), seen.ripple_v, seen.i - seen.i.mean()
     first, last = int(declared + lags[-1]), int(n - 1 + min(declared + lags[0], 0))
     if last - first < 50:
         return np.empty((len(lags) + 1, 0)), None
-    rows = slice(first, last)
-    late = [u[first - declared - int(lag) : last - declared - int(lag)] for lag in lags]
-    columns, steps = [*late, i[rows]], np.diff(i)[rows]
-    if seen.segment.stage is SegmentStage.STEPS:
-        # Between its edges a step's voltage is the same at all lags: they are all that tells.
-        columns, steps = [np.diff(c) for c in columns], np.diff(steps)
+    rows, by_steps = slice(first, last), seen.segment.stage is SegmentStage.STEPS
+    if by_steps:
+        u = np.diff(u, append=u[-1])
+        u[np.abs(u) < edge * np.abs(u).max()] = 0.0
+    columns = [u[first - declared - int(lag) : last - declared - int(lag)] for lag in lags]
+    steps = np.diff(i)[rows]
+    if by_steps:
+        columns, steps = [c[:-1] for c in columns], np.diff(steps)
+    else:
+        columns.append(i[rows])
     return np.stack([parts(c).ravel() for c in columns]), parts(steps).ravel()
 
 

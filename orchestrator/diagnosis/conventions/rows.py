@@ -73,13 +73,23 @@ def _repeated(seen: Sighting) -> tuple[int, int, int]:
 
 
 def _in_the_middle(seen: Sighting) -> tuple[int, int, int]:
-    """Rows whose current is the mean of both neighbours, that of the second neighbours, and how many rows there are."""
-    return _bends(seen, 1), _bends(seen, 2), len(seen.i)
+    """Rows whose current is the mean of both neighbours, how many are so by chance, and how many rows there are.
+
+    As many as are the mean of their second neighbours; or, of a converter's counts, as are next to their neighbours'
+    mean: a straight line in counts meets it as often as it misses it by one.
+    """
+    bends, rounding = _bends(seen, 1)
+    off = bends[bends > rounding]
+    next_to_it = int(np.count_nonzero(off < 1.5 * off.min())) if len(off) else 0
+    two_apart = int(np.count_nonzero(_bends(seen, 2)[0] <= rounding))
+    return len(bends) - len(off), max(next_to_it, two_apart), len(seen.i)
 
 
-def _bends(seen: Sighting, apart: int) -> int:
+def _bends(seen: Sighting, apart: int) -> tuple[Array, float]:
+    """How far currents that move are off the mean of those so many rows before and after (m,), and what rounds [A]."""
     i = seen.i
     before, now, after = i[: -2 * apart], i[apart:-apart], i[2 * apart :]
     rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(i).max(initial=0.0))
     moved: Array = np.abs(after - before)
-    return int(np.count_nonzero((np.abs(before - 2.0 * now + after) <= rounding) & (moved > 10.0 * rounding)))
+    bends: Array = np.abs(before - 2.0 * now + after)
+    return bends[moved > 10.0 * rounding], rounding

@@ -84,8 +84,16 @@ def _views(prepared: PreparedRecording) -> int:
     limits = prepared.criteria.selection
     apart = limits.same_current * max(-low, high, q)
     telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart, limits)]
-    sweeps = [p.stage in _SWEEPS for p in _different(telling, apart)]
-    return len(sweeps) + (limits.views_of_a_sweep - 1) * sum(sweeps)
+    return sum(limits.views_of_a_sweep * _sweeps(p, apart) or 1 for p in _different(telling, apart))
+
+
+def _sweeps(piece: SegmentSignals, apart_a: float) -> int:
+    """How many sweeps a segment holds beside each other; 0 of any other stage."""
+    if piece.stage not in _SWEEPS:
+        return 0
+    # Across its own direction, a segment that holds one has the width of its noise.
+    across = math.sqrt(max(float(np.linalg.eigvalsh(np.cov(piece.signals.i_ab.T))[0]), 0.0))
+    return 1 + int(across / apart_a)
 
 
 def _seconds(piece: SegmentSignals) -> float:

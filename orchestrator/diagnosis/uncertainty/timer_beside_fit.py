@@ -30,6 +30,8 @@ A hold's command that stands where it jumps by a step hides what lies beyond; fa
 """
 SCANNED = 96
 """Phases that are tried at a PWM frequency at which the readings told none: a rest's command jumps that closely."""
+AROUND = 6
+"""Of these, on either side of where a descent ended: beyond a command's jump it may be lower still."""
 STEPS = 12
 """At most, of Gauss and Newton."""
 ENOUGH = 1.0
@@ -61,8 +63,17 @@ def timer_beside(fit: Fit, borne: Sequence[BorneTimer], pm_flux_wb: float) -> tu
         x = rounding.scanned(x, place)
     for apart in APART:
         x = _descended(rounding, x, apart)
+    x = _over_jumps(rounding, x)
     x = _or_counting(rounding, x, 2.0 * fit.criteria.selection.log_evidence * fit.chi2_per_dof)
     return rounding.borne.moved(x), rounding.cost(rounding.start) - rounding.cost(x)
+
+
+def _over_jumps(rounding: _Rounding, x: Array) -> Array:
+    """Where descents from the likeliest phases around lead, at each PWM frequency where these are likelier."""
+    for place in rounding.told:
+        moved = rounding.scanned(x, place, around=AROUND)
+        x = x if moved is x else _descended(rounding, moved, APART[-1])
+    return x
 
 
 def _or_counting(rounding: _Rounding, x: Array, evidence: float) -> Array:
@@ -168,17 +179,30 @@ class _Rounding:
         known = np.diag(self.borne.curvature) > 0.0
         return [k for k in range(1, len(known), 2) if known.any() and not known[k : k + 2].any()]
 
-    def scanned(self, x: Array, place: int) -> Array:
-        """x with the likeliest of all phases at one PWM frequency, all else following; x is the fit's own timer's.
+    @property
+    def told(self) -> Sequence[int]:
+        """Where in x the phases begin of those PWM frequencies at which a segment hears them."""
+        return sorted({int(k) for one in self.segments for k in one.heard[1:2]})
+
+    def scanned(self, x: Array, place: int, around: int = SCANNED) -> Array:
+        """x with the likeliest phases at one PWM frequency, all else following: of all, or of so many to either side.
 
         Either edge has half a say in what is added, so that two phases need no more to be tried than one.
         """
-        own, parts = self.borne.moved(x).phases[place // 2], np.arange(SCANNED) / SCANNED
-        both = np.tile(x, (SCANNED, 1))
+        own = self.borne.moved(x).phases[place // 2]
+        if around < SCANNED // 2:
+            near = np.arange(-around, around + 1) / SCANNED
+            parts = np.concatenate([own.rise + near, own.fall + near])
+            rises, falls = np.arange(len(near)), np.arange(len(near), len(parts))
+        else:
+            parts = np.arange(SCANNED) / SCANNED
+            rises = falls = np.arange(SCANNED)
+        count = len(parts)
+        both = np.tile(x, (count, 1))
         both[:, place : place + 2] += parts[:, None] - [own.rise, own.fall]
         timers = [self.borne.moved(one) for one in both]
-        slope, curvature = np.zeros(SCANNED), np.zeros((SCANNED, SCANNED))
-        cross = np.zeros((len(self.normal), SCANNED))
+        slope, curvature = np.zeros(count), np.zeros((count, count))
+        cross = np.zeros((len(self.normal), count))
         for one in self.segments:
             if place in one.heard:
                 changes = np.stack([self._change(one, timer) for timer in timers], axis=-1)
@@ -187,9 +211,10 @@ class _Rounding:
                 cross += one.columns.T @ changes
         curvature -= cross.T @ np.linalg.solve(self.normal, cross)
         alone = slope + 0.25 * np.diag(curvature)
-        rise, fall = np.unravel_index(np.argmin(alone[:, None] + alone + 0.5 * curvature), curvature.shape)
+        costs = (alone[:, None] + alone + 0.5 * curvature)[np.ix_(rises, falls)]
+        rise, fall = np.unravel_index(np.argmin(costs), costs.shape)
         placed = x.copy()
-        placed[place : place + 2] = both[rise, place], both[fall, place + 1]
+        placed[place : place + 2] = both[rises[rise], place], both[falls[fall], place + 1]
         return placed if self.cost(placed) < self.cost(x) else x
 
     def cost(self, x: Array) -> float:

@@ -5,9 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 
 from orchestrator.diagnosis.weak_form.spectral_lines import spectrum_of
 from orchestrator.numerics.types import Array
+
+BLOCK = 50
+"""Readings, of which some are usual and some are not."""
+TRANSIENT = 2.0
+"""Times the usual power of differences, from which on a block has a current that moves: five sigma of white noise."""
 
 
 @dataclass(frozen=True)
@@ -44,16 +50,21 @@ def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Sca
     if period is None:
         # Coefficients (1, -2, 1) cancel what is linear in time, and multiply the variance of white noise by six.
         d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
+        usual = _usual(d)
         # A hold may begin before its current has settled.
-        alike = 1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0)) if rests else _of_second_differences(_lag(d))
-        return Scatter(d.T @ d / (6.0 * len(d)), alike, spectrum_of(i_ab))
+        alike = (
+            1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0))
+            if rests
+            else _of_second_differences(_lag(d, usual))
+        )
+        return Scatter(_moments(d, usual, 6.0), alike, spectrum_of(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]
     if abs(p - period) > 1e-6 or len(settled) < 6 * p:
         return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
     # (1, -3, 3, -1) over periods: the ripple's slow turning cancels too.
     d = settled[3 * p :] - 3.0 * settled[2 * p : -p] + 3.0 * settled[p : -2 * p] - settled[: -3 * p]
-    return Scatter(d.T @ d / (20.0 * len(d)), float("nan"), np.zeros(0))
+    return Scatter(_moments(d, _usual(d), 20.0), float("nan"), np.zeros(0))
 
 
 def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
@@ -77,8 +88,29 @@ def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
     return Scatter(d.T @ d / (70.0 * len(d)), float("nan"), np.zeros(0))
 
 
-def _lag(d: Array) -> float:
-    """First autocorrelation of differences (n, 2); NaN where there are none but zeros."""
+def _usual(d: Array) -> npt.NDArray[np.bool_]:
+    """Which differences (n, 2) are of blocks with the usual power: where a current steps on, they are not of noise.
+
+    Nor are a block's beside such a one, which a step ends in.
+    """
+    starts = np.arange(0, len(d), BLOCK)
+    powers = np.add.reduceat(np.square(d).sum(axis=1), starts) / np.diff(np.append(starts, len(d)))
+    moves = np.pad(powers > TRANSIENT * np.median(powers), 1)
+    return np.repeat(~(moves[:-2] | moves[1:-1] | moves[2:]), BLOCK)[: len(d)]
+
+
+def _moments(d: Array, usual: npt.NDArray[np.bool_], times: float) -> Array:
+    """Second moments of the readings' noise, shape (2, 2), by some differences that have it so many times."""
+    some = d[usual] if usual.any() and not usual.all() else d
+    return np.asarray(some.T @ some / (times * len(some)))
+
+
+def _lag(d: Array, usual: npt.NDArray[np.bool_] | None = None) -> float:
+    """First autocorrelation of (some) differences (n, 2); NaN where there are none but zeros."""
+    if usual is not None and usual.any() and not usual.all():
+        pairs = usual[1:] & usual[:-1]
+        power = float(np.square(d[usual]).sum()) * pairs.sum() / usual.sum()
+        return float(np.einsum("ij,ij->", d[1:][pairs], d[:-1][pairs])) / power if power > 0.0 else float("nan")
     power = float(np.einsum("ij,ij->", d, d))
     return float(np.einsum("ij,ij->", d[1:], d[:-1])) / power if power > 0.0 else float("nan")
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +18,8 @@ _SHORTEST_S = 0.1
 """What lasts less is taken for the way from one stage to the next, and goes with what is before it."""
 _LONGEST_REST_S = 1.0
 """A sweep rests no longer than this where it turns round."""
+_SAME_CURRENT = 0.03
+"""Of the largest current, by which what is held, or rippled about, is another: a hold or an injection of its own."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +46,25 @@ def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[f
             stage, hz = _stage(i[start:stop], v[start:stop], period_s, *largest)
             windows.append(Stretch(stage, float(time_s[start]), float(time_s[stop - 1]) + period_s, hz))
         found += _without_rests(_merged(windows))
-    return _joined(found)
+    return [part for run in _joined(found) for part in _by_current(run, time_s, i, largest[0])]
+
+
+def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float) -> list[Stretch]:
+    """A stretch of holds or of injections as one for each current; the way to one belongs to it."""
+    if run.stage not in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
+        return [run]
+    first, last = np.searchsorted(time_s, [run.start_s, run.end_s])
+    samples = max(20, int(_WINDOW_S / float(np.median(np.diff(time_s)))))
+    starts = np.arange(first, max(last - samples + 1, first + 1), samples)
+    means = np.add.reduceat(i[first:last], starts - first) / np.diff(np.append(starts, last))
+    jumps = np.abs(np.diff(means)) > _SAME_CURRENT * largest_a
+    # Of a way that takes several windows, its begin.
+    begins = np.flatnonzero(jumps & ~np.concatenate([[False], jumps[:-1]])) + 1
+    edges = [run.start_s]
+    for at in time_s[starts[begins]].tolist():
+        if at - edges[-1] >= _SHORTEST_S and run.end_s - at >= _SHORTEST_S:
+            edges.append(at)
+    return [replace(run, start_s=a, end_s=b) for a, b in zip(edges, [*edges[1:], run.end_s], strict=True)]
 
 
 def _without_rests(runs: list[Stretch]) -> list[Stretch]:

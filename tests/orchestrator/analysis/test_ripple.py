@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.analysis import PhaseLoss, Ripple, demodulate, injection_frequency
+from orchestrator.analysis import PhaseLoss, Ripple, demodulate, injection_frequency, is_one_way
 from protocols import Capture, NotMeasuredError
 from tests.orchestrator.analysis.plant import (
     L_D,
@@ -227,3 +227,29 @@ def test_no_injection_or_too_little_of_it_is_refused() -> None:
     short = short.model_copy(update={"i_ab": short.i_ab[:70], "v_ab": short.v_ab[:70], "v_dc": short.v_dc[:70]})
     with pytest.raises(NotMeasuredError, match="injection-7"):
         demodulate(short, 0.0, discard_s=0.0, where="injection-7")
+
+
+def along(axis: int, base: Array = POINTS) -> Run:
+    """A square wave along one axis of the rotor, while the other is held."""
+    to_d = injection_voltage(R_S * base, 40.0, 500.0, 0.0)
+    voltage = to_d if axis == 0 else lambda k, i: R_S * base + (to_d(k, i) - R_S * base)[:, ::-1]
+    return integrate_motor(voltage, flux_for(base, saturated_current), 5000, saturated_current)
+
+
+@pytest.mark.parametrize("point", range(3))
+def test_waves_along_either_axis_tell_together_what_one_that_turns_does(point: int) -> None:
+    d, q = (capture_of(along(axis), point, noise_a=2e-3) for axis in (0, 1))
+    ripple = demodulate(d, 0.0, time_constant_s=TIME_CONSTANT_S, beside=(q,))
+    assert off_percent(ripple) < 0.5
+    assert (
+        ripple.samples > 1.5 * demodulate(capture_of(injected(), point), 0.0, time_constant_s=TIME_CONSTANT_S).samples
+    )
+
+
+def test_a_wave_that_current_control_answers_on_the_other_axis_does_not_turn() -> None:
+    capture = capture_of(along(0), 0)
+    answered = np.array(capture.v_ab)
+    answered[:, 1] += 0.2 * np.roll(answered[:, 0] - answered[:, 0].mean(), 2)
+    assert is_one_way(answered)
+    with pytest.raises(NotMeasuredError, match="does not turn"):
+        demodulate(capture.model_copy(update={"v_ab": answered}), 0.0, time_constant_s=TIME_CONSTANT_S)

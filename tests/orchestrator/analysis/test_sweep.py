@@ -132,3 +132,21 @@ def test_disagreement_at_crossings_is_reported() -> None:
     misfit = join_paths([bent, *paths[1:]]).misfit
     assert misfit is not None
     assert np.abs(misfit).max() == pytest.approx(0.001, rel=0.1)
+
+
+def test_a_triangle_that_begins_at_rest_in_its_middle_is_swept_to_and_fro() -> None:
+    def level(t: float) -> float:
+        turns = (t - 0.2) / 0.8
+        return float(2.0 / np.pi * np.arcsin(np.sin(2.0 * np.pi * turns))) if 0.0 < turns < 1.0 else 0.0
+
+    run = integrate_motor(
+        follow(lambda t: BASE + 3.0 * level(t) * SWEPT, R_S),
+        flux_for(BASE, saturated_current),
+        round(1.1 * SAMPLING_HZ),
+        saturated_current,
+        substeps=1,
+    )
+    for point in range(3):
+        path = evaluate_sweep(capture_of(run, point, noise_a=2e-3), 0.0, resistance_ohm=R_S).path
+        assert off_percent(path) < 0.6
+        assert np.ptp(path.current @ SWEPT[point]) > 5.9

@@ -50,6 +50,9 @@ R_S = ResistanceEstimate(
 )
 
 
+SOUND = MapChecks(reciprocity_percent=0.5)
+
+
 class Resistance:
     """Hands out `R_S`."""
 
@@ -77,7 +80,7 @@ class Mapper:
         self, name: str = "", checks: MapChecks | None = None, missing: bool = False, factor: float = 1.0
     ) -> None:
         self.name = name or type(self).name  # type: ignore[misc]
-        self.checks, self.missing, self.factor = checks or MapChecks(), missing, factor
+        self.checks, self.missing, self.factor = checks or SOUND, missing, factor
         self.saw: EstimationContext | None = None
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:

@@ -131,3 +131,19 @@ def test_inductances_are_summed_up_where_they_are_known(tmp_path: Path) -> None:
     assert made is not None
     assert 0.0 < made.l_dd_low_h < made.l_dd_high_h
     assert 0.0 < made.l_dq_largest_h < made.l_qq_high_h
+
+
+def test_a_map_that_nothing_checks_is_not_usable(tmp_path: Path) -> None:
+    report = judged(tmp_path, Ripples(checks=MapChecks()))
+    assert not report.usable
+    assert report.remarks[0].code == "unchecked"
+    # A second method, or any check of its own, can speak against it.
+    assert judged(tmp_path, Ripples(checks=MapChecks()), Sweeps(checks=MapChecks())).usable
+    assert judged(tmp_path, Ripples(checks=MapChecks(reciprocity_percent=1.0))).usable
+
+
+@pytest.mark.parametrize("beside", [(), (OneEnergy(),)])
+def test_slopes_that_contradict_each_other_leave_no_map_usable(beside: tuple[Mapper, ...], tmp_path: Path) -> None:
+    report = judged(tmp_path, Ripples(checks=MapChecks(reciprocity_percent=30.0)), *beside)
+    assert not report.usable
+    assert said(report, "bad_reciprocity").values["apart_percent"] == 30.0

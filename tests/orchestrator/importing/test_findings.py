@@ -8,9 +8,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.signal import lfilter
 
 from orchestrator.importing._waveform_checks import _scaling_hint
 from orchestrator.recording import open_recording
+from orchestrator.recording._recording_checks import SoundRecording
 from protocols import InputError
 from tests.orchestrator.importing.benches import PHASES, RATE, Bench, Numbers, held_current, in_phases, phase_log
 from tests.support.cases import few
@@ -27,7 +29,9 @@ def complaint(bench: Bench) -> str:
     return line.removeprefix(f"{bench.folder}/")
 
 
-def injection(n: int = 4000, late: float = 0.0, seed: int = 0, sine: bool = False) -> tuple[Numbers, Numbers]:
+def injection(
+    n: int = 4000, late: float = 0.0, seed: int = 0, sine: bool = False, trembling_v: float = 0.0
+) -> tuple[Numbers, Numbers]:
     """Current and commanded voltage of a rotating injection into a salient winding, the voltage acting late."""
     fine = 20
     t = np.arange(n * fine) / (RATE * fine)
@@ -35,6 +39,7 @@ def injection(n: int = 4000, late: float = 0.0, seed: int = 0, sine: bool = Fals
     f = np.sin(np.pi / 10 * k) if sine else np.where((k // 10) % 2 == 0, 1.0, -1.0)
     turn = 2.0 * np.pi * 2.0 * k / RATE
     v = 40.0 * f[:, None] * np.column_stack([np.cos(turn), np.sin(turn)]) + np.array([8.0, 3.0])
+    v += trembling_v * np.random.default_rng(seed + 1).normal(size=v.shape)
     shift = round(late * fine)
     acting = np.roll(np.repeat(v, fine, axis=0), shift, axis=0)
     inductance, i = np.array([0.043, 0.069]), np.empty((t.size + 1, 2))
@@ -345,6 +350,21 @@ def test_reversed_polarity_is_found_under_an_injection(bench: Bench) -> None:
     as_injection(bench, 0.0)
     bench.mapping["voltage"]["factor"] = -1.0
     assert "180 degrees apart" in complaint(bench)
+
+
+@pytest.mark.parametrize("known", [True, False], ids=["R known", "R not known"])
+def test_a_current_that_decays_beneath_whole_periods_is_not_reversed(bench: Bench, known: bool) -> None:
+    """An alternating voltage that is switched on leaves a current that no voltage drives, and that decays."""
+    t = np.arange(4000) / RATE
+    v = np.round(30.0 * np.sin(2.0 * np.pi * 50.0 * t), 6)
+    ohm, henry = 0.5, 0.05
+    decay = np.exp(-ohm / henry / RATE)
+    i = lfilter([0.0, (1.0 - decay) / ohm], [1.0, -decay], v) + 1e-3 * np.random.default_rng(3).normal(size=t.size)
+    zero = np.zeros_like(t)
+    bench.columns, _ = phase_log(np.column_stack([i, zero]), np.column_stack([v, zero]))
+    bench.mapping["motor"]["stator_resistance_ohm"] = ohm if known else None
+    bench.run()
+    SoundRecording(open_recording(bench.folder / "recording")).read_through()
 
 
 @few("late", [1.0, 1.5, 2.75, -1.0], fast=2)

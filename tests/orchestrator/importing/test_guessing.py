@@ -196,3 +196,23 @@ def test_the_command_writes_a_mapping_that_imports(
     assert run_app(["import", "--guess", "plate.yaml", "--out", "x.yaml"]) == 2
     assert not Path("x.yaml").exists()
     assert run_app(["import", "log.yaml"]) == 2
+
+
+def test_holds_and_injections_of_one_log_are_told_by_their_currents(tmp_path: Path) -> None:
+    levels = [(1.0, 0.0), (-1.0, 0.5), (2.0, 0.0), (0.0, 2.0)]
+    held = np.repeat(np.array(levels), 2500, axis=0)
+    held += 1e-3 * np.random.default_rng(5).normal(size=held.shape)
+    n = np.arange(len(held))
+    wave = np.where(n // 10 % 2 == 0, 40.0, -40.0)[:, None] * np.column_stack([np.cos(n / 1500), np.sin(n / 1500)])
+    ripple = np.where(n[:, None] // 10 % 2 == 0, 0.02, -0.02)
+    i = np.concatenate([held, held + ripple])
+    v = np.concatenate([4.0 * held, 4.0 * held + wave])
+    names = [f"{x}_{axis}" for x in ("i", "u") for axis in ("alpha", "beta")]
+    path = text(tmp_path / "log.csv", "t," + ",".join(names) + "\n", [np.arange(len(i)) / 1e4, *i.T, *v.T])
+    (tmp_path / "m.yaml").write_text(guess_mapping(path).text)
+    import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
+    recording = open_recording(tmp_path / "out")
+    told = [
+        (s.stage.value, *recording.load(s).i_ab[s.samples // 2 :].mean(axis=0).round(1)) for s in recording.segments()
+    ]
+    assert told == [(stage, *level) for stage in ("resistance", "injection") for level in levels]

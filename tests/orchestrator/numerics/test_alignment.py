@@ -23,3 +23,11 @@ def test_of_a_sine_nothing_is_told_without_the_resistance_and_little_is_lost_whe
     found = alignment_of(i, v, ohm=1.3 * 4.25)
     assert found is not None
     assert found.lag_rows == pytest.approx(1.0, abs=0.15)
+
+
+@pytest.mark.parametrize("late", [0.0, 1.0])
+def test_what_current_control_adds_to_a_sine_makes_no_edges(late: float) -> None:
+    found = alignment_of(*injection(late=late, sine=True, trembling_v=1.5), ohm=4.25)
+    assert found is not None
+    assert not found.by_edges
+    assert found.lag_rows == pytest.approx(late, abs=0.1)

@@ -11,6 +11,7 @@ from orchestrator.diagnosis.selection.modulator_timer import with_its_timer, wit
 from orchestrator.diagnosis.weak_form.timer import BorneTimer
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
+    NOISE_A,
     felt_through,
     fitter,
     free_model,
@@ -32,7 +33,8 @@ def test_voltages_that_differ_by_chance_are_no_timer_s() -> None:
 
 def test_a_timer_is_told_again_where_a_fit_with_it_leaves_something() -> None:
     true, off = timer(21.7e-9, 0.35, 0.62), timer(21.7e-9, 0.40, 0.58)
-    given = replace(setup_of(fitter(felt_through(true, plan()))), timers=(BorneTimer(off, 9.0, np.zeros((3, 3))),))
+    felt = felt_through(true, plan(), noise_a=0.002)
+    given = replace(setup_of(fitter(felt)), timers=(BorneTimer(off, 9.0, np.zeros((3, 3))),))
     setup = given.with_timer(off)
     fit = setup.coarse_fitter.fit(free_model())
     assert fit.chi2_per_dof > 1.08
@@ -48,6 +50,21 @@ def test_a_timer_is_told_again_where_a_fit_with_it_leaves_something() -> None:
     assert not timed.fitter.noise.of_model.scatters
     # Nothing is left beside the right one.
     assert with_timer_of_fit(timed, doubting, beside, []) is None
+
+
+@pytest.mark.parametrize("rounding", [0, 3, 4, 7])
+def test_where_a_descent_meets_a_command_s_jump_it_goes_on_beyond(rounding: int) -> None:
+    """Which way a descent goes between jumps is decided by the last digits: all have to lead to the timer."""
+    off = timer(21.7e-9, 0.40, 0.58)
+    felt = felt_through(timer(21.7e-9, 0.35, 0.62), plan(), noise_a=NOISE_A * (1.0 + 1e-9 * rounding))
+    given = replace(setup_of(fitter(felt)), timers=(BorneTimer(off, 9.0, np.zeros((3, 3))),))
+    setup = given.with_timer(off)
+    told = with_timer_of_fit(setup, setup, setup.coarse_fitter.fit(free_model()), [])
+    assert told is not None
+    assert told[-1].chi2_per_dof < 1.06
+    assert told[0].prepared.timer is not None
+    (at,) = told[0].prepared.timer.phases
+    assert sorted((at.rise, at.fall)) == pytest.approx((0.35, 0.62), abs=0.035)
 
 
 @pytest.mark.slow

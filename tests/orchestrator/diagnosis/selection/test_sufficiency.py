@@ -71,3 +71,11 @@ def test_what_was_not_measured_is_said(without: SegmentStage, code: str) -> None
     kept = _only(*(stage for stage in SegmentStage if stage is not without))
     assert code in {remark.code for remark in what_is_missing(kept)}
     assert code not in {remark.code for remark in what_is_missing(ENOUGH)}
+
+
+def test_a_segment_that_holds_many_sweeps_shows_as_many_places() -> None:
+    d = 2.0 * np.sin(np.linspace(0.0, 2.0 * np.pi, 600))
+    beside = [np.stack([d, np.full_like(d, q)], axis=1) for q in (-2.0, -1.0, 0.0, 1.0, 2.0)]
+    require_enough(prepared([Plan(SegmentStage.CLASSICAL, np.concatenate(beside))]), NOISE)
+    with pytest.raises(NotMeasuredError, match="show 2 places"):
+        require_enough(prepared([Plan(SegmentStage.CLASSICAL, np.concatenate(beside[2:3] * 5))]), NOISE)

@@ -65,3 +65,19 @@ def test_between_the_edges_of_voltage_steps_the_noise_is_told_apart_from_the_cur
     current = np.column_stack([np.cumsum(sign) / swing, np.zeros(n)])
     v_ab = np.column_stack([100.0 * sign, np.zeros(n)])
     np.testing.assert_allclose(scatter_between(_noise(n) + current, v_ab).covariance, COVARIANCE, rtol=0.1)
+
+
+def test_a_staircase_scatters_as_its_readings_do() -> None:
+    n = 20_000
+    steps = np.repeat(np.random.default_rng(2).normal(size=(40, 2)), n // 40, axis=0)
+    answer = lfilter([0.2], [1.0, -0.8], steps, axis=0)
+    scatter = scatter_of(_noise(n) + answer, None)
+    np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.1, atol=1e-7)
+    assert scatter.correlation == pytest.approx(0.0, abs=0.07)
+
+
+def test_a_ripple_that_turns_into_another_scatters_as_its_readings_do() -> None:
+    n, period = 20_000, 20
+    wave = np.where(np.arange(n) % period < period // 2, 1.0, -1.0)
+    ripple = np.stack([np.where(np.arange(n) < n // 2, wave, 0.0), np.where(np.arange(n) < n // 2, 0.0, wave)], axis=1)
+    np.testing.assert_allclose(scatter_of(_noise(n) + ripple, period).covariance, COVARIANCE, rtol=0.15, atol=1e-7)
