@@ -97,7 +97,7 @@ def trace_steps(
     losses = shape_integrals(capture.i_ab, knots_a, step, block, count)
     stretch = (np.arange(count) / (swings_a_stretch * swing / block)).astype(np.int64)
     kept = _spread(stretch, most)
-    v = np.asarray(capture.v_ab, dtype=np.float64)
+    sizes = np.linalg.norm(np.asarray(capture.v_ab, dtype=np.float64), axis=1)
     return StepTrace(
         where=where,
         i=to_dq(current[kept], angle_rad),
@@ -108,7 +108,8 @@ def trace_steps(
         time=((np.arange(count, dtype=np.float64) + 0.5) * (block * step))[kept],
         stretch=stretch[kept],
         swing=swing / block,
-        volts=float(np.median(np.linalg.norm(v, axis=1))),
+        # Most of a log may be the time before a step, or between two.
+        volts=float(np.median(sizes[sizes >= 0.5 * sizes.max()])),
     )
 
 

@@ -55,6 +55,7 @@ from orchestrator.diagnosis.selection.workflow import (
     converged,
     map_steps,
     no_sharper_than_asked,
+    no_worse_than_without,
     on_a_finer_map,
     pruned,
     search_effects,
@@ -229,6 +230,7 @@ def _diagnosed(
         search, spared = pruned(setup, no_sharper_than_asked(setup, converged(setup, search)))
         search, doubtful = without_doubtful(setup, search)
         search = with_faint(setup, search, library, {*spared, *search.traces})
+    search = no_worse_than_without(setup, search)
     tell("how sure is what was found?")
     first, last, sized, plain = search.steps[0].fit, search.fit, search.sized, setup.unweighed
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}

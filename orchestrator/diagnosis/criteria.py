@@ -255,6 +255,8 @@ class SelectionCriteria(Strict):
     """Part of the rated flux by which an effect has to move the map to be material, ..."""
     material_voltage: float = _is(0.005, "1", "practice")
     """... or part of the excitation's rms voltage that it has to make in any kind of stage."""
+    nothing_left: float = _is(5e-4, "1", "practice")
+    """... and a tenth of that, which nobody would miss: readings whose noise is far below have errors of their own."""
     no_chance: float = _is(1e-6, "1", "practice")
     """Probability below which what a reading without current says against a model is no chance."""
     widest_band_percent: float = _is(1.0, "%", "practice")

@@ -149,8 +149,12 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
     fs, design = setup.prepared.manifest.drive.sampling_frequency_hz, setup.prepared.criteria.design
     still = np.zeros((round(design.planned_hold_s * fs), 2))
     if kind is SegmentStage.GATES_OFF:
-        return [(_piece(setup, model, kind, {}, still, still, lasting), lasting / design.planned_hold_s)]
-    planned, machine = [], Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
+        off = _piece(setup, model, kind, {}, still, still, lasting)
+        return [] if off is None else [(off, lasting / design.planned_hold_s)]
+    planned, machine = (
+        list[tuple[SegmentSignals | None, float]](),
+        Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics),
+    )
     for point in stage["points_a"]:
         i_dq = np.array(point, dtype=np.float64)
         if kind is SegmentStage.RESISTANCE:
@@ -175,7 +179,7 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
                 current, voltage = swinging[:-1], machine.voltage(swinging, fs)
                 settings = {"frequency_hz": f, "rotation_hz": 1.0 / turn_s, "amplitude_v": volts}
                 planned.append((_piece(setup, model, kind, settings, current, voltage, lasting), lasting / turn_s))
-    return planned
+    return [(piece, weight) for piece, weight in planned if piece is not None]
 
 
 def _piece(
@@ -186,8 +190,11 @@ def _piece(
     current: Array,
     voltage: Array,
     lasting_s: float,
-) -> SegmentSignals:
-    """A segment after the last one of the recording, in the frame of that one, as it is in the middle of its time."""
+) -> SegmentSignals | None:
+    """A segment after the last one of the recording, in the frame of that one, as it is in the middle of its time.
+
+    None where there are too few readings in it to tell anything.
+    """
     last = setup.prepared.pieces[-1]
     s, angle = last.signals, last.segment.rotor_angle_rad
     n, fs = len(current), setup.prepared.manifest.drive.sampling_frequency_hz
@@ -218,7 +225,8 @@ def _piece(
         clarke_of_three=s.clarke_of_three,
     )
     windows = windows_of(segment, fs, i_ab, v_ab, setup.prepared.criteria.weak_form)
-    assert windows is not None
+    if windows is None:
+        return None
     return replace(
         last, segment=segment, held_out=False, signals=signals, windows=windows, averaged=1, before_ab=i_ab[0]
     )

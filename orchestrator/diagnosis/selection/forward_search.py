@@ -154,6 +154,13 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
         if gain - g < limits.tie or does_as_well(t, trial) or _stands_in(fit, trial, t, name, n)
     ]
     _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
+    if search.fit.objective > fit.objective:
+        # What it promised where the model stood does not hold where it leads.
+        search.steps.pop()
+        search.view = None
+        rejected.add(name)
+        search.traces.append(name)
+        return True
     rejected.clear()
     rejected.update(n for tied in search.rivals.values() for n in tied)
     return True

@@ -47,7 +47,8 @@ def _judged(before: Fit, after: Fit, effects: int, left: float, bearable: float)
     limits = after.criteria.selection
     if after.chi2_per_dof <= limits.detected_chi2 and left <= bearable:
         return "explained" if effects else "clean"
-    if not effects and left <= limits.noise_known and left_of_excitation(after) <= limits.material_voltage:
+    bearable_by = (limits.noise_known, limits.material_voltage), (limits.formless_left, limits.nothing_left)
+    if not effects and any(left <= most and left_of_excitation(after) <= part for most, part in bearable_by):
         return "clean"
     fraction = left_fraction(before.chi2_per_dof, after)
     # What even a sharp map leaves may be more of its detail, and what was found a part of that.

@@ -228,6 +228,21 @@ def _with_last(search: Search, fit: Fit) -> Search:
     return replace(search, steps=[*search.steps[:-1], replace(search.steps[-1], fit=fit)])
 
 
+def no_worse_than_without(setup: DiagnosisSetup, search: Search) -> Search:
+    """The search without any effect where all of them leave more than the first model does; they are traces.
+
+    Each was worth it where the model stood then: by the noise that it lets pass, or by columns that did not hold.
+    """
+    first, last = search.steps[0].fit, search.fit
+    if not last.model.active or first.chi2_per_dof > first.criteria.selection.detected_chi2:
+        return search
+    judge = setup.unweighed.fitter
+    if judge.hold(last.model).chi2_per_dof <= judge.hold(first.model).chi2_per_dof:
+        return search
+    bare = [s for s in search.steps if s.added is None or s.added in MAP_RUNGS]
+    return Search(bare, [*search.traces, *last.model.names])
+
+
 def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
     """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named.
 

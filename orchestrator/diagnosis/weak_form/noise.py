@@ -241,13 +241,9 @@ class Whitener:
     """
 
     def __init__(self, covariance: Array, common: Array | None = None) -> None:
-        from scipy.linalg import cholesky_banded
-
         self.variance = covariance[0].copy()
         """Of every row, before whitening."""
-        banded = covariance.copy()
-        banded[0] *= 1.0 + 1e-9
-        self._factor = np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+        self._factor = _factored(covariance)
         self.log_det = 2.0 * float(np.log(self._factor[0]).sum())
         self._directions, self._less = np.zeros((covariance.shape[1], 0)), np.zeros(0)
         if common is not None:
@@ -273,6 +269,26 @@ class Whitener:
         if info != 0:
             raise ArithmeticError("the noise covariance is singular")
         return np.asarray(solved if rows.ndim == 2 else solved[:, 0])
+
+
+def _factored(covariance: Array) -> Array:
+    """Cholesky factor of a covariance in lower banded form.
+
+    Rows further apart than the band are taken to have nothing in common. Where a map that is not found yet is too steep
+    for that, nothing has the rest to be a covariance: what neighbours share is then told smaller, the variances stay.
+    """
+    from scipy.linalg import cholesky_banded
+
+    banded = covariance.copy()
+    banded[0] *= 1.0 + 1e-9
+    for shared in (1.0, 0.9, 0.7, 0.4):
+        banded[1:] = shared * covariance[1:]
+        try:
+            return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
+        except np.linalg.LinAlgError:
+            continue
+    banded[1:] = 0.0
+    return np.asarray(cholesky_banded(banded, lower=True, check_finite=False))
 
 
 @njit(cache=True, nogil=True)

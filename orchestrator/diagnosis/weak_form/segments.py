@@ -20,6 +20,7 @@ from orchestrator.diagnosis.weak_form.loss_history import (
     segment_heat,
     step_of,
 )
+from orchestrator.diagnosis.weak_form.reach import lies_among
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_between, scatter_of
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
 from orchestrator.numerics.frames import to_dq
@@ -47,6 +48,7 @@ USABLE = (
     SegmentStage.INJECTION,
     SegmentStage.STEPS,
 )
+_MOVING = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
 _ROUNDED = 1e-6
 """Of the other axis: single precision turned from frame to frame makes a tenth of it."""
 _LAST_READINGS = 20
@@ -163,6 +165,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     remarks += _too_short(short)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
         raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
+    pieces = _held_out_within_reach(pieces)
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
     pieces = _knowing_how_far_turned(_knowing_their_way(pieces))
@@ -183,6 +186,19 @@ def coarse(prepared: PreparedRecording) -> PreparedRecording:
     spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
     pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
+
+
+def _held_out_within_reach(pieces: list[SegmentSignals]) -> list[SegmentSignals]:
+    """Held out is what lies among the currents that are fitted, and nothing where else nothing would move."""
+    fitted = [_currents(p) for p in pieces if not p.held_out and p.stage in _MOVING]
+    held = {p.segment.id for p in pieces if p.held_out and lies_among(_currents(p), fitted)}
+    return [replace(p, held_out=p.segment.id in held) if p.held_out else p for p in pieces]
+
+
+def _currents(piece: SegmentSignals) -> Array:
+    """Some of its currents in the believed frame, (n, 2)."""
+    every = len(piece.signals.i_ab) // 1000 + 1
+    return to_dq(piece.signals.i_ab[::every], float(piece.segment.rotor_angle_rad))
 
 
 def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:

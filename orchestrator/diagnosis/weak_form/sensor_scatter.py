@@ -82,9 +82,11 @@ def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
     for k in range(-3, answered + 1):
         near = turned + k
         quiet[near[(near >= 0) & (near < len(quiet))]] = False
-    d = np.diff(i_ab, n=4, axis=0)[quiet]
-    if len(d) < 8:
-        return Scatter(np.full((2, 2), np.nan), float("nan"), np.zeros(0))
+    d = np.diff(i_ab, n=4, axis=0)
+    if np.count_nonzero(quiet) < 8:
+        # A voltage that moves all the time has no edges either.
+        return Scatter(_moments(d, _usual(d), 70.0), float("nan"), np.zeros(0))
+    d = d[quiet]
     return Scatter(d.T @ d / (70.0 * len(d)), float("nan"), np.zeros(0))
 
 

@@ -89,10 +89,9 @@ def test_counts_of_a_converter_that_lie_on_a_line_are_not_interpolated(
     wave = bent[:, None] * np.column_stack([43.0 * np.cos(n / 1300), 21.0 * np.sin(n / 1300)])
     counts = np.round(wave + noise * rng.normal(size=wave.shape)).astype(np.float32)
     # Of two phases in counts: i_beta is (i_a + 2 i_b) / sqrt 3.
-    i = np.asarray(
-        0.012 * (counts[:, 0] + 1j * (counts[:, 0] + 2.0 * counts[:, 1]) / np.sqrt(3.0)), dtype=np.complex128
-    )
-    seen = Sighting(segment, i, 40.0 * rising + 0j, None, np.full(len(i), 540.0))
+    i_ab = 0.012 * np.column_stack([counts[:, 0], (counts[:, 0] + 2.0 * counts[:, 1]) / np.sqrt(3.0)])
+    i = i_ab.astype(np.float64).view(np.complex128).ravel()
+    seen = Sighting(segment, i, (40.0 * rising).astype(np.complex128), None, np.full(len(i), 540.0))
     limits = ConventionCriteria()
     middle, by_chance, rows = _in_the_middle(seen)
     assert middle > limits.repeated * rows

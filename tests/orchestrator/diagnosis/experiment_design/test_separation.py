@@ -85,3 +85,11 @@ def test_planned_segments_have_the_currents_that_were_asked_for(setup: Diagnosis
     # A square wave of 40 V at 500 Hz swings the flux by 20 mWb to either side.
     swing = np.ptp(ripple.signals.i_ab[:, 0]) * L_D
     assert swing == pytest.approx(2.0 * 0.02, rel=0.1)
+
+
+@pytest.mark.parametrize("stage", [GATES_OFF, {"kind": "resistance", "points_a": [[1.0, -0.5]], "duration_s": 0.5}])
+def test_a_stage_of_too_few_readings_separates_nothing(
+    setup: DiagnosisSetup, stage: dict[str, Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(planning, "windows_of", lambda *_: None)
+    assert planned_pieces(setup, free_model(), stage) == []

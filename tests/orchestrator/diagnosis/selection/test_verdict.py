@@ -79,7 +79,14 @@ def test_what_no_engineer_would_miss_is_forgiven_near_the_noise_and_not_far_beyo
 
 
 @pytest.mark.parametrize(
-    ("part", "chi2", "verdict"), [(0.5, 1.12, "clean"), (2.0, 1.12, "unknown_remains"), (0.5, 1.2, "unknown_remains")]
+    ("part", "chi2", "verdict"),
+    [
+        (0.5, 1.12, "clean"),
+        (2.0, 1.12, "unknown_remains"),
+        (0.5, 1.2, "unknown_remains"),
+        (0.05, 1.5, "clean"),
+        (0.05, 2.5, "unknown_remains"),
+    ],
 )
 def test_noise_a_little_larger_than_the_readings_say_is_noise_where_it_does_not_matter(
     fit: Fit, part: float, chi2: float, verdict: str

@@ -13,6 +13,7 @@ from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.workflow import (
     no_sharper_than_asked,
+    no_worse_than_without,
     on_a_finer_map,
     pruned,
     with_its_scatter,
@@ -111,3 +112,17 @@ def test_a_map_that_was_made_sharp_for_an_effect_s_form_is_a_usual_one(
     assert after.fit.model.names == ("voltage_bias",)
     asked_nothing = Search([Step(None, first), Step("voltage_bias", usual, 20.0)])
     assert no_sharper_than_asked(setup_of(maker), asked_nothing) is asked_nothing
+
+
+def test_effects_that_leave_more_than_none_of_them_are_traces() -> None:
+    maker = fitter(prepared(plan(), noise_a=0.002))
+    steps = [Step(None, maker.fit(free_model()))]
+    with_bias = with_free(steps[0].fit.model, maker, VoltageBias())
+    (bias,) = with_bias.active
+    wrong = maker.hold(with_bias.with_active([bias.moved(bias.candidate.amplitudes[0], 1.0)]))
+    search = Search([*steps, Step(bias.name, wrong, 100.0)])
+    kept = no_worse_than_without(setup_of(maker), search)
+    assert kept.fit is steps[0].fit
+    assert kept.traces == [bias.name]
+    right = Search([*steps, Step(bias.name, maker.fit(with_bias), 100.0)])
+    assert no_worse_than_without(setup_of(maker), right) is right

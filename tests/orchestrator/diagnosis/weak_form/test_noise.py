@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.linalg import cholesky_banded
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.equations import flux_terms, local_map, voltage_and_resistance
@@ -165,3 +166,14 @@ def test_the_axis_that_was_read_is_whitened_as_if_the_other_were_not_there(unrea
     white, changed = (Whitener(banded)(x).reshape(-1, 2) for x in (rows, other))
     np.testing.assert_array_equal(white[:, 1 - unread], changed[:, 1 - unread])
     assert np.isfinite(white).all()
+
+
+def test_rows_that_share_more_than_a_covariance_can_are_whitened_all_the_same() -> None:
+    """Cut off beyond its band, what a steep map makes of neighbours may be no covariance."""
+    banded = np.tile(np.array([[1.0], [0.8], [0.0]]), 40)
+    with pytest.raises(np.linalg.LinAlgError):
+        cholesky_banded(banded, lower=True)
+    whitener = Whitener(banded)
+    np.testing.assert_array_equal(whitener.variance, np.ones(40))
+    assert np.isfinite(whitener.log_det)
+    assert np.isfinite(whitener(np.eye(40))).all()
