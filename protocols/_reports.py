@@ -309,7 +309,7 @@ class MapCriteria(Lenient):
     """And by so many standard deviations of the ratio."""
     nameplate_apart: float = 0.2
     """Of R_s and the inductances at the least current, relative to the nameplate: more is worth a remark."""
-    nameplate_factor: float = 1.5
+    nameplate_factor: float = 1.35
     """Ratio of theirs that no tolerance makes; all of them off the same way are a scale of the readings."""
 
 

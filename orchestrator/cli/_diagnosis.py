@@ -11,10 +11,10 @@ from orchestrator.cli._output import say, say_document, say_notes, say_table, st
 from orchestrator.cli._refreshing import refresh_report
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
-from orchestrator.presentation.results import ladder_rows, parameter_rows, share_rows
+from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_rows
 from orchestrator.presentation.sentences import columns, text_table
 from orchestrator.presentation.waiting import Waiting
-from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords
+from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
 
 
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
@@ -56,6 +56,8 @@ def diagnose(
         say_document(kept.report.model_dump_json(indent=2))
     else:
         _print_diagnosis(kept.report, kept.words)
+        if kept.estimates is not None:
+            _print_map(kept.estimates, (out or path) / "results")
     return 0
 
 
@@ -107,6 +109,16 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     if report.next_experiment is not None:
         say("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")
         say(stage_as_yaml(report.next_experiment.stage))
+
+
+def _print_map(estimates: EstimationReport, folder: Path) -> None:
+    """R_s and the map that the diagnosis leaves, or why it leaves none to be relied on."""
+    if estimates.usable and estimates.resistance is not None:
+        say(f"R_s {resistance(estimates.resistance)}, flux map usable: {folder / estimates.files['flux_map']}")
+        say_notes(r.text for r in estimates.remarks if r.code == "far_from_nameplate")
+        return
+    why = next((r.text for r in estimates.remarks), "none could be made")
+    say(f"flux map: NOT TO BE RELIED ON: {why}")
 
 
 def _say_added(report: AddReport, as_json: bool) -> None:

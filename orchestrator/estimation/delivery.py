@@ -7,6 +7,7 @@ from typing import Any
 
 from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
+from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates, write_results
 from protocols import (
     EstimationReport,
@@ -14,13 +15,16 @@ from protocols import (
     FluxMap,
     MapChecks,
     MapReport,
+    Motor,
     RecordingError,
     Remark,
     ResistanceEstimate,
 )
 
-_OF_A_MAP = ("bad_crossings", "bad_parity", "methods_differ", "no_map")
+_OF_A_MAP = ("bad_crossings", "bad_parity", "bad_reciprocity", "methods_differ", "no_map", "unchecked")
 """Remarks that speak against the estimators' maps."""
+_OF_NO_OTHER = ("no_map", "far_from_nameplate")
+"""And those that are made anew of the model's."""
 
 
 def deliver_model(
@@ -29,7 +33,7 @@ def deliver_model(
     resistance: ResistanceEstimate,
     objections: tuple[Remark, ...],
     *,
-    motor: str,
+    motor: Motor,
     recording: str,
 ) -> EstimationReport:
     """Put a model's map and R_s among the results in a directory, in place of an earlier model's.
@@ -39,8 +43,10 @@ def deliver_model(
     objections : tuple of Remark
         Where there are any, the map is kept beside the others; those keep their rank, and none of them is usable:
         what the model does not explain is in them too.
-    motor, recording : str
-        Names, kept in the maps' attributes.
+    motor : Motor
+        The nameplate, beside which the model's R_s and inductances are held.
+    recording : str
+        Its name, kept in the maps' attributes.
 
     Raises
     ------
@@ -52,11 +58,11 @@ def deliver_model(
     if objections:
         report = own.model_copy(update={"maps": {**own.maps, found.method: told}}).objected(objections)
     else:
-        report = _recommended(own, found.method, told, resistance)
+        report = beside_nameplate(_recommended(own, found.method, told, resistance), {found.method: found}, motor)
     if own.maps or own.resistance:
         report = report.model_copy(update={"estimators": EstimatorsReport(**_fields(own))})
     maps = {found.method: found, **maps}
-    return write_results(report, maps, directory / "results", motor=motor, recording=recording)
+    return write_results(report, maps, directory / "results", motor=motor.name, recording=recording)
 
 
 def _recommended(
@@ -66,7 +72,8 @@ def _recommended(
 
     Crossings stay: they are the recording's, whichever map is made of it.
     """
-    rest = (r.by(own.method) if own.method and r.code in _OF_A_MAP else r for r in own.remarks if r.code != "no_map")
+    others = (r for r in own.remarks if r.code not in _OF_NO_OTHER)
+    rest = (r.by(own.method) if own.method and r.code in _OF_A_MAP else r for r in others)
     if own.resistance is not None:
         kept = {name: getattr(own.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
         resistance = resistance.model_copy(update=kept)

@@ -86,9 +86,10 @@ def estimate_recording(
     report = judged(
         Found(resistances, maps, tuple(missing)), recording.manifest.motor.rated_current_a, criteria or MapCriteria()
     )
-    report = beside_nameplate(report, maps, recording.manifest.motor).objected(against)
+    by_method = {method: found.map for method, found in maps.items()}
+    report = beside_nameplate(report, by_method, recording.manifest.motor).objected(against)
     about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
-    return write_results(report, {method: found.map for method, found in maps.items()}, out / "results", **about)
+    return write_results(report, by_method, out / "results", **about)
 
 
 def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:

@@ -7,10 +7,10 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from protocols import EstimationReport, FluxMap, FluxMapEstimate, Motor, Remark
+from protocols import EstimationReport, FluxMap, Motor, Remark
 
 
-def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMapEstimate], motor: Motor) -> EstimationReport:
+def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor) -> EstimationReport:
     """The report with a remark on each of R_s, L_d and L_q that is far from the nameplate.
 
     Where R_s and the inductances are all off the same way, a scale of the readings is: the map is not usable then.
@@ -37,14 +37,14 @@ def _remark(name: str, found: float, stated: float, *, questioned: bool) -> Rema
 
 
 def _pairs(
-    report: EstimationReport, maps: Mapping[str, FluxMapEstimate], motor: Motor
+    report: EstimationReport, maps: Mapping[str, FluxMap], motor: Motor
 ) -> list[tuple[str, float, float | None]]:
     """Name, estimate and nameplate; inductances where the least current flows."""
     pairs = []
     if report.resistance is not None:
         pairs.append(("R_s", report.resistance.value_ohm, motor.stator_resistance_ohm))
     if report.method is not None:
-        l_d, l_q = _unsaturated(maps[report.method].map)
+        l_d, l_q = _unsaturated(maps[report.method])
         pairs += [("L_d", l_d, motor.d_inductance_h), ("L_q", l_q, motor.q_inductance_h)]
     return pairs
 

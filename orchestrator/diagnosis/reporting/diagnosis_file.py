@@ -27,6 +27,7 @@ from protocols import (
     DiagnosisReport,
     DiagnosisStep,
     DiagnosisWords,
+    EstimationReport,
     FluxLoop,
     RecordingError,
     ResistanceCourse,
@@ -53,11 +54,14 @@ class SavedDiagnosis:
     words : DiagnosisWords
     steps : tuple of DiagnosisStep
         The ladder; empty where only the words were kept.
+    estimates : EstimationReport or None
+        What it made of map and R_s; None where it was read again, or made none.
     """
 
     report: DiagnosisReport
     words: DiagnosisWords
     steps: tuple[DiagnosisStep, ...]
+    estimates: EstimationReport | None = None
 
 
 def save_diagnosis(

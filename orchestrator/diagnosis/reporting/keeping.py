@@ -27,7 +27,7 @@ def deliver(delivery: Delivery, recording: Recording, out: Path | None) -> Estim
         delivery.map,
         delivery.resistance,
         delivery.objections,
-        motor=manifest.motor.name,
+        motor=manifest.motor,
         recording=manifest.name,
     )
 
@@ -87,4 +87,4 @@ def diagnose_and_keep(
     except StorageError as error:
         remark = Remark.of("not_written", "{problem}", problem=str(error))
         diagnosis = replace(diagnosis, report=diagnosis.report.with_remark(remark))
-    return diagnosis, SavedDiagnosis(diagnosis.report, words, tuple(steps))
+    return diagnosis, SavedDiagnosis(diagnosis.report, words, tuple(steps), diagnosis.estimates)

@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from orchestrator.estimation import deliver_model, estimate_recording, load_estimates, load_flux_map
-from protocols import Basis, EstimationReport, FluxMap, Remark, ResistanceEstimate
+from protocols import Basis, EstimationReport, FluxMap, Motor, Remark, ResistanceEstimate
 from tests.orchestrator.analysis.test_checks import exact_map
 from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps
 
 R_S = ResistanceEstimate(value_ohm=4.1, low=4.09, high=4.11, first_ohm=4.1, last_ohm=4.3)
+MOTOR = RECORDING.manifest.motor
 AGAINST = (Remark.of("unexplained", "the model leaves {left_percent:.2g} % unexplained", left_percent=3.0),)
 
 
@@ -21,8 +22,8 @@ def model_map(scale: float = 1.0) -> FluxMap:
     return known.model_copy(update={"method": "model", "basis": Basis.ENERGY, "psi_d": scale * known.psi_d})
 
 
-def deliver(where: Path, *against: Remark, scale: float = 1.0) -> EstimationReport:
-    return deliver_model(where, model_map(scale), R_S, against, motor="m", recording="made up")
+def deliver(where: Path, *against: Remark, scale: float = 1.0, motor: Motor | None = None) -> EstimationReport:
+    return deliver_model(where, model_map(scale), R_S, against, motor=motor or MOTOR, recording="made up")
 
 
 def test_the_models_map_and_resistance_take_first_place(tmp_path: Path) -> None:
@@ -74,3 +75,13 @@ def test_a_new_pass_of_the_estimators_forgets_the_model(tmp_path: Path) -> None:
     assert report.method != "model"
     assert report.estimators is None
     assert not (tmp_path / "results" / "flux_map_model.nc").exists()
+
+
+@pytest.mark.parametrize(("times", "codes"), [(1.0, []), (1.38, ["far_from_nameplate"])])
+def test_the_models_resistance_is_held_beside_the_nameplate(tmp_path: Path, times: float, codes: list[str]) -> None:
+    plate = Motor.model_validate({**MOTOR.model_dump(), "stator_resistance_ohm": R_S.value_ohm / times})
+    # What was said of the estimators' own is not said again.
+    estimate_recording(RECORDING, [Resistance(), Sweeps(), Ripples()], tmp_path)
+    report = deliver(tmp_path, motor=plate)
+    assert report.usable
+    assert [r.code for r in report.remarks if r.code == "far_from_nameplate"] == codes

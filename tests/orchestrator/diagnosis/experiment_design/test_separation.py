@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.experiment_design import separation as planning
 from orchestrator.diagnosis.experiment_design.separation import planned_pieces, rivals, separation
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import scaled_library
