@@ -15,7 +15,7 @@ from itertools import combinations
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate, coordinate_of
 from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
@@ -291,14 +291,29 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
             continue
         factors = log_bayes_factors(fit)
         lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
-        kept = fit.model.with_active([a for a in fit.model.active if a.name != lesser])
-        trial = refitted(fitter, kept, fit)
-        # What two of one kind make good may be the form of either.
-        trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
-        if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, lesser)):
-            fit = trial
-            gone.setdefault(stays, []).append(lesser)
+        # The lesser may be the one whose form the other has not, and was found second.
+        for goes, keeps in ((lesser, stays), (stays, lesser)):
+            trial = _with_one_of(fitter, fit, goes, keeps)
+            if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, goes)):
+                fit = trial
+                gone.setdefault(keeps, []).append(goes)
+                break
     return fit, gone
+
+
+def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
+    """The fit without one of two effects, refitted from where the other has taken over what was its."""
+    went = next(a for a in fit.model.active if a.name == goes)
+    active = []
+    for item in (a for a in fit.model.active if a is not went):
+        if item.name == keeps:
+            for name in set(item.candidate.amplitudes) & set(went.candidate.amplitudes):
+                whole = item.values[name] + went.values[name]
+                item = item.moved(name, coordinate_of(item.candidate.named(name), whole))
+        active.append(item)
+    trial = refitted(fitter, fit.model.with_active(active), fit)
+    # What two of one kind make good may be the form of either.
+    return refitted(fitter, with_flexible_forms(fitter, trial), trial)
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:

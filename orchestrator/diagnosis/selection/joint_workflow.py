@@ -296,7 +296,8 @@ def ladder_of(
     clear = [n for n in order if factors[n] > rest]
     causes = [n for n in clear if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
     minor = [n for n in order if n not in causes]
-    rungs = list(steps)
+    # What was measured beforehand is in the first steps, and has its place among the causes.
+    rungs = [step for step in steps if step.added not in known]
     for count, name in enumerate(causes[:-1], 1):
         still = whole.model.with_active([replace(known[n], free=()) for n in causes[:count]])
         rungs.append(Step(name, plain.fitter.evaluate(still, judged.frame), factors[name]))
