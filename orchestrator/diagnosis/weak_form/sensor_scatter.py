@@ -14,6 +14,8 @@ BLOCK = 50
 """Readings, of which some are usual and some are not."""
 TRANSIENT = 2.0
 """Times the usual power of differences, from which on a block has a current that moves: five sigma of white noise."""
+SETTLED = 0.3
+"""By which differences may find readings more alike than differences of these, which see it less well."""
 
 
 @dataclass(frozen=True)
@@ -51,12 +53,11 @@ def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Sca
         # Coefficients (1, -2, 1) cancel what is linear in time, and multiply the variance of white noise by six.
         d = i_ab[2:] - 2.0 * i_ab[1:-1] + i_ab[:-2]
         usual = _usual(d)
-        # A hold may begin before its current has settled.
-        alike = (
-            1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0))
-            if rests
-            else _of_second_differences(_lag(d, usual))
-        )
+        alike = _of_second_differences(_lag(d, usual))
+        if rests:
+            # A hold may begin before its current has settled, or not settle at all: only what both see is noise.
+            at_rest = 1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0))
+            alike = at_rest if at_rest - alike < SETTLED else alike
         return Scatter(_moments(d, usual, 6.0), alike, spectrum_of(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]

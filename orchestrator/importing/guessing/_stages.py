@@ -18,6 +18,10 @@ _SHORTEST_S = 0.1
 """What lasts less is taken for the way from one stage to the next, and goes with what is before it."""
 _LONGEST_REST_S = 1.0
 """A sweep rests no longer than this where it turns round."""
+_FLOWS = 0.03
+"""Of the largest current, which no offset of a sensor is."""
+_TO_AND_FRO = 0.4
+"""Of the largest current, by which a voltage that only changes its sign moves it: between limits, and no ripple."""
 _SAME_CURRENT = 0.03
 """Of the largest current, by which what is held, or rippled about, is another: a hold or an injection of its own."""
 
@@ -82,7 +86,10 @@ def _stage(
     i: Complex, v: Complex, period_s: float, largest_a: float, largest_v: float
 ) -> tuple[SegmentStage, float | None]:
     if np.max(np.abs(v)) <= 1e-4 * largest_v:
-        return SegmentStage.GATES_OFF, None
+        # A current that decays without a voltage is a step's end: the bridge is on.
+        return (SegmentStage.STEPS if np.max(np.abs(i)) > _FLOWS * largest_a else SegmentStage.GATES_OFF), None
+    if _two_levels(v) and np.max(np.abs(i - i.mean())) > _TO_AND_FRO * largest_a:
+        return SegmentStage.STEPS, None
     ripple = v - v.mean()
     if np.sqrt(np.mean(np.abs(ripple) ** 2)) > 0.03 * largest_v:
         power = np.abs(np.fft.fft(ripple)) ** 2
@@ -105,14 +112,17 @@ def _two_levels(v: Complex) -> bool:
 
 
 def _merged(found: list[Stretch]) -> list[Stretch]:
-    """Neighbours of one stage as one; what is too short joins what is before it, or after it at the start."""
+    """Neighbours of one stage as one; what is too short joins what is before it, or after it where nothing was done."""
     runs = _joined(found)
     while len(runs) > 1:
         shortest = min(range(len(runs)), key=lambda k: runs[k].end_s - runs[k].start_s)
         run = runs[shortest]
         if run.end_s - run.start_s >= _SHORTEST_S:
             break
-        other = runs[shortest - 1] if shortest else runs[1]
+        before, after = runs[max(shortest - 1, 0)], runs[min(shortest + 1, len(runs) - 1)]
+        # Of the way into the first stage after it, a reading without voltage has nothing.
+        into = shortest == 0 or (before.stage is SegmentStage.GATES_OFF and shortest + 1 < len(runs))
+        other = after if into else before
         runs[shortest] = Stretch(other.stage, run.start_s, run.end_s, other.injected_hz)
         runs = _joined(runs)
     return runs

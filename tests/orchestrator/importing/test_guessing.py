@@ -216,3 +216,20 @@ def test_holds_and_injections_of_one_log_are_told_by_their_currents(tmp_path: Pa
         (s.stage.value, *recording.load(s).i_ab[s.samples // 2 :].mean(axis=0).round(1)) for s in recording.segments()
     ]
     assert told == [(stage, *level) for stage in ("resistance", "injection") for level in levels]
+
+
+def test_a_voltage_that_drives_the_current_to_and_fro_is_no_injection(tmp_path: Path) -> None:
+    rate, ohm, henry, volts, limit = 2e4, 0.2, 3e-4, 6.0, 10.0
+    i, v, sign = [0.0], list[float](), 1.0
+    for k in range(20_000):
+        now = i[-1]
+        sign = -1.0 if now > limit else 1.0 if now < -limit else sign
+        v.append(sign * volts if 4000 <= k < 12_000 else 0.0)
+        i.append(now + (v[-1] - ohm * now) / henry / rate)
+    read = 5e-3 * np.random.default_rng(6).normal(size=(2, len(v)))
+    log = [np.arange(len(v)) / rate, read[0] + i[:-1], read[1], np.array(v), np.zeros(len(v))]
+    path = text(tmp_path / "log.csv", "t,i_alpha,i_beta,u_alpha,u_beta\n", log)
+    (tmp_path / "m.yaml").write_text(guess_mapping(path).text)
+    import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
+    told = [(s.stage.value, round(s.samples / rate, 1)) for s in open_recording(tmp_path / "out").segments()]
+    assert told == [("gates_off", 0.2), ("steps", 0.4), ("gates_off", 0.4)]

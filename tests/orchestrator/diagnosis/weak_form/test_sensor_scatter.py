@@ -81,3 +81,11 @@ def test_a_ripple_that_turns_into_another_scatters_as_its_readings_do() -> None:
     wave = np.where(np.arange(n) % period < period // 2, 1.0, -1.0)
     ripple = np.stack([np.where(np.arange(n) < n // 2, wave, 0.0), np.where(np.arange(n) < n // 2, 0.0, wave)], axis=1)
     np.testing.assert_allclose(scatter_of(_noise(n) + ripple, period).covariance, COVARIANCE, rtol=0.15, atol=1e-7)
+
+
+def test_a_current_that_decays_all_along_makes_no_readings_alike() -> None:
+    n = 6000
+    decaying = _noise(n) + np.exp(-np.arange(n) / 1500.0)[:, None] * np.array([8.0, -3.0])
+    scatter = scatter_of(decaying, None, rests=True)
+    assert scatter.correlation == pytest.approx(0.0, abs=0.1)
+    np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.15, atol=1e-7)
