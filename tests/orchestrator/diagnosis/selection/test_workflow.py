@@ -16,6 +16,7 @@ from orchestrator.diagnosis.selection.workflow import (
     no_worse_than_without,
     on_a_finer_map,
     pruned,
+    search_effects,
     with_its_scatter,
     without_doubtful,
 )
@@ -31,6 +32,7 @@ from tests.orchestrator.diagnosis.pieces import (
     plan,
     prepared,
     setup_of,
+    timer,
     with_voltage,
 )
 
@@ -126,3 +128,15 @@ def test_effects_that_leave_more_than_none_of_them_are_traces() -> None:
     assert kept.traces == [bias.name]
     right = Search([*steps, Step(bias.name, maker.fit(with_bias), 100.0)])
     assert no_worse_than_without(setup_of(maker), right) is right
+
+
+def test_a_timer_that_leaves_more_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:
+    setup = setup_of(fitter(with_voltage(prepared(plan(), noise_a=0.002), np.array([0.05, 0.0]))))
+    steps = [Step(None, setup.fitter.fit(free_model()))]
+    assert steps[0].fit.chi2_per_dof > 1.08
+    monkeypatch.setattr(workflow, "with_its_timer", lambda given, *_: given.with_timer(timer(2e-6, 0.3, 0.6)))
+    timed, _ = search_effects(setup, steps, [])
+    assert timed.prepared.timer is None
+    monkeypatch.setattr(workflow, "with_its_timer", lambda given, *_: given.with_timer(timer(1e-12, 0.3, 0.6)))
+    timed, _ = search_effects(setup, steps, [])
+    assert timed.prepared.timer is not None
