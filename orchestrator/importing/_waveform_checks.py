@@ -80,6 +80,7 @@ class WaveformChecks:
         if w.stage is SegmentStage.GATES_OFF:
             return
         self._constants(w)
+        self._enabled(w)
         if w.stage in _LOCKED:
             self._turning(w)
         if w.i_abc is not None:
@@ -218,6 +219,22 @@ class WaveformChecks:
             w.file,
             self._current_names,
             f"the phase currents {problem} what these columns give (from {w.rows} on){hint}",
+        )
+
+    def _enabled(self, w: Waveforms) -> None:
+        """Note a voltage that stands at the beginning while no current flows: the bridge was not on yet."""
+        ohm, window_s = self._mapping.motor.stator_resistance_ohm, 0.02
+        i, v = (np.hypot(*slow_part(x, w.rate_hz, window_s).T) for x in (w.i_ab, w.v_ab))
+        if ohm is None or not len(i):
+            return
+        answered = (i > 0.02 * i.max()) | (v < 0.1 * ohm * i.max())
+        silent = int(np.argmax(answered)) if answered.any() else 0
+        if silent < 3:
+            return
+        self._findings.note(
+            "not_enabled",
+            f"{w.file}: from {w.rows} on {np.median(v[:silent]):.3g} V stand for {silent * window_s:.2g} s and no "
+            "current flows: was the bridge off? A segment has to begin where it is on (from_s)",
         )
 
     def _polarity(self, w: Waveforms) -> None:

@@ -334,6 +334,17 @@ def test_reversed_polarity_is_found_and_a_factor_mends_it(bench: Bench, which: s
     assert bench.run().notes == ()
 
 
+def test_a_voltage_without_a_current_at_the_beginning_is_noted(bench: Bench) -> None:
+    n = 6000
+    i = np.column_stack([np.where(np.arange(n) < 3000, 0.0, 2.0), np.zeros(n)])
+    v = np.column_stack([np.where(np.arange(n) < 3000, 3.0, 8.5), np.zeros(n)])
+    bench.columns, _ = phase_log(i + 1e-3 * np.random.default_rng(7).normal(size=i.shape), v)
+    (note,) = bench.run().notes
+    assert "3 V stand for 0.3 s and no current flows: was the bridge off?" in note
+    bench.columns = {name: values[3000:] for name, values in bench.columns.items()}
+    assert bench.run("enabled").notes == ()
+
+
 def test_exchanged_phases_are_found(bench: Bench) -> None:
     bench.mapping["voltage"]["columns"] = {"a": "vb", "b": "vc", "c": "va"}
     said = complaint(bench)
