@@ -72,6 +72,9 @@ def require_columns(path: Path, wanted: Iterable[str], present: Collection[str])
     """Raise `InputError` where a wanted column is not there."""
     for name in wanted:
         if name not in present:
+            if (apart := _unseparated(name, present)) is not None:
+                problem = f"no such column, but in one that holds several: separated by {apart}? (csv: delimiter)"
+                raise InputError(str(path), name, problem)
             near = nearest(name, present)
             choices = sorted(one_line(there)[:100] for there in present)
             if near is not None:
@@ -158,3 +161,12 @@ def _label(value: object) -> str:
     if isinstance(value, float) and value.is_integer():
         return str(int(value))
     return str(value)
+
+
+def _unseparated(name: str, present: Collection[str]) -> str | None:
+    """By what names look separated where a wanted one is but a part of one; None where it is no part."""
+    for there in present:
+        for apart, told in (("\t", "tabs"), (";", "semicolons"), (",", "commas"), ("|", "bars")):
+            if name in (part.strip().strip('"') for part in there.split(apart)[: 1000 if apart in there else 0]):
+                return told
+    return None

@@ -67,6 +67,7 @@ class WaveformChecks:
         self._current_names = self._voltage_names = ""
         self._largest_current_a = self._largest_rms_a = self._largest_modulation = 0.0
         self._power_w = self._square_a2 = 0.0
+        self._with_the_current = False
         self._lags: list[Alignment] = []
 
     def judge(self, w: Waveforms) -> None:
@@ -249,6 +250,9 @@ class WaveformChecks:
         angle = apart_rad(power, float(np.sum(v * v)), float(np.sum(i * i)), least_ohm=least_ohm)
         if angle is not None:
             hint = "one of both is reversed (factor: -1)" if is_reversed(angle) else "phases are exchanged"
+            if is_reversed(angle) and self._with_the_current:
+                # Along one axis an exchange changes nothing, across it all.
+                hint = "other segments are right: two phases of one of both may be exchanged"
             self._findings.doubt(
                 Finding.POLARITY,
                 w.file,
@@ -256,6 +260,7 @@ class WaveformChecks:
                 f"voltage and current are {abs(math.degrees(angle)):.0f} degrees apart from {w.rows} on, but a winding "
                 f"takes power: {hint}, or their frames differ",
             )
+        self._with_the_current |= power.real > 0.5 * rms(i) * rms(v) * len(i)
 
     def _is_significant(self, rms_a: float) -> bool:
         """Whether a current is worth a conclusion: a twentieth of the rating, or of what else was measured."""

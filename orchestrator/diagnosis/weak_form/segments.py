@@ -164,7 +164,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
             pieces.append(piece)
     remarks += _too_short(short)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
-        raise NotMeasuredError(manifest.name, "segments", "nothing with current in it that is long enough to be used")
+        raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short, criteria))
     pieces = _held_out_within_reach(pieces)
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
@@ -220,6 +220,13 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     windows = replace(windows, unread=piece.windows.unread)
     read = {name: getattr(piece, name)[: stop * piece.averaged] for name in ("current_ab", "command_ab")}
     return replace(piece, signals=signals, windows=windows, **read)
+
+
+def _nothing_long_enough(short: Sequence[Segment], criteria: Criteria) -> str:
+    kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
+    least = criteria.weak_form.least_samples
+    needed = f"a segment needs {least} samples, and several periods where one is injected"
+    return f"nothing with current in it that is long enough to be used ({kinds}): {needed}"
 
 
 def _too_short(segments: Sequence[Segment]) -> list[Remark]:

@@ -352,6 +352,18 @@ def test_exchanged_phases_are_found(bench: Bench) -> None:
     assert "phases are exchanged" in said
 
 
+def test_phases_that_are_exchanged_look_reversed_across_an_axis_alone(bench: Bench) -> None:
+    levels = np.repeat([[2.0, 0.0], [0.0, 2.0]], 2000, axis=0)
+    i = levels + 1e-3 * np.random.default_rng(8).normal(size=levels.shape)
+    bench.columns, _ = phase_log(i * [1.0, -1.0], 4.25 * levels)
+    bench.columns["point"] = np.repeat(["d", "q"], 2000)
+    bench.mapping["segment_column"] = "point"
+    bench.mapping["segments"] = [{"label": "*", "stage": "resistance"}]
+    said = complaint(bench)
+    assert "180 degrees apart" in said
+    assert "two phases of one of both may be exchanged" in said
+
+
 def as_injection(bench: Bench, late: float, sine: bool = False) -> None:
     bench.columns, _ = phase_log(*injection(late=late, sine=sine))
     bench.mapping["segments"] = [{"stage": "injection"}]
