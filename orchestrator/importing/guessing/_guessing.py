@@ -20,6 +20,7 @@ from orchestrator.importing._vectors import angle_rad, vectors
 from orchestrator.importing.guessing._columns import Columns, columns_of
 from orchestrator.importing.guessing._roles import Roles, Signal, roles_of
 from orchestrator.importing.guessing._stages import Stretch, stretches_of
+from orchestrator.importing.guessing._units import RMS
 from protocols import InputError, SegmentStage
 
 _MOST_RULES = 40
@@ -203,8 +204,12 @@ def _say_signals(
             raise InputError(str(path), ", ".join(names), problem)
         elif size > largest:
             unit, why = f"m{plain}", f"up to {size:.3g}: too much for {plain}"
+        effective = unit.endswith(RMS)
+        unit = unit.removesuffix(RMS)
         section: dict[str, Any] = {"frame": signal.frame, "columns": dict(signal.columns), "unit": unit}
-        if signal.frame in ("alpha_beta", "dq"):
+        if effective:
+            section["scaling"] = "rms"
+        elif signal.frame in ("alpha_beta", "dq"):
             section["scaling"] = "amplitude_invariant"
             why += "; the transform is not in the file"
             lines.doubts.append(f"{key}: scaling: amplitude_invariant is the usual one, and not in the file")

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import re
 
+RMS = " rms"
+"""Behind a unit: effective values, which are a scaling of the unit to the mapping."""
 _UNITS = {
     **dict.fromkeys(("a", "amp", "amps", "ampere", "amperes", "amp."), "A"),
     **dict.fromkeys(("v", "volt", "volts"), "V"),
+    **dict.fromkeys(("arms", "a rms", "a_rms", "aeff", "a eff"), f"A{RMS}"),
+    **dict.fromkeys(("vrms", "v rms", "v_rms", "veff", "v eff"), f"V{RMS}"),
     **dict.fromkeys(("s", "sec", "second", "seconds", "sekunden"), "s"),
     **dict.fromkeys(("ms", "msec", "milliseconds"), "ms"),
     **dict.fromkeys(("us", "µs", "μs", "usec", "microseconds"), "us"),

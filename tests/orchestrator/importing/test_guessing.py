@@ -233,3 +233,16 @@ def test_a_voltage_that_drives_the_current_to_and_fro_is_no_injection(tmp_path: 
     import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
     told = [(s.stage.value, round(s.samples / rate, 1)) for s in open_recording(tmp_path / "out").segments()]
     assert told == [("gates_off", 0.2), ("steps", 0.4), ("gates_off", 0.4)]
+
+
+def test_effective_values_are_told_by_their_unit(tmp_path: Path) -> None:
+    names = "Time [ms];Id_act [Arms];Iq_act [Arms];Ud_ref [V];Uq_ref [V]"
+    rows = [1e3 * SOME.t, *(x / np.sqrt(2.0) for x in SOME.i.T), *SOME.v.T]
+    path = text(tmp_path / "log.csv", names + "\n", rows, ";", ",")
+    guessed = guess_mapping(path)
+    (tmp_path / "m.yaml").write_text(guessed.text)
+    import_files(tmp_path / "m.yaml", [path], tmp_path / "out")
+    recording = open_recording(tmp_path / "out")
+    read = np.concatenate([recording.load(segment).i_ab for segment in recording.segments()])
+    np.testing.assert_allclose(read, SOME.i, atol=1e-5)
+    assert not any(doubt.startswith("current: scaling") for doubt in guessed.doubts)
