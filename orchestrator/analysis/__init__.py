@@ -16,7 +16,7 @@ from orchestrator.analysis._integration import Inductances, IntegratedFlux, alon
 from orchestrator.analysis._known_resistance import KnownResistance, known_resistance
 from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._ripple import ONE_AXIS, Ripple, demodulate, injection_frequency, is_one_way
+from orchestrator.analysis._ripple import ONE_AXIS, Ripple, demodulate, injection_frequency, one_way_rad
 from orchestrator.analysis._rotor_lock import judge_lock
 from orchestrator.analysis._spin import (
     SpinFit,
@@ -92,12 +92,12 @@ __all__ = [
     "injection_frequency",
     "integrate",
     "invert",
-    "is_one_way",
     "join_paths",
     "judge_lock",
     "known_map",
     "known_resistance",
     "magnet_axis",
+    "one_way_rad",
     "rated_flux_wb",
     "require_emf_turns_with",
     "spun_points",

@@ -29,9 +29,13 @@ from orchestrator.analysis._ripple_regression import symmetric_regression
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
 
-ONE_WAY = 0.15
-"""Power of a ripple across its axis over that along it, below which it does not turn: current control answers as much
-where one axis hears the other. A quarter of a turn makes 0.22."""
+ONE_WAY = 0.05
+"""Power of a ripple across its axis over that along it, below which it shows nothing there; an eighth of a turn makes
+0.05."""
+ANSWERED = 0.3
+"""The same, that a current controller's answer may make of a wave along one axis where one axis hears the other."""
+TURNS_RAD = 0.2
+"""From the first third of a capture to its last, by which a wave turns that is none along one axis."""
 ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
 
 
@@ -73,10 +77,20 @@ class Ripple:
     samples: int
 
 
-def is_one_way(v_ab: NDArray[np.floating]) -> bool:
-    """Whether a voltage ripples along one axis, or nearly so."""
-    across, along = np.linalg.eigvalsh(np.cov(np.asarray(v_ab, dtype=np.float64).T))
-    return bool(across < 2.0 * ONE_WAY * along)
+def one_way_rad(v_ab: NDArray[np.floating]) -> float | None:
+    """The angle of the axis along which a voltage ripples, in the frame that it is in; None where it turns."""
+    third = len(v_ab) // 3
+    parts = [_axis_of(part) for part in (v_ab[:third], v_ab[-third:], v_ab)] if third > 1 else []
+    if not parts or parts[-1][1] > ANSWERED:
+        return None
+    turned = abs((parts[1][0] - parts[0][0] + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+    return None if turned > TURNS_RAD else parts[-1][0]
+
+
+def _axis_of(v_ab: NDArray[np.floating]) -> tuple[float, float]:
+    """Angle of a ripple's axis, and its power across that over the power along it."""
+    (across, along), vectors = np.linalg.eigh(np.cov(np.asarray(v_ab, dtype=np.float64).T))
+    return math.atan2(vectors[1, 1], vectors[0, 1]), across / along if along > 0.0 else 1.0
 
 
 def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float, where: str = "capture") -> float:

@@ -25,11 +25,14 @@ class OneWay:
     frequency_hz : float
     current : array, shape (2,)
         Mean current in the stator's frame [A].
+    axis_rad : float
+        Along which it ripples there.
     """
 
     segment: Segment
     frequency_hz: float
     current: Array
+    axis_rad: float
 
 
 def by_point(some: Sequence[OneWay]) -> list[list[OneWay]]:
@@ -50,3 +53,9 @@ def _is_of(first: OneWay, other: OneWay, apart_a: float) -> bool:
         and math.hypot(*(first.current - other.current)) <= apart_a
         and math.isclose(first.segment.rotor_angle_rad, other.segment.rotor_angle_rad, abs_tol=1e-6)
     )
+
+
+def shows_both_axes(point: Sequence[OneWay], apart_rad: float = 0.3) -> bool:
+    """Whether the waves at a point go along axes that are apart."""
+    turned = [abs((one.axis_rad - point[0].axis_rad + 0.5 * math.pi) % math.pi - 0.5 * math.pi) for one in point]
+    return max(turned) > apart_rad

@@ -15,6 +15,7 @@ import numpy as np
 
 from orchestrator.analysis import (
     NO_LOSS,
+    ONE_AXIS,
     FluxPath,
     Inductances,
     IntegratedFlux,
@@ -27,15 +28,15 @@ from orchestrator.analysis import (
     injection_frequency,
     integrate,
     invert,
-    is_one_way,
     join_paths,
+    one_way_rad,
     rated_flux_wb,
 )
 from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
-from plugins.estimators._one_way import OneWay, by_point
+from plugins.estimators._one_way import OneWay, by_point, shows_both_axes
 from protocols import (
     Basis,
     Capture,
@@ -146,8 +147,11 @@ class InjectionEstimator:
             )
         )
         for point in by_point([one for _, one in told if isinstance(one, OneWay)]):
-            captures = [recording.load(one.segment) for one in point]
-            told.append((point[0].segment, ripple_of(point[0].segment, *captures)))
+            first = point[0].segment
+            if shows_both_axes(point):
+                told.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))
+            else:
+                told.append((first, f"{first.id}: v_alpha, v_beta: {ONE_AXIS}"))
         for segment, ripple in told:
             if isinstance(ripple, OneWay):
                 continue
@@ -191,13 +195,15 @@ def _known_loss(context: EstimationContext) -> PhaseLoss:
 
 def _one_way(segment: Segment, capture: Capture) -> OneWay | None:
     """The segment where its voltage ripples along one axis only; None where it turns, or where nothing is injected."""
-    if not is_one_way(capture.v_ab):
+    axis_rad = one_way_rad(capture.v_ab)
+    if axis_rad is None:
         return None
     try:
         frequency_hz = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, segment.id)
     except NotMeasuredError:
         return None
-    return OneWay(segment, frequency_hz, np.asarray(capture.i_ab[len(capture) // 2 :], dtype=np.float64).mean(axis=0))
+    mean = np.asarray(capture.i_ab[len(capture) // 2 :], dtype=np.float64).mean(axis=0)
+    return OneWay(segment, frequency_hz, mean, axis_rad)
 
 
 def _ripple(

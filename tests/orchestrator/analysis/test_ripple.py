@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from orchestrator.analysis import PhaseLoss, Ripple, demodulate, injection_frequency, is_one_way
+from orchestrator.analysis import PhaseLoss, Ripple, demodulate, injection_frequency, one_way_rad
 from protocols import Capture, NotMeasuredError
 from tests.orchestrator.analysis.plant import (
     L_D,
@@ -250,6 +250,14 @@ def test_a_wave_that_current_control_answers_on_the_other_axis_does_not_turn() -
     capture = capture_of(along(0), 0)
     answered = np.array(capture.v_ab)
     answered[:, 1] += 0.2 * np.roll(answered[:, 0] - answered[:, 0].mean(), 2)
-    assert is_one_way(answered)
-    with pytest.raises(NotMeasuredError, match="does not turn"):
-        demodulate(capture.model_copy(update={"v_ab": answered}), 0.0, time_constant_s=TIME_CONSTANT_S)
+    for v_ab, axis in ((answered, 0), (capture_of(along(1), 0).v_ab, 1)):
+        angle = one_way_rad(v_ab)
+        assert angle is not None
+        assert abs((np.sin, np.cos)[axis](angle)) < 0.2
+
+
+@pytest.mark.parametrize("turns", [0.15, 0.25, 1.0])
+def test_a_wave_that_turns_a_little_is_none_along_one_axis(turns: float) -> None:
+    capture = capture_of(injected(rotation=turns * SAMPLING_HZ / 5000), 0)
+    assert one_way_rad(capture.v_ab) is None
+    assert off_percent(demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)) < 0.2
