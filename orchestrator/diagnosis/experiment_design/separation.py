@@ -151,10 +151,8 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
     if kind is SegmentStage.GATES_OFF:
         off = _piece(setup, model, kind, {}, still, still, lasting)
         return [] if off is None else [(off, lasting / design.planned_hold_s)]
-    planned, machine = (
-        list[tuple[SegmentSignals | None, float]](),
-        Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics),
-    )
+    planned: list[tuple[SegmentSignals | None, float]] = []
+    machine = Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
     for point in stage["points_a"]:
         i_dq = np.array(point, dtype=np.float64)
         if kind is SegmentStage.RESISTANCE:

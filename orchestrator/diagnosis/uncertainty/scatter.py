@@ -35,6 +35,7 @@ from protocols import ModelNoise
 DECADES = tuple(range(-5, 1))
 """Of amperes and of volts: from far below a sensor's noise to as much as there is of either."""
 MOST_DECADES = 6.0
+"""Of either, in a search: beyond, nothing rests that a scatter could be told by."""
 
 
 @dataclass(frozen=True)
@@ -163,7 +164,6 @@ class Likelihood:
 
         def noise(decades: Array) -> ModelNoise:
             given = iter(decades.tolist())
-            # Where next to nothing rests, no scatter is too large, and a search goes on for ever.
             offset, voltage = (10.0 ** min(next(given), MOST_DECADES) if asked else 0.0 for asked in which)
             return ModelNoise(offset_scatter_a=offset, voltage_scatter_v=voltage, dithered=dithered)
 
