@@ -291,14 +291,31 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
             continue
         factors = log_bayes_factors(fit)
         lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
-        # The lesser may be the one whose form the other has not, and was found second.
-        for goes, keeps in ((lesser, stays), (stays, lesser)):
-            trial = _with_one_of(fitter, fit, goes, keeps)
-            if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, goes)):
-                fit = trial
-                gone.setdefault(keeps, []).append(goes)
-                break
+        if (alone := _better_alone(fitter, fit, lesser, stays)) is not None:
+            keeps, fit = alone
+            gone.setdefault(keeps, []).append(stays if keeps == lesser else lesser)
     return fit, gone
+
+
+def _better_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
+    """Which of two effects does as well alone as both, and the fit so; None where neither does.
+
+    The lesser is asked too where the other does not, or is bent for it: it may be the one that has the form.
+    """
+    able: list[tuple[str, Fit]] = []
+    for goes, keeps in ((lesser, stays), (stays, lesser)):
+        trial = _with_one_of(fitter, fit, goes, keeps)
+        if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, goes)):
+            able.append((keeps, trial))
+            if not _bent_more(fit, keeps, trial):
+                break
+    return max(able, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).head_start, default=None)
+
+
+def _bent_more(fit: Fit, name: str, trial: Fit) -> bool:
+    """Whether an effect is bent by more in a trial than in the fit."""
+    before, after = (next(a for a in f.model.active if a.name == name) for f in (fit, trial))
+    return len(after.bent_by) > len(before.bent_by)
 
 
 def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
@@ -313,7 +330,7 @@ def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
         active.append(item)
     trial = refitted(fitter, fit.model.with_active(active), fit)
     # What two of one kind make good may be the form of either.
-    return refitted(fitter, with_flexible_forms(fitter, trial), trial)
+    return in_forms_still_asked_for(fitter, refitted(fitter, with_flexible_forms(fitter, trial), trial))
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:

@@ -248,3 +248,20 @@ def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: 
     assert len(fit.model.active) == 1
     assert gone == {fit.model.names[0]: [next(c.name for c in library if c.name != fit.model.names[0])]}
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / fit.dof))
+
+
+def test_of_two_effects_of_one_kind_the_lesser_stays_where_it_alone_has_the_form() -> None:
+    """A dead time that charges capacitances all along, told as much of a drop and a little of itself."""
+    made = prepared(plan(), noise_a=5e-4)
+    library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)
+    true = DeadTime.Parameters(voltage_v=4.8, threshold_a=0.3, charged=1.0)
+    maker = fitter(with_voltage(made, _lost_to(true, made)))
+    both = [
+        c.absent().moved(c.amplitudes[0], x).freeing("threshold_a") for c, x in zip(library, (0.1, 2.0), strict=True)
+    ]
+    start = refitted(maker, free_model().with_active(both))
+    fit, gone = without_doubles(maker, start)
+    assert gone == {"dead_time": ["device_drop"]}
+    (kept,) = fit.model.active
+    assert kept.values["voltage_v"] == pytest.approx(4.8, rel=5e-3)
+    assert kept.values["charged"] == pytest.approx(1.0, abs=0.05)
