@@ -300,16 +300,23 @@ def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]
 def _better_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
     """Which of two effects does as well alone as both, and the fit so; None where neither does.
 
-    The lesser is asked too where the other does not, or is bent for it: it may be the one that has the form.
+    Of two sizes of one kind the lesser is asked too where the other does not, or is bent for it: it may be the one that
+    has the form.
     """
     able: list[tuple[str, Fit]] = []
-    for goes, keeps in ((lesser, stays), (stays, lesser)):
+    one_kind = bool(_shared_sizes(fit, lesser, stays))
+    for goes, keeps in ((lesser, stays), (stays, lesser))[: 2 if one_kind else 1]:
         trial = _with_one_of(fitter, fit, goes, keeps)
         if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, goes)):
             able.append((keeps, trial))
             if not _bent_more(fit, keeps, trial):
                 break
     return max(able, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).head_start, default=None)
+
+
+def _shared_sizes(fit: Fit, one: str, other: str) -> set[str]:
+    """Amplitudes of the same name: of a dead time and a drop their volts."""
+    return set(_candidate(fit, one).amplitudes) & set(_candidate(fit, other).amplitudes)
 
 
 def _bent_more(fit: Fit, name: str, trial: Fit) -> bool:
@@ -320,17 +327,17 @@ def _bent_more(fit: Fit, name: str, trial: Fit) -> bool:
 
 def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
     """The fit without one of two effects, refitted from where the other has taken over what was its."""
-    went = next(a for a in fit.model.active if a.name == goes)
-    active = []
-    for item in (a for a in fit.model.active if a is not went):
-        if item.name == keeps:
-            for name in set(item.candidate.amplitudes) & set(went.candidate.amplitudes):
-                whole = item.values[name] + went.values[name]
-                item = item.moved(name, coordinate_of(item.candidate.named(name), whole))
-        active.append(item)
+    went, stayed = (next(a for a in fit.model.active if a.name == name) for name in (goes, keeps))
+    shared = _shared_sizes(fit, goes, keeps)
+    for name in shared:
+        stayed = stayed.moved(
+            name, coordinate_of(stayed.candidate.named(name), stayed.values[name] + went.values[name])
+        )
+    active = [stayed if a.name == keeps else a for a in fit.model.active if a is not went]
     trial = refitted(fitter, fit.model.with_active(active), fit)
     # What two of one kind make good may be the form of either.
-    return in_forms_still_asked_for(fitter, refitted(fitter, with_flexible_forms(fitter, trial), trial))
+    trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
+    return in_forms_still_asked_for(fitter, trial) if shared else trial
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:
