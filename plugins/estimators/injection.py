@@ -141,12 +141,9 @@ class InjectionEstimator:
         def ripple_of(segment: Segment, capture: Capture, *beside: Capture) -> Ripple | str:
             return _ripple(recording, segment, capture, *beside, time_constant_s=time_constant_s, loss=loss)
 
-        told: list[tuple[Segment, Ripple | OneWay | str]] = list(
-            zip(
-                segments, each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c)), strict=True
-            )
-        )
-        for point in by_point([one for _, one in told if isinstance(one, OneWay)]):
+        seen = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
+        told: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
+        for point in by_point([one for _, one in told if isinstance(one, OneWay)], self.same_frequency):
             first = point[0].segment
             if shows_both_axes(point):
                 told.append((first, ripple_of(first, *(recording.load(one.segment) for one in point))))

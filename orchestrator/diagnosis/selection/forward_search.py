@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
@@ -70,6 +70,11 @@ class Search:
     @property
     def fit(self) -> Fit:
         return self.steps[-1].fit
+
+    @property
+    def bare_steps(self) -> list[Step]:
+        """Those without any effect: the first model's, and the map's own."""
+        return [step for step in self.steps if step.added is None or step.added in MAP_RUNGS]
 
     @property
     def sized(self) -> Fit:

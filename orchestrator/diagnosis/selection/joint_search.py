@@ -330,9 +330,8 @@ def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
     went, stayed = (next(a for a in fit.model.active if a.name == name) for name in (goes, keeps))
     shared = _shared_sizes(fit, goes, keeps)
     for name in shared:
-        stayed = stayed.moved(
-            name, coordinate_of(stayed.candidate.named(name), stayed.values[name] + went.values[name])
-        )
+        whole = stayed.values[name] + went.values[name]
+        stayed = stayed.moved(name, coordinate_of(stayed.candidate.named(name), whole))
     active = [stayed if a.name == keeps else a for a in fit.model.active if a is not went]
     trial = refitted(fitter, fit.model.with_active(active), fit)
     # What two of one kind make good may be the form of either.

@@ -12,7 +12,7 @@ from orchestrator.diagnosis.fitting.baseline import (
     on_usual_map,
     with_detail,
 )
-from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Candidate
+from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
@@ -321,8 +321,7 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     """
     first, last = search.steps[0].fit, search.fit
     if search.shares and nothing_is_sure(fitter, search.sized):
-        bare = [s for s in search.steps if s.added is None or s.added in MAP_RUNGS]
-        return Search(bare, search.traces), list(last.model.names)
+        return Search(search.bare_steps, search.traces), list(last.model.names)
     if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)

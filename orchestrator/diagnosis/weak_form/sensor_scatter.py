@@ -94,23 +94,24 @@ def scatter_between(i_ab: Array, v_ab: Array, answered: int = 4) -> Scatter:
 def _usual(d: Array) -> npt.NDArray[np.bool_]:
     """Which differences (n, 2) are of blocks with the usual power: where a current steps on, they are not of noise.
 
-    Nor are a block's beside such a one, which a step ends in.
+    Nor are a block's beside such a one, which a step ends in. All, where that leaves none.
     """
     starts = np.arange(0, len(d), BLOCK)
     powers = np.add.reduceat(np.square(d).sum(axis=1), starts) / np.diff(np.append(starts, len(d)))
     moves = np.pad(powers > TRANSIENT * np.median(powers), 1)
-    return np.repeat(~(moves[:-2] | moves[1:-1] | moves[2:]), BLOCK)[: len(d)]
+    usual = np.repeat(~(moves[:-2] | moves[1:-1] | moves[2:]), BLOCK)[: len(d)]
+    return usual if usual.any() else np.ones(len(d), dtype=np.bool_)
 
 
 def _moments(d: Array, usual: npt.NDArray[np.bool_], times: float) -> Array:
     """Second moments of the readings' noise, shape (2, 2), by some differences that have it so many times."""
-    some = d[usual] if usual.any() and not usual.all() else d
+    some = d if usual.all() else d[usual]
     return np.asarray(some.T @ some / (times * len(some)))
 
 
 def _lag(d: Array, usual: npt.NDArray[np.bool_] | None = None) -> float:
     """First autocorrelation of (some) differences (n, 2); NaN where there are none but zeros."""
-    if usual is not None and usual.any() and not usual.all():
+    if usual is not None and not usual.all():
         pairs = usual[1:] & usual[:-1]
         power = float(np.square(d[usual]).sum()) * pairs.sum() / usual.sum()
         return float(np.einsum("ij,ij->", d[1:][pairs], d[:-1][pairs])) / power if power > 0.0 else float("nan")
