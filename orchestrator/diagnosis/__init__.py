@@ -10,6 +10,7 @@ from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.guarded import guarded
+from orchestrator.diagnosis.fitting.helpers import processes_here
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
@@ -37,6 +38,7 @@ __all__ = [
     "in_words",
     "linear_magnetics",
     "load_diagnosis",
+    "processes_here",
     "remove_effect",
     "save_diagnosis",
     "simulated_current",

@@ -19,8 +19,10 @@ from orchestrator.diagnosis.fitting.candidates import (
     scaled_library,
     those_that_can_show,
 )
+from orchestrator.diagnosis.fitting.helpers import helped
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
+from orchestrator.diagnosis.fitting.segment_work import Hands
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
     beyond_the_rest,
@@ -126,6 +128,7 @@ def diagnose_recording(
     tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
     priors: FleetPriors | None = None,
+    processes: int = 1,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -149,6 +152,8 @@ def diagnose_recording(
         Thresholds other than the default ones.
     priors : FleetPriors, optional
         What other motors of its kind let expect. Effects whose size is none of theirs are found without.
+    processes : int
+        How many may work on it, this one among them; the result is the same.
 
     Raises
     ------
@@ -161,16 +166,24 @@ def diagnose_recording(
     PluginError
         Where `without` names an effect that is not in the library.
     """
-    asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria)
-    if priors is None:
-        return _diagnosed(recording, asked, on_step)
+    with helped(processes) as hands:
+        asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria, hands)
+        if priors is None:
+            return _diagnosed(recording, asked, on_step)
+        return _diagnosed_in_fleet(recording, asked, on_step, priors)
+
+
+def _diagnosed_in_fleet(
+    recording: Recording, asked: _Asked, on_step: Callable[[DiagnosisStep], None] | None, priors: FleetPriors
+) -> Diagnosis:
+    """The diagnosis by what other motors of its kind let expect, and once more without what is none of theirs."""
     require_same_motor(priors, recording.manifest)
     found = _diagnosed(recording, asked, None, priors)
     if found.setup is None:
         return found
     unlike = unlike_the_fleet(found.search.sized)
     if unlike:
-        tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
+        asked.tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
         found = _diagnosed(recording, asked, None, priors.without(unlike))
     if on_step is not None and found.setup is not None:
         _show(found.setup.unweighed, found.search, found.report.ladder, on_step)
@@ -190,6 +203,7 @@ class _Asked:
     poll: Callable[[], None]
     tell: Callable[[str], None]
     criteria: Criteria | None
+    hands: Hands
 
 
 def _diagnosed(
@@ -207,6 +221,7 @@ def _diagnosed(
         report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), fleet=priors, tell=tell)
+    setup = setup.with_hands(asked.hands)
     every = scaled_library(asked.effects, setup.prepared.manifest, without)
     if priors is not None:
         every = with_priors(every, priors, setup.prepared.criteria.selection)

@@ -13,6 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
+from orchestrator.diagnosis.fitting.segment_work import Hands
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
@@ -48,6 +49,11 @@ class DiagnosisSetup:
     remarks: tuple[Remark, ...]
     timers: tuple[BorneTimer, ...] = ()
     """The modulator's, as the readings bear it, and those that round much like it."""
+
+    def with_hands(self, hands: Hands) -> DiagnosisSetup:
+        """The same, the segments' equations made by these."""
+        whole, part = (replace(f, hands=hands) for f in (self.fitter, self.coarse_fitter))
+        return replace(self, fitter=whole, coarse_fitter=part)
 
     def with_noise(self, of_model: ModelNoise) -> DiagnosisSetup:
         """The same where this is noise beside the readings' own."""

@@ -10,17 +10,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import answers_so_far, column_plan, probed_segments
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, MapSpace, Model, SegmentFrame, SegmentRows
-from orchestrator.diagnosis.fitting.segment_equations import Place, SegmentEquations
+from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
+from orchestrator.diagnosis.fitting.segment_work import Hands, Job, OneHand, Stand
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -42,6 +42,8 @@ class Fitter:
         Called before each evaluation; what it raises ends the fit.
     tell : callable
         Called with what is under way, in a few words.
+    hands : Hands
+        Who makes the segments' equations.
     equations : SegmentEquations
     """
 
@@ -51,6 +53,7 @@ class Fitter:
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
+    hands: Hands = field(default_factory=OneHand)
     equations: SegmentEquations = field(init=False)
 
     def __post_init__(self) -> None:
@@ -153,8 +156,8 @@ class Fitter:
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
-        jobs = zip(self.prepared.pieces, self._before(model, old), strict=True)
-        return self._framed(model, [self.equations.frame(model, piece, known) for piece, known in jobs], old)
+        made = self.hands.made(Job(self._renewing(model, old), None), self._all)
+        return self._framed(model, [one.frame for one in made.values()], old)
 
     def renewed(
         self,
@@ -174,10 +177,9 @@ class Fitter:
         """
         self.poll()
         wanted = [] if held else [*model.free, *extra]
-        place = partial(self._renewed_place, model, self._before(model, old))
-        made, answers = self._rows(model, place, wanted, known)
-        frame = self._framed(model, [kept for kept, _ in made], old)
-        fit = solved(self.prepared, model, frame, [r for _, r in made], [(a.name, n) for a, n in wanted], held)
+        pieces, rows, answers = self._rows(self._renewing(model, old), wanted, known)
+        frame = self._framed(model, pieces, old)
+        fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
         return replace(fit, answers=answers)
 
     def evaluate(
@@ -200,92 +202,74 @@ class Fitter:
         """
         self.poll()
         wanted = [*model.free, *extra] if known is None or renew else []
-        made, answers = self._rows(model, partial(self._place, model, frame), wanted, known)
-        fit = solved(self.prepared, model, frame, [r for _, r in made], [(a.name, n) for a, n in wanted], held=False)
+        stand = Stand(self.equations, self.prepared.pieces, model, frame, renewed=False)
+        _, rows, answers = self._rows(stand, wanted, known)
+        fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held=False)
         if known is not None and not renew:
             return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
         return replace(fit, answers=answers)
 
-    def _place(self, model: Model, frame: Frame, k: int) -> Place:
-        return self.equations.place(model, self.prepared.pieces[k], frame.pieces[k])
+    @property
+    def _all(self) -> range:
+        return range(len(self.prepared.pieces))
 
-    def _renewed_place(self, model: Model, before: Sequence[SegmentFrame | None], k: int) -> Place:
-        return self.equations.renewed(model, self.prepared.pieces[k], before[k])
-
-    def _before(self, model: Model, old: Frame | None) -> Sequence[SegmentFrame | None]:
-        """What an earlier frame has of each segment, where it is of the same noise, and of a map as free as this."""
-        if old is None or old.noise is not self.noise or not _as_free(old.space, model.space):
-            return (None,) * len(self.prepared.pieces)
-        return old.pieces
+    def _renewing(self, model: Model, old: Frame | None) -> Stand:
+        """Where a model stands in a frame made anew: from an earlier one of the same noise, and of a map as free."""
+        if old is not None and (old.noise is not self.noise or not _as_free(old.space, model.space)):
+            old = None
+        return Stand(self.equations, self.prepared.pieces, model, old, renewed=True)
 
     def _framed(self, model: Model, pieces: Sequence[SegmentFrame], old: Frame | None) -> Frame:
         """All segments' frames as one."""
         if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
-            return Frame(model.space, self.noise, tuple(pieces), old.gram)
-        free = model.space.directions.shape[1]
-        gram = np.zeros((free, free))
-        for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
-            if not piece.held_out:
-                gram += segment_frame.white_basis.T @ segment_frame.white_basis
-        return Frame(model.space, self.noise, tuple(pieces), gram)
+            gram = old.gram
+        else:
+            free = model.space.directions.shape[1]
+            gram = np.zeros((free, free))
+            for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
+                if not piece.held_out:
+                    gram += segment_frame.white_basis.T @ segment_frame.white_basis
+        frame = Frame(model.space, self.noise, tuple(pieces), gram)
+        self.hands.keep(frame)
+        return frame
 
     def _rows(
-        self, model: Model, at: Callable[[int], Place], wanted: Sequence[tuple[Active, str]], known: Fit | None
-    ) -> tuple[list[tuple[SegmentFrame, SegmentRows]], Answers]:
-        """Every segment's frame and equations, with columns where it is not held out, and what answers to these.
-
-        Parameters
-        ----------
-        at : callable
-            Where the model stands in a segment, by its number; one after the other, for places are large.
-        """
+        self, stand: Stand, wanted: Sequence[tuple[Active, str]], known: Fit | None
+    ) -> tuple[list[SegmentFrame], list[SegmentRows], Answers]:
+        """Every segment's frame and equations, with columns where it is not held out, and what answers to these."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * self.criteria.evaluation_columns
         if len(wanted) > self.criteria.few_columns:
-            return self._rows_by_plan(model, at, wanted, known, samples)
+            return self._rows_by_plan(stand, wanted, known, samples)
         self.effort.spent += samples * len(wanted)
-        rows = [self._made(at(k), () if p.held_out else wanted) for k, p in enumerate(self.prepared.pieces)]
-        return rows, Answers() if known is None else known.answers
+        made = self.hands.made(Job(stand, wanted), self._all)
+        answers = Answers() if known is None else known.answers
+        return [one.frame for one in made.values()], [one.rows for one in made.values() if one.rows], answers
 
     def _rows_by_plan(
-        self,
-        model: Model,
-        at: Callable[[int], Place],
-        wanted: Sequence[tuple[Active, str]],
-        known: Fit | None,
-        samples: int,
-    ) -> tuple[list[tuple[SegmentFrame, SegmentRows]], Answers]:
+        self, stand: Stand, wanted: Sequence[tuple[Active, str]], known: Fit | None, samples: int
+    ) -> tuple[list[SegmentFrame], list[SegmentRows], Answers]:
         """The same, with those columns alone made anew that have moved on a few segments, which are asked first."""
         pieces, names = self.prepared.pieces, [(a.name, n) for a, n in wanted]
-        asked = answers_so_far(model, known, self.criteria)
-        probes, done = dict[int, ColumnProbe](), dict[int, tuple[SegmentFrame, SegmentRows]]()
-        for k in probed_segments(pieces, self.criteria):
-            place = at(k)
-            rows_of, probes[k] = self.equations.probed(place, wanted, [asked.of.get(n) for n in names])
-            done[k] = place.frame, rows_of
+        asked = answers_so_far(stand.model, known, self.criteria)
+        probing = Job(stand, wanted, [asked.of.get(n) for n in names], probing=True)
+        done = self.hands.made(probing, probed_segments(pieces, self.criteria))
+        probes = {k: one.probe for k, one in done.items() if one.probe is not None}
         plan = column_plan(names, probes, known, self.criteria, asked.of)
         anew = [wanted[k] for k in plan.anew]
         self.effort.spent += samples * (len(anew) + len(wanted) / self.criteria.probe_every)
-        answering = [plan.answering[k] for k in plan.anew]
-        for k in range(len(pieces)):
-            if k in done:
-                continue
-            if pieces[k].held_out:
-                done[k] = self._made(at(k), ())
-                continue
-            frame, rows_of = self._made(at(k), anew, answering)
-            columns = plan.whole(rows_of.columns, None if known is None else known.columns[k])
-            done[k] = frame, replace(rows_of, white=np.column_stack([rows_of.white[:, :2], columns]))
-        answers = Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
-        return [done[k] for k in range(len(pieces))], answers
-
-    def _made(
-        self,
-        place: Place,
-        columns: Sequence[tuple[Active, str]],
-        answering: Sequence[frozenset[str]] | None = None,
-    ) -> tuple[SegmentFrame, SegmentRows]:
-        return place.frame, self.equations.rows(place, columns, answering)
+        rest = Job(stand, anew, [plan.answering[k] for k in plan.anew])
+        done |= self.hands.made(rest, [k for k in self._all if k not in probes])
+        frames, rows = [], []
+        for k in self._all:
+            made = done[k].rows
+            assert made is not None
+            if k not in probes and not pieces[k].held_out:
+                columns = plan.whole(made.columns, None if known is None else known.columns[k])
+                made = replace(made, white=np.column_stack([made.white[:, :2], columns]))
+            frames.append(done[k].frame)
+            rows.append(made)
+        return frames, rows, Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.

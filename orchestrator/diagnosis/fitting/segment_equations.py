@@ -56,12 +56,11 @@ class SegmentEquations:
     """Whether the resistance takes its part of a carrier's ripple (`weak_form.carrier_ripple`)."""
     _raw_basis: dict[str, tuple[EvenSpline, Array]] = field(default_factory=dict)
 
-    def frame(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> SegmentFrame:
-        """What is kept of a segment between steps, made anew as far as it changed since `old`."""
-        return self.renewed(model, piece, old).frame
-
     def renewed(self, model: Model, piece: SegmentSignals, old: SegmentFrame | None) -> Place:
-        """`place` in a `frame` made anew: its signals are led through the effects but once for both."""
+        """A segment where the model stands, in a frame made anew as far as it changed since `old`.
+
+        Its signals are led through the effects but once for both.
+        """
         s = piece.signals
         # On its way to where it fits R_s may be below nothing; a loss is not.
         scale = max(model.r_s, 0.0) / ((s.motor.stator_resistance_ohm if s.motor else None) or 1.0)
@@ -96,7 +95,7 @@ class SegmentEquations:
             if scatter.scatters:
                 rows = self._common_rows(piece, corrected, local, slopes)
                 common.append(rows * scatter_sizes(TimerScatter.of(piece), scatter))
-            whitener = Whitener(covariance, np.column_stack(common) if common else None)
+            whitener = Whitener.of(covariance, np.column_stack(common) if common else None)
         raw = self._untouched_basis(piece, local, model) if same else basis(piece, local, model.magnetics)
         if old is not None and whitener is old.whitener and raw is old.basis:
             white = old.white_basis

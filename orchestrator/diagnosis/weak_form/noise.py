@@ -228,47 +228,70 @@ def _banded(blocks: Array) -> Array:
     return out.reshape(2 * size, hats * size)
 
 
+@dataclass(frozen=True)
 class Whitener:
     """Turns rows of one piece into rows with independent unit noise.
 
-    Parameters
+    Attributes
     ----------
-    covariance : array, shape (bandwidth + 1, rows)
-        Of the rows, in LAPACK's lower banded form.
-    common : array, shape (rows, few), optional
-        What each error that all readings have in common does to the rows, in its standard deviations: with U whitened,
-        (1 + U U^T)^-1/2 is one but for the few directions of U.
+    variance : array, shape (rows,)
+        Of every row, before whitening.
+    factor : array, shape (bandwidth + 1, rows)
+        Of the covariance of what rows do not have in common, in LAPACK's lower banded form.
+    log_det : float
+        Of the covariance.
+    directions : array, shape (rows, few)
+        Orthonormal, whitened: along them rows have something in common.
+    less : array, shape (few,)
+        How much less than one is left of them.
     """
 
-    def __init__(self, covariance: Array, common: Array | None = None) -> None:
-        self.variance = covariance[0].copy()
-        """Of every row, before whitening."""
-        self._factor = _factored(covariance)
-        self.log_det = 2.0 * float(np.log(self._factor[0]).sum())
-        self._directions, self._less = np.zeros((covariance.shape[1], 0)), np.zeros(0)
+    variance: Array
+    factor: Array
+    log_det: float
+    directions: Array
+    less: Array
+
+    @classmethod
+    def of(cls, covariance: Array, common: Array | None = None) -> Whitener:
+        """For a covariance, and what rows have in common.
+
+        Parameters
+        ----------
+        covariance : array, shape (bandwidth + 1, rows)
+            Of the rows, in LAPACK's lower banded form.
+        common : array, shape (rows, few), optional
+            What each error that all readings have in common does to the rows, in its standard deviations: with U
+            whitened, (1 + U U^T)^-1/2 is one but for the few directions of U.
+        """
+        factor = _factored(covariance)
+        log_det = 2.0 * float(np.log(factor[0]).sum())
+        directions, less = np.zeros((covariance.shape[1], 0)), np.zeros(0)
         if common is not None:
-            self._directions, sizes, _ = np.linalg.svd(self._independent(common), full_matrices=False)
-            self._less = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
-            self.log_det += float(np.log1p(sizes**2).sum())
+            directions, sizes, _ = np.linalg.svd(_independent(factor, common), full_matrices=False)
+            less = 1.0 / np.sqrt(1.0 + sizes**2) - 1.0
+            log_det += float(np.log1p(sizes**2).sum())
+        return cls(covariance[0].copy(), factor, log_det, directions, less)
 
     def __call__(self, rows: Array) -> Array:
         """Whiten (rows,) or (rows, columns)."""
-        white = self._independent(rows)
-        if self._less.size:
-            white += self._directions @ (self._less * (self._directions.T @ white).T).T
+        white = _independent(self.factor, rows)
+        if self.less.size:
+            white += self.directions @ (self.less * (self.directions.T @ white).T).T
         return white
 
-    def _independent(self, rows: Array) -> Array:
-        """With the readings' own noise whitened."""
-        from scipy.linalg.lapack import dtbtrs
 
-        if rows.size == 0:
-            # LAPACK's wrapper does not bear a matrix without columns.
-            return rows.copy()
-        solved, info = dtbtrs(self._factor, rows if rows.ndim == 2 else rows[:, None], uplo="L")
-        if info != 0:
-            raise ArithmeticError("the noise covariance is singular")
-        return np.asarray(solved if rows.ndim == 2 else solved[:, 0])
+def _independent(factor: Array, rows: Array) -> Array:
+    """Rows with the readings' own noise whitened."""
+    from scipy.linalg.lapack import dtbtrs
+
+    if rows.size == 0:
+        # LAPACK's wrapper does not bear a matrix without columns.
+        return rows.copy()
+    solved, info = dtbtrs(factor, rows if rows.ndim == 2 else rows[:, None], uplo="L")
+    if info != 0:
+        raise ArithmeticError("the noise covariance is singular")
+    return np.asarray(solved if rows.ndim == 2 else solved[:, 0])
 
 
 def _factored(covariance: Array) -> Array:

@@ -127,6 +127,11 @@ def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
     assert last.current_rms_a == pytest.approx(0.0045, rel=0.15)
 
 
+def test_two_processes_come_to_the_same_report(diagnosed: Diagnosis, with_dead_time: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, processes=2).report
+    assert report.model_copy(update={"seconds": diagnosed.report.seconds}) == diagnosed.report
+
+
 def test_each_rung_is_shown_in_order(diagnosed: Diagnosis, steps: list[DiagnosisStep]) -> None:
     ladder = diagnosed.report.ladder
     assert [s.index for s in steps] == list(range(len(ladder)))

@@ -73,11 +73,11 @@ def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None
 def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> None:
     model = free_model()
     equations, piece = biased.equations, biased.prepared.pieces[-1]
-    frame = equations.frame(model, piece, None)
-    again = equations.frame(model, piece, frame)
+    frame = equations.renewed(model, piece, None).frame
+    again = equations.renewed(model, piece, frame).frame
     assert again.whitener is frame.whitener
     assert again.white_basis is frame.white_basis
-    turned = equations.frame(with_free(model, biased, VoltageDelay(), delay_s=1e-5), piece, frame)
+    turned = equations.renewed(with_free(model, biased, VoltageDelay(), delay_s=1e-5), piece, frame).frame
     assert turned.basis is frame.basis
 
 
@@ -112,7 +112,7 @@ def test_effects_see_the_flux_of_the_rotor_where_it_lies(angle: float) -> None:
     made = fitter(prepared([*plan(), Plan(SegmentStage.RESISTANCE, hold(-2.0, 2.0))], angle=angle, noise_a=0.0))
     model = with_free(free_model(), made, BrakeCompliance(), rad_per_nm=0.05)
     piece = made.prepared.pieces[-1]
-    place = made.equations.place(model, piece, made.equations.frame(model, piece, None))
+    place = made.equations.place(model, piece, made.equations.renewed(model, piece, None).frame)
     i_d, i_q = map(float, to_dq(piece.signals.i_ab, angle)[-1])
 
     def torque_nm(delta: float) -> float:
@@ -128,7 +128,7 @@ def test_effects_see_the_flux_of_the_current_that_magnetises() -> None:
     made = fitter(prepared(plan(sparse=True), noise_a=0.0))
     model = with_free(free_model(), made, EddyCurrents(), core_loss_ohm=300.0)
     piece = made.prepared.pieces[-1]
-    place = made.equations.place(model, piece, made.equations.frame(model, piece, None))
+    place = made.equations.place(model, piece, made.equations.renewed(model, piece, None).frame)
     magnetising = TRUE_MAP.flux_and_inductance(to_dq(place.cascade.corrected.i_m_ab, 0.0))[0] + np.array([PM_WB, 0.0])
     of_all = TRUE_MAP.flux_and_inductance(to_dq(piece.signals.i_ab, 0.0))[0] + np.array([PM_WB, 0.0])
     seen = place.frame.base.psi_ab
@@ -142,8 +142,8 @@ def test_what_iron_may_remember_is_expected_as_noise() -> None:
     made = fitter(prepared(plan(sparse=True)))
     model = with_free(free_model(), made, Hysteresis(), half_width_a=0.5)
     piece = next(p for p in made.prepared.pieces if p.stage is SegmentStage.CLASSICAL)
-    place = made.equations.place(model, piece, made.equations.frame(model, piece, None))
-    bare = made.equations.frame(free_model(), piece, None).whitener
+    place = made.equations.place(model, piece, made.equations.renewed(model, piece, None).frame)
+    bare = made.equations.renewed(free_model(), piece, None).frame.whitener
     for change in place.cascade.doubts():
         rows = piece.windows.combine(difference(piece, place.cascade.corrected, change, place.local, PM_WB))
         known, unknown = np.linalg.norm(place.frame.whitener(rows)), np.linalg.norm(bare(rows))

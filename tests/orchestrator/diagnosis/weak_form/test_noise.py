@@ -58,7 +58,7 @@ def _whitener(asked: Plan, slopes: Slopes | None = None) -> Whitener:
     one = piece(asked)
     at = local_map(one, one.signals, TRUE_MAP)
     noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
-    return Whitener(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
+    return Whitener.of(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
 
 
 @few("asked", [HOLD, SWEEP, RIPPLE])
@@ -83,7 +83,7 @@ def test_variance_and_determinant_are_the_covariances_own() -> None:
     dense = np.diag(banded[0])
     for k in range(1, len(banded)):
         dense = dense + np.diag(banded[k, : n - k], -k) + np.diag(banded[k, : n - k], k)
-    whitener = Whitener(banded)
+    whitener = Whitener.of(banded)
     np.testing.assert_array_equal(whitener.variance, np.diag(dense))
     assert whitener.log_det == pytest.approx(float(np.linalg.slogdet(dense)[1]), rel=1e-6)
     np.testing.assert_allclose(whitener(whitener(dense).T), np.eye(n), atol=1e-6)
@@ -95,10 +95,10 @@ def test_errors_in_common_are_whitened_too() -> None:
     banded = banded_covariance(
         one, at, np.ones(len(one.signals.v_dc)), SensorNoise(COVARIANCE, COVARIANCE, 0.0), R_S, None
     )
-    plain = Whitener(banded)
+    plain = Whitener.of(banded)
     n = banded.shape[1]
     common = np.sqrt(plain.variance)[:, None] * np.random.default_rng(2).normal(size=(n, 2)) * np.array([0.3, 20.0])
-    whitener, u = Whitener(banded, common), plain(common)
+    whitener, u = Whitener.of(banded, common), plain(common)
     both = np.eye(n) + u @ u.T
     # (1 + U U^T)^-1/2 on both sides leaves one; what is noise alone stays the variance that is told.
     root = plain(np.eye(n))
@@ -163,7 +163,7 @@ def test_the_axis_that_was_read_is_whitened_as_if_the_other_were_not_there(unrea
     rows = np.random.default_rng(5).normal(size=alone.windows.rows)
     other = rows.copy()
     other[unread::2] *= 3.0
-    white, changed = (Whitener(banded)(x).reshape(-1, 2) for x in (rows, other))
+    white, changed = (Whitener.of(banded)(x).reshape(-1, 2) for x in (rows, other))
     np.testing.assert_array_equal(white[:, 1 - unread], changed[:, 1 - unread])
     assert np.isfinite(white).all()
 
@@ -173,7 +173,7 @@ def test_rows_that_share_more_than_a_covariance_can_are_whitened_all_the_same() 
     banded = np.tile(np.array([[1.0], [0.8], [0.0]]), 40)
     with pytest.raises(np.linalg.LinAlgError):
         cholesky_banded(banded, lower=True)
-    whitener = Whitener(banded)
+    whitener = Whitener.of(banded)
     np.testing.assert_array_equal(whitener.variance, np.ones(40))
     assert np.isfinite(whitener.log_det)
     assert np.isfinite(whitener(np.eye(40))).all()
