@@ -63,7 +63,7 @@ class WindingHeating:
 
     class Parameters(EffectParameters):
         rise_per_watt: float = amplitude("1/W", typical=0.003, prior_width=0.005, low=0.0, high=0.1)
-        time_constant_s: float = shape("s", typical=200.0, prior_width=1.0, low=5.0, high=20000.0)
+        time_constant_s: float = shape("s", typical=200.0, prior_width=1.0, low=1.0, high=20000.0)
         slow_share: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.95)
         slow_ratio: float = refinement("1", neutral=6.0, prior_width=4.0, low=3.0, high=40.0)
 

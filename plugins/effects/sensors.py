@@ -161,9 +161,9 @@ class CurrentOffsetDrift:
 
 
 class CurrentNonlinearity:
-    """Every sensor reads i + k i^3 [A], k in 1/A^2: a core that begins to saturate, or the amplifier behind it.
+    """Every sensor reads i + h i^2 + k i^3 [A]: a core that begins to saturate, in one direction first or in both.
 
-    In the flexible form it reads i + h i^2 + k i^3, h `square_per_a`: what saturates first in one direction.
+    h is `square_per_a`, k `cubic_per_a2`; of an amplifier either may be there alone.
     """
 
     name: ClassVar[str] = "current_nonlinearity"
@@ -175,7 +175,7 @@ class CurrentNonlinearity:
 
     class Parameters(EffectParameters):
         cubic_per_a2: float = amplitude("1/A^2", typical=3e-4, prior_width=1e-3, low=-0.02, high=0.02)
-        square_per_a: float = refinement("1/A", neutral=0.0, prior_width=1e-3, low=-0.02, high=0.02)
+        square_per_a: float = amplitude("1/A", typical=1e-3, prior_width=3e-3, low=-0.02, high=0.02)
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Solve m = i + h i^2 + k i^3 for i in each sensor, by two fixed-point steps from the reading."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import accumulate
 
 import numpy as np
 
@@ -66,16 +67,19 @@ def heat_of_unread(recording: RecordingReader, segments: Sequence[Segment], step
 def loss_history(items: Sequence[SegmentHeat], resistance_ohm: float, settling_s: float) -> LossHistory:
     """All of them in order of time.
 
-    In a gap the drive settles for `settling_s` to what flows next; the rest of a longer one is spent without current.
+    In a gap the drive settles to what flows next; the rest of one longer than `settling_s` is spent without current.
     """
+    items = sorted(items, key=lambda h: h.start_s)
+    usual_s = _usual_settling_s(items, settling_s)
     times: list[Array] = []
     squares: list[Array] = []
     captured: list[Array] = []
     end = 0.0
-    for item in sorted(items, key=lambda h: h.start_s):
+    for item in items:
         gap = max(item.start_s - end, 0.0)
         if gap > 0.0:
-            times.append(np.array([end, item.start_s - min(gap, settling_s)]))
+            settled = gap if gap <= settling_s else usual_s
+            times.append(np.array([end, item.start_s - settled]))
             squares.append(np.array([0.0, item.before]))
             captured.append(np.zeros(2))
         times.append(item.times_s)
@@ -90,3 +94,10 @@ def loss_history(items: Sequence[SegmentHeat], resistance_ohm: float, settling_s
         power_w=1.5 * resistance_ohm * np.concatenate(squares),
         captured=np.concatenate(captured),
     )
+
+
+def _usual_settling_s(items: Sequence[SegmentHeat], longest_s: float) -> float:
+    """How long a drive settles before a capture: as in most gaps that are no longer than the longest, if there are."""
+    ends = accumulate((item.end_s for item in items), max, initial=0.0)
+    gaps = [gap for item, end in zip(items, ends, strict=False) if 0.0 < (gap := item.start_s - end) <= longest_s]
+    return float(np.median(gaps)) if gaps else longest_s
