@@ -208,6 +208,8 @@ class SelectionCriteria(Strict):
 
     detected_chi2: float = _is(1.08, "1", "simulated")
     """chi2 per degree of freedom above which a model misses something: noise alone stays within 1.00 +- 0.05."""
+    chance_sigmas: float = _is(3.0, "1", "theory")
+    """... or how far chance takes it where there are few readings, in its standard deviations sqrt(2 / dof)."""
     explained: float = _is(0.05, "1", "practice")
     """Part of the error (an amplitude) that may be left for ``explained``."""
     mostly_explained: float = _is(0.30, "1", "practice")

@@ -27,7 +27,7 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     The fraction alone would forgive a large second error beside a huge first one; so would the fitted part alone what
     only the held-out part shows. What no engineer would miss is forgiven near the noise, and not far beyond it: what
     nobody has named may be small where it was measured, and not elsewhere. Where nothing was named, noise that is a
-    little more than the readings say is noise. What a reading without current denies is no explanation.
+    little more than the readings say is noise, and so is what chance makes of few readings. What a reading without current denies is no explanation.
     """
     if unexplained_at_rest_v(after) > 0.0:
         return "unknown_remains"
@@ -45,9 +45,14 @@ def fitted_verdict(before: Fit, after: Fit) -> Verdict:
 
 def _judged(before: Fit, after: Fit, effects: int, left: float, bearable: float) -> Verdict:
     limits = after.criteria.selection
-    if after.chi2_per_dof <= limits.detected_chi2 and left <= bearable:
+    by_chance = limits.chance_sigmas * math.sqrt(2.0 / after.dof)
+    if after.chi2_per_dof - 1.0 <= max(limits.detected_chi2 - 1.0, by_chance) and left <= max(bearable, by_chance):
         return "explained" if effects else "clean"
-    bearable_by = (limits.noise_known, limits.material_voltage), (limits.formless_left, limits.nothing_left)
+    by_chance = limits.chance_sigmas * math.sqrt(2.0 / after.dof)
+    bearable_by = (
+        (max(limits.noise_known, by_chance), limits.material_voltage),
+        (limits.formless_left, limits.nothing_left),
+    )
     if not effects and any(left <= most and left_of_excitation(after) <= part for most, part in bearable_by):
         return "clean"
     fraction = left_fraction(before.chi2_per_dof, after)

@@ -19,7 +19,8 @@ from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_vol
 
 @pytest.fixture(scope="module")
 def fit() -> Fit:
-    return fitted_bias(fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0]))))
+    found = fitted_bias(fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0]))))
+    return replace(found, dof=4000.0)  # as of a recording in which chance makes little
 
 
 def _with_chi2(fit: Fit, chi2: float) -> Fit:
@@ -93,6 +94,14 @@ def test_noise_a_little_larger_than_the_readings_say_is_noise_where_it_does_not_
 ) -> None:
     left = _leaving(fit, chi2, part)
     assert verdict_of(left, left, 0) == verdict
+
+
+def test_what_chance_makes_of_few_readings_is_noise(fit: Fit) -> None:
+    for dof, beyond in ((4000.0, 1.2), (200.0, 1.35)):
+        few = replace(fit, dof=dof)
+        chance = _with_chi2(few, 1.0 + 2.0 * np.sqrt(2.0 / dof))
+        assert verdict_of(chance, chance, 0) == "clean"
+        assert verdict_of(_with_chi2(few, beyond), _with_chi2(few, beyond), 0) == "unknown_remains"
 
 
 def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
