@@ -27,7 +27,8 @@ def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
     The fraction alone would forgive a large second error beside a huge first one; so would the fitted part alone what
     only the held-out part shows. What no engineer would miss is forgiven near the noise, and not far beyond it: what
     nobody has named may be small where it was measured, and not elsewhere. Where nothing was named, noise that is a
-    little more than the readings say is noise, and so is what chance makes of few readings. What a reading without current denies is no explanation.
+    little more than the readings say is noise, and so is what chance makes of few readings. What a reading without
+    current denies is no explanation.
     """
     if unexplained_at_rest_v(after) > 0.0:
         return "unknown_remains"

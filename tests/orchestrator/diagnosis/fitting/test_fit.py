@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.numerics.frames import from_two_phases, to_phases
 from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.sensors import CurrentNonlinearity
 from protocols import Effect, Signals
 from tests.orchestrator.diagnosis.pieces import (
     L_D,
@@ -23,6 +27,13 @@ from tests.orchestrator.diagnosis.pieces import (
 )
 
 ERROR_V = np.array([0.3, -0.2])
+
+
+def _bent(signals: Signals, square: float) -> Signals:
+    """As two sensors read it that bend in one direction."""
+    a, b, _ = to_phases(np.asarray(signals.i_ab)).T
+    read = from_two_phases(a + square * a**2, b + square * b**2)
+    return signals.model_copy(update={"i_ab": read, "i_m_ab": read})
 
 
 def with_free(model: Model, maker: Fitter, effect: Effect, **values: float) -> Model:
@@ -62,6 +73,16 @@ def test_a_wrong_voltage_is_found_as_large_as_it_is(biased: Fitter) -> None:
     assert active.values["bias_b_v"] == pytest.approx(-0.5 * ERROR_V[0] + np.sqrt(0.75) * ERROR_V[1], abs=0.005)
     assert bare.chi2_per_dof > 5.0
     assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * np.sqrt(2.0 / fit.dof))
+
+
+def test_sensors_that_bend_evenly_are_found_without_a_cube() -> None:
+    """Started from straight ones: the square has a column of its own there."""
+    made, square = prepared(plan()), 2e-3
+    read = [replace(p, signals=_bent(p.signals, square)) for p in made.pieces]
+    maker = fitter(replace(made, pieces=tuple(read)))
+    (active,) = maker.fit(with_free(free_model(), maker, CurrentNonlinearity())).model.active
+    assert active.values["square_per_a"] == pytest.approx(square, rel=0.02)
+    assert abs(active.values["cubic_per_a2"]) < 0.02 * square
 
 
 def test_a_step_that_left_a_curved_valley_is_led_back_to_it() -> None:

@@ -28,6 +28,13 @@ def test_a_long_gap_is_spent_without_current_until_the_drive_settles() -> None:
     assert float(losses.power_w[:-1] @ np.diff(losses.time_s)) == pytest.approx(1.5 * 4.0 * 2.2)
 
 
+def test_a_drive_settles_after_a_long_gap_as_after_most_short_ones() -> None:
+    starts = (0.2, 0.5, 0.8, 60.0)
+    items = [segment_heat(np.full(1000, 4.0), t, t + 0.1, FS, 0.05, 4.0) for t in starts]
+    losses = loss_history(items, 1.0, 1.0)
+    assert float(losses.power_w[:-1] @ np.diff(losses.time_s)) == pytest.approx(1.5 * 4.0 * 4 * (0.1 + 0.2))
+
+
 def test_means_of_a_history_keep_the_energy_of_the_samples() -> None:
     square = np.random.default_rng(1).uniform(0.0, 9.0, 1234)
     piece = segment_heat(square, 2.0, 2.0 + 1234 / FS, FS, 0.05, 0.0)
