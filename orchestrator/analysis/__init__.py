@@ -13,7 +13,7 @@ from orchestrator.analysis._energy_polynomial import PolynomialFit, fit_polynomi
 from orchestrator.analysis._energy_search import fit_energy
 from orchestrator.analysis._heating import COPPER_PER_K, temperature_rise
 from orchestrator.analysis._integration import Inductances, IntegratedFlux, along, integrate, invert
-from orchestrator.analysis._known_resistance import KnownResistance, known_resistance
+from orchestrator.analysis._known_resistance import UNSTATED, KnownResistance, known_resistance
 from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
 from orchestrator.analysis._ripple import ONE_AXIS, Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
@@ -49,6 +49,7 @@ __all__ = [
     "NO_LOSS",
     "ONE_AXIS",
     "STEP_KNOTS",
+    "UNSTATED",
     "Beliefs",
     "Candidate",
     "Crossings",

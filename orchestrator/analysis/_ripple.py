@@ -12,6 +12,8 @@ flux of all windows: behind dead time the mean current moves as the ripple turns
 they matter. So neither R_s nor any voltage bias enters, a waveform may have any shape, and
 the curvature that a finite ripple sees is told apart from the Hessian. H3 comes as a by-product: it is the
 slope of the inductances, and half of it shifts the mean current away from the current at the mean flux.
+Where the voltage rotates at its own frequency, P and Q are a quarter of a period apart on both axes at once: Q then is
+multiplied by a resistance that is known.
 """
 
 from __future__ import annotations
@@ -37,6 +39,8 @@ ANSWERED = 0.3
 0.13 at most on simulated machines."""
 TURNS_RAD = 0.2
 """From the first third of a capture to its last, by which a wave turns that is none along one axis."""
+ONE_LINE = 0.01
+"""Power of the weaker of a wave's two lines over the stronger's, below which there is but one: the vector rotates."""
 ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
 
 
@@ -102,7 +106,8 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     """Frequency of a (rotating) periodic wave on a constant voltage [Hz].
 
     A wave of frequency f whose axis rotates at r has its strongest lines at +f + r and -f + r in the
-    spectrum of v_alpha + j v_beta, so half their distance is f whatever the rotation.
+    spectrum of v_alpha + j v_beta, so half their distance is f whatever the rotation. A vector that rotates at f itself
+    has but one of them.
 
     Raises
     ------
@@ -119,8 +124,11 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     largest = max(1.0, float(np.abs(v_ab).max()))
     if spectrum.max() <= (1e-9 * largest * n) ** 2:
         raise NotMeasuredError(where, "v_alpha, v_beta", "no injected voltage was found")
-    ahead, behind = (_peak(half) for half in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
-    return 0.5 * (ahead + behind + 1.0) * sampling_frequency_hz / n
+    # The second half begins with the line at minus one bin.
+    (ahead, high), (behind, low) = (_peak(half) for half in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
+    lines = ahead, behind + 1.0
+    one_line = min(high, low) < ONE_LINE * max(high, low)
+    return (lines[0 if high > low else 1] if one_line else 0.5 * sum(lines)) * sampling_frequency_hz / n
 
 
 @lru_cache(maxsize=4)
@@ -131,13 +139,13 @@ def _hann(n: int) -> Array:
     return window
 
 
-def _peak(spectrum: Array) -> float:
-    """Place of the highest line, between bins (parabola through the logarithms)."""
+def _peak(spectrum: Array) -> tuple[float, float]:
+    """Place of the highest line, between bins (parabola through the logarithms), and its power."""
     k = int(np.argmax(spectrum))
     if not 0 < k < len(spectrum) - 1:
-        return float(k)
+        return float(k), float(spectrum[k])
     a, b, c = np.log(spectrum[k - 1 : k + 2] + 1e-300)
-    return k + (0.5 * float((a - c) / (a - 2 * b + c)) if a - 2 * b + c else 0.0)
+    return k + (0.5 * float((a - c) / (a - 2 * b + c)) if a - 2 * b + c else 0.0), float(spectrum[k])
 
 
 def demodulate(
@@ -149,6 +157,7 @@ def demodulate(
     time_constant_s: float | None = None,
     loss: PhaseLoss = NO_LOSS,
     beside: Sequence[Capture] = (),
+    resistance_ohm: float | None = None,
     where: str = "capture",
 ) -> Ripple:
     """Find the Hessian of the energy from the ripple of one injection capture, or of several of one operating point.
@@ -170,28 +179,40 @@ def demodulate(
         then looks too large along that phase's axis.
     beside : sequence of Capture
         Of the same point and injected frequency, along other axes: a wave that does not turn shows but its own.
+    resistance_ohm : float, optional
+        Known beforehand; asked for where the voltage rotates at its own frequency, which tells no resistance beside
+        inductances.
     where : str
         Name of the segment, for errors.
 
     Raises
     ------
     NotMeasuredError
-        Where no injection is found, or it does not rotate, or lasts for too few periods.
+        Where no injection is found, or its axis does not turn, or it lasts for too few periods.
     """
     captures = (capture, *beside)
     frequency = injection_frequency(capture.v_ab, capture.sampling_frequency_hz, where)
     if discard_s is None and time_constant_s is None:
-        whole = _demodulated(captures, rotor_angle_rad, voltage_delay_samples, 0, frequency, loss, where)
+        whole = _demodulated(
+            captures, rotor_angle_rad, voltage_delay_samples, 0, frequency, loss, resistance_ohm, where
+        )
         time_constant_s = 1.0 / whole.decay_per_s
     duration_s = min(len(one) for one in captures) / capture.sampling_frequency_hz
     if discard_s is None:
         discard_s = min(5.0 * (time_constant_s or 0.0), duration_s / 3.0)
     skip = round(discard_s * capture.sampling_frequency_hz)
-    return _demodulated(captures, rotor_angle_rad, voltage_delay_samples, skip, frequency, loss, where)
+    return _demodulated(captures, rotor_angle_rad, voltage_delay_samples, skip, frequency, loss, resistance_ohm, where)
 
 
 def _demodulated(
-    captures: Sequence[Capture], angle: float, delay: float, skip: int, frequency: float, loss: PhaseLoss, where: str
+    captures: Sequence[Capture],
+    angle: float,
+    delay: float,
+    skip: int,
+    frequency: float,
+    loss: PhaseLoss,
+    resistance_ohm: float | None,
+    where: str,
 ) -> Ripple:
     # numba stays out of an import that only wants the names
     from orchestrator.analysis._ripple_moments import pooled, ripple_moments
@@ -226,7 +247,8 @@ def _demodulated(
         across, along = np.linalg.eigvalsh(moments.normal[:2, :2])
         if across < ONE_WAY * along:
             raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
-        fit = symmetric_regression(moments.normal, moments.samples - 2 * moments.windows, 1.0 / rate, where)
+        freedom = moments.samples - 2 * moments.windows
+        fit = symmetric_regression(moments.normal, freedom, 1.0 / rate, where, resistance_ohm)
         ripple_wb = math.sqrt((moments.normal[0, 0] + moments.normal[1, 1]) / moments.samples)
         # Where little decays over a period, R Q is too little of the ripple to matter in its products ...
         slow = np.linalg.norm(fit.decay_per_s, 2) < 0.3 * frequency

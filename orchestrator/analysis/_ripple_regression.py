@@ -5,9 +5,10 @@ Works on a normal matrix; where that comes from is `_ripple`'s business.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError
@@ -16,6 +17,10 @@ from protocols import NotMeasuredError
 _HESSIAN, _THIRD, _FREE, _FOURTH = slice(0, 3), slice(3, 7), slice(7, 11), slice(11, 16)
 _FEATURES_OF_ORDER = {1: 4, 2: 7, 3: 11}
 _UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(range(16))}
+APART = 0.05
+"""Part of Q that P does not explain, below which both tell the same: 0.24 and more where a wave's axis turns, 0.003 at
+most of a vector that rotates at the wave's own frequency."""
+TOGETHER = "a voltage that rotates at its own frequency tells inductances beside a known R_s only, and none is known"
 
 
 def _design() -> Array:
@@ -48,7 +53,9 @@ class SymmetricFit:
     decay_per_s: Array
 
 
-def symmetric_regression(normal: Array, freedom: int, sampling_s: float, where: str) -> SymmetricFit:
+def symmetric_regression(
+    normal: Array, freedom: int, sampling_s: float, where: str, resistance_ohm: float | None = None
+) -> SymmetricFit:
     """Generalised least squares for H_11 .. H_222, symmetric by construction.
 
     Parameters
@@ -59,30 +66,63 @@ def symmetric_regression(normal: Array, freedom: int, sampling_s: float, where: 
         Samples less what has been fitted already.
     sampling_s : float
         Time between the samples, whose trapezoids make Q.
+    resistance_ohm : float, optional
+        Known beforehand: what Q is multiplied by where it cannot be told beside P.
 
     Raises
     ------
     NotMeasuredError
-        Where the injection moves the flux along one direction only.
+        Where the injection moves the flux along one direction only, or rotates and no resistance is known.
     """
+    known_ohm = None
+    if not _are_apart(normal):
+        if resistance_ohm is None:
+            raise NotMeasuredError(where, "v_alpha, v_beta", TOGETHER)
+        known_ohm = resistance_ohm
+        normal = normal.copy()
+        for lines in (normal, normal.T):
+            lines[:2] -= known_ohm * lines[2:4]
     for order in (3, 2, 1):
-        used = _FEATURES_OF_ORDER[order]
-        scale = np.sqrt(np.diag(normal)[:used])
+        features = np.arange(_FEATURES_OF_ORDER[order])
+        unknowns = np.array(_UNKNOWNS_OF_ORDER[order])
+        if known_ohm is not None:
+            features, unknowns = np.delete(features, [2, 3]), unknowns[(unknowns < 7) | (unknowns > 10)]
+        scale = np.sqrt(np.diag(normal)[features])
         if not (scale > 0).all():
             continue
-        scaled = normal[:used, :used] / np.outer(scale, scale)
+        scaled = normal[np.ix_(features, features)] / np.outer(scale, scale)
         if np.linalg.eigvalsh(scaled)[0] > 1e-6:
-            found = _solved(normal, used, scale, scaled, freedom, _UNKNOWNS_OF_ORDER[order])
+            found = _solved(normal, features, scale, scaled, freedom, unknowns)
+            if known_ohm is not None:
+                found = replace(found, decay_per_s=known_ohm * found.hessian)
             return _between_samples(found, sampling_s)
     raise NotMeasuredError(where, "v_alpha, v_beta", "the injected voltage does not turn; both axes need to be excited")
 
 
-def _solved(normal: Array, used: int, scale: Array, scaled: Array, freedom: int, unknowns: list[int]) -> SymmetricFit:
-    right = normal[:used, 11:] / scale[:, None]
+def _are_apart(normal: Array) -> bool:
+    """Whether Q tells more than P does: a resistance beside inductances."""
+    own, across, other = normal[:2, :2], normal[:2, 2:4], normal[2:4, 2:4]
+    size = np.sqrt(np.diag(other))
+    if not (size > 0.0).all() or np.linalg.matrix_rank(own, hermitian=True) < 2:
+        return True
+    left = other - across.T @ np.linalg.solve(own, across)
+    return bool(np.linalg.eigvalsh(left / np.outer(size, size))[0] > APART)
+
+
+def _solved(
+    normal: Array,
+    features: NDArray[np.intp],
+    scale: Array,
+    scaled: Array,
+    freedom: int,
+    unknowns: NDArray[np.intp],
+) -> SymmetricFit:
+    used = len(features)
+    right = normal[features, 11:] / scale[:, None]
     free = np.linalg.solve(scaled, right)
     noise = (normal[11:, 11:] - right.T @ free) / max(freedom - 2 * used, 1)
     noise += np.eye(2) * max(1e-12 * np.trace(normal[11:, 11:]) / max(freedom, 1), 1e-300)
-    design = (_DESIGN[:used, :, unknowns] * scale[:, None, None]).reshape(2 * used, -1)
+    design = (_DESIGN[features][:, :, unknowns] * scale[:, None, None]).reshape(2 * used, -1)
     weight = np.kron(scaled, np.linalg.inv(noise))
     size = np.linalg.norm(design, axis=0)
     design = design / size

@@ -16,6 +16,7 @@ import numpy as np
 from orchestrator.analysis import (
     NO_LOSS,
     ONE_AXIS,
+    UNSTATED,
     FluxPath,
     Inductances,
     IntegratedFlux,
@@ -29,6 +30,7 @@ from orchestrator.analysis import (
     integrate,
     invert,
     join_paths,
+    known_resistance,
     one_way_rad,
     rated_flux_wb,
 )
@@ -107,7 +109,7 @@ class InjectionEstimator:
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> InjectedFlux:
         """Make the map; raises `NotMeasuredError` where the points do not span an area of currents."""
-        groups, skipped = self._groups(recording, _known_loss(context))
+        groups, skipped = self._groups(recording, _known_loss(context), _resistance_ohm(recording, context))
         if not groups:
             problem = skipped[0] if skipped else "no segment of stage injection"
             raise NotMeasuredError(recording.manifest.name, "segments", problem)
@@ -131,15 +133,18 @@ class InjectionEstimator:
             incremental=tuple(_seen(group) for group in sorted(groups, key=lambda g: (g.frequency_hz, g.size))),
         )
 
-    def _groups(self, recording: RecordingReader, loss: PhaseLoss) -> tuple[list[_Group], list[str]]:
+    def _groups(
+        self, recording: RecordingReader, loss: PhaseLoss, resistance_ohm: float | None
+    ) -> tuple[list[_Group], list[str]]:
         """Demodulate every point; group by frequency and ripple, largest group first."""
         segments = recording.segments(SegmentStage.INJECTION)
-        time_constant_s = self._time_constant(recording, segments)
+        time_constant_s = self._time_constant(recording, segments, resistance_ohm)
+        known = {"time_constant_s": time_constant_s, "resistance_ohm": resistance_ohm}
         found: list[_Group] = []
         skipped = []
 
         def ripple_of(segment: Segment, capture: Capture, *beside: Capture) -> Ripple | str:
-            return _ripple(recording, segment, capture, *beside, time_constant_s=time_constant_s, loss=loss)
+            return _ripple(recording, segment, capture, *beside, **known, loss=loss)
 
         seen = each_capture(recording, segments, lambda s, c: _one_way(s, c) or ripple_of(s, c))
         told: list[tuple[Segment, Ripple | OneWay | str]] = list(zip(segments, seen, strict=True))
@@ -162,10 +167,14 @@ class InjectionEstimator:
             group.ripples.append(ripple)
         return sorted(found, key=lambda g: -len(g.ripples)), skipped
 
-    def _time_constant(self, recording: RecordingReader, segments: Sequence[Segment]) -> float | None:
+    def _time_constant(
+        self, recording: RecordingReader, segments: Sequence[Segment], resistance_ohm: float | None
+    ) -> float | None:
         """How slowly a transient decays, by the ripples of a few points themselves; None where these tell nothing."""
         probes = segments[:: max(1, math.ceil(len(segments) / self.probes))]
-        told = each_capture(recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0))
+        told = each_capture(
+            recording, probes, lambda s, c: _ripple(recording, s, c, discard_s=0.0, resistance_ohm=resistance_ohm)
+        )
         return max((1.0 / one.decay_per_s for one in told if not isinstance(one, str)), default=None)
 
     def _alike(self, one: Ripple, other: Ripple) -> bool:
@@ -190,6 +199,15 @@ def _known_loss(context: EstimationContext) -> PhaseLoss:
     return NO_LOSS if swept is None else swept.loss
 
 
+def _resistance_ohm(recording: RecordingReader, context: EstimationContext) -> float | None:
+    """R_s as measured before, where that says more than a nameplate, or else as that has it."""
+    measured = context.resistance
+    if measured is not None and measured.high - measured.low < 4.0 * UNSTATED * measured.value_ohm:
+        return measured.value_ohm
+    known = known_resistance(recording.manifest.motor)
+    return None if known is None else known.value_ohm
+
+
 def _one_way(segment: Segment, capture: Capture) -> OneWay | None:
     """The segment where its voltage ripples along one axis only; None where it turns, or where nothing is injected."""
     axis_rad = one_way_rad(capture.v_ab)
@@ -210,6 +228,7 @@ def _ripple(
     *beside: Capture,
     discard_s: float | None = None,
     time_constant_s: float | None = None,
+    resistance_ohm: float | None = None,
     loss: PhaseLoss = NO_LOSS,
 ) -> Ripple | str:
     """The ripple of one point, or why it has none."""
@@ -222,6 +241,7 @@ def _ripple(
             time_constant_s=time_constant_s,
             loss=loss if _same_pwm(recording, segment) else NO_LOSS,
             beside=beside,
+            resistance_ohm=resistance_ohm,
             where=segment.id,
         )
     except NotMeasuredError as error:

@@ -261,3 +261,35 @@ def test_a_wave_that_turns_a_little_is_none_along_one_axis(turns: float) -> None
     capture = capture_of(injected(rotation=turns * SAMPLING_HZ / 5000), 0)
     assert one_way_rad(capture.v_ab) is None
     assert off_percent(demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)) < 0.2
+
+
+def rotating(frequency: float = 480.0) -> Run:
+    """A voltage vector that rotates at the injected frequency itself, on what holds the points."""
+
+    def voltage(k: int, _: Array) -> Array:
+        turn = 2.0 * np.pi * frequency * k / SAMPLING_HZ
+        return R_S * POINTS + 40.0 * np.array([np.cos(turn), np.sin(turn)])
+
+    return integrate_motor(voltage, flux_for(POINTS, saturated_current), 5000, saturated_current)
+
+
+def test_the_frequency_of_a_rotating_vector_is_that_of_its_turns() -> None:
+    for sense in (1.0, -1.0):
+        v_ab = capture_of(rotating(), 0).v_ab * np.array([1.0, sense])
+        assert injection_frequency(v_ab, SAMPLING_HZ) == pytest.approx(480.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("point", range(3))
+def test_a_rotating_vector_tells_inductances_beside_a_resistance_that_is_known(point: int) -> None:
+    capture = capture_of(rotating(), point, noise_a=2e-3)
+    ripple = demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, resistance_ohm=R_S)
+    assert off_percent(ripple) < 0.5
+    assert ripple.decay_per_s == pytest.approx(R_S * np.linalg.eigvalsh(ripple.hessian)[0], rel=1e-2)
+    with pytest.raises(NotMeasuredError, match="none is known"):
+        demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S)
+
+
+def test_a_resistance_that_is_known_changes_nothing_where_the_wave_tells_it() -> None:
+    capture = capture_of(injected(), 1)
+    told, known = (demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, resistance_ohm=r) for r in (None, 5 * R_S))
+    np.testing.assert_array_equal(told.hessian, known.hessian)
