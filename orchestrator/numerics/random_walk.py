@@ -53,10 +53,19 @@ class Walk:
         off = target - scaled @ answer
         return float(max(self.weighed(off[:, None], off[:, None])[0, 0], 0.0)), answer / size
 
-    def covariance(self, design: Array) -> Array:
-        """Of the answer, in units of s^2."""
+    def covariance(self, design: Array, known: Array | None = None) -> Array:
+        """Of the answer, in units of s^2.
+
+        Parameters
+        ----------
+        known : array, shape (columns,), optional
+            One over the variance of what is known of each beforehand, in these units.
+        """
         size = _sizes(design)
-        out = np.linalg.pinv(self.weighed(design / size, design / size), rcond=1e-13, hermitian=True)
+        information = self.weighed(design / size, design / size)
+        if known is not None:
+            information = information + np.diag(known / size**2)
+        out = np.linalg.pinv(information, rcond=1e-13, hermitian=True)
         return np.asarray(out / np.outer(size, size), dtype=np.float64)
 
     def likeliest(self, design: Array, target: Array) -> Walk:

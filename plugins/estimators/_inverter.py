@@ -10,6 +10,7 @@ Nothing here knows what a recording is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
@@ -19,6 +20,13 @@ from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.random_walk import Walk, no_walk, random_walk
 from orchestrator.numerics.types import Array
 from protocols import InverterLoss
+
+THRESHOLDS = 2e-3, 0.2
+"""Of the largest current: where the step's threshold is looked for."""
+ASIDE = 0.2
+"""What the abruptness is moved by, to see what it does."""
+THRESHOLD_ASIDES = math.log(THRESHOLDS[1] / THRESHOLDS[0]) / (2.0 * math.log(1.05) * math.sqrt(12.0))
+"""Standard deviation of a threshold that may be anywhere among these, in tenths of itself."""
 
 
 def step_ab(i_ab: Array, threshold_a: float, abruptness: float = 0.0) -> Array:
@@ -112,7 +120,7 @@ def _asides(i_ab: Array, threshold: float, abruptness: float) -> list[Array]:
     """What a tenth of its threshold and two tenths of its abruptness do to the step, shape (n, 2) each."""
     return [
         step_ab(i_ab, 1.05 * threshold, abruptness) - step_ab(i_ab, threshold / 1.05, abruptness),
-        step_ab(i_ab, threshold, abruptness + 0.1) - step_ab(i_ab, threshold, abruptness - 0.1),
+        step_ab(i_ab, threshold, abruptness + 0.5 * ASIDE) - step_ab(i_ab, threshold, abruptness - 0.5 * ASIDE),
     ]
 
 
@@ -145,7 +153,7 @@ class _Held:
     def _best_threshold(self, largest: float, abruptness: float) -> float:
         from scipy.optimize import minimize_scalar
 
-        places = np.geomspace(2e-3, 0.2, 24) * largest
+        places = np.geomspace(*THRESHOLDS, 24) * largest
         coarse = float(min(places, key=lambda t: self.left((float(t), abruptness))))
         near = (coarse / 1.3, coarse * 1.3)
         return float(minimize_scalar(lambda t: self.left((t, abruptness)), bounds=near, method="bounded").x)
@@ -220,7 +228,11 @@ def fit_voltage(
     design = np.column_stack([held.design(shape), *asides])
     freedom = max(round(design.shape[0] - design.shape[1] - held.walk.freedom), 1)
     variance = squares / max(design.shape[0] - design.shape[1], 1)
-    covariance = variance * held.walk.covariance(design)
+    # Where the inverter keeps next to nothing its shape is told by nothing: it is one of those that are looked for.
+    known = np.zeros(design.shape[1])
+    if asides:
+        known[-2:] = variance / np.array([THRESHOLD_ASIDES, np.ptp(abruptness) / (ASIDE * math.sqrt(12.0))]) ** 2
+    covariance = variance * held.walk.covariance(design, known)
     losses = slice(drifted, None)
     return VoltageFit(
         resistance_ohm=float(answer[0]),

@@ -70,6 +70,20 @@ def test_the_interval_is_that_of_repetitions() -> None:
     assert np.std([f.resistance_ohm for f in fits]) == pytest.approx(np.median([f.std_ohm for f in fits]), rel=0.4)
 
 
+def test_an_inverter_that_keeps_nothing_makes_no_resistance_uncertain() -> None:
+    """Its step may have any shape where it has no size: along a hexagon one of them is nearly a resistance."""
+    turn = np.repeat(np.arange(6) * np.pi / 3.0, 3)
+    held = 17.0 * np.tile([0.3, 0.7, 1.0], 6)[:, None] * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    time_s, pwm_hz = 0.25 * np.arange(18.0), np.full(18, 1e4)
+    apart = []
+    for seed in range(20):
+        noise = 4e-3 * np.random.default_rng(seed).normal(size=held.shape)
+        fit = fit_voltage(held, 1.2 * held + noise, time_s, pwm_hz)
+        assert fit.std_ohm < 0.01
+        apart.append(abs(fit.resistance_ohm - 1.2) / fit.std_ohm)
+    assert np.mean(np.array(apart) < 2.05) > 0.8
+
+
 def test_one_held_current_gives_the_ratio() -> None:
     fit = fit_voltage(np.array([[2.0, 0.0]]), np.array([[8.4, 0.0]]), np.zeros(1), np.full(1, 1e4))
     assert fit.resistance_ohm == pytest.approx(4.2)
