@@ -62,6 +62,9 @@ class Walk:
             One over the variance of what is known of each beforehand, in these units.
         """
         size = _sizes(design)
+        if known is not None:
+            # What is told by what is known alone would else be all that the inverse sees.
+            size = np.sqrt(size**2 + known)
         information = self.weighed(design / size, design / size)
         if known is not None:
             information = information + np.diag(known / size**2)

@@ -322,7 +322,7 @@ class VoltageBias:
     """
 
     name: ClassVar[str] = "voltage_bias"
-    summary: ClassVar[str] = "The inverter impresses a constant voltage beside the commanded one."
+    summary: ClassVar[str] = "The inverter keeps a constant voltage back from the commanded one."
     signature: ClassVar[str] = "A constant residual, the same at every current."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.GATES_OFF,)

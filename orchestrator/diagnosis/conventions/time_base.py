@@ -13,7 +13,12 @@ from orchestrator.numerics.alignment import alignment_of
 from protocols import Convention, ManifestCorrection, SegmentStage
 
 FACTORS = (2.0, 10.0, 4.0, 5.0, 8.0, 16.0, 20.0, 100.0, 1000.0)
-"""By which sampling rates are mistaken: bases of ten, averaging, double update."""
+"""By which sampling rates are mistaken: bases of ten, averaging, double update. Any other, one drive's rate for
+another's, has to be told by two of what was asked for alike."""
+ONE_LINE = 0.1
+"""Of the stronger line's size, below which the other is none."""
+OTHER_DRIVE = 1.1
+"""Of two drives' rates, at least."""
 
 
 def sampling_rate(seen: Responses) -> Convention | None:
@@ -25,6 +30,7 @@ def sampling_rate(seen: Responses) -> Convention | None:
         "periods of the sweeps": _median(_sweep_ratio(s, survey) for s in survey.of(SegmentStage.CLASSICAL)),
     }
     found = {name: ratio for name, ratio in ratios.items() if ratio is not None}
+    asked = list(found.values())
     inductance = seen.inductance_ratio
     resistance = seen.resistance_ratio
     # L goes with the time base and R_s does not.
@@ -33,6 +39,8 @@ def sampling_rate(seen: Responses) -> Convention | None:
     if len(found) < 2:
         return None
     factor = next((f for k in FACTORS for f in (k, 1.0 / k) if _all_near(found, f, limits.same_rate)), None)
+    if factor is None:
+        factor = _alike(asked, limits.same_rate)
     if factor is None:
         return None
     rate = survey.sampling_frequency_hz * factor
@@ -50,6 +58,14 @@ def _all_near(found: dict[str, float], factor: float, same: float) -> bool:
     """The first to some percent, what backs it so that no other factor is meant."""
     first, *others = found.values()
     return abs(first / factor - 1.0) < same and all(1.0 / 1.5 < other / factor < 1.5 for other in others)
+
+
+def _alike(asked: list[float], same: float) -> float | None:
+    """A factor that two or more of what was asked for have in common, if it is none of how well such are read."""
+    if len(asked) < 2 or max(asked) / min(asked) - 1.0 > same:
+        return None
+    factor = float(np.median(asked))
+    return factor if abs(math.log(factor)) > math.log(OTHER_DRIVE) else None
 
 
 def _median(ratios: Iterable[float | None]) -> float | None:
@@ -87,13 +103,19 @@ def _sweep_ratio(seen: Sighting, survey: Survey) -> float | None:
 
 
 def _line_per_sample(u: Vectors) -> float | None:
-    """Frequency of an injected wave whose direction turns: the mean of the two strongest lines on either side."""
+    """Frequency of an injected wave whose direction turns: the mean of the two strongest lines on either side.
+
+    A vector that rotates at the frequency itself has but one.
+    """
     n = len(u)
     spectrum = np.abs(np.fft.fft(u * np.hanning(n)))
     spectrum[:3] = spectrum[-2:] = 0.0
     ahead, behind = int(np.argmax(spectrum[: n // 2])), int(np.argmax(spectrum[: n // 2 : -1])) + 1
-    if spectrum[ahead] == 0.0:
+    lines = sorted((float(spectrum[place]), abs(place)) for place in (ahead, -behind))
+    if lines[1][0] == 0.0:
         return None
+    if lines[0][0] < ONE_LINE * lines[1][0]:
+        return lines[1][1] / n
     if max(ahead, behind) > 2 * min(ahead, behind):
         return None
     return 0.5 * (ahead + behind) / n
