@@ -8,7 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_refit
-from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_further, with_detail
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate, require_known, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
@@ -93,6 +93,8 @@ def _added(
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
+    if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
+        steps[-1] = replace(steps[-1], fit=_as_detailed_as_asked(setup, steps[-1].fit))
     ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup.unweighed, steps))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
@@ -112,6 +114,12 @@ def _grown(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
     free = [a.freeing(*shapes.get(a.name, ())) for a in again.model.active]
     again = repolished(fitter, fitter.fit(again.model.with_active(free), again.frame))
     return min(grown, again, key=lambda f: f.chi2)
+
+
+def _as_detailed_as_asked(setup: DiagnosisSetup, fit: Fit) -> Fit:
+    """The model on a map as fine as the data ask for now: beside what was missing, detail was not worth its freedom."""
+    detailed = with_detail(setup, setup.fitter, fit)
+    return fit if detailed is fit else setup.fitter.fit(detailed.model, detailed.frame)
 
 
 def _in_usual_shape(active: Active) -> Active:

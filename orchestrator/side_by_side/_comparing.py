@@ -110,19 +110,28 @@ def compare_runs(paths: Sequence[Path]) -> SideBySide:
     quantities = (_quantity("R_s", "ohm", [run.resistance() for run in runs]), *_of_maps(runs))
     effects = tuple(_of_effects(runs))
     maps = tuple(_map_change(runs[0], run, k) for k, run in enumerate(runs) if k)
+    names = _names([run.path.resolve() for run in runs])
     told = RunsComparison(
-        runs=tuple(_run_of(run) for run in runs),
+        runs=tuple(_run_of(run, name) for run, name in zip(runs, names, strict=True)),
         quantities=quantities,
         effects=effects,
         maps=maps,
-        remarks=tuple(_remarks(runs, quantities, effects, maps)),
+        remarks=tuple(_remarks(runs, names, quantities, effects, maps)),
     )
     return SideBySide(told, runs)
 
 
-def _run_of(run: RunSaid) -> RunOf:
+def _names(paths: Sequence[Path]) -> list[str]:
+    """What runs are called: by their folders, and by those that these are in where they are called alike."""
+    depth = 1
+    while len({path.parts[-depth:] for path in paths}) < len({*paths}):
+        depth += 1
+    return ["/".join(path.parts[-depth:]) for path in paths]
+
+
+def _run_of(run: RunSaid, name: str) -> RunOf:
     return RunOf(
-        name=run.path.resolve().name,
+        name=name,
         path=str(run.path),
         created=run.manifest.created,
         motor=run.manifest.motor.name,
@@ -251,13 +260,17 @@ def _slide_and_gain(first: RunSaid, at: Array, apart: Array) -> tuple[float, flo
 
 
 def _remarks(
-    runs: Sequence[RunSaid], quantities: Sequence[Quantity], effects: Sequence[Quantity], maps: Sequence[MapChange]
+    runs: Sequence[RunSaid],
+    names: Sequence[str],
+    quantities: Sequence[Quantity],
+    effects: Sequence[Quantity],
+    maps: Sequence[MapChange],
 ) -> list[Remark]:
     said = []
-    if len({run.manifest.motor.name for run in runs}) > 1:
+    one_motor = len({run.manifest.motor.name for run in runs}) == 1
+    if not one_motor:
         said.append(Remark.of("other_motors", "the runs name different motors"))
-    for k, run in enumerate(runs):
-        name = run.path.resolve().name
+    for k, (run, name) in enumerate(zip(runs, names, strict=True)):
         if not run.estimates.usable:
             said.append(Remark.of("unusable", "the map of {run} is not to be relied on", run=name))
         if not k:
@@ -267,7 +280,7 @@ def _remarks(
         if map_.changed is None:
             said.append(Remark.of("map_unsure", "whether the map of {run} changed cannot be said", run=name))
         said.append(_change(name, changes, map_))
-        if quantities[0].changed[k]:
+        if quantities[0].changed[k] and one_motor:
             said.append(_warming(name, quantities[0].values[0], quantities[0].values[k]))
     return said
 

@@ -91,6 +91,23 @@ def test_a_warmer_winding_is_told_in_kelvin(tmp_path: Path) -> None:
     assert found.remarks[1].values["kelvin"] == pytest.approx(30.0)
 
 
+def test_runs_that_are_called_alike_are_told_apart_by_where_they_are(tmp_path: Path) -> None:
+    for where in ("one", "two"):
+        (tmp_path / where).mkdir()
+    found = compare_runs([run(tmp_path / "one", "rec"), run(tmp_path / "two", "rec", r_s=5.0)]).comparison
+    assert [of.name for of in found.runs] == ["one/rec", "two/rec"]
+    assert {remark.values["run"] for remark in found.remarks} == {"two/rec"}
+
+
+def test_another_motor_is_not_the_same_one_warmed(tmp_path: Path) -> None:
+    other = run(tmp_path, "b", r_s=0.4)
+    manifest = json.loads((other / "recording.json").read_text())
+    (other / "recording.json").unlink()
+    manifest["motor"]["name"] = "another"
+    (other / "recording.json").write_text(json.dumps(manifest))
+    assert codes(compare_runs([run(tmp_path, "a"), other]).comparison) == ["other_motors", "changed"]
+
+
 def test_a_weaker_magnet_is_a_slide_and_a_sensor_is_a_gain(tmp_path: Path) -> None:
     found = compare_runs([run(tmp_path, "a"), run(tmp_path, "b", moved(0.05)), run(tmp_path, "c", moved(gain=1.01))])
     slid, grown = found.comparison.maps
