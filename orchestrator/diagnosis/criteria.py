@@ -265,6 +265,8 @@ class SelectionCriteria(Strict):
     """Half width of the map's 95 % band, of the rated flux, beyond which the map is no longer one to be relied on."""
     overlooked_beside: float = _is(0.3, "1", "practice")
     """Part of the most that an absent effect promises from which on another is tried together with it."""
+    near_enough: float = _is(3.0, "1", "budget")
+    """Of chi2 with what scatters taken for noise, up to which a descent without that is gone on with where it ended."""
     joint_rounds: tuple[int, int] = _is((6, 15), "1", "budget")
     """How often the columns of all effects together are made anew: amplitudes alone, and with shapes."""
     formings: int = _is(3, "1", "budget")

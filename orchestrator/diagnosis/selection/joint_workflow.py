@@ -122,6 +122,10 @@ def without_needless_scatter(
         return setup, doubting, fit
     plain = setup.with_noise(ModelNoise()) if setup.fitter.noise.of_model.scatters else setup
     alone = in_own_forms(plain.coarse_fitter, plain.coarse_fitter.renewed(model or fit.model))
+    near = plain.prepared.criteria.selection.near_enough * fit.chi2_per_dof
+    if alone.objective >= fit.objective and alone.chi2_per_dof < near:
+        # From far off a descent may end on its way: its steps have become short.
+        alone = in_own_forms(plain.coarse_fitter, alone)
     return (plain, plain, alone) if alone.objective < fit.objective else (setup, doubting, fit)
 
 
