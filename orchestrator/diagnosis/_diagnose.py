@@ -42,12 +42,12 @@ from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.measured import with_measured
 from orchestrator.diagnosis.selection.rippling import is_of_the_other_kind
 from orchestrator.diagnosis.selection.shares import (
-    can_tell,
     left_of_excitation,
     rated_flux_wb,
     shares,
     unexplained_at_rest_v,
     visited,
+    why_nothing_is_told,
 )
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together, verdict_of
@@ -259,7 +259,8 @@ def _diagnosed(
     # As whoever reads the model back will find it, not as the search left it.
     held = plain.fitter.hold(last.model)
     verdict = "unknown_remains" if periodic else verdict_of(first, held, len(found))
-    doubted = bool(rare_together(last)) or not can_tell(last, noise_rms_v(last), error)
+    doubts = why_nothing_is_told(last, noise_rms_v(last), error)
+    doubted = bool(rare_together(last)) or bool(doubts)
     if verdict != "unknown_remains" and doubted:
         verdict = "cannot_tell"
     left = unexplained(plain, first.chi2_per_dof, last)
@@ -287,6 +288,7 @@ def _diagnosed(
         next_experiment=_proposal(plain, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
             *_remarks(setup, search, verdict, left, doubtful),
+            *(doubts if verdict == "cannot_tell" else ()),
             *said_by_effects(sized, {effect.name for effect in found}),
             *said_of_sizes(last),
             *other_opinion(joint, active, last.criteria.selection),

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.selection.joint_search import without_effect
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.types import Array
-from protocols import SegmentStage
+from protocols import Remark, SegmentStage
 
 
 @dataclass(frozen=True)
@@ -98,11 +98,20 @@ def _without_current(piece: SegmentSignals) -> bool:
     return piece.stage is SegmentStage.GATES_OFF
 
 
-def can_tell(fit: Fit, noise_v: float | None, current_error: float | None) -> bool:
-    """Whether a model that fits says anything: not beside a large noise, nor where its current is far off."""
-    limits = fit.criteria.selection
-    quiet = noise_v is None or noise_v <= limits.most_floor * excitation_v(fit)
-    return quiet and (current_error is None or current_error <= limits.most_current_error)
+def why_nothing_is_told(fit: Fit, noise_v: float | None, current_error: float | None) -> list[Remark]:
+    """Why a model that fits says nothing, if it does not: beside a large noise, or where its current is far off."""
+    limits, told = fit.criteria.selection, []
+    excited = excitation_v(fit)
+    if noise_v is not None and noise_v > limits.most_floor * excited:
+        text = "noise alone makes {noise_mv:.3g} mV of the {excited_mv:.3g} mV that were injected or swept: too much"
+        told.append(Remark.of("noise_too_large", text, noise_mv=1e3 * noise_v, excited_mv=1e3 * excited))
+    if current_error is not None and current_error > limits.most_current_error:
+        text = (
+            "by the model alone the current runs off, by {percent:.2g} % of its range (rms): somewhere that it was "
+            "excited the map does not hold, as where points are too far apart for how the iron bends"
+        )
+        told.append(Remark.of("current_runs_off", text, percent=100.0 * current_error))
+    return told
 
 
 def visited(fit: Fit) -> Array:
