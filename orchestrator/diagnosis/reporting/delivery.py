@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.fitting.corrections import apply_effects, is_doubtful
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.findings import said_of_sizes
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
@@ -16,6 +16,8 @@ from orchestrator.diagnosis.selection.verdict import most_strained
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
+_WIDE = (SegmentStage.CLASSICAL, SegmentStage.STEPS)
+"""Stages whose currents go round wide loops of what remembers."""
 METHOD = "model"
 """Under which the map of the whole model is kept beside the estimators'."""
 
@@ -113,8 +115,25 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
     if verdict not in ("clean", "explained") and (name := most_strained(fit)):
         text = "{effect} has a form as no such effect has, and may stand in for what is unknown"
         against.append(Remark.of("strained_form", text, effect=name))
+    against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += said_of_sizes(fit)
     if band_percent > limits.widest_band_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
     return [one.by(METHOD) for one in against]
+
+
+def remembering_by_ripple_alone(fit: Fit, moved: Mapping[str, float]) -> list[str]:
+    """Effects that remember where a segment came from, move the map, and were seen by a ripple alone."""
+    if any(piece.stage in _WIDE for piece in fit.prepared.pieces):
+        return []
+    least = fit.criteria.selection.material_flux
+    return [a.name for a in fit.model.active if is_doubtful(a) and moved.get(a.name, 0.0) > least]
+
+
+def _of_small_loops(name: str) -> Remark:
+    text = (
+        "{effect} was seen by a ripple alone, which goes round small loops: of wide ones, and so of the flux, it says "
+        "little; sweep the current"
+    )
+    return Remark.of("small_loops", text, effect=name)

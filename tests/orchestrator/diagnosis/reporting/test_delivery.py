@@ -8,10 +8,11 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.delivery import objections_to
+from orchestrator.diagnosis.reporting.delivery import objections_to, remembering_by_ripple_alone
+from plugins.effects.iron import Hysteresis
 from plugins.effects.resistance import PhaseResistanceImbalance, WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch, ThirdCurrentSensor
-from protocols import Verdict
+from protocols import SegmentStage, Verdict
 from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared
 
 
@@ -55,3 +56,14 @@ def test_three_large_effects_at_once_may_be_another_that_acts_like_them(fit: Fit
         active = [one.absent().freeing(*one.amplitudes).moved(one.amplitudes[0], off) for one in library]
         assert _codes(replace(fit, model=fit.model.with_active(active)), "explained") == codes
         assert _codes(replace(fit, model=fit.model.with_active(active[:2])), "explained") == []
+
+
+def test_what_iron_remembers_is_not_told_by_a_ripple_alone(fit: Fit) -> None:
+    """A play of 32 mA was 19 mA (16 to 21) by injection, and the map 1.2 % off."""
+    (hysteresis,) = scaled_library([Hysteresis()], fit.prepared.manifest)
+    there = replace(fit, model=fit.model.with_active([hysteresis.absent().moved("half_width_a", 1.0)]))
+    still = [p for p in fit.prepared.pieces if p.stage is not SegmentStage.CLASSICAL]
+    rippled = replace(there, prepared=replace(fit.prepared, pieces=tuple(still)))
+    assert remembering_by_ripple_alone(there, {"hysteresis": 0.01}) == []
+    assert remembering_by_ripple_alone(rippled, {"hysteresis": 0.01}) == ["hysteresis"]
+    assert remembering_by_ripple_alone(rippled, {"hysteresis": 0.0001}) == []
