@@ -99,10 +99,10 @@ class Helpers:
         """As `Hands` has it."""
         if self.count < 1:
             return OneHand().made(job, which)
-        self._hire_for(job)
         owners = _owners(job, self.count + 1)
         parts = [[k for k in which if owners[k] == n] for n in range(self.count + 1)]
         try:
+            self._hire_for(job)
             message = self._message(job)
             for helper, part in zip(self._hired, parts[1:], strict=True):
                 helper.ask(message, part)

@@ -152,6 +152,23 @@ def test_what_is_too_large_for_the_room_is_made_alone(
     assert_same(replace(alone, hands=team).fit(model), alone.fit(model))
 
 
+def test_where_nobody_can_be_hired_it_is_made_alone(
+    alone: Fitter, team: Helpers, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fork, hired = os.fork, list[int]()
+
+    def only_one() -> int:
+        if hired:
+            raise BlockingIOError("Resource temporarily unavailable")
+        hired.append(fork())
+        return hired[0]
+
+    monkeypatch.setattr(os, "fork", only_one)
+    model = with_free(free_model(), alone, VoltageBias())
+    assert_same(replace(alone, hands=team).fit(model), alone.fit(model))
+    assert not any(map(is_there, hired))
+
+
 class OnceTooMuch:
     """Raises where it is led through a segment that begins late."""
 
