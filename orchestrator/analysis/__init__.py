@@ -16,7 +16,8 @@ from orchestrator.analysis._integration import Inductances, IntegratedFlux, alon
 from orchestrator.analysis._known_resistance import UNSTATED, KnownResistance, known_resistance
 from orchestrator.analysis._next_point import Candidate, KnownMap, injected_points, known_map
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._ripple import ONE_AXIS, Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
+from orchestrator.analysis._ripple import Ripple, axes_apart_rad, demodulate, injection_frequency, one_way_rad
+from orchestrator.analysis._ripple_regression import ONE_AXIS
 from orchestrator.analysis._rotor_lock import judge_lock
 from orchestrator.analysis._spin import (
     SpinFit,

@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.analysis._phase_loss import NO_LOSS, PhaseLoss
-from orchestrator.analysis._ripple_regression import symmetric_regression
+from orchestrator.analysis._ripple_regression import ONE_AXIS, symmetric_regression
 from orchestrator.numerics.types import Array
 from protocols import Capture, NotMeasuredError
 
@@ -41,7 +41,6 @@ TURNS_RAD = 0.2
 """From the first third of a capture to its last, by which a wave turns that is none along one axis."""
 ONE_LINE = 0.01
 """Power of the weaker of a wave's two lines over the stronger's, below which there is but one: the vector rotates."""
-ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
 
 
 @dataclass(frozen=True)
@@ -125,10 +124,10 @@ def injection_frequency(v_ab: NDArray[np.floating], sampling_frequency_hz: float
     if spectrum.max() <= (1e-9 * largest * n) ** 2:
         raise NotMeasuredError(where, "v_alpha, v_beta", "no injected voltage was found")
     # The second half begins with the line at minus one bin.
-    (ahead, high), (behind, low) = (_peak(half) for half in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
-    lines = ahead, behind + 1.0
-    one_line = min(high, low) < ONE_LINE * max(high, low)
-    return (lines[0 if high > low else 1] if one_line else 0.5 * sum(lines)) * sampling_frequency_hz / n
+    (ahead, power_ahead), (behind, power_behind) = (_peak(x) for x in (spectrum[: n // 2], spectrum[: n // 2 : -1]))
+    (weaker, line), (stronger, other) = sorted([(power_ahead, ahead), (power_behind, behind + 1.0)])
+    cycles = other if weaker < ONE_LINE * stronger else 0.5 * (line + other)
+    return cycles * sampling_frequency_hz / n
 
 
 @lru_cache(maxsize=4)

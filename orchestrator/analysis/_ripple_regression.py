@@ -15,11 +15,13 @@ from protocols import NotMeasuredError
 
 # The unknowns: H_11 H_12 H_22 | H_111 H_112 H_122 H_222 | four of the free matrix on Q | H_1111 .. H_2222.
 _HESSIAN, _THIRD, _FREE, _FOURTH = slice(0, 3), slice(3, 7), slice(7, 11), slice(11, 16)
+_P, _Q = slice(0, 2), slice(2, 4)
 _FEATURES_OF_ORDER = {1: 4, 2: 7, 3: 11}
 _UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(range(16))}
 APART = 0.05
 """Part of Q that P does not explain, below which both tell the same: 0.24 and more where a wave's axis turns, 0.003 at
 most of a vector that rotates at the wave's own frequency."""
+ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
 TOGETHER = "a voltage that rotates at its own frequency tells inductances beside a known R_s only, and none is known"
 
 
@@ -81,12 +83,13 @@ def symmetric_regression(
         known_ohm = resistance_ohm
         normal = normal.copy()
         for lines in (normal, normal.T):
-            lines[:2] -= known_ohm * lines[2:4]
+            lines[_P] -= known_ohm * lines[_Q]
     for order in (3, 2, 1):
         features = np.arange(_FEATURES_OF_ORDER[order])
         unknowns = np.array(_UNKNOWNS_OF_ORDER[order])
         if known_ohm is not None:
-            features, unknowns = np.delete(features, [2, 3]), unknowns[(unknowns < 7) | (unknowns > 10)]
+            features = np.delete(features, _Q)
+            unknowns = unknowns[(unknowns < _FREE.start) | (unknowns >= _FREE.stop)]
         scale = np.sqrt(np.diag(normal)[features])
         if not (scale > 0).all():
             continue
@@ -96,12 +99,12 @@ def symmetric_regression(
             if known_ohm is not None:
                 found = replace(found, decay_per_s=known_ohm * found.hessian)
             return _between_samples(found, sampling_s)
-    raise NotMeasuredError(where, "v_alpha, v_beta", "the injected voltage does not turn; both axes need to be excited")
+    raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
 
 
 def _are_apart(normal: Array) -> bool:
     """Whether Q tells more than P does: a resistance beside inductances."""
-    own, across, other = normal[:2, :2], normal[:2, 2:4], normal[2:4, 2:4]
+    own, across, other = normal[_P, _P], normal[_P, _Q], normal[_Q, _Q]
     size = np.sqrt(np.diag(other))
     if not (size > 0.0).all() or np.linalg.matrix_rank(own, hermitian=True) < 2:
         return True
