@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
 from orchestrator.diagnosis.fitting.segment_work import Hands
+from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
@@ -247,7 +248,7 @@ def _fitted_on(fitter: Fitter, model: Model, fit: Fit) -> Fit:
 def _reaching(fit: Fit) -> EvenSpline:
     """The fit's grid, or one that reaches all currents in its frame where some leave it by more than a little."""
     grid = fit.model.space.grid
-    seen = [p.local.i_dq for p in fit.frame.pieces]
+    seen = [true_frame(p, fit.corrected(k))[0] for k, p in enumerate(fit.prepared.pieces)]
     low, high = min(float(i[:, 0].min()) for i in seen), max(float(i[:, 0].max()) for i in seen)
     q = max(float(np.abs(i[:, 1]).max()) for i in seen)
     bearable = fit.criteria.fitting.beyond_map

@@ -10,7 +10,7 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import Active
-from orchestrator.diagnosis.weak_form.equations import LocalMap
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
@@ -78,8 +78,6 @@ class SegmentFrame:
 
     base: Signals
     """As measured, with the model's resistance and flux."""
-    local: LocalMap
-    """Where the effects are in the frame's model."""
     whitener: Whitener
     basis: Array
     white_basis: Array
@@ -168,6 +166,10 @@ class Fit:
     @property
     def chi2_per_dof(self) -> float:
         return self.chi2 / self.dof
+
+    def corrected(self, index: int) -> Signals:
+        """One piece's signals as the model's effects say that they truly are."""
+        return apply_effects(self.frame.pieces[index].base, self.model.active).signals
 
     def chi2_of(self, use: Callable[[SegmentSignals], bool]) -> float | None:
         """Mean square of the whitened residual of some pieces; None where there are none."""

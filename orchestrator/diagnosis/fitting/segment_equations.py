@@ -101,7 +101,7 @@ class SegmentEquations:
             white = old.white_basis
         else:
             white = whitener(raw if model.space.is_free else raw @ model.space.directions)
-        return Place(piece, SegmentFrame(base, local, whitener, raw, white, mean, carriers), cascade, local)
+        return Place(piece, SegmentFrame(base, whitener, raw, white, mean, carriers), cascade, local)
 
     def place(self, model: Model, piece: SegmentSignals, frame: SegmentFrame) -> Place:
         """A segment where the model stands, in a frame of before."""

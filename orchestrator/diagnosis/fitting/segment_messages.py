@@ -10,7 +10,6 @@ from orchestrator.diagnosis.fitting.columns import ColumnProbe
 from orchestrator.diagnosis.fitting.model import SegmentFrame, SegmentRows
 from orchestrator.diagnosis.fitting.segment_work import Made
 from orchestrator.diagnosis.fitting.shared_room import Content
-from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.noise import Whitener
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
@@ -45,7 +44,6 @@ def _said_of_frame(frame: SegmentFrame, piece: SegmentSignals, old: SegmentFrame
     return {
         "base": {name: array for name, array in _arrays_of(base).items() if array is not getattr(measured, name)},
         "power": base.losses and base.losses.power_w,
-        "local": [getattr(frame.local, part.name) for part in fields(LocalMap)],
         "noise": None if same_noise else _said_of_noise(frame),
         "basis": None if old is not None and frame.basis is old.basis else frame.basis,
         "white_basis": None if old is not None and frame.white_basis is old.white_basis else frame.white_basis,
@@ -72,7 +70,6 @@ def _heard_of_frame(said: Content, piece: SegmentSignals, old: SegmentFrame | No
         known, mean, carried = old.whitener, old.mean_inductance, old.carried_by
     return SegmentFrame(
         measured.model_copy(update={**said["base"], "losses": losses}),
-        LocalMap(*said["local"]),
         known,
         _or_of(said["basis"], old, "basis"),
         _or_of(said["white_basis"], old, "white_basis"),

@@ -8,9 +8,8 @@ from collections.abc import Callable
 import numpy as np
 from numba import njit
 
-from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.weak_form.equations import true_frame
+from orchestrator.diagnosis.weak_form.equations import local_map
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
@@ -27,8 +26,9 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     and angle taken from the record. Both currents are without what the iron adds.
     """
     piece = fit.prepared.pieces[index]
-    corrected = apply_effects(fit.frame.pieces[index].base, fit.model.active).signals
-    i_dq, _ = true_frame(piece, corrected)
+    corrected = fit.corrected(index)
+    local = local_map(piece, corrected, fit.model.magnetics)
+    i_dq = local.i_dq
     n = min(len(i_dq), samples or len(i_dq))
     angle = np.asarray(corrected.theta_rad, dtype=np.float64)[:n]
     grid = fit.model.magnetics.grid
@@ -37,7 +37,7 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     resistance = np.ascontiguousarray(corrected.resistance_ohm[:n]) * (
         fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]
     )
-    inductances = fit.frame.pieces[index].local.inductance[:, [0, 2]]
+    inductances = local.inductance[:, [0, 2]]
     least = 0.2 * float(np.median(inductances))
     decay = ts * float(resistance.max()) / max(float(inductances.min()), least)
     predicted = _simulate(

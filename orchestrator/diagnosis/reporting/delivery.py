@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.corrections import apply_effects, is_doubtful
+from orchestrator.diagnosis.fitting.corrections import is_doubtful
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.findings import said_of_sizes
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
@@ -82,8 +82,8 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
     fit = uncertainty.fit
     value, half = fit.model.r_s, fit.criteria.uncertainty.interval * uncertainty.resistance_ohm
     ends = [
-        float(np.mean(apply_effects(frame.base, fit.model.active).signals.resistance_ohm))
-        for piece, frame in zip(fit.prepared.pieces, fit.frame.pieces, strict=True)
+        float(np.mean(fit.corrected(k).resistance_ohm))
+        for k, piece in enumerate(fit.prepared.pieces)
         if piece.stage is not SegmentStage.GATES_OFF
     ]
     told = "R_s is that of the whole model, the winding as warm as at the start"

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
-from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.weak_form.equations import true_frame
@@ -139,8 +138,7 @@ def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
     """
     piece = fit.prepared.pieces[index]
     predicted, corrected = simulated_current(fit, index, samples)
-    signals = apply_effects(fit.frame.pieces[index].base, fit.model.active).signals
-    _, delta = true_frame(piece, signals)
+    _, delta = true_frame(piece, fit.corrected(index))
     measured = to_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
     return measured + _believed(predicted - corrected, delta), measured
 
@@ -153,15 +151,14 @@ def _believed(x_dq: Array, delta: Array) -> Array:
 def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     """Flux over one period in the believed frame: int (v - R i) dt with the effects' corrections, and psi(i)."""
     piece = fit.prepared.pieces[index]
-    segment_frame = fit.frame.pieces[index]
-    corrected = apply_effects(segment_frame.base, fit.model.active).signals
+    corrected = fit.corrected(index)
     ts = 1.0 / piece.signals.sampling_frequency_hz
     i_true, delta = true_frame(piece, corrected)
     last = slice(len(i_true) - _period(piece), len(i_true))
     magnet = np.array([_magnet_wb(piece), 0.0])
     psi, _ = fit.model.magnetics.flux_and_inductance(i_true[last])
     model = _believed(psi + magnet, delta[last])
-    measured = _integral(corrected, fit.model.r_s / float(segment_frame.base.resistance_ohm[0]), last, ts)
+    measured = _integral(corrected, fit.model.r_s / float(fit.frame.pieces[index].base.resistance_ohm[0]), last, ts)
     measured = to_dq(measured, piece.segment.rotor_angle_rad)
     i_dq = to_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
     stride = math.ceil(len(i_dq) / fit.criteria.pictures.most_points)

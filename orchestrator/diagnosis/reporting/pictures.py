@@ -14,7 +14,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops
 from orchestrator.diagnosis.reporting.ladder import noise_rms_v, rung
@@ -162,8 +161,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         if square < (fit.criteria.pictures.least_dwell_current * largest) ** 2 or square == 0.0:
             continue
         base = fit.frame.pieces[row.index].base
-        corrected = apply_effects(base, fit.model.active).signals
-        model = float(corrected.resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
+        model = float(fit.corrected(row.index).resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
         asked = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
         dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
     if not dwells:

@@ -17,7 +17,7 @@ import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit, SegmentFrame
 from orchestrator.diagnosis.uncertainty.timer_counting import counting
-from orchestrator.diagnosis.weak_form.equations import difference
+from orchestrator.diagnosis.weak_form.equations import LocalMap, difference, local_map
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, mean_between
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, added_by, leg_step_of
 from orchestrator.numerics.types import Array, Indices
@@ -110,6 +110,7 @@ class _Segment:
 
     piece: SegmentSignals
     frame: SegmentFrame
+    local: LocalMap
     columns: Array
     residual: Array
     added_ab: Array
@@ -124,7 +125,7 @@ class _Segment:
     def rows_of(self, added_ab: Array, pm_flux_wb: float) -> Array:
         """What an added voltage (readings, 2) changes of the whitened residual (rows,)."""
         v_ab = mean_between(added_ab, self.piece.averaged, self.piece.delay_samples)
-        sums = difference(self.piece, self.frame.base, {"v_ab": v_ab}, self.frame.local, pm_flux_wb)
+        sums = difference(self.piece, self.frame.base, {"v_ab": v_ab}, self.local, pm_flux_wb)
         return self.frame.whitener(self.piece.windows.combine(sums)[:, None])[:, 0]
 
 
@@ -157,17 +158,19 @@ class _Rounding:
         timer, bus_v = fit.prepared.timer, fit.prepared.manifest.drive.dc_bus_voltage_v
         if timer is None:
             raise ValueError("expected a recording with a modulator's timer")
-        pieces = [(p, f) for p, f in zip(fit.prepared.pieces, fit.frame.pieces, strict=True) if not p.held_out]
+        pieces = [(k, p) for k, p in enumerate(fit.prepared.pieces) if not p.held_out]
         nearest = min(borne, key=lambda one: abs(one.timer.step_s / timer.step_s - 1.0))
         nearest = nearest.at([p.pwm_frequency_hz for p in timer.phases])
         place = {p.pwm_frequency_hz: 1 + 2 * k for k, p in enumerate(nearest.timer.phases)}
         segments, most = [], 1.0
-        for (piece, frame), (linear, columns, residual) in zip(pieces, fit.training(), strict=True):
+        for (k, piece), (linear, columns, residual) in zip(pieces, fit.training(), strict=True):
             added, pwm_hz = added_by(timer, piece, bus_v), piece.signals.pwm_frequency_hz
             if added is not None:
                 at = min(place, key=lambda known: abs(known - pwm_hz))
                 heard = np.array([0, place[at], place[at] + 1])
-                segments.append(_Segment(piece, frame, np.column_stack([linear, columns]), residual, added, heard))
+                frame, local = fit.frame.pieces[k], local_map(piece, fit.corrected(k), fit.model.magnetics)
+                follows = np.column_stack([linear, columns])
+                segments.append(_Segment(piece, frame, local, follows, residual, added, heard))
                 most = max(most, float(np.abs(piece.command_ab).max()) / leg_step_of(timer.step_s, pwm_hz, bus_v))
         start = nearest.to(timer)
         unit = np.array([1.0 / most, *[1.0] * (len(start) - 1)])

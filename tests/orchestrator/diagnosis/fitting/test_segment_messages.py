@@ -47,7 +47,7 @@ def test_a_segment_is_heard_as_it_was_said(maker: Fitter) -> None:
     assert there.probe.answers == made.probe.answers
     np.testing.assert_array_equal(there.rows.white, made.rows.white)
     np.testing.assert_array_equal(there.probe.columns, made.probe.columns)
-    np.testing.assert_array_equal(there.frame.local.inductance, made.frame.local.inductance)
+    np.testing.assert_array_equal(there.frame.base.inductance_ab, made.frame.base.inductance_ab)
     assert there.frame.base.losses is not None
     assert made.frame.base.losses is not None
     np.testing.assert_array_equal(there.frame.base.losses.power_w, made.frame.base.losses.power_w)
