@@ -319,13 +319,18 @@ class Signals(ArrayModel):
 
     def corrected(self, correction: Correction) -> Signals:
         """These signals with what an effect changed of them."""
-        changed = correction.arrays
-        if "i_ab" in changed:
-            moved = changed["i_ab"] - self.i_ab
-            changed.setdefault("i_m_ab", self.i_m_ab + moved)
-            if self.i_quiet_ab is not None:
-                changed["i_quiet_ab"] = self.i_quiet_ab + moved
+        changed = self.changed_along(correction.arrays)
         return self.replaced(changed) if changed else self
+
+    def changed_along(self, arrays: Mapping[str, RealArray]) -> Mapping[str, RealArray]:
+        """All that changes where some arrays do, by their names: what magnetises moves along with the current."""
+        if "i_ab" not in arrays:
+            return arrays
+        moved = arrays["i_ab"] - self.i_ab
+        changed = {"i_m_ab": self.i_m_ab + moved, **arrays}
+        if self.i_quiet_ab is not None:
+            changed["i_quiet_ab"] = self.i_quiet_ab + moved
+        return changed
 
     def replaced(self, arrays: Mapping[str, RealArray]) -> Signals:
         """These signals with other arrays of the same shapes in the place of some, by their names.

@@ -13,6 +13,7 @@ from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
 from plugins.effects._filters import lagged_steps
+from plugins.effects._stops import stops, yields_of
 from plugins.effects._vectors import doubles, plus_along
 from protocols import (
     Contrast,
@@ -153,80 +154,6 @@ def _without_eddies(
     return i_out, v_out
 
 
-@njit(cache=True, nogil=True)
-def _stops(
-    psi: Array, before: int, stiffness: Array, limits: Array, softness: float, giving: float, off: Array
-) -> Array:
-    """Sum of vector stop operators of the flux (n, 2), which had its first `before` values before.
-
-    Where it began, the iron remembered nothing.
-
-    Parameters
-    ----------
-    off : array, shape (stops, 2)
-        What it remembers beside that where the rest of the values begin, in the stops' limits.
-    softness : float
-        Outwards a stop moves by 1 - (size / limit)^(1 / softness) of what is elastic; 0: as long as it is below its
-        limit, by all of it.
-    giving : float
-        Which part of what it yields it does so whatever the direction.
-
-    Returns
-    -------
-    array, shape (n - before, 2)
-    """
-    n = psi.shape[0]
-    out = np.zeros((n - before, 2))
-    for m in range(limits.shape[0]):
-        a = 0.0
-        b = 0.0
-        for k in range(n):
-            if k > 0:
-                da = stiffness[m] * (psi[k, 0] - psi[k - 1, 0])
-                db = stiffness[m] * (psi[k, 1] - psi[k - 1, 1])
-                # A step of the flux may be as large as what a stop yields in.
-                parts = 1
-                if softness > 0.0:
-                    parts += min(int(8.0 * math.sqrt(da * da + db * db) / limits[m]), 3)
-                for _ in range(parts):
-                    a, b = _moved(a, b, da / parts, db / parts, limits[m], softness, giving)
-            if k == before:
-                # Beyond its limit a stop holds no more: what leads there stands for as much inwards.
-                more_a, more_b = off[m, 0] * limits[m], off[m, 1] * limits[m]
-                side = -1.0 if (a + more_a) ** 2 + (b + more_b) ** 2 > limits[m] ** 2 else 1.0
-                a, b = a + side * more_a, b + side * more_b
-                beyond = max(math.sqrt(a * a + b * b) / limits[m], 1.0)
-                a, b = a / beyond, b / beyond
-            if k >= before:
-                out[k - before, 0] += a
-                out[k - before, 1] += b
-    return out
-
-
-@njit(cache=True, nogil=True)
-def _moved(
-    a: float, b: float, da: float, db: float, limit: float, softness: float, giving: float
-) -> tuple[float, float]:
-    """A stop (a, b) that its flux would move by (da, db), were it elastic."""
-    along = a * da + b * db
-    if softness > 0.0 and (along > 0.0 or giving > 0.0):
-        size = max(math.sqrt(a * a + b * b), 1e-12 * limit)
-        outwards = along / size
-        way = (1.0 - giving) * max(outwards, 0.0) + giving * math.sqrt(da * da + db * db)
-        # Half of the way out stands for all of it.
-        yielding = min(abs(size + 0.5 * outwards) / limit, 1.0) ** (1.0 / softness) * way / size
-        da -= yielding * a
-        db -= yielding * b
-    a += da
-    b += db
-    square = a * a + b * b
-    if square > limit * limit:
-        scale = limit / math.sqrt(square)
-        a *= scale
-        b *= scale
-    return a, b
-
-
 FORGOTTEN = 0.25
 """Of a stop's limit, the standard deviation of what is not known of it where a segment begins."""
 
@@ -274,25 +201,27 @@ class Hysteresis:
 
     def correct(self, signals: Signals, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * self._held(signals, p, np.zeros((3, 2))))
+        held = self._held(signals, p)(np.zeros((3, 2)))
+        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * held)
 
     def doubts(self, signals: Signals, p: Parameters) -> list[Correction]:
         """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
-        known, doubts = self._held(signals, p, np.zeros((3, 2))), []
+        held, doubts = self._held(signals, p), []
+        known = held(np.zeros((3, 2)))
         for stop in (0, 2):
             for axis in range(2):
                 off = np.zeros((3, 2))
                 off[stop, axis] = FORGOTTEN
-                more = self._held(signals, p, off) - known
-                doubts.append(Correction(i_m_ab=signals.i_m_ab - p.half_width_a * more))
+                doubts.append(Correction(i_m_ab=signals.i_m_ab - p.half_width_a * (held(off) - known)))
         return doubts
 
-    def _held(self, signals: Signals, p: Parameters, off: Array) -> Array:
-        """What the stops hold, shape (n, 2), of a half width."""
+    def _held(self, signals: Signals, p: Parameters) -> Callable[[Array], Array]:
+        """What the stops hold, shape (n, 2), of a half width, by what they remember beside the way here (3, 2)."""
         rest, apart = 1.0 - p.middle_share, math.sqrt(p.variance)
         shares = np.array([rest * p.early_share, p.middle_share, rest * (1.0 - p.early_share)])
         limits = shares * np.exp([-apart, 0.0, apart])
         there = shares > 0.0
+        stiffness, parts = shares[there] / p.yield_wb, limits[there] / limits.sum()
         psi = _flux(signals)
         way = _way_here(signals, psi, p.overshoot)
         course = np.concatenate([way, psi])
@@ -301,15 +230,18 @@ class Hysteresis:
             if p.stiffening_per_wb2 > 0.0:
                 square = np.einsum("ij,ij->i", course, course)
                 course = course * (1.0 + p.stiffening_per_wb2 * square)[:, None]
-            # A hundredth power is as sharp as none, and costs one.
-            softness = p.softness if p.softness > 1e-2 else 0.0
-            stiffness, apart = shares[there] / p.yield_wb, limits[there] / limits.sum()
-            return np.asarray(_stops(course, len(way), stiffness, apart, softness, p.giving, off[there]))
+            return np.asarray(stops(course, len(way), stiffness, parts, yields_of(p.softness), p.giving, off[there]))
 
-        held = stopped(course, off) if p.by_axes < 1.0 else np.zeros_like(psi)
-        if p.by_axes > 0.0:
-            held = (1.0 - p.by_axes) * held + p.by_axes * _by_axes(stopped, course, off, float(signals.theta_rad[0]))
-        return held if p.widening_per_wb2 == 0.0 else held * _width(signals, psi, p.widening_per_wb2)[:, None]
+        def held(off: Array) -> Array:
+            of_all = stopped(course, off) if p.by_axes < 1.0 else np.zeros_like(psi)
+            if p.by_axes > 0.0:
+                of_axes = _by_axes(stopped, course, off, float(signals.theta_rad[0]))
+                of_all = (1.0 - p.by_axes) * of_all + p.by_axes * of_axes
+            if p.widening_per_wb2 == 0.0:
+                return of_all
+            return of_all * _width(signals, psi, p.widening_per_wb2)[:, None]
+
+        return held
 
 
 def _by_axes(stopped: Callable[[Array, Array], Array], course: Array, off: Array, theta_rad: float) -> Array:

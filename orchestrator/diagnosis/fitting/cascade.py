@@ -14,7 +14,7 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
-from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effects, doubts_of
+from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effect, doubts_of
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, Signals
 
@@ -43,7 +43,7 @@ class Cascade:
         effects = tuple(sorted(active, key=lambda a: a.candidate.effect.layer))
         stages = [Corrected(signals)]
         for one in effects:
-            stages.append(apply_effects(stages[-1].signals, [one]))
+            stages.append(apply_effect(stages[-1].signals, one))
         return cls(effects, tuple(stages))
 
     @property
@@ -74,7 +74,7 @@ class Cascade:
             at = behind = sum(a.candidate.effect.layer <= moved.candidate.effect.layer for a in self.effects)
         else:
             behind = at + 1
-        other = apply_effects(self.stages[at].signals, [moved])
+        other = apply_effect(self.stages[at].signals, moved)
         names = other.changed | (self.stages[behind].changed if behind > at else frozenset())
         return self._inwards(behind, _less(other.signals, self.stages[behind].signals, names), answering)
 
@@ -94,7 +94,7 @@ class Cascade:
             inner = self.effects[k]
             if inner.is_absent or (answering is not None and inner.name not in answering):
                 continue
-            other = apply_effects(_plus(self.stages[k].signals, change), [inner])
+            other = apply_effect(_plus(self.stages[k].signals, change), inner)
             names = other.changed | self.stages[k + 1].changed
             if not names:
                 continue

@@ -38,13 +38,23 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
     """
     changed: set[str] = set()
     for item in sorted(active, key=lambda a: a.candidate.effect.layer):
-        sensors = item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS
-        if item.is_absent or not (signals.bridge_on or sensors):
-            continue
-        one = _applied(item, "correct", signals, _said(item, "correct", signals))
+        one = apply_effect(signals, item)
         changed |= one.changed
         signals = one.signals
     return Corrected(signals, frozenset(changed))
+
+
+def apply_effect(signals: Signals, item: Active) -> Corrected:
+    """The signals with one effect accounted for if it is there; with the bridge off nothing is but what sensors do.
+
+    Raises
+    ------
+    PluginError
+        As `apply_effects`.
+    """
+    if item.is_absent or not (signals.bridge_on or item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS):
+        return Corrected(signals)
+    return _applied(item, "correct", signals, _said(item, "correct", signals))
 
 
 def is_doubtful(item: Active) -> bool:
@@ -86,10 +96,8 @@ def _applied(item: Active, method: str, signals: Signals, correction: object) ->
     for name, array in arrays.items():
         before = getattr(signals, name)
         _require_array(item.name, f"{method}: {name}", signals.v_ab if before is None else before, array)
-    changed = set(arrays)
-    if "i_ab" in arrays:
-        changed |= {"i_m_ab"} if signals.i_quiet_ab is None else {"i_m_ab", "i_quiet_ab"}
-    return Corrected(signals.corrected(correction), frozenset(changed))
+    changed = signals.changed_along(arrays)
+    return Corrected(signals.replaced(changed), frozenset(changed))
 
 
 def _require_array(effect: str, name: str, before: RealArray, now: object) -> None:
@@ -98,6 +106,6 @@ def _require_array(effect: str, name: str, before: RealArray, now: object) -> No
         raise PluginError("effects", effect, f"{name} has shape {shape}, not {before.shape}")
     if now.dtype.kind != "f":
         raise PluginError("effects", effect, f"{name} is of type {now.dtype}, not float64")
-    # What is finite adds up to something finite, unless it is beyond all bounds: then each number is asked.
-    if not math.isfinite(now.sum()) and not np.isfinite(now).all():
+    # What is finite has a finite sum of squares, unless it is beyond all bounds: then each number is asked.
+    if not math.isfinite(np.vdot(now, now)) and not np.isfinite(now).all():
         raise PluginError("effects", effect, f"{name} is not finite")

@@ -56,7 +56,7 @@ def solved(
     for piece, segment_frame, row in zip(pieces, frame.pieces, rows, strict=True):
         residual.append(row.white[:, 0] + row.white[:, 1] * r_s + segment_frame.white_basis @ change)
         raw = row.known + row.resistance * r_s + segment_frame.basis @ moved
-        volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight())
+        volts.append(raw * piece.signals.sampling_frequency_hz / piece.windows.absolute_weight)
     training = [e for p, e in zip(pieces, residual, strict=True) if not p.held_out]
     telling = sum(p.windows.telling for p in pieces if not p.held_out)
     chi2 = float(sum(e @ e for e in training))

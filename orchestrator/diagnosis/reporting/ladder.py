@@ -34,7 +34,7 @@ def noise_rms_v(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True
     parts = []
     for piece, segment_frame in zip(fit.prepared.pieces, fit.frame.pieces, strict=True):
         if use(piece):
-            scale = piece.signals.sampling_frequency_hz / piece.windows.absolute_weight()
+            scale = piece.signals.sampling_frequency_hz / piece.windows.absolute_weight
             parts.append(_means(piece, segment_frame.whitener.variance * scale**2))
     return float(np.sqrt(np.mean(np.concatenate(parts)))) if parts else None
 

@@ -137,7 +137,7 @@ class _Rows:
     @property
     def noise_v(self) -> Array:
         """rms of both axes' standard deviations."""
-        scale = self.piece.signals.sampling_frequency_hz / self.piece.windows.absolute_weight()
+        scale = self.piece.signals.sampling_frequency_hz / self.piece.windows.absolute_weight
         variance = self._means(self.fit.frame.pieces[self.index].whitener.variance * scale**2)
         return np.asarray(np.sqrt(variance.mean(axis=1)), dtype=np.float64)
 

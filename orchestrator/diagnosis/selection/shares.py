@@ -145,5 +145,5 @@ def _voltages(fit: Fit) -> list[Array]:
     for piece in fit.prepared.pieces:
         w = piece.windows
         sums = sum_intervals(np.ascontiguousarray(piece.signals.v_ab[:-1]), w.step, w.hats, w.bins, w.n_bins)
-        rows.append(w.combine(sums) / w.absolute_weight())
+        rows.append(w.combine(sums) / w.absolute_weight)
     return rows

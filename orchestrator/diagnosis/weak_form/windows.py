@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numba import njit
@@ -73,6 +74,7 @@ class Windows:
         told[self.unread :: 2] = 0.0
         return told
 
+    @cached_property
     def absolute_weight(self) -> Array:
         """sum_k |w_mk| for each row, shape (rows,): what turns y_m / Ts into a mean."""
         mean = np.abs(self.carriers).mean(axis=1) if self.n_bins > 1 else np.ones(1)

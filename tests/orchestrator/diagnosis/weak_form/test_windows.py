@@ -63,8 +63,8 @@ def test_a_row_over_its_absolute_weight_is_a_mean() -> None:
     plain, periodic = plain_windows(4000, 250.0), periodic_windows(4000, 500.0, 20.0, 40)
     assert plain is not None
     assert periodic is not None
-    np.testing.assert_allclose(_sums(plain, constant) / plain.absolute_weight(), 3.0, rtol=1e-3)
-    means = (_sums(periodic, constant) / periodic.absolute_weight()).reshape(periodic.hats, -1, 2)[:, 0]
+    np.testing.assert_allclose(_sums(plain, constant) / plain.absolute_weight, 3.0, rtol=1e-3)
+    means = (_sums(periodic, constant) / periodic.absolute_weight).reshape(periodic.hats, -1, 2)[:, 0]
     np.testing.assert_allclose(means, 3.0, rtol=1e-3)
 
 

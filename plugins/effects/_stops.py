@@ -1,0 +1,115 @@
+"""Vector stop operators: what is held of a course up to a limit, along whichever way it goes. They know no iron.
+
+Source: A. Bergqvist, Physica B 233 (1997), doi:10.1016/S0921-4526(97)00319-0; the yielding: Y.-K. Wen, J. Eng. Mech.
+Div. 102 (1976) 249.
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+
+import numpy as np
+from numba import njit
+
+from orchestrator.numerics.types import Array
+
+FILLINGS = 1024
+"""Steps of `yields_of`, read linearly between them: 3e-6 of what stops hold, from a softness of 0.1 on."""
+
+
+@lru_cache(maxsize=32)
+def yields_of(softness: float) -> Array:
+    """Which part of a step outwards a stop yields, by how full it is: size / limit in `FILLINGS` steps, and one beyond.
+
+    Nothing, of shape (0,), where it yields at its limit alone.
+    """
+    # A hundredth power is as sharp as none.
+    full = np.minimum(np.arange(FILLINGS + 2) / FILLINGS, 1.0) if softness > 1e-2 else np.zeros(0)
+    return np.asarray(full ** (1.0 / max(softness, 1e-2)))
+
+
+@njit(cache=True, nogil=True)
+def stops(
+    course: Array, before: int, stiffness: Array, limits: Array, yields: Array, giving: float, off: Array
+) -> Array:
+    """Sum of vector stop operators of a course (n, 2), whose first `before` values were before.
+
+    Where it began, nothing was remembered.
+
+    Parameters
+    ----------
+    off : array, shape (stops, 2)
+        What is remembered beside that where the rest of the values begin, in the stops' limits.
+    yields : array
+        Of `yields_of`: outwards a stop moves by what it does not yield of what is elastic; without any, by all of it as
+        long as it is below its limit.
+    giving : float
+        Which part of what it yields it does so whatever the direction.
+
+    Returns
+    -------
+    array, shape (n - before, 2)
+    """
+    n = course.shape[0]
+    out = np.zeros((n - before, 2))
+    held = np.zeros((limits.shape[0], 2))
+    fillings = stiffness / limits
+    soft = yields.size > 0
+    for k in range(n):
+        if k > 0:
+            step_a, step_b = course[k, 0] - course[k - 1, 0], course[k, 1] - course[k - 1, 1]
+            length = math.sqrt(step_a * step_a + step_b * step_b) if soft else 0.0
+            # A stop waits for its own last step alone: side by side they take less time than one after the other.
+            for m in range(limits.shape[0]):
+                a, b, limit = held[m, 0], held[m, 1], limits[m]
+                if not soft:
+                    held[m, 0], held[m, 1] = _within(a + stiffness[m] * step_a, b + stiffness[m] * step_b, limit)
+                    continue
+                # A step of the course may be as large as what a stop yields in.
+                parts = 1 + min(int(8.0 * length * fillings[m]), 3)
+                share = stiffness[m] / parts
+                da, db, far = share * step_a, share * step_b, share * length
+                for _ in range(parts):
+                    part, along = 0.0, a * da + b * db
+                    if along > 0.0 or giving > 0.0:
+                        size = max(math.sqrt(a * a + b * b), 1e-12 * limit)
+                        outwards = max(along / size, 0.0)
+                        # Half of the way out stands for all of it. Read here, for arrays handed on are counted.
+                        full = min(abs(size + 0.5 * along / size) / limit, 1.0) * FILLINGS
+                        below = int(full)
+                        part = yields[below] + (full - below) * (yields[below + 1] - yields[below])
+                        part *= ((1.0 - giving) * outwards + giving * far) / size
+                    a, b = _within(a + da - part * a, b + db - part * b, limit)
+                held[m, 0], held[m, 1] = a, b
+        if k == before:
+            _remember(held, off, limits)
+        if k >= before:
+            for m in range(limits.shape[0]):
+                out[k - before, 0] += held[m, 0]
+                out[k - before, 1] += held[m, 1]
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _remember(held: Array, off: Array, limits: Array) -> None:
+    """What stops hold, in place, with what is remembered beside: both (stops, 2), `off` in the stops' limits."""
+    for m in range(limits.shape[0]):
+        a, b = held[m, 0], held[m, 1]
+        # Beyond its limit a stop holds no more: what leads there stands for as much inwards.
+        more_a, more_b = off[m, 0] * limits[m], off[m, 1] * limits[m]
+        side = -1.0 if (a + more_a) ** 2 + (b + more_b) ** 2 > limits[m] ** 2 else 1.0
+        a, b = a + side * more_a, b + side * more_b
+        beyond = max(math.sqrt(a * a + b * b) / limits[m], 1.0)
+        held[m, 0], held[m, 1] = a / beyond, b / beyond
+
+
+@njit(cache=True, nogil=True)
+def _within(a: float, b: float, limit: float) -> tuple[float, float]:
+    """A vector (a, b), as far as a limit."""
+    square = a * a + b * b
+    if square > limit * limit:
+        scale = limit / math.sqrt(square)
+        a *= scale
+        b *= scale
+    return a, b
