@@ -86,6 +86,7 @@ class Helpers:
 
     count: int
     _hired: list[_Helper] = field(default_factory=list)
+    _ending: list[_Helper] = field(default_factory=list)
     _known: dict[int, object] = field(default_factory=dict)
     """What helpers were forked with and messages refer to, by identity."""
     _frames: dict[int, weakref.ref[Frame]] = field(default_factory=dict)
@@ -124,14 +125,18 @@ class Helpers:
             self._framed = id(frame)
 
     def retire(self) -> None:
-        """End all helpers; none is hired again."""
+        """End all helpers, and wait for it; none is hired again."""
+        self._dismiss()
         self._dismiss()
         self.count = 0
 
     def _dismiss(self) -> None:
+        # Those of before have ended by now: what they had takes a while to be given back.
+        for helper in self._ending:
+            helper.gone()
         for helper in self._hired:
             helper.end()
-        self._hired, self._stand, self._framed = [], None, None
+        self._hired, self._ending, self._stand, self._framed = [], self._hired, None, None
 
     def _hire_for(self, job: Job) -> None:
         """See that there are helpers who know all that a job refers to."""
@@ -248,8 +253,12 @@ class _Helper:
         self.connection.close()
         with suppress(ProcessLookupError, ChildProcessError):
             os.kill(self.pid, signal.SIGKILL)
-            os.waitpid(self.pid, 0)
         self.room.close()
+
+    def gone(self) -> None:
+        """Wait until it has ended."""
+        with suppress(ChildProcessError):
+            os.waitpid(self.pid, 0)
 
 
 def _serve(connection: Connection, room: SharedRoom, bench: _Bench) -> None:

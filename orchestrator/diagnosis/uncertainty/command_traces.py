@@ -128,7 +128,7 @@ def _foretold(i_ab: Array, acting_ab: Array) -> tuple[Array, Array, Array, Array
     # Row k has readings and commands k + LAGS - 1, k + LAGS - 2, ..., k.
     rows = sliding_window_view(both, LAGS, axis=0)[:-1, :, ::-1].transpose(0, 2, 1)
     past = rows.reshape(len(rows), -1)
-    past = past - past.mean(axis=0)
+    past -= past.mean(axis=0)
     size = past.std(axis=0)
     size[size == 0.0] = 1.0
     past /= size

@@ -164,12 +164,15 @@ class _Comb:
 
     def informed(self, step_s: float) -> Array:
         """About each harmonic of a step's saw (HARMONICS,); a command that stands still for a while tells nothing."""
-        told, m, some = np.zeros(HARMONICS), np.arange(1, 1 + HARMONICS)[:, None, None, None], STRAIGHT // SOME
+        told, some = np.zeros(HARMONICS), STRAIGHT // SOME
         for width_s, information in zip(self.widths_s, self.information, strict=True):
             asked = width_s[::SOME]
             parts = asked[: len(asked) // some * some].reshape(-1, some, 3)
-            still = np.abs(np.exp(2j * np.pi / step_s * m * parts).mean(axis=2)) ** 2
-            told += information * (1.0 - still.mean(axis=(1, 2)))
+            turn = np.exp(2j * np.pi / step_s * parts)
+            turned = np.ones_like(turn)
+            for m in range(HARMONICS):
+                turned *= turn
+                told[m] += information * (1.0 - float((np.abs(turned.mean(axis=1)) ** 2).mean()))
         return told
 
     def rounding(self, step_s: float, rise: Array, fall: Array, informed: Array) -> tuple[Array, Array]:

@@ -119,9 +119,10 @@ def test_a_frame_that_helpers_have_never_seen_has_them_hired_anew(alone: Fitter,
     assert_same(joined.evaluate(model, frame), alone.evaluate(model, frame))
     after = [helper.pid for helper in team._hired]
     assert not {*before} & {*after}
-    assert not any(map(is_there, before))
     joined.evaluate(model, frame)
     assert [helper.pid for helper in team._hired] == after
+    team.retire()
+    assert not any(map(is_there, [*before, *after]))
 
 
 def test_frames_are_forgotten_with_their_fits(alone: Fitter, team: Helpers) -> None:
