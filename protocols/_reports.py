@@ -140,9 +140,10 @@ class ManifestCorrection(Lenient):
 
     text: str
     field: (
-        Literal["currents", "voltages", "sampling_frequency_hz", "voltage_delay_samples", "rotor_angle_rad"] | None
+        Literal["currents", "voltages", "sampling_frequency_hz", "voltage_delay_samples", "rotor_angle_rad", "axes"]
+        | None
     ) = None
-    """What is to be corrected."""
+    """What is to be corrected; ``axes``: the rotor's angle, with set-points and nameplate that are in its frame."""
     factor: float | None = None
     """By which its values are to be multiplied."""
     matrix: tuple[tuple[float, float], tuple[float, float]] | None = None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+from orchestrator.diagnosis.conventions.axes import quarter_turn
 from orchestrator.diagnosis.conventions.channels import (
     bus_spikes,
     clipped,
@@ -33,6 +34,7 @@ HYPOTHESES: tuple[Callable[[Responses], Convention | None], ...] = (
     against_set_points,
     without_set_points,
     delay,
+    quarter_turn,
     against_nameplate,
     lambda seen: bus_spikes(seen.survey),
 )

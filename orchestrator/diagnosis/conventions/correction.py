@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
-from protocols import Capture, Manifest, ManifestCorrection, RealArray, RecordingReader, Segment, SegmentStage
+from orchestrator.numerics.frames import to_dq
+from protocols import Capture, Manifest, ManifestCorrection, Motor, RealArray, RecordingReader, Segment, SegmentStage
 
 
 class CorrectedRecording:
@@ -64,7 +66,27 @@ def _corrected(manifest: Manifest, correction: ManifestCorrection) -> tuple[Mani
         delay = (drive.voltage_delay_samples or 0.0) + add
         drive = drive.model_copy(update={"voltage_delay_samples": max(delay, 0.0)})
         return manifest.model_copy(update={"drive": drive}), round(max(-delay, 0.0))
-    segments = manifest.segments
-    if correction.field == "rotor_angle_rad":
+    segments, motor = manifest.segments, manifest.motor
+    if correction.field in ("rotor_angle_rad", "axes"):
         segments = tuple(s.model_copy(update={"rotor_angle_rad": factor * s.rotor_angle_rad + add}) for s in segments)
-    return manifest.model_copy(update={"drive": drive, "segments": segments}), 0
+    if correction.field == "axes":
+        segments = tuple(s.model_copy(update={"settings": _turned_back(s.settings, add)}) for s in segments)
+        motor = _on_the_magnets_axis(motor)
+    return manifest.model_copy(update={"drive": drive, "motor": motor, "segments": segments}), 0
+
+
+def _turned_back(settings: Mapping[str, Any], turn_rad: float) -> dict[str, Any]:
+    """Set-points in a frame that has been turned by an angle."""
+    turned = dict(settings)
+    for d, q in (("current_d_a", "current_q_a"), ("target_d_a", "target_q_a")):
+        if all(isinstance(settings.get(name), int | float) for name in (d, q)):
+            turned[d], turned[q] = to_dq(np.array([[settings[d], settings[q]]]), turn_rad)[0].tolist()
+    return turned
+
+
+def _on_the_magnets_axis(motor: Motor) -> Motor:
+    """The nameplate with d along the magnet, where the inductance is the smaller one."""
+    d, q = motor.d_inductance_h, motor.q_inductance_h
+    if d is None or q is None or d <= q:
+        return motor
+    return motor.model_copy(update={"d_inductance_h": q, "q_inductance_h": d})
