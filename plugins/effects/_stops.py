@@ -76,7 +76,7 @@ def stops(
                         size = max(math.sqrt(a * a + b * b), 1e-12 * limit)
                         outwards = max(along / size, 0.0)
                         # Half of the way out stands for all of it. Read here, for arrays handed on are counted.
-                        full = min(abs(size + 0.5 * along / size) / limit, 1.0) * FILLINGS
+                        full = min(1.0, abs(size + 0.5 * along / size) / limit) * FILLINGS
                         below = int(full)
                         part = yields[below] + (full - below) * (yields[below + 1] - yields[below])
                         part *= ((1.0 - giving) * outwards + giving * far) / size
