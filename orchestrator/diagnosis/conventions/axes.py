@@ -55,7 +55,7 @@ def _named(turn: float, along: float, across: float) -> Convention:
     )
     return Convention(
         kind="quarter_turn",
-        what=f"the magnet looks to lie on {side}: a reluctance motor's d axis, or an angle a quarter turn off?",
+        what=f"the magnet looks to lie on {side}, as with a reluctance motor's d axis or an angle a quarter turn off",
         evidence=(
             f"inductances at +i_q and -i_q differ by {100.0 * 2.0 * across:.2g} % (rms), at +i_d and -i_d by "
             f"{100.0 * 2.0 * along:.2g} %"
