@@ -34,6 +34,10 @@ _MOST_ALIKE = 0.98
 """Beyond this the readings' noise cannot be told from a current that moves."""
 
 
+_BEYOND_CHANCE = 3.0
+"""Standard deviations."""
+
+
 @dataclass(frozen=True)
 class SensorNoise:
     """Noise of the current readings, as the recording itself shows it.
@@ -148,13 +152,19 @@ def _typical(scatters: Sequence[Scatter]) -> Array:
 def _correlation(steady: Sequence[Scatter], off: Sequence[Scatter], least: float) -> float:
     """rho of the readings' noise as a first-order process; 0 where it may be chance.
 
-    Current control answers to noise that is alike for long; with the gates off nothing does.
+    Current control answers to noise, by which readings are alike; with the gates off nothing does. Where these are so
+    few that what they tell may be chance, rho of white noise being 1 / sqrt(n) off, it is none if that is nearer.
     """
-    held, free = ([s.correlation for s in some if math.isfinite(s.correlation)] for some in (steady, off))
-    rho = float(np.median(held)) if held else 0.0
+    told, free = ([s for s in some if math.isfinite(s.correlation)] for some in (steady, off))
+    rho = float(np.median([s.correlation for s in told])) if told else 0.0
     if abs(rho) < least:
         return 0.0
-    return min(max(float(np.median(free)) if free else rho, -_MOST_ALIKE), _MOST_ALIKE)
+    if free:
+        held, rho = rho, float(np.median([s.correlation for s in free]))
+        chance = 1.0 / math.sqrt(max(sum(s.readings for s in free), 1))
+        if abs(rho) < _BEYOND_CHANCE * chance and abs(rho) < abs(rho - held):
+            return 0.0
+    return min(max(rho, -_MOST_ALIKE), _MOST_ALIKE)
 
 
 @dataclass(frozen=True)

@@ -30,11 +30,14 @@ class Scatter:
         From each reading to the next, as of a first-order process; NaN where the current's own ripple forbids to look.
     spectrum : array
         `spectrum_of` the readings; empty where something is injected.
+    readings : int
+        Of which the correlation is told.
     """
 
     covariance: Array
     correlation: float
     spectrum: Array
+    readings: int = 0
 
 
 def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Scatter:
@@ -58,7 +61,7 @@ def scatter_of(i_ab: Array, period: float | None, *, rests: bool = False) -> Sca
             # A hold may begin before its current has settled, or not settle at all: only what both see is noise.
             at_rest = 1.0 + 2.0 * _lag(np.diff(i_ab[len(i_ab) // 4 :], axis=0))
             alike = at_rest if at_rest - alike < SETTLED else alike
-        return Scatter(_moments(d, usual, 6.0), alike, spectrum_of(i_ab))
+        return Scatter(_moments(d, usual, 6.0), alike, spectrum_of(i_ab), len(i_ab))
     p = round(period)
     settled = i_ab[len(i_ab) // 4 :]
     if abs(p - period) > 1e-6 or len(settled) < 6 * p:

@@ -14,11 +14,12 @@ from orchestrator.diagnosis.weak_form.noise import (
     SensorNoise,
     Slopes,
     Whitener,
+    _correlation,
     _quietest,
     banded_covariance,
     sensor_noise,
 )
-from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_between
+from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_between
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
     FS,
@@ -133,6 +134,17 @@ def test_covariance_and_correlation_of_the_readings_are_found(correlation: float
     found = sensor_noise(holds, WeakFormCriteria())
     assert found.correlation == pytest.approx(correlation, abs=0.05)
     np.testing.assert_allclose(found.covariance, COVARIANCE, rtol=0.12)
+
+
+@pytest.mark.parametrize(
+    ("off", "readings", "told"), [(-0.085, 500, 0.0), (0.1, 500, 0.1), (-0.085, 50_000, -0.085), (0.02, 200, 0.0)]
+)
+def test_with_the_gates_off_readings_tell_what_current_control_does_and_chance_is_none(
+    off: float, readings: int, told: float
+) -> None:
+    held, free = (Scatter(np.eye(2), rho, np.zeros(0), n) for rho, n in ((0.15, 10_000), (off, readings)))
+    assert _correlation([held], [free], 0.08) == told
+    assert _correlation([held], [], 0.08) == 0.15
 
 
 def test_ripple_does_not_pass_for_noise() -> None:
