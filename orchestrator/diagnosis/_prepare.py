@@ -17,6 +17,7 @@ from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
 from orchestrator.diagnosis.selection.rippling import with_its_ripple
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
+from orchestrator.diagnosis.weak_form.rounding import of_rounding
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
@@ -60,6 +61,7 @@ def open_for_diagnosis(
         *prepared.remarks,
         *what_is_missing(prepared),
         *_of_noise(noise, criteria.selection),
+        *of_rounding(prepared.pieces, noise),
         *_of_gains([p.signals for p in prepared.pieces]),
     ]
     return with_its_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))

@@ -1,0 +1,72 @@
+"""Whether a log keeps so few decimals that its rounding shows beside the readings' noise. Allows for none of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from orchestrator.diagnosis.weak_form.noise import SensorNoise
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.numerics.frames import to_dq, to_phases
+from orchestrator.numerics.lattice import step_of
+from orchestrator.numerics.types import Array
+from protocols import Remark, SegmentStage
+
+SOME = 2000
+"""Numbers of a log that are asked first."""
+SHOWS = 0.1
+"""Of the noise's variance in an equation, from which on a rounding is spoken of."""
+
+
+def of_rounding(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> list[Remark]:
+    """What is said of voltages and currents that were logged in steps too large for what is to be told of them."""
+    told, used = [], [p for p in pieces if p.stage is not SegmentStage.GATES_OFF]
+    volts = logged_step(used, lambda piece: piece.command_ab)
+    if volts is not None and max(_beside_noise(piece, noise, volts) for piece in used) > SHOWS:
+        text = (
+            "voltages are logged in steps of {step_v:.3g} V: where the drive's own are finer, that rounding shows beside "
+            "the noise, and may be told as unknown; log more decimals"
+        )
+        told.append(Remark.of("rounded_voltages", text, step_v=volts))
+    amperes = logged_step(used, lambda piece: piece.current_ab)
+    if amperes is not None and amperes > 2.0 * math.sqrt(0.5 * float(np.trace(noise.covariance))):
+        text = (
+            "currents are logged in steps of {step_a:.3g} A, more than they scatter by: rounding that no noise dithers "
+            "is no noise, and may be told as unknown; log more decimals"
+        )
+        told.append(Remark.of("rounded_currents", text, step_a=amperes))
+    return told
+
+
+def logged_step(pieces: Sequence[SegmentSignals], read: Callable[[SegmentSignals], Array]) -> float | None:
+    """The step of what was logged, as (alpha, beta), in the rotor's frame or as phases; None where it has none.
+
+    Of rounded phases the two-axis vector keeps a third of the step.
+    """
+    frames: tuple[tuple[Callable[[SegmentSignals], Array], float], ...] = (
+        (read, 1.0),
+        (lambda piece: to_dq(read(piece), piece.segment.rotor_angle_rad), 1.0),
+        (lambda piece: to_phases(read(piece)), 3.0),
+    )
+    busiest = max(pieces, key=lambda piece: float(np.abs(np.diff(read(piece)[:SOME], axis=0)).sum()), default=None)
+    for frame, times in frames:
+        if busiest is None or step_of(frame(busiest)[:SOME].ravel()) is None:
+            continue
+        step = step_of(np.concatenate([frame(piece).ravel() for piece in pieces]))
+        if step is not None:
+            return times * step
+    return None
+
+
+def _beside_noise(piece: SegmentSignals, noise: SensorNoise, step_v: float) -> float:
+    """Variance that a step's rounding makes in an equation of a hat, over that of the readings' noise."""
+    signals, width = piece.signals, piece.windows.step
+    ts, variance = 1.0 / signals.sampling_frequency_hz, 0.5 * float(np.trace(noise.of(piece)))
+    motor = signals.motor
+    henry = (motor.d_inductance_h if motor else None) or 0.0
+    ohm = (motor.stator_resistance_ohm if motor else None) or 0.0
+    rounded = ts**2 * step_v**2 / 12.0 / piece.averaged * 2.0 * width / 3.0
+    own = variance * (2.0 * henry**2 / width + (ohm * ts) ** 2 * 2.0 * width / 3.0)
+    return rounded / own if own > 0.0 else math.inf

@@ -1,0 +1,25 @@
+"""Numbers that are multiples of a step, as those of a log that keeps a few decimals."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from orchestrator.numerics.types import Array
+
+LEAST = 30
+"""Different numbers that tell a step: a square wave's two levels are multiples of a step, too."""
+
+
+def step_of(numbers: Array) -> float | None:
+    """The step that numbers (n,) are multiples of, as far as single precision goes; None where they have none."""
+    different = np.unique(numbers)
+    rounding = 4.0 * float(np.finfo(np.float32).eps) * float(np.abs(different).max(initial=0.0))
+    gaps = np.diff(different)
+    gaps = gaps[gaps > 2.0 * rounding]
+    if len(gaps) < LEAST:
+        return None
+    step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
+    whole = np.round(different / step)
+    step = float(different @ whole / (whole @ whole))
+    off = np.abs(different - step * np.round(different / step))
+    return step if step > 50.0 * rounding and float(off.max()) <= 2.0 * rounding else None
