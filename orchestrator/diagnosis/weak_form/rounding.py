@@ -26,8 +26,8 @@ def of_rounding(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> list[Re
     volts = logged_step(used, lambda piece: piece.command_ab)
     if volts is not None and max(_beside_noise(piece, noise, volts) for piece in used) > SHOWS:
         text = (
-            "voltages are logged in steps of {step_v:.3g} V: where the drive's own are finer, that rounding shows beside "
-            "the noise, and may be told as unknown; log more decimals"
+            "voltages are logged in steps of {step_v:.3g} V: where the drive's own are finer, that rounding shows "
+            "beside the noise, and may be told as unknown; log more decimals"
         )
         told.append(Remark.of("rounded_voltages", text, step_v=volts))
     amperes = logged_step(used, lambda piece: piece.current_ab)
