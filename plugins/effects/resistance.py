@@ -27,7 +27,10 @@ class PhaseResistanceImbalance:
     signature: ClassVar[str] = "Anisotropic resistance while the inductance stays symmetric."
     layer: ClassVar[EffectLayer] = EffectLayer.RESISTANCE
     needs: ClassVar[tuple[Contrast, ...]] = ()
-    gauge: ClassVar[str] = "Extra resistance common to all phases is R_s."
+    gauge: ClassVar[str] = (
+        "Extra resistance common to all phases is R_s; a leg that gives more voltage than asked, in proportion, looks "
+        "the same at one rotor angle."
+    )
 
     class Parameters(EffectParameters):
         extra_a_ohm: float = amplitude("ohm", typical=0.02, prior_width=0.1, low=-2.0, high=2.0)
