@@ -171,7 +171,7 @@ class FittingCriteria(Strict):
     """... and the one below which no more is tried."""
     flux_turns: int = _is(2, "1", "theory")
     """How often the flux that effects see is read again where the rotor lies, and of the current that magnetises, by
-    them: what a twist of 0.03 rad leaves of the torque is less by that factor each time."""
+    them: what a twist of 0.03 rad leaves of the torque is less by that factor each time. Once, from an earlier one."""
     same_inductance: float = _is(0.01, "1", "simulated")
     """Relative change of the mean inductance that the noise's covariance bears."""
     same_inverter: float = _is(0.1, "1", "practice")
