@@ -22,6 +22,8 @@ from tests.blind.plant import HEALTHY
 DEGREE = 8
 """Of the energy that follows: total degree of a polynomial that is even in i_q."""
 WINDOW_S = 0.01
+NOTHING = 1e-5
+"""Of the voltage: an error of less is what sums of samples leave of none."""
 HARMONICS = (1, 3)
 """Of the injection's frequency, that make the ripple."""
 
@@ -64,7 +66,9 @@ def removals(case: Case) -> dict[str, Removal]:
         left, follows = _without_map({kind: error[kind] - rest[kind] for kind in error}, columns)
         sizes = {kind: _rms(rows) for kind, rows in left.items()}
         found[truth.name] = Removal(
-            of_error=max(sizes[kind] / whole[kind] for kind in sizes),
+            of_error=max(
+                (sizes[kind] / whole[kind] for kind in sizes if whole[kind] > NOTHING * volts[kind]), default=0.0
+            ),
             of_excitation=max(sizes[kind] / volts[kind] for kind in sizes),
             of_flux=space.moved(follows[1:]),
         )
@@ -74,11 +78,14 @@ def removals(case: Case) -> dict[str, Removal]:
 def without(bench: Bench, truth: Truth) -> Bench:
     """The bench with one effect taken out of it."""
     gone = {name: getattr(HEALTHY, name) for name in truth.changes if name not in ("substeps", "slot")}
-    table = bench.table
-    if "slot" in truth.changes:
-        even = 0.5 * (table.coefficients + table.coefficients[:, ::-1])
-        table = Table(np.ascontiguousarray(even), table.low_a, table.step_a)
+    table = _without_slots(bench.table) if "slot" in truth.changes else bench.table
     return dataclasses.replace(bench, plant=bench.plant._replace(**gone), table=table)
+
+
+def _without_slots(table: Table) -> Table:
+    """A machine's map as far as it is even in i_q."""
+    even = 0.5 * (table.coefficients + table.coefficients[:, ::-1])
+    return Table(np.ascontiguousarray(even), table.low_a, table.step_a)
 
 
 class _Space:
@@ -86,6 +93,7 @@ class _Space:
 
     def __init__(self, bench: Bench, campaign: Campaign) -> None:
         self._healthy, self._campaign = bench, campaign
+        self._map = _without_slots(bench.table)
         seen = list(self._captured(bench))
         self._visited = np.array([current.mean(axis=0) for _, current, _ in seen])
         self.columns = self._rows((kind, self._followed(current)) for kind, current, _ in seen)
@@ -116,9 +124,9 @@ class _Space:
         return float(np.sqrt(np.mean(np.sum((flux - flux.mean(axis=0)) ** 2, axis=1))) / machine.rated_flux_wb)
 
     def _missed(self, current: Array, voltage: Array) -> Array:
-        """v - R i - dpsi/dt by samples, shape (samples - 1, 2, 1); the map's slots are the bench's own."""
+        """v - R i - dpsi/dt by samples, shape (samples - 1, 2, 1), by the map without slots, which are hidden."""
         bench = self._healthy
-        flux = np.array([bench.table.flux(float(d), float(q)) for d, q in current])
+        flux = np.array([self._map.flux(float(d), float(q)) for d, q in current])
         mean = 0.5 * (current[1:] + current[:-1])
         rise = np.diff(flux, axis=0) * bench.machine.sampling_hz
         return np.asarray(voltage[:-1] - bench.plant.resistance * mean - rise)[:, :, None]

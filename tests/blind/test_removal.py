@@ -56,3 +56,10 @@ def test_rows_carry_the_voltage_in_which_they_were_impressed() -> None:
     assert all(len(i) == len(v) for _, i, v in rows_of(late, SHORT))
     counts = [sum(len(i) for _, i, _ in rows_of(bench, SHORT)) for bench in (prompt, late)]
     assert 0 < counts[0] - counts[1] < 100
+
+
+def test_slots_alone_are_the_whole_error() -> None:
+    case = short("single", 17)
+    (done,) = removals(case).values()
+    assert case.truths[0].name == "slot_harmonics"
+    assert np.isclose(done.of_error, 1.0, rtol=1e-3)
