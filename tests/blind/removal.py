@@ -60,15 +60,14 @@ def removals(case: Case) -> dict[str, Removal]:
     space = _Space(bench, case.campaign)
     error, columns, volts = space.error_of(bench), space.columns, space.volts
     whole = {kind: _rms(rows) for kind, rows in _without_map(error, columns)[0].items()}
+    told = [kind for kind in whole if whole[kind] > NOTHING * volts[kind]]
     found = {}
     for truth in case.truths:
         rest = space.error_of(without(bench, truth))
         left, follows = _without_map({kind: error[kind] - rest[kind] for kind in error}, columns)
         sizes = {kind: _rms(rows) for kind, rows in left.items()}
         found[truth.name] = Removal(
-            of_error=max(
-                (sizes[kind] / whole[kind] for kind in sizes if whole[kind] > NOTHING * volts[kind]), default=0.0
-            ),
+            of_error=max((sizes[kind] / whole[kind] for kind in told), default=0.0),
             of_excitation=max(sizes[kind] / volts[kind] for kind in sizes),
             of_flux=space.moved(follows[1:]),
         )

@@ -127,16 +127,20 @@ class Helpers:
     def retire(self) -> None:
         """End all helpers, and wait for it; none is hired again."""
         self._dismiss()
-        self._dismiss()
+        self._wait()
         self.count = 0
 
     def _dismiss(self) -> None:
         # Those of before have ended by now: what they had takes a while to be given back.
-        for helper in self._ending:
-            helper.gone()
+        self._wait()
         for helper in self._hired:
             helper.end()
         self._hired, self._ending, self._stand, self._framed = [], self._hired, None, None
+
+    def _wait(self) -> None:
+        for helper in self._ending:
+            helper.gone()
+        self._ending = []
 
     def _hire_for(self, job: Job) -> None:
         """See that there are helpers who know all that a job refers to."""

@@ -172,9 +172,11 @@ class SegmentEquations:
         moving = [a for a in model.active if a.candidate.effect.layer >= EffectLayer.FRAME and not a.is_absent]
         inner = apply_effects(base, outer).signals
         local = local_map(piece, inner, model.magnetics)
+        if not moving:
+            return self._flux_read(piece, inner, local), local
         known = base.psi_ab is not None
-        found = _flux_of(base) if known and moving else self._flux_read(piece, inner, local)
-        for _ in range(0 if not moving else 1 if known else self.criteria.fitting.flux_turns):
+        found = _flux_of(base) if known else self._flux_read(piece, inner, local)
+        for _ in range(1 if known else self.criteria.fitting.flux_turns):
             moved = apply_effects(inner.replaced(found), moving)
             if not moved.changed & {"theta_rad", "i_m_ab"}:
                 return self._flux_read(piece, inner, local), local
