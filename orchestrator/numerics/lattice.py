@@ -19,7 +19,10 @@ def step_of(numbers: Array) -> float | None:
     if len(gaps) < LEAST:
         return None
     step = float(np.median(gaps[gaps < 1.5 * gaps.min()]))
-    whole = np.round(different / step)
-    step = float(different @ whole / (whole @ whole))
+    # From the smallest numbers on: how often the step is in a large one only a step that is well known tells.
+    for near in np.geomspace(16.0 * step, max(float(np.abs(different).max()), 16.0 * step), 12):
+        some = different[np.abs(different) <= near]
+        whole = np.round(some / step)
+        step = float(some @ whole / (whole @ whole)) if whole.any() else step
     off = np.abs(different - step * np.round(different / step))
     return step if step > 50.0 * rounding and float(off.max()) <= 2.0 * rounding else None
