@@ -40,9 +40,11 @@ def main(words: Sequence[str] | None = None) -> int:
     from tests.blind.table import page
 
     answers = kept(asked.answers, seed)
+    if asked.recordings is not None:
+        asked.recordings.mkdir(parents=True, exist_ok=True)
     wanted = _wanted(asked.classes or KINDS, asked.count, asked.first)
     todo = [case for case in wanted if case not in answers]
-    for answer in examine_all(todo, seed, asked.jobs):
+    for answer in examine_all(todo, seed, asked.jobs, asked.recordings):
         answers[answer.case.kind, answer.case.index] = answer
         keep(asked.answers, seed, answer)
         mark = "MISS" if judge(answer).wrong else "ok"
@@ -83,6 +85,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--classes", nargs="+", choices=KINDS, help="only these")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--answers", type=Path, help="keep the answers there; those that are there are not asked again")
+    parser.add_argument("--recordings", type=Path, help="keep the recordings there; those that are there are read")
     parser.add_argument("--write", type=Path, help="the page to write; without it, it is printed")
     parser.add_argument("--make", metavar="CASE", help="only make this recording, e.g. single:3")
     parser.add_argument("--out", type=Path, help="with --make: the directory")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
+import os
 import resource
+import shutil
 import tempfile
 import time
 from collections.abc import Iterator, Sequence
@@ -42,15 +44,21 @@ class Answer:
     """Fields of `Removal` by hidden effect, where many are hidden; None elsewhere."""
 
 
-def examine(case: Case) -> Answer:
-    """Make the recording in a temporary place and diagnose it, through the public API of the command line."""
+def examine(case: Case, recordings: Path | None = None) -> Answer:
+    """Diagnose a case's recording through the public API of the command line.
+
+    Parameters
+    ----------
+    recordings : Path, optional
+        Where recordings are stored, by `stored_recording`; by default each is made in a temporary place.
+    """
     from orchestrator.diagnosis import diagnose_recording
     from orchestrator.recording import open_recording
     from orchestrator.registry import PluginKind, installed, load_plugin
     from protocols import FluxbenchError
 
     with tempfile.TemporaryDirectory(prefix="blind-") as folder:
-        path = record(case.bench, case.campaign, Path(folder) / "recording")
+        path = stored_recording(case, Path(folder) if recordings is None else recordings)
         recording = open_recording(path)
         samples = sum(segment.samples for segment in recording.manifest.segments)
         library = [load_plugin(PluginKind.EFFECTS, info.name)() for info in installed(PluginKind.EFFECTS)]
@@ -72,19 +80,32 @@ def examine(case: Case) -> Answer:
     return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named, done)
 
 
+def stored_recording(case: Case, folder: Path) -> Path:
+    """The case's recording in a folder of recordings; made there where it is missing."""
+    path = folder / f"{case.kind}-{case.index}"
+    if not path.exists():
+        unfinished = folder / f".{path.name}-{os.getpid()}"
+        shutil.rmtree(unfinished, ignore_errors=True)
+        record(case.bench, case.campaign, unfinished)
+        unfinished.rename(path)
+    return path
+
+
 def forget_peak() -> None:
     """Let the kernel begin anew with the most memory that this process has had (Linux: proc(5), clear_refs)."""
     with suppress(OSError):
         Path("/proc/self/clear_refs").write_text("5", encoding="ascii")
 
 
-def examine_all(wanted: Sequence[tuple[str, int]], seed: int, jobs: int) -> Iterator[Answer]:
+def examine_all(
+    wanted: Sequence[tuple[str, int]], seed: int, jobs: int, recordings: Path | None = None
+) -> Iterator[Answer]:
     """Examine the cases (class, index) in as many processes, in order of completion."""
     rest = iter(wanted)
 
     def next_task() -> Task | None:
         case = next(rest, None)
-        return None if case is None else Task(f"{case[0]}-{case[1]}", _draw_and_examine, (*case, seed))
+        return None if case is None else Task(f"{case[0]}-{case[1]}", _draw_and_examine, (*case, seed, recordings))
 
     with nullcontext() if jobs == 1 else connected(ClusterSettings(jobs=jobs, dashboard_port=0)) as client:
         for done in work_through(next_task, client):
@@ -116,5 +137,5 @@ def kept(file: Path | None, seed: int) -> dict[tuple[str, int], Answer]:
     return answers
 
 
-def _draw_and_examine(kind: str, index: int, seed: int) -> Answer:
-    return examine(draw_case(kind, index, seed))
+def _draw_and_examine(kind: str, index: int, seed: int, recordings: Path | None) -> Answer:
+    return examine(draw_case(kind, index, seed), recordings)
