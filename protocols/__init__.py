@@ -203,6 +203,7 @@ from protocols._stages import (
     StageRun,
     StageState,
 )
+from protocols._signal_batch import SignalBatch
 from protocols._streams import (
     Stream,
     StreamSetup,
@@ -344,6 +345,7 @@ __all__ = [
     "Shape",
     "ShapeGroup",
     "ShapeShare",
+    "SignalBatch",
     "Signals",
     "Spin",
     "Stage",

@@ -355,6 +355,11 @@ class Effect(Protocol):
     cannot know all of what it does, such as what iron remembers of before a segment, says it by
     ``doubts(signals, parameters) -> Sequence[Correction]``: each is what a standard deviation of that would change, and
     noise of that form is expected in the segment.
+
+    A diagnosis evaluates an effect on many segments at once. One that can do that in a single call says so by
+    ``correct_batch(batch, parameters) -> Correction`` of a `SignalBatch`, and for what it cannot know by
+    ``doubts_batch(batch, parameters) -> Sequence[Correction]``, each of which changes every segment by its own; any
+    other is asked segment by segment.
     """
 
     name: ClassVar[str]
