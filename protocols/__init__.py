@@ -193,6 +193,7 @@ from protocols._shipped import (
     shipped_procedure,
     shipped_procedures,
 )
+from protocols._signal_batch import SignalBatch
 from protocols._stages import (
     EnergisedStage,
     PluginUse,
@@ -203,7 +204,6 @@ from protocols._stages import (
     StageRun,
     StageState,
 )
-from protocols._signal_batch import SignalBatch
 from protocols._streams import (
     Stream,
     StreamSetup,

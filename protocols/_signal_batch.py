@@ -60,7 +60,8 @@ class SignalBatch:
         """Some segments of one recording, laid end to end; the arrays of a single one are its own."""
         lengths = [len(s.v_dc) for s in segments]
         laid = {name: _laid(segments, name) for name in _ALWAYS}
-        laid |= {name: _laid(segments, name) for name in _OPTIONAL if any(getattr(s, name) is not None for s in segments)}
+        there = [name for name in _OPTIONAL if any(getattr(s, name) is not None for s in segments)]
+        laid |= {name: _laid(segments, name) for name in there}
         return cls(
             segments=tuple(segments),
             starts=np.concatenate([[0], np.cumsum(lengths)]).astype(np.int64),
