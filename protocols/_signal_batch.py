@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,6 +119,10 @@ class SignalBatch:
         for name in _FIELDS:
             object.__setattr__(other, name, arrays[name] if name in arrays else getattr(self, name))
         return other
+
+    def with_segments(self, segments: Sequence[Signals]) -> SignalBatch:
+        """The same with other facts of its segments, whose arrays are not looked at."""
+        return replace(self, segments=tuple(segments))
 
     def corrected(self, correction: Correction) -> SignalBatch:
         """The same with what an effect changed of it."""

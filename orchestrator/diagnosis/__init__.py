@@ -10,8 +10,8 @@ from orchestrator.diagnosis._refit import add_effects, remove_effect
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION
 from orchestrator.diagnosis.fitting.guarded import guarded
-from orchestrator.diagnosis.fitting.helpers import processes_here
 from orchestrator.diagnosis.fitting.simulation import simulated_current
+from orchestrator.diagnosis.fitting.workers import workers_here
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
@@ -38,8 +38,8 @@ __all__ = [
     "in_words",
     "linear_magnetics",
     "load_diagnosis",
-    "processes_here",
     "remove_effect",
     "save_diagnosis",
     "simulated_current",
+    "workers_here",
 ]

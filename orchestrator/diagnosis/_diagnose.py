@@ -19,10 +19,9 @@ from orchestrator.diagnosis.fitting.candidates import (
     scaled_library,
     those_that_can_show,
 )
-from orchestrator.diagnosis.fitting.helpers import helped
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
-from orchestrator.diagnosis.fitting.segment_work import Hands
+from orchestrator.diagnosis.fitting.workers import Executor, executor_of
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
     beyond_the_rest,
@@ -128,7 +127,7 @@ def diagnose_recording(
     tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
     priors: FleetPriors | None = None,
-    processes: int = 1,
+    workers: int = 1,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -152,8 +151,8 @@ def diagnose_recording(
         Thresholds other than the default ones.
     priors : FleetPriors, optional
         What other motors of its kind let expect. Effects whose size is none of theirs are found without.
-    processes : int
-        How many may work on it, this one among them; the result is the same.
+    workers : int
+        Threads that work on it; the result is the same.
 
     Raises
     ------
@@ -166,8 +165,8 @@ def diagnose_recording(
     PluginError
         Where `without` names an effect that is not in the library.
     """
-    with helped(processes) as hands:
-        asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria, hands)
+    with executor_of(workers) as executor:
+        asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria, executor)
         if priors is None:
             return _diagnosed(recording, asked, on_step)
         return _diagnosed_in_fleet(recording, asked, on_step, priors)
@@ -203,7 +202,7 @@ class _Asked:
     poll: Callable[[], None]
     tell: Callable[[str], None]
     criteria: Criteria | None
-    hands: Hands
+    executor: Executor
 
 
 def _diagnosed(
@@ -221,7 +220,7 @@ def _diagnosed(
         report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), fleet=priors, tell=tell)
-    setup = setup.with_hands(asked.hands)
+    setup = setup.with_executor(asked.executor)
     every = scaled_library(asked.effects, setup.prepared.manifest, without)
     if priors is not None:
         every = with_priors(every, priors, setup.prepared.criteria.selection)

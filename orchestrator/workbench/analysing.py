@@ -85,7 +85,7 @@ def diagnose(
     out: Place | None = None,
     tell: Callable[[str], None] = lambda _: None,
     priors: FleetPriors | Place | None = None,
-    processes: int | None = None,
+    workers: int | None = None,
 ) -> SavedDiagnosis:
     """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
 
@@ -97,11 +97,10 @@ def diagnose(
         Called with what is under way, in a few words.
     priors : FleetPriors or path, optional
         What other motors of its kind let expect, or the file that `fluxbench fleet priors` wrote it to.
-    processes : int
-        How many may work on it, this one among them; as many as there are cores, up to four, by default. The result
-        is the same.
+    workers : int
+        Threads that work on it; as many as there are cores, up to four, by default. The result is the same.
     """
-    from orchestrator.diagnosis import Criteria, diagnose_and_keep, processes_here
+    from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
 
     asked = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
     selection = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
@@ -116,7 +115,7 @@ def diagnose(
         tell=tell,
         criteria=criteria,
         priors=_chosen_priors(priors),
-        processes=processes or processes_here(),
+        workers=workers or workers_here(),
     )[1]
 
 

@@ -11,7 +11,7 @@ An effect of another shape is another column, too far away for a slope; columns 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis.experiment_design.rehearsal import Rehearsal
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate, typical_coordinate
-from orchestrator.diagnosis.fitting.model import SegmentFrame
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.fitting.model import BatchFrame
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
@@ -136,31 +135,35 @@ def information(
         effects[candidate.name] = columns = EffectColumns.of(candidate, end, whole.prepared.criteria.rehearsal.shapes)
         end += len(columns.all)
     frame = fitter.frame(model)
-    weighed = zip(use, prepared.pieces, frame.pieces, strict=True)
-    pieces = [
-        rehearsal.weights[k] * piece_information(rehearsal, effects.values(), piece, kept) for k, piece, kept in weighed
-    ]
+    made = {k: one for kept in frame.batches for k, one in batch_information(rehearsal, effects.values(), kept)}
+    pieces = [rehearsal.weights[at] * made[k] for k, at in enumerate(use)]
     prior = np.eye(pieces[0].shape[0])
     prior[0, 0] = 0.0
     prior[1:machine, 1:machine] = model.space.prior.T @ model.space.prior
     return Information(machine, effects, np.stack(pieces), prior, tuple(rehearsal.stages[k] for k in use))
 
 
-def piece_information(
-    rehearsal: Rehearsal, effects: Collection[EffectColumns], piece: SegmentSignals, frame: SegmentFrame
-) -> Array:
-    """Normal matrix of one piece."""
+def batch_information(
+    rehearsal: Rehearsal, effects: Collection[EffectColumns], frame: BatchFrame
+) -> Iterator[tuple[int, Array]]:
+    """Normal matrix of each segment of a batch, with its place among the rehearsed ones."""
     model, equations = rehearsal.model, rehearsal.setup.fitter.equations
     amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
-    white = equations.rows(equations.place(model, piece, frame), amplitudes).white[:, 1:]
-    columns, taken = [white[:, :1], frame.white_basis], 1
+    whole = equations.rows(equations.at(model, frame), amplitudes)
+    forms = {}
     for e in effects:
-        split, end = taken + len(e.amplitudes), taken + len(e.amplitudes) + len(e.others)
-        columns.append(white[:, taken:split])
         if e.forms_named:
-            there = equations.place(model.with_active([e.there]), piece, frame)
-            columns.append(equations.rows(there, [(e.there, n) for n in e.forms_named]).white[:, 2:])
-        columns.append(white[:, split:end])
-        taken = end
-    together = np.column_stack(columns)
-    return np.asarray(together.T @ together)
+            there = equations.at(model.with_active([e.there]), frame)
+            forms[e.there.name] = equations.rows(there, [(e.there, n) for n in e.forms_named])
+    for j, (place, kept) in enumerate(zip(frame.batch.places, frame.pieces, strict=True)):
+        white = whole[j].white[:, 1:]
+        columns, start = [white[:, :1], kept.white_basis], 1
+        for e in effects:
+            split, end = start + len(e.amplitudes), start + len(e.amplitudes) + len(e.others)
+            columns.append(white[:, start:split])
+            if e.forms_named:
+                columns.append(forms[e.there.name][j].white[:, 2:])
+            columns.append(white[:, split:end])
+            start = end
+        together = np.column_stack(columns)
+        yield place, np.asarray(together.T @ together)

@@ -21,9 +21,10 @@ import numpy as np
 from orchestrator.diagnosis.experiment_design.machine import Machine, current_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.equations import WeakFormEquations
+from orchestrator.diagnosis.fitting.fit import BATCH_SAMPLES, Fitter
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model
-from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
+from orchestrator.diagnosis.weak_form.batches import in_batches
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
 from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
@@ -114,15 +115,14 @@ def _normal(
     space, model = pair.model.space, pair.model
     wanted = [*model.free, *more, *((pair.absent, n) for n in pair.absent.candidate.amplitudes)]
     asked = pair.asked_of(wanted)
-    # Planned segments have no ids of their own: what equations remember of one must not serve the next.
-    equations = SegmentEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
+    equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
-    for piece in pieces:
-        place = equations.renewed(model, piece, None)
-        white = equations.rows(place, wanted, asked).white
-        rows = np.column_stack([white[:, 1], place.frame.white_basis, white[:, 2:]])
-        total += rows.T @ rows
+    for batch in in_batches(pieces, (), BATCH_SAMPLES)[1]:
+        state = equations.renewed(model, batch, None)
+        for made, kept in zip(equations.rows(state, wanted, asked), state.frame.pieces, strict=True):
+            rows = np.column_stack([made.white[:, 1], kept.white_basis, made.white[:, 2:]])
+            total += rows.T @ rows
     if with_prior:
         total[1:width, 1:width] += space.prior.T @ space.prior
         free = np.arange(width, width + len(wanted) - len(pair.coordinates))

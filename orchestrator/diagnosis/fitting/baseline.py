@@ -13,8 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace, Model
 from orchestrator.diagnosis.fitting.priors import inductances_at_rest
-from orchestrator.diagnosis.fitting.segment_work import Hands
-from orchestrator.diagnosis.weak_form.equations import true_frame
+from orchestrator.diagnosis.fitting.workers import Executor
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics, magnet_prior, smoothness_prior
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, with_timer
@@ -51,9 +50,9 @@ class DiagnosisSetup:
     timers: tuple[BorneTimer, ...] = ()
     """The modulator's, as the readings bear it, and those that round much like it."""
 
-    def with_hands(self, hands: Hands) -> DiagnosisSetup:
-        """The same, the segments' equations made by these."""
-        whole, part = (replace(f, hands=hands) for f in (self.fitter, self.coarse_fitter))
+    def with_executor(self, executor: Executor) -> DiagnosisSetup:
+        """The same, the equations made by this executor's workers."""
+        whole, part = (replace(f, executor=executor) for f in (self.fitter, self.coarse_fitter))
         return replace(self, fitter=whole, coarse_fitter=part)
 
     def with_noise(self, of_model: ModelNoise) -> DiagnosisSetup:
@@ -248,7 +247,7 @@ def _fitted_on(fitter: Fitter, model: Model, fit: Fit) -> Fit:
 def _reaching(fit: Fit) -> EvenSpline:
     """The fit's grid, or one that reaches all currents in its frame where some leave it by more than a little."""
     grid = fit.model.space.grid
-    seen = [true_frame(p, fit.corrected(k))[0] for k, p in enumerate(fit.prepared.pieces)]
+    seen = fit.true_currents()
     low, high = min(float(i[:, 0].min()) for i in seen), max(float(i[:, 0].max()) for i in seen)
     q = max(float(np.abs(i[:, 1]).max()) for i in seen)
     bearable = fit.criteria.fitting.beyond_map

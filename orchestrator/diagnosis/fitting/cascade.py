@@ -14,9 +14,9 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
-from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effect, doubts_of
+from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effect, random_directions_of
 from orchestrator.numerics.types import Array
-from protocols import ParameterRole, Signals
+from protocols import ParameterRole, SignalBatch
 
 Change = dict[str, Array]
 """By how much arrays of the signals change, by name; what is not in it does not."""
@@ -24,7 +24,7 @@ Change = dict[str, Array]
 
 @dataclass(frozen=True)
 class Cascade:
-    """The signals of a segment on their way through a model's effects, from the sensors inwards.
+    """The signals of a batch of segments on their way through a model's effects, from the sensors inwards.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Cascade:
     stages: tuple[Corrected, ...]
 
     @classmethod
-    def of(cls, signals: Signals, active: Sequence[Active]) -> Cascade:
+    def of(cls, signals: SignalBatch, active: Sequence[Active]) -> Cascade:
         """Signals as measured, led through all effects."""
         effects = tuple(sorted(active, key=lambda a: a.candidate.effect.layer))
         stages = [Corrected(signals)]
@@ -47,7 +47,7 @@ class Cascade:
         return cls(effects, tuple(stages))
 
     @property
-    def corrected(self) -> Signals:
+    def corrected(self) -> SignalBatch:
         return self.stages[-1].signals
 
     @property
@@ -78,11 +78,11 @@ class Cascade:
         names = other.changed | (self.stages[behind].changed if behind > at else frozenset())
         return self._inwards(behind, _less(other.signals, self.stages[behind].signals, names), answering)
 
-    def doubts(self) -> Iterator[Change]:
-        """What changes behind the innermost effect by each thing that an effect cannot know of the segment."""
+    def random_directions(self) -> Iterator[Change]:
+        """What changes behind the innermost effect by each thing that an effect cannot know of a segment."""
         for k, active in enumerate(self.effects):
             before = self.stages[k].signals
-            for doubted in doubts_of(active, before):
+            for doubted in random_directions_of(active, before):
                 yield self._inwards(k + 1, _less(doubted.signals, before, doubted.changed))[0]
 
     def _inwards(
@@ -132,15 +132,15 @@ def _within(active: Active, name: str, step: float) -> float:
     return step if math.isclose(moved, step, rel_tol=1e-6) else moved
 
 
-def _plus(signals: Signals, change: Change) -> Signals:
+def _plus(signals: SignalBatch, change: Change) -> SignalBatch:
     return signals.replaced({name: array_of(signals, name) + d for name, d in change.items()})
 
 
-def _less(one: Signals, other: Signals, names: frozenset[str]) -> Change:
+def _less(one: SignalBatch, other: SignalBatch, names: frozenset[str]) -> Change:
     return {name: np.ascontiguousarray(array_of(one, name) - array_of(other, name)) for name in names}
 
 
-def array_of(signals: Signals, name: str) -> Array | float:
+def array_of(signals: SignalBatch, name: str) -> Array | float:
     """An array of the signals, or nothing for one that is not there."""
     array: Array | None = getattr(signals, name)
     return 0.0 if array is None else array

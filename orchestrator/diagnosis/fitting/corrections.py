@@ -1,16 +1,16 @@
-"""Effects applied to signals, from the sensors inwards; what each of them returns is checked, not copied."""
+"""Effects applied to a batch of segments, from the sensors inwards; what each returns is checked, not copied."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active
-from protocols import Correction, EffectLayer, FluxbenchError, PluginError, RealArray, Signals
+from protocols import Correction, EffectLayer, FluxbenchError, PluginError, RealArray, SignalBatch
 
 
 @dataclass(frozen=True)
@@ -19,16 +19,16 @@ class Corrected:
 
     Attributes
     ----------
-    signals : Signals
+    signals : SignalBatch
     changed : frozenset of str
         Names of those arrays that these effects changed.
     """
 
-    signals: Signals
+    signals: SignalBatch
     changed: frozenset[str] = frozenset()
 
 
-def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
+def apply_effects(signals: SignalBatch, active: Sequence[Active]) -> Corrected:
     """The signals with all effects accounted for that are there.
 
     Raises
@@ -44,7 +44,7 @@ def apply_effects(signals: Signals, active: Sequence[Active]) -> Corrected:
     return Corrected(signals, frozenset(changed))
 
 
-def apply_effect(signals: Signals, item: Active) -> Corrected:
+def apply_effect(signals: SignalBatch, item: Active) -> Corrected:
     """The signals with one effect accounted for if it is there; with the bridge off nothing is but what sensors do.
 
     Raises
@@ -52,33 +52,85 @@ def apply_effect(signals: Signals, item: Active) -> Corrected:
     PluginError
         As `apply_effects`.
     """
-    if item.is_absent or not (signals.bridge_on or item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS):
+    if item.is_absent or not (_bridge_on(signals) or item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS):
         return Corrected(signals)
-    return _applied(item, "correct", signals, _said(item, "correct", signals))
+    return _corrected(signals, _evaluate(item, "correct", signals))
 
 
-def is_doubtful(item: Active) -> bool:
+def has_random_directions(item: Active) -> bool:
     """Whether an effect that is there says what it cannot know."""
-    return not item.is_absent and hasattr(item.candidate.effect, "doubts")
+    effect = item.candidate.effect
+    return not item.is_absent and (hasattr(effect, "doubts") or hasattr(effect, "doubts_batch"))
 
 
-def doubts_of(item: Active, signals: Signals) -> list[Corrected]:
-    """The signals with one standard deviation of each thing that an effect cannot know of a segment.
+def random_directions_of(item: Active, signals: SignalBatch) -> list[Corrected]:
+    """The signals with one standard deviation of each thing that an effect cannot know of a segment, of all at once.
 
     Raises
     ------
     PluginError
         Where the effect raises, or returns what signals cannot be.
     """
-    if not (signals.bridge_on and is_doubtful(item)):
+    if not (_bridge_on(signals) and has_random_directions(item)):
         return []
-    found = _said(item, "doubts", signals)
+    return [_corrected(signals, arrays) for arrays in _evaluate_doubts(item, signals)]
+
+
+def _bridge_on(signals: SignalBatch) -> bool:
+    """Whether it is in any segment: a batch's segments are alike in that."""
+    return any(s.bridge_on for s in signals.segments)
+
+
+def _corrected(signals: SignalBatch, arrays: Mapping[str, RealArray]) -> Corrected:
+    changed = signals.changed_along(arrays)
+    return Corrected(signals.replaced(changed), frozenset(changed))
+
+
+def _evaluate(item: Active, method: str, signals: SignalBatch) -> Mapping[str, RealArray]:
+    """What an effect changes of a batch, in one call where it can, else segment by segment."""
+    if hasattr(item.candidate.effect, f"{method}_batch"):
+        return _checked(item, method, signals, _call(item, f"{method}_batch", signals))
+    if len(signals.segments) == 1:
+        one = signals.segment(0)
+        return _checked(item, method, signals, _call(item, method, one))
+    parts = [_call(item, method, signals.segment(k)) for k in range(len(signals.segments))]
+    return _checked(item, method, signals, _end_to_end(item, method, signals, parts))
+
+
+def _evaluate_doubts(item: Active, signals: SignalBatch) -> list[Mapping[str, RealArray]]:
+    if hasattr(item.candidate.effect, "doubts_batch"):
+        return [_checked(item, "doubts", signals, one) for one in _sequence(item, _call(item, "doubts_batch", signals))]
+    found = [_sequence(item, _call(item, "doubts", signals.segment(k))) for k in range(len(signals.segments))]
+    most = max(len(doubts) for doubts in found)
+    rows = [[doubts[m] if m < len(doubts) else Correction() for doubts in found] for m in range(most)]
+    return [_checked(item, "doubts", signals, _end_to_end(item, "doubts", signals, row)) for row in rows]
+
+
+def _sequence(item: Active, found: object) -> Sequence[object]:
     if not isinstance(found, Sequence):
         raise PluginError("effects", item.name, f"doubts: returned {type(found).__name__} instead of a sequence")
-    return [_applied(item, "doubts", signals, doubt) for doubt in found]
+    return found
 
 
-def _said(item: Active, method: str, signals: Signals) -> Any:
+def _end_to_end(item: Active, method: str, signals: SignalBatch, parts: Sequence[object]) -> Correction:
+    """Corrections of a batch's segments as one; what only some of them change stays as it is in the others."""
+    corrections = [_require_correction(item, method, part) for part in parts]
+    arrays: dict[str, RealArray] = {}
+    for name in dict.fromkeys(name for one in corrections for name in one.arrays):
+        pieces = []
+        for k, one in enumerate(corrections):
+            before = getattr(signals, name)
+            before = (np.zeros_like(signals.v_ab) if before is None else before)[signals.slice_of(k)]
+            if name in one.arrays:
+                _require_array(item.name, f"{method}: {name}", before, one.arrays[name])
+            elif name == "i_m_ab" and "i_ab" in one.arrays:
+                before = before + (one.arrays["i_ab"] - signals.i_ab[signals.slice_of(k)])
+            pieces.append(one.arrays.get(name, before))
+        arrays[name] = np.concatenate(pieces)
+    return Correction(**arrays)
+
+
+def _call(item: Active, method: str, signals: Any) -> Any:
     try:
         return getattr(item.candidate.effect, method)(signals, item.parameters)
     except FluxbenchError:
@@ -87,17 +139,20 @@ def _said(item: Active, method: str, signals: Signals) -> Any:
         raise PluginError("effects", item.name, f"{method}: {type(error).__name__}: {error}") from error
 
 
-def _applied(item: Active, method: str, signals: Signals, correction: object) -> Corrected:
-    """The signals with what a method of an effect returned, which is checked."""
+def _require_correction(item: Active, method: str, correction: object) -> Correction:
     if not isinstance(correction, Correction):
         returned = type(correction).__name__
         raise PluginError("effects", item.name, f"{method}: returned {returned} instead of a Correction")
-    arrays = correction.arrays
+    return correction
+
+
+def _checked(item: Active, method: str, signals: SignalBatch, correction: object) -> Mapping[str, RealArray]:
+    """The arrays of what a method of an effect returned, each checked."""
+    arrays = _require_correction(item, method, correction).arrays
     for name, array in arrays.items():
         before = getattr(signals, name)
         _require_array(item.name, f"{method}: {name}", signals.v_ab if before is None else before, array)
-    changed = signals.changed_along(arrays)
-    return Corrected(signals.replaced(changed), frozenset(changed))
+    return arrays
 
 
 def _require_array(effect: str, name: str, before: RealArray, now: object) -> None:

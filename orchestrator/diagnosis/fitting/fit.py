@@ -15,16 +15,75 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import answers_so_far, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
 from orchestrator.diagnosis.fitting.effort import Effort
+from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
-from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, MapSpace, Model, SegmentFrame, SegmentRows
-from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
-from orchestrator.diagnosis.fitting.segment_work import Hands, Job, OneHand, Stand
+from orchestrator.diagnosis.fitting.model import Answers, BatchFrame, Fit, Frame, MapSpace, Model, SegmentRows
 from orchestrator.diagnosis.fitting.solution import solved
+from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.numerics.types import Array
 from protocols import ModelNoise
+
+Columns = Sequence[tuple[Active, str]]
+"""Effects' parameters that derivatives are asked by."""
+
+
+@dataclass(frozen=True)
+class RecordingBatches:
+    """How a recording's segments are dealt out for their equations to be made.
+
+    Attributes
+    ----------
+    pieces : tuple of SegmentSignals
+        The recording's.
+    probes : tuple of SegmentBatch
+        A few segments of each stage, which are asked first what has changed.
+    others : tuple of SegmentBatch
+    """
+
+    pieces: tuple[SegmentSignals, ...]
+    probes: tuple[SegmentBatch, ...]
+    others: tuple[SegmentBatch, ...]
+
+    @classmethod
+    def of(cls, prepared: PreparedRecording) -> RecordingBatches:
+        """All segments of a recording."""
+        limits = prepared.criteria.fitting
+        probes = probed_segments(prepared.pieces, limits)
+        return cls(prepared.pieces, *in_batches(prepared.pieces, probes, BATCH_SAMPLES))
+
+    @property
+    def all(self) -> tuple[SegmentBatch, ...]:
+        return (*self.probes, *self.others)
+
+
+BATCH_SAMPLES = 40_000
+"""Of a batch at most: its arrays stay in a processor's cache, and a call's own cost does not count."""
+
+
+@dataclass(frozen=True)
+class _Task:
+    """What is to be made of one batch: a new frame where `renew` is set, rows where columns are given."""
+
+    batch: SegmentBatch
+    frame: BatchFrame | None
+    renew: bool
+    columns: Columns | None
+    answering: Sequence[frozenset[str] | None] | None = None
+    probing: bool = False
+
+
+@dataclass(frozen=True)
+class _Made:
+    """What was made of one batch."""
+
+    frame: BatchFrame
+    rows: Sequence[SegmentRows] = ()
+    probes: Sequence[ColumnProbe] = ()
 
 
 @dataclass
@@ -42,9 +101,11 @@ class Fitter:
         Called before each evaluation; what it raises ends the fit.
     tell : callable
         Called with what is under way, in a few words.
-    hands : Hands
-        Who makes the segments' equations.
-    equations : SegmentEquations
+    executor : Executor
+        Who makes the batches' equations.
+    batches : RecordingBatches, optional
+        Of the same segments, where they have been dealt out before.
+    equations : WeakFormEquations
     """
 
     prepared: PreparedRecording
@@ -53,11 +114,14 @@ class Fitter:
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
-    hands: Hands = field(default_factory=OneHand)
-    equations: SegmentEquations = field(init=False)
+    executor: Executor = field(default_factory=SerialExecutor)
+    batches: RecordingBatches | None = None
+    equations: WeakFormEquations = field(init=False)
 
     def __post_init__(self) -> None:
-        self.equations = SegmentEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
+        if self.batches is None or self.batches.pieces is not self.prepared.pieces:
+            self.batches = RecordingBatches.of(self.prepared)
+        self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
 
     def begin(self, text: str, part: float) -> None:
         """Tell what begins when so much of a diagnosis is done, and from then on how long it may take."""
@@ -156,8 +220,9 @@ class Fitter:
 
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
-        made = self.hands.made(Job(self._renewing(model, old), None), self._all)
-        return self._framed(model, [one.frame for one in made.values()], old)
+        old = self._kept_of(model, old)
+        made = self._made(model, [_Task(batch, before, True, None) for batch, before in self._with_frames(old)])
+        return self._framed(model, [one.frame for one in made], old)
 
     def renewed(
         self,
@@ -177,8 +242,9 @@ class Fitter:
         """
         self.poll()
         wanted = [] if held else [*model.free, *extra]
-        pieces, rows, answers = self._rows(self._renewing(model, old), wanted, known)
-        frame = self._framed(model, pieces, old)
+        old = self._kept_of(model, old)
+        frames, rows, answers = self._rows(model, old, True, wanted, known)
+        frame = self._framed(model, frames, old)
         fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held)
         return replace(fit, answers=answers)
 
@@ -202,74 +268,106 @@ class Fitter:
         """
         self.poll()
         wanted = [*model.free, *extra] if known is None or renew else []
-        stand = Stand(self.equations, self.prepared.pieces, model, frame, renewed=False)
-        _, rows, answers = self._rows(stand, wanted, known)
+        _, rows, answers = self._rows(model, frame, False, wanted, known)
         fit = solved(self.prepared, model, frame, rows, [(a.name, n) for a, n in wanted], held=False)
         if known is not None and not renew:
             return replace(fit, columns=known.columns, parameters=known.parameters, answers=known.answers)
         return replace(fit, answers=answers)
 
-    @property
-    def _all(self) -> range:
-        return range(len(self.prepared.pieces))
+    def _kept_of(self, model: Model, old: Frame | None) -> Frame | None:
+        """An earlier frame where what it keeps can be the model's: of the same noise, segments, and a map as free."""
+        if old is None or old.noise is not self.noise or not _as_free(old.space, model.space):
+            return None
+        return old if self._is_of(old) else None
 
-    def _renewing(self, model: Model, old: Frame | None) -> Stand:
-        """Where a model stands in a frame made anew: from an earlier one of the same noise, and of a map as free."""
-        if old is not None and (old.noise is not self.noise or not _as_free(old.space, model.space)):
-            old = None
-        return Stand(self.equations, self.prepared.pieces, model, old, renewed=True)
+    def _is_of(self, frame: Frame) -> bool:
+        assert self.batches is not None
+        ours = self.batches.all
+        return len(ours) == len(frame.batches) and all(b.batch is a for a, b in zip(ours, frame.batches, strict=True))
 
-    def _framed(self, model: Model, pieces: Sequence[SegmentFrame], old: Frame | None) -> Frame:
-        """All segments' frames as one."""
-        if old is not None and all(a.white_basis is b.white_basis for a, b in zip(pieces, old.pieces, strict=True)):
-            gram = old.gram
-        else:
-            free = model.space.directions.shape[1]
-            gram = np.zeros((free, free))
-            for piece, segment_frame in zip(self.prepared.pieces, pieces, strict=True):
-                if not piece.held_out:
-                    gram += segment_frame.white_basis.T @ segment_frame.white_basis
-        frame = Frame(model.space, self.noise, tuple(pieces), gram)
-        self.hands.keep(frame)
-        return frame
+    def _with_frames(self, frame: Frame | None) -> list[tuple[SegmentBatch, BatchFrame | None]]:
+        assert self.batches is not None
+        ours = self.batches.all
+        return list(zip(ours, frame.batches if frame is not None else [None] * len(ours), strict=True))
+
+    def _framed(self, model: Model, frames: Sequence[BatchFrame], old: Frame | None) -> Frame:
+        """All batches' frames as one."""
+        frame = Frame(model.space, self.noise, tuple(frames), np.zeros((0, 0)))
+        kept = zip(frame.pieces, old.pieces, strict=True) if old is not None else ()
+        if old is not None and all(a.white_basis is b.white_basis for a, b in kept):
+            return replace(frame, gram=old.gram)
+        free = model.space.directions.shape[1]
+        gram = np.zeros((free, free))
+        for piece, segment_frame in zip(self.prepared.pieces, frame.pieces, strict=True):
+            if not piece.held_out:
+                gram += segment_frame.white_basis.T @ segment_frame.white_basis
+        return replace(frame, gram=gram)
+
+    def _made(self, model: Model, tasks: Sequence[_Task]) -> list[_Made]:
+        """What tasks ask for, in their order, by the executor's threads."""
+        equations = self.equations
+
+        def make(task: _Task) -> _Made:
+            if task.renew:
+                state = equations.renewed(model, task.batch, task.frame)
+            else:
+                assert task.frame is not None
+                state = equations.at(model, task.frame)
+            if task.columns is None:
+                return _Made(state.frame)
+            if task.probing:
+                return _Made(state.frame, *equations.probed(state, task.columns, task.answering or ()))
+            columns = () if task.batch.pieces[0].held_out else task.columns
+            return _Made(state.frame, equations.rows(state, columns, task.answering))
+
+        return self.executor.map(make, tasks)
 
     def _rows(
-        self, stand: Stand, wanted: Sequence[tuple[Active, str]], known: Fit | None
-    ) -> tuple[list[SegmentFrame], list[SegmentRows], Answers]:
-        """Every segment's frame and equations, with columns where it is not held out, and what answers to these."""
+        self, model: Model, frame: Frame | None, renew: bool, wanted: Columns, known: Fit | None
+    ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
+        """Every batch's frame, every segment's equations with columns where it is not held out, and what answers."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
         self.effort.spent += samples * self.criteria.evaluation_columns
+        ours = self._with_frames(frame)
         if len(wanted) > self.criteria.few_columns:
-            return self._rows_by_plan(stand, wanted, known, samples)
+            return self._rows_by_plan(model, ours, renew, wanted, known, samples)
         self.effort.spent += samples * len(wanted)
-        made = self.hands.made(Job(stand, wanted), self._all)
+        made = self._made(model, [_Task(batch, before, renew, wanted) for batch, before in ours])
+        rows = {k: row for one in made for k, row in zip(one.frame.batch.places, one.rows, strict=True)}
         answers = Answers() if known is None else known.answers
-        return [one.frame for one in made.values()], [one.rows for one in made.values() if one.rows], answers
+        return [one.frame for one in made], [rows[k] for k in sorted(rows)], answers
 
     def _rows_by_plan(
-        self, stand: Stand, wanted: Sequence[tuple[Active, str]], known: Fit | None, samples: int
-    ) -> tuple[list[SegmentFrame], list[SegmentRows], Answers]:
+        self,
+        model: Model,
+        ours: Sequence[tuple[SegmentBatch, BatchFrame | None]],
+        renew: bool,
+        wanted: Columns,
+        known: Fit | None,
+        samples: int,
+    ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
         """The same, with those columns alone made anew that have moved on a few segments, which are asked first."""
-        pieces, names = self.prepared.pieces, [(a.name, n) for a, n in wanted]
-        asked = answers_so_far(stand.model, known, self.criteria)
-        probing = Job(stand, wanted, [asked.of.get(n) for n in names], probing=True)
-        done = self.hands.made(probing, probed_segments(pieces, self.criteria))
-        probes = {k: one.probe for k, one in done.items() if one.probe is not None}
+        assert self.batches is not None
+        names = [(a.name, n) for a, n in wanted]
+        asked = answers_so_far(model, known, self.criteria)
+        answering = [asked.of.get(n) for n in names]
+        first, later = ours[: len(self.batches.probes)], ours[len(self.batches.probes) :]
+        probed = self._made(model, [_Task(b, before, renew, wanted, answering, probing=True) for b, before in first])
+        probes = {k: p for one in probed for k, p in zip(one.frame.batch.places, one.probes, strict=True)}
         plan = column_plan(names, probes, known, self.criteria, asked.of)
-        anew = [wanted[k] for k in plan.anew]
+        anew, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
         self.effort.spent += samples * (len(anew) + len(wanted) / self.criteria.probe_every)
-        rest = Job(stand, anew, [plan.answering[k] for k in plan.anew])
-        done |= self.hands.made(rest, [k for k in self._all if k not in probes])
-        frames, rows = [], []
-        for k in self._all:
-            made = done[k].rows
-            assert made is not None
-            if k not in probes and not pieces[k].held_out:
-                columns = plan.whole(made.columns, None if known is None else known.columns[k])
-                made = replace(made, white=np.column_stack([made.white[:, :2], columns]))
-            frames.append(done[k].frame)
-            rows.append(made)
-        return frames, rows, Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
+        others = self._made(model, [_Task(b, before, renew, anew, inner) for b, before in later])
+        rows = {k: row for one in probed for k, row in zip(one.frame.batch.places, one.rows, strict=True)}
+        for one in others:
+            for k, row in zip(one.frame.batch.places, one.rows, strict=True):
+                if self.prepared.pieces[k].held_out:
+                    rows[k] = row
+                    continue
+                columns: Array = plan.whole(row.columns, None if known is None else known.columns[k])
+                rows[k] = replace(row, white=np.column_stack([row.white[:, :2], columns]))
+        answers = Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
+        return [one.frame for one in (*probed, *others)], [rows[k] for k in sorted(rows)], answers
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.

@@ -11,12 +11,14 @@ import numpy as np
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.corrections import apply_effects
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch
+from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, Whitener
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
 from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
-from protocols import Signals
+from protocols import SignalBatch
 
 ColumnName = tuple[str, str]
 """Effect and parameter that a column belongs to."""
@@ -74,10 +76,8 @@ class Model:
 
 @dataclass(frozen=True)
 class SegmentFrame:
-    """What is kept of one piece between steps."""
+    """What is kept of one piece between steps, beside its signals."""
 
-    base: Signals
-    """As measured, with the model's resistance and flux."""
     whitener: Whitener
     basis: Array
     white_basis: Array
@@ -89,14 +89,39 @@ class SegmentFrame:
 
 
 @dataclass(frozen=True)
+class BatchFrame:
+    """What is kept of a batch of segments between steps."""
+
+    batch: SegmentBatch
+    base: SignalBatch
+    """As measured, with the model's resistance and flux."""
+    pieces: tuple[SegmentFrame, ...]
+    """In the batch's order."""
+
+
+@dataclass(frozen=True)
 class Frame:
     """What is kept of a recording between steps."""
 
     space: MapSpace
     noise: SensorNoise
-    pieces: tuple[SegmentFrame, ...]
+    batches: tuple[BatchFrame, ...]
     gram: Array
     """white_basis^T white_basis over the training pieces."""
+
+    @cached_property
+    def pieces(self) -> tuple[SegmentFrame, ...]:
+        """In the recording's order."""
+        ordered = {k: one for b in self.batches for k, one in zip(b.batch.places, b.pieces, strict=True)}
+        return tuple(ordered[k] for k in sorted(ordered))
+
+    def base_of(self, index: int) -> tuple[SegmentBatch, SignalBatch]:
+        """One piece as a batch of its own, and its signals as measured, with the model's resistance and flux."""
+        for frame in self.batches:
+            if index in frame.batch.places:
+                j = frame.batch.places.index(index)
+                return frame.batch.singles[j], SignalBatch.of([frame.base.segment(j)])
+        raise IndexError(index)
 
 
 @dataclass(frozen=True)
@@ -167,9 +192,17 @@ class Fit:
     def chi2_per_dof(self) -> float:
         return self.chi2 / self.dof
 
-    def corrected(self, index: int) -> Signals:
-        """One piece's signals as the model's effects say that they truly are."""
-        return apply_effects(self.frame.pieces[index].base, self.model.active).signals
+    def corrected(self, index: int) -> SignalBatch:
+        """One piece's signals as the model's effects say that they truly are, as a batch of one."""
+        return apply_effects(self.frame.base_of(index)[1], self.model.active).signals
+
+    def true_currents(self) -> list[Array]:
+        """Every piece's magnetising current (n, 2) in the true rotor frame."""
+        seen: dict[int, Array] = {}
+        for frame in self.frame.batches:
+            i_dq, _ = true_frame(frame.batch, apply_effects(frame.base, self.model.active).signals)
+            seen |= {k: i_dq[frame.base.slice_of(j)] for j, k in enumerate(frame.batch.places)}
+        return [seen[k] for k in sorted(seen)]
 
     def chi2_of(self, use: Callable[[SegmentSignals], bool]) -> float | None:
         """Mean square of the whitened residual of some pieces; None where there are none."""

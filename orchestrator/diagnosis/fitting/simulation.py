@@ -27,16 +27,15 @@ def simulated_current(fit: Fit, index: int, samples: int | None = None) -> tuple
     """
     piece = fit.prepared.pieces[index]
     corrected = fit.corrected(index)
-    local = local_map(piece, corrected, fit.model.magnetics)
+    batch, base = fit.frame.base_of(index)
+    local = local_map(batch, corrected, fit.model.magnetics)
     i_dq = local.i_dq
     n = min(len(i_dq), samples or len(i_dq))
     angle = np.asarray(corrected.theta_rad, dtype=np.float64)[:n]
     grid = fit.model.magnetics.grid
     numbers, _ = grid.layout
     ts = 1.0 / piece.signals.sampling_frequency_hz
-    resistance = np.ascontiguousarray(corrected.resistance_ohm[:n]) * (
-        fit.model.r_s / fit.frame.pieces[index].base.resistance_ohm[0]
-    )
+    resistance = np.ascontiguousarray(corrected.resistance_ohm[:n]) * (fit.model.r_s / base.resistance_ohm[0])
     inductances = local.inductance[:, [0, 2]]
     least = 0.2 * float(np.median(inductances))
     decay = ts * float(resistance.max()) / max(float(inductances.min()), least)

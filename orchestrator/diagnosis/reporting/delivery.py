@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.corrections import is_doubtful
+from orchestrator.diagnosis.fitting.corrections import has_random_directions
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.findings import said_of_sizes
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
@@ -128,7 +128,7 @@ def remembering_by_ripple_alone(fit: Fit, moved: Mapping[str, float]) -> list[st
     if any(piece.stage in _WIDE for piece in fit.prepared.pieces):
         return []
     least = fit.criteria.selection.material_flux
-    return [a.name for a in fit.model.active if is_doubtful(a) and moved.get(a.name, 0.0) > least]
+    return [a.name for a in fit.model.active if has_random_directions(a) and moved.get(a.name, 0.0) > least]
 
 
 def _of_small_loops(name: str) -> Remark:

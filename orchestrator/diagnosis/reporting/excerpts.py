@@ -18,7 +18,7 @@ from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.segments import AXES, Axis, SegmentSignals, swept_axis
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
-from protocols import CurrentExcerpt, FluxLoop, SegmentStage, Signals
+from protocols import CurrentExcerpt, FluxLoop, SegmentStage, SignalBatch
 
 
 def excerpts(fit: Fit) -> tuple[CurrentExcerpt, ...]:
@@ -138,7 +138,8 @@ def _currents(fit: Fit, index: int, samples: int) -> tuple[Array, Array]:
     """
     piece = fit.prepared.pieces[index]
     predicted, corrected = simulated_current(fit, index, samples)
-    _, delta = true_frame(piece, fit.corrected(index))
+    batch, _ = fit.frame.base_of(index)
+    _, delta = true_frame(batch, fit.corrected(index))
     measured = to_dq(piece.signals.i_ab[: len(predicted)], piece.segment.rotor_angle_rad)
     return measured + _believed(predicted - corrected, delta), measured
 
@@ -153,12 +154,13 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     piece = fit.prepared.pieces[index]
     corrected = fit.corrected(index)
     ts = 1.0 / piece.signals.sampling_frequency_hz
-    i_true, delta = true_frame(piece, corrected)
+    batch, base = fit.frame.base_of(index)
+    i_true, delta = true_frame(batch, corrected)
     last = slice(len(i_true) - _period(piece), len(i_true))
     magnet = np.array([_magnet_wb(piece), 0.0])
     psi, _ = fit.model.magnetics.flux_and_inductance(i_true[last])
     model = _believed(psi + magnet, delta[last])
-    measured = _integral(corrected, fit.model.r_s / float(fit.frame.pieces[index].base.resistance_ohm[0]), last, ts)
+    measured = _integral(corrected, fit.model.r_s / float(base.resistance_ohm[0]), last, ts)
     measured = to_dq(measured, piece.segment.rotor_angle_rad)
     i_dq = to_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
     stride = math.ceil(len(i_dq) / fit.criteria.pictures.most_points)
@@ -177,7 +179,7 @@ def _magnet_wb(piece: SegmentSignals) -> float:
     return (motor.pm_flux_wb if motor is not None else None) or 0.0
 
 
-def _integral(signals: Signals, factor: float, part: slice, ts: float) -> Array:
+def _integral(signals: SignalBatch, factor: float, part: slice, ts: float) -> Array:
     """int (v - R i) dt from the part's first sample on, stator frame, shape (n, 2) [Wb]."""
     drop = (factor * signals.resistance_ohm[part, None]) * signals.i_ab[part]
     steps = ts * (signals.v_ab[part][:-1] - 0.5 * (drop[1:] + drop[:-1]))

@@ -44,7 +44,7 @@ def diagnose_and_keep(
     tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
     priors: FleetPriors | None = None,
-    processes: int = 1,
+    workers: int = 1,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
     """`diagnose_recording`, and what it found written to ``results/``: ``diagnosis.json``, ``.npz``, the model's map.
 
@@ -79,7 +79,7 @@ def diagnose_and_keep(
         tell=tell,
         criteria=criteria,
         priors=priors,
-        processes=processes,
+        workers=workers,
     )
     words = in_words(diagnosis)
     try:

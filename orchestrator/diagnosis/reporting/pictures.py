@@ -160,7 +160,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         square = float(current @ current)
         if square < (fit.criteria.pictures.least_dwell_current * largest) ** 2 or square == 0.0:
             continue
-        base = fit.frame.pieces[row.index].base
+        _, base = fit.frame.base_of(row.index)
         model = float(fit.corrected(row.index).resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
         asked = model + float(row.residual_dq_v.mean(axis=0) @ current) / square
         dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))

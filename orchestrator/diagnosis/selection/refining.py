@@ -100,7 +100,7 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     if fitter.effort.exhausted or set(active.candidate.of_role(ParameterRole.REFINEMENT)) <= set(active.free):
         return None
     best = _bent(fitter, fit, index, active, fit, inflation) or fit
-    for form in _other_forms(active, best.model.active[index], fit):
+    for form in _other_forms(active, best, index):
         best = _bent(fitter, fit, index, form, best, inflation) or best
     if best is fit:
         return None
@@ -109,15 +109,15 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
     return best if log_evidence(best, inflation) > log_evidence(fit, inflation) + tie else None
 
 
-def _other_forms(active: Active, bent: Active, fit: Fit) -> list[Active]:
-    """Where else an effect's flexible form begins, where more than noise is left.
+def _other_forms(active: Active, best: Fit, index: int) -> list[Active]:
+    """Where else an effect's flexible form begins, where the best fit so far leaves more than noise.
 
     At its second form, also with what the first was bent by; and without what ran to the end of its range, which stood
     in for something else.
     """
-    if fit.chi2_per_dof <= fit.criteria.selection.detected_chi2:
+    if best.chi2_per_dof <= best.criteria.selection.detected_chi2:
         return []
-    ended = _at_an_end(active)
+    ended, bent = _at_an_end(active), best.model.active[index]
     return [*active.other_forms(), *bent.other_forms()[1:], *([active.resting(*ended)] if ended else [])]
 
 

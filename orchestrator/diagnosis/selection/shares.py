@@ -12,7 +12,6 @@ from scipy.special import chdtrc
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import without_effect
-from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.types import Array
@@ -117,8 +116,7 @@ def why_nothing_is_told(fit: Fit, noise_v: float | None, current_error: float | 
 
 def visited(fit: Fit) -> Array:
     """Mean current of every segment in the true rotor frame, shape (segments, 2)."""
-    seen = (true_frame(p, fit.corrected(k))[0] for k, p in enumerate(fit.prepared.pieces))
-    return np.stack([i_dq.mean(axis=0) for i_dq in seen])
+    return np.stack([i_dq.mean(axis=0) for i_dq in fit.true_currents()])
 
 
 def rated_flux_wb(setup: DiagnosisSetup) -> float:

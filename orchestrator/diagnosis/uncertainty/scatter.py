@@ -24,9 +24,9 @@ import numpy as np
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.fitting.segment_equations import scatter_sizes
 from orchestrator.diagnosis.weak_form.rests import TimerScatter, leg_step_v
 from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
 from orchestrator.numerics.types import Array
@@ -320,9 +320,12 @@ def likelihood_of(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Lik
     gradient[:width] = 0.0
     gradient[width : width + len(free)] += [a.off_prior(n) for a, n in free]
     segments = []
-    pieces = [(p, f) for p, f in zip(loose.prepared.pieces, loose.frame.pieces, strict=True) if not p.held_out]
-    for (piece, frame), (linear, d, e) in zip(pieces, loose.training(), strict=True):
-        u = fitter.equations.common(loose.model, piece, frame)
+    common: dict[int, Array] = {}
+    for frame in loose.frame.batches:
+        if not frame.batch.pieces[0].held_out:
+            common |= dict(zip(frame.batch.places, fitter.equations.common(loose.model, frame), strict=True))
+    pieces = [(piece, common[k]) for k, piece in enumerate(loose.prepared.pieces) if not piece.held_out]
+    for (piece, u), (linear, d, e) in zip(pieces, loose.training(), strict=True):
         timer, pwm_hz = TimerScatter.of(piece), piece.signals.pwm_frequency_hz
         segments.append(_Segment(u.T @ u, u.T @ np.column_stack([linear, d]), u.T @ e, timer, pwm_hz))
     return Likelihood(fitter.prepared.criteria, segments, normal, gradient, loose.chi2, loose.dof)

@@ -15,13 +15,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.model import Fit, SegmentFrame
+from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.uncertainty.timer_counting import counting
-from orchestrator.diagnosis.weak_form.equations import LocalMap, difference, local_map
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch
+from orchestrator.diagnosis.weak_form.equations import LocalMap, change_of_rows, local_map
+from orchestrator.diagnosis.weak_form.noise import Whitener
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, mean_between
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, added_by, leg_step_of
 from orchestrator.numerics.types import Array, Indices
-from protocols import ModulatorTimer
+from protocols import ModulatorTimer, SignalBatch
 
 APART = (0.02, 0.004)
 """Of a step, at the largest command: how far apart differences are taken, one descent after the other.
@@ -109,7 +111,10 @@ class _Segment:
     """A training segment: what its rows are made of, and the whitened columns of all that follows."""
 
     piece: SegmentSignals
-    frame: SegmentFrame
+    batch: SegmentBatch
+    """The segment alone."""
+    base: SignalBatch
+    whitener: Whitener
     local: LocalMap
     columns: Array
     residual: Array
@@ -125,8 +130,8 @@ class _Segment:
     def rows_of(self, added_ab: Array, pm_flux_wb: float) -> Array:
         """What an added voltage (readings, 2) changes of the whitened residual (rows,)."""
         v_ab = mean_between(added_ab, self.piece.averaged, self.piece.delay_samples)
-        sums = difference(self.piece, self.frame.base, {"v_ab": v_ab}, self.local, pm_flux_wb)
-        return self.frame.whitener(self.piece.windows.combine(sums)[:, None])[:, 0]
+        rows = change_of_rows(self.batch, self.base, {"v_ab": v_ab}, self.local, pm_flux_wb)
+        return self.whitener(rows[:, None])[:, 0]
 
 
 @dataclass(frozen=True)
@@ -168,9 +173,11 @@ class _Rounding:
             if added is not None:
                 at = min(place, key=lambda known: abs(known - pwm_hz))
                 heard = np.array([0, place[at], place[at] + 1])
-                frame, local = fit.frame.pieces[k], local_map(piece, fit.corrected(k), fit.model.magnetics)
+                batch, base = fit.frame.base_of(k)
+                local = local_map(batch, fit.corrected(k), fit.model.magnetics)
+                whitener = fit.frame.pieces[k].whitener
                 follows = np.column_stack([linear, columns])
-                segments.append(_Segment(piece, frame, local, follows, residual, added, heard))
+                segments.append(_Segment(piece, batch, base, whitener, local, follows, residual, added, heard))
                 most = max(most, float(np.abs(piece.command_ab).max()) / leg_step_of(timer.step_s, pwm_hz, bus_v))
         start = nearest.to(timer)
         unit = np.array([1.0 / most, *[1.0] * (len(start) - 1)])

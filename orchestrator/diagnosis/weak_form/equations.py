@@ -8,27 +8,26 @@ Ts^2/12 (i'_start - i'_end): where saturation curves the ripple, the plain rule 
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch, WindowLayout
 from orchestrator.diagnosis.weak_form.derivatives import sum_basis
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.segments import SegmentSignals
-from orchestrator.diagnosis.weak_form.windows import sum_intervals
+from orchestrator.diagnosis.weak_form.windows import hat_weights
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import CARDINAL
 from orchestrator.numerics.types import Array
-from protocols import Signals
+from protocols import SignalBatch
 
 
 @dataclass(frozen=True)
 class LocalMap:
-    """Flux and inductance of the present model at every sample of one piece, in the true frame.
+    """Flux and inductance of the present model at every sample of a batch, in the true frame.
 
     Attributes
     ----------
@@ -50,71 +49,101 @@ class LocalMap:
     psi: Array
     inductance: Array
 
+    def part(self, at: slice) -> LocalMap:
+        """The same of some of the samples."""
+        turned = self.delta.size > 0
+        return LocalMap(
+            self.i_dq[at],
+            self.delta[at] if turned else self.delta,
+            self.turn[at] if turned else self.turn,
+            self.psi[at],
+            self.inductance[at],
+        )
 
-def local_map(piece: SegmentSignals, signals: Signals, magnetics: Magnetics) -> LocalMap:
-    """Evaluate the magnetics where the (corrected) signals of a piece are."""
-    i_dq, delta = true_frame(piece, signals)
+
+def local_map(batch: SegmentBatch, signals: SignalBatch, magnetics: Magnetics) -> LocalMap:
+    """Evaluate the magnetics where the (corrected) signals of a batch are."""
+    i_dq, delta = true_frame(batch, signals)
     psi, inductance = magnetics.flux_and_inductance(i_dq)
     return LocalMap(i_dq, delta, unit_vectors(delta) if delta.size else np.zeros((0, 2)), psi, inductance)
 
 
-def true_frame(piece: SegmentSignals, signals: Signals) -> tuple[Array, Array]:
+def true_frame(batch: SegmentBatch, signals: SignalBatch) -> tuple[Array, Array]:
     """Magnetising current in the true rotor frame (n, 2), and true minus believed angle (empty where zero)."""
-    believed = float(piece.segment.rotor_angle_rad)
-    delta = np.asarray(signals.theta_rad, dtype=np.float64) - believed
+    if signals.theta_rad is batch.signals.theta_rad:
+        return to_dq(signals.i_m_ab, batch.believed_rad), np.zeros(0)
+    delta = np.asarray(signals.theta_rad - batch.believed_rad, dtype=np.float64)
     if not delta.any():
-        return to_dq(signals.i_m_ab, believed), np.zeros(0)
+        return to_dq(signals.i_m_ab, batch.believed_rad), np.zeros(0)
     return to_dq(signals.i_m_ab, signals.theta_rad), delta
 
 
 def voltage_and_resistance(
-    piece: SegmentSignals, signals: Signals, local: LocalMap, pm_flux_wb: float
+    batch: SegmentBatch, signals: SignalBatch, local: LocalMap, pm_flux_wb: float
 ) -> tuple[Array, Array]:
-    """The weak form's known part and its R_s column, shapes (rows,) and (rows,).
+    """The weak form's part by the voltage and the turn of the magnet, and its R_s column, shapes (rows,) and (rows,).
 
-    y = known + R_s * column + basis @ coefficients, with `signals.resistance_ohm` in units of R_s.
+    y = voltage + flux terms + R_s * column + basis @ change of the coefficients, with `signals.resistance_ohm` in units
+    of R_s.
     """
-    v, r = _interval_terms(
+    motor = batch.signals.motor
+    v, r = np.empty(batch.layout.rows[-1]), np.empty(batch.layout.rows[-1])
+    _sum_intervals(
         np.ascontiguousarray(signals.v_ab),
         np.ascontiguousarray(signals.i_ab),
         np.ascontiguousarray(signals.resistance_ohm),
         local.turn,
         local.inductance,
-        float(piece.segment.rotor_angle_rad),
-        1.0 / signals.sampling_frequency_hz,
+        batch.layout,
         pm_flux_wb,
-        (piece.signals.motor.stator_resistance_ohm or 0.0) if piece.signals.motor else 0.0,
+        (motor.stator_resistance_ohm or 0.0) if motor else 0.0,
+        v,
+        r,
     )
-    return _summed(piece, v), _summed(piece, r)
+    return v, r
 
 
-def basis(piece: SegmentSignals, local: LocalMap, magnetics: Magnetics) -> Array:
-    """The weak form's columns for the coefficients of the co-energy, shape (rows, coefficients)."""
-    w = piece.windows
+def basis(batch: SegmentBatch, local: LocalMap, magnetics: Magnetics) -> list[Array]:
+    """The weak form's columns for the coefficients of the co-energy, of each segment: shape (rows, coefficients)."""
     numbers, counts = magnetics.grid.layout
-    return w.combine(sum_basis(local.i_dq, local.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, CARDINAL))
+    columns = []
+    for j, piece in enumerate(batch.pieces):
+        w, own = piece.windows, local.part(batch.signals.slice_of(j))
+        sums = sum_basis(own.i_dq, own.delta, w.step, w.hats, w.bins, w.n_bins, numbers, counts, CARDINAL)
+        columns.append(w.combine(sums))
+    return columns
 
 
-def flux_terms(piece: SegmentSignals, local: LocalMap) -> Array:
+def flux_terms(batch: SegmentBatch, local: LocalMap) -> Array:
     """The weak form's -(psi_k+1 - psi_k) by the present map, without the magnet's flux; shape (rows,)."""
     psi = to_ab(local.psi, local.delta) if local.delta.size else local.psi
-    return _summed(piece, -np.diff(psi, axis=0))
+    out = np.empty(batch.layout.rows[-1])
+    _sum_steps(psi, batch.layout, out)
+    return out
 
 
-def difference(
-    piece: SegmentSignals, base: Signals, change: Mapping[str, Array], local: LocalMap, pm_flux_wb: float
+def change_of_rows(
+    batch: SegmentBatch,
+    base: SignalBatch,
+    change: Mapping[str, Array],
+    local: LocalMap,
+    pm_flux_wb: float,
+    out: Array | None = None,
 ) -> Array:
-    """Change of y, to first order in the magnetics, when arrays of the signals change from what they are in `base`.
+    """Change of y (rows,), to first order in the magnetics, when arrays of the signals change from what `base` has.
 
-    Summed over samples, for `Windows.combine`: shape (hats, n_bins, 2).
+    Parameters
+    ----------
+    out : array, shape (rows,), optional
+        Where it is written.
     """
 
     def of(name: str) -> Array:
         known = change.get(name)
         return np.zeros((0, 2)[: getattr(base, name).ndim]) if known is None else known
 
-    believed = float(piece.segment.rotor_angle_rad)
-    x = _interval_difference(
+    rows = np.empty(batch.layout.rows[-1]) if out is None else out
+    _sum_changes(
         of("v_ab"),
         np.ascontiguousarray(base.i_ab),
         of("i_ab"),
@@ -126,71 +155,114 @@ def difference(
         local.turn,
         local.psi,
         local.inductance,
-        believed,
-        1.0 / base.sampling_frequency_hz,
+        batch.layout,
         pm_flux_wb,
+        rows,
     )
-    w = piece.windows
-    return sum_intervals(x, w.step, w.hats, w.bins, w.n_bins)
+    return rows
 
 
-def _summed(piece: SegmentSignals, x: Array) -> Array:
-    w = piece.windows
-    return w.combine(sum_intervals(x, w.step, w.hats, w.bins, w.n_bins))
+@njit(cache=True, nogil=True, inline="always")
+def _add(sums: Array, j: int, w0: float, w1: float, b: int, x_d: float, x_q: float) -> None:
+    """An interval's vector to the test functions on both sides of it."""
+    if w0 > 0.0:
+        sums[j, b, 0] += w0 * x_d
+        sums[j, b, 1] += w0 * x_q
+    if w1 > 0.0:
+        sums[j + 1, b, 0] += w1 * x_d
+        sums[j + 1, b, 1] += w1 * x_q
 
 
 @njit(cache=True, nogil=True)
-def _interval_terms(
+def _combine(sums: Array, layout: WindowLayout, s: int, out: Array) -> None:
+    """A segment's rows from its sums (hats, bins, 2): each times the modes."""
+    n_bins, n_modes, first = layout.n_bins[s], layout.n_modes[s], layout.mode_starts[s]
+    row = layout.rows[s]
+    for j in range(layout.hats[s]):
+        for m in range(n_modes):
+            d = 0.0
+            q = 0.0
+            for b in range(n_bins):
+                weight = layout.modes[first + m * n_bins + b]
+                d += weight * sums[j, b, 0]
+                q += weight * sums[j, b, 1]
+            out[row] = 0.0 if layout.unread[s] == 0 else d
+            out[row + 1] = 0.0 if layout.unread[s] == 1 else q
+            row += 2
+
+
+@njit(cache=True, nogil=True)
+def _sum_steps(x: Array, layout: WindowLayout, out: Array) -> None:
+    """Rows of -(x_k+1 - x_k), x (n, 2) in the believed rotor frame."""
+    for s in range(layout.hats.shape[0]):
+        first = layout.starts[s]
+        sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        for k in range(first, layout.starts[s + 1] - 1):
+            j, w0, w1 = hat_weights(k - first, layout.steps[s], layout.hats[s])
+            _add(sums, j, w0, w1, layout.bins[k], x[k, 0] - x[k + 1, 0], x[k, 1] - x[k + 1, 1])
+        _combine(sums, layout, s, out)
+
+
+@njit(cache=True, nogil=True)
+def _sum_intervals(
     v_ab: Array,
     i_ab: Array,
     resistance: Array,
     turn: Array,
     inductance: Array,
-    believed: float,
-    ts: float,
+    layout: WindowLayout,
     pm_flux: float,
     nominal_ohm: float,
-) -> tuple[Array, Array]:
-    n = i_ab.shape[0]
-    v_out = np.empty((n - 1, 2))
-    r_out = np.empty((n - 1, 2))
-    c = math.cos(believed)
-    s = math.sin(believed)
-    sixth = ts * ts / 12.0
-    for k in range(n - 1):
-        vd = c * v_ab[k, 0] + s * v_ab[k, 1]
-        vq = -s * v_ab[k, 0] + c * v_ab[k, 1]
-        id0 = c * i_ab[k, 0] + s * i_ab[k, 1]
-        iq0 = -s * i_ab[k, 0] + c * i_ab[k, 1]
-        id1 = c * i_ab[k + 1, 0] + s * i_ab[k + 1, 1]
-        iq1 = -s * i_ab[k + 1, 0] + c * i_ab[k + 1, 1]
-        # i' = L^-1 (v - R i) at both ends; the frame's small error does not matter in a correction.
-        ed0 = vd - nominal_ohm * id0
-        eq0 = vq - nominal_ohm * iq0
-        ed1 = vd - nominal_ohm * id1
-        eq1 = vq - nominal_ohm * iq1
-        det0 = inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2
-        det1 = inductance[k + 1, 0] * inductance[k + 1, 2] - inductance[k + 1, 1] ** 2
-        gd = 0.0
-        gq = 0.0
-        if det0 > 0.0 and det1 > 0.0:
-            gd = (inductance[k, 2] * ed0 - inductance[k, 1] * eq0) / det0
-            gq = (inductance[k, 0] * eq0 - inductance[k, 1] * ed0) / det0
-            gd -= (inductance[k + 1, 2] * ed1 - inductance[k + 1, 1] * eq1) / det1
-            gq -= (inductance[k + 1, 0] * eq1 - inductance[k + 1, 1] * ed1) / det1
-        r = 0.5 * (resistance[k] + resistance[k + 1])
-        v_out[k, 0] = vd * ts
-        v_out[k, 1] = vq * ts
-        r_out[k, 0] = -r * (0.5 * ts * (id0 + id1) + sixth * gd)
-        r_out[k, 1] = -r * (0.5 * ts * (iq0 + iq1) + sixth * gq)
-        if turn.shape[0] > 0:
-            v_out[k, 0] -= pm_flux * (turn[k + 1, 0] - turn[k, 0])
-            v_out[k, 1] -= pm_flux * (turn[k + 1, 1] - turn[k, 1])
-    return v_out, r_out
+    v_out: Array,
+    r_out: Array,
+) -> None:
+    for s in range(layout.hats.shape[0]):
+        first = layout.starts[s]
+        c = layout.cos[s]
+        sn = layout.sin[s]
+        ts = layout.interval_s[s]
+        sixth = ts * ts / 12.0
+        v_sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        r_sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        for k in range(first, layout.starts[s + 1] - 1):
+            vd = c * v_ab[k, 0] + sn * v_ab[k, 1]
+            vq = -sn * v_ab[k, 0] + c * v_ab[k, 1]
+            id0 = c * i_ab[k, 0] + sn * i_ab[k, 1]
+            iq0 = -sn * i_ab[k, 0] + c * i_ab[k, 1]
+            id1 = c * i_ab[k + 1, 0] + sn * i_ab[k + 1, 1]
+            iq1 = -sn * i_ab[k + 1, 0] + c * i_ab[k + 1, 1]
+            # i' = L^-1 (v - R i) at both ends; the frame's small error does not matter in a correction.
+            ed0 = vd - nominal_ohm * id0
+            eq0 = vq - nominal_ohm * iq0
+            ed1 = vd - nominal_ohm * id1
+            eq1 = vq - nominal_ohm * iq1
+            det0 = inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2
+            det1 = inductance[k + 1, 0] * inductance[k + 1, 2] - inductance[k + 1, 1] ** 2
+            gd = 0.0
+            gq = 0.0
+            if det0 > 0.0 and det1 > 0.0:
+                gd = (inductance[k, 2] * ed0 - inductance[k, 1] * eq0) / det0
+                gq = (inductance[k, 0] * eq0 - inductance[k, 1] * ed0) / det0
+                gd -= (inductance[k + 1, 2] * ed1 - inductance[k + 1, 1] * eq1) / det1
+                gq -= (inductance[k + 1, 0] * eq1 - inductance[k + 1, 1] * ed1) / det1
+            r = 0.5 * (resistance[k] + resistance[k + 1])
+            v_d = vd * ts
+            v_q = vq * ts
+            if turn.shape[0] > 0:
+                v_d -= pm_flux * (turn[k + 1, 0] - turn[k, 0])
+                v_q -= pm_flux * (turn[k + 1, 1] - turn[k, 1])
+            j, w0, w1 = hat_weights(k - first, layout.steps[s], layout.hats[s])
+            b = layout.bins[k]
+            _add(v_sums, j, w0, w1, b, v_d, v_q)
+            r_d = -r * (0.5 * ts * (id0 + id1) + sixth * gd)
+            r_q = -r * (0.5 * ts * (iq0 + iq1) + sixth * gq)
+            _add(r_sums, j, w0, w1, b, r_d, r_q)
+        _combine(v_sums, layout, s, v_out)
+        _combine(r_sums, layout, s, r_out)
 
 
 @njit(cache=True, nogil=True)
-def _interval_difference(
+def _sum_changes(
     dv: Array,
     i_ab: Array,
     di: Array,
@@ -202,67 +274,69 @@ def _interval_difference(
     turn: Array,
     psi: Array,
     inductance: Array,
-    believed: float,
-    ts: float,
+    layout: WindowLayout,
     pm_flux: float,
-) -> Array:
-    n = i_ab.shape[0]
-    out = np.zeros((n - 1, 2))
-    c = math.cos(believed)
-    s = math.sin(believed)
+    out: Array,
+) -> None:
     has_v = dv.shape[0] > 0
     has_i = di.shape[0] > 0
     has_r = dr.shape[0] > 0
     has_m = dim.shape[0] > 0
     has_t = dtheta.shape[0] > 0
-    old_d = 0.0
-    old_q = 0.0
-    ohm_d = 0.0
-    ohm_q = 0.0
-    for k in range(n):
-        # Flux change at this sample, in the believed frame.
-        pd = 0.0
-        pq = 0.0
-        if has_m or has_t:
-            ct = c
-            st = s
-            cd = 1.0
-            sd = 0.0
-            if turn.shape[0] > 0:
-                cd = turn[k, 0]
-                sd = turn[k, 1]
-                ct = c * cd - s * sd
-                st = s * cd + c * sd
-            xd = 0.0
-            xq = 0.0
-            if has_m:
-                xd = ct * dim[k, 0] + st * dim[k, 1]
-                xq = -st * dim[k, 0] + ct * dim[k, 1]
-            if has_t:
-                # The current seen from the frame turned by dtheta: -dtheta J i.
-                xd += dtheta[k] * i_dq[k, 1]
-                xq -= dtheta[k] * i_dq[k, 0]
-            fd = inductance[k, 0] * xd + inductance[k, 1] * xq
-            fq = inductance[k, 1] * xd + inductance[k, 2] * xq
-            if has_t:
-                fd -= dtheta[k] * psi[k, 1]
-                fq += dtheta[k] * (psi[k, 0] + pm_flux)
-            pd = cd * fd - sd * fq
-            pq = sd * fd + cd * fq
-        # Change of R i at this sample.
-        od = 0.0
-        oq = 0.0
-        if has_i:
-            od = resistance[k] * (c * di[k, 0] + s * di[k, 1])
-            oq = resistance[k] * (-s * di[k, 0] + c * di[k, 1])
-        if has_r:
-            od += dr[k] * (c * i_ab[k, 0] + s * i_ab[k, 1])
-            oq += dr[k] * (-s * i_ab[k, 0] + c * i_ab[k, 1])
-        if k > 0:
-            out[k - 1, 0] += old_d - pd - 0.5 * ts * (ohm_d + od)
-            out[k - 1, 1] += old_q - pq - 0.5 * ts * (ohm_q + oq)
-        if has_v and k < n - 1:
-            out[k, 0] += ts * (c * dv[k, 0] + s * dv[k, 1])
-            out[k, 1] += ts * (-s * dv[k, 0] + c * dv[k, 1])
-        old_d, old_q, ohm_d, ohm_q = pd, pq, od, oq
-    return out
+    turned = turn.shape[0] > 0
+    for s in range(layout.hats.shape[0]):
+        first = layout.starts[s]
+        c = layout.cos[s]
+        sn = layout.sin[s]
+        ts = layout.interval_s[s]
+        sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        old_d, old_q, ohm_d, ohm_q = 0.0, 0.0, 0.0, 0.0
+        for k in range(first, layout.starts[s + 1]):
+            # Flux change at this sample, in the believed frame.
+            pd = 0.0
+            pq = 0.0
+            if has_m or has_t:
+                ct = c
+                st = sn
+                cd = 1.0
+                sd = 0.0
+                if turned:
+                    cd = turn[k, 0]
+                    sd = turn[k, 1]
+                    ct = c * cd - sn * sd
+                    st = sn * cd + c * sd
+                xd = 0.0
+                xq = 0.0
+                if has_m:
+                    xd = ct * dim[k, 0] + st * dim[k, 1]
+                    xq = -st * dim[k, 0] + ct * dim[k, 1]
+                if has_t:
+                    # The current seen from the frame turned by dtheta: -dtheta J i.
+                    xd += dtheta[k] * i_dq[k, 1]
+                    xq -= dtheta[k] * i_dq[k, 0]
+                fd = inductance[k, 0] * xd + inductance[k, 1] * xq
+                fq = inductance[k, 1] * xd + inductance[k, 2] * xq
+                if has_t:
+                    fd -= dtheta[k] * psi[k, 1]
+                    fq += dtheta[k] * (psi[k, 0] + pm_flux)
+                pd = cd * fd - sd * fq
+                pq = sd * fd + cd * fq
+            # Change of R i at this sample.
+            od = 0.0
+            oq = 0.0
+            if has_i:
+                od = resistance[k] * (c * di[k, 0] + sn * di[k, 1])
+                oq = resistance[k] * (-sn * di[k, 0] + c * di[k, 1])
+            if has_r:
+                od += dr[k] * (c * i_ab[k, 0] + sn * i_ab[k, 1])
+                oq += dr[k] * (-sn * i_ab[k, 0] + c * i_ab[k, 1])
+            if k > first:
+                x_d = old_d - pd - 0.5 * ts * (ohm_d + od)
+                x_q = old_q - pq - 0.5 * ts * (ohm_q + oq)
+                if has_v:
+                    x_d += ts * (c * dv[k - 1, 0] + sn * dv[k - 1, 1])
+                    x_q += ts * (-sn * dv[k - 1, 0] + c * dv[k - 1, 1])
+                j, w0, w1 = hat_weights(k - 1 - first, layout.steps[s], layout.hats[s])
+                _add(sums, j, w0, w1, layout.bins[k - 1], x_d, x_q)
+            old_d, old_q, ohm_d, ohm_q = pd, pq, od, oq
+        _combine(sums, layout, s, out)

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 
@@ -23,7 +24,8 @@ def smooth_flux(
     resistance_ohm: Array,
     turn: Array,
     pm_flux: float,
-    ts: float,
+    starts: NDArray[np.int64],
+    interval_s: Array,
     time_constant_s: float,
 ) -> tuple[Array, Array, Array]:
     """Flux linkage with its noise, without it, and the current that belongs to the latter, each (n, 2).
@@ -37,53 +39,61 @@ def smooth_flux(
     v_ab, i_ab : array, shape (n, 2)
         Impressed voltage and stator current.
     resistance_ohm : array, shape (n,)
-    turn : array, shape (n, 2) or (1, 2)
-        Cosine and sine of the rotor's angle; one for all where it rests.
+    turn : array, shape (n, 2) or (segments, 2)
+        Cosine and sine of the rotor's angle; one for each segment where it rests.
+    starts : array of int64, shape (segments + 1,)
+        Bounds of the segments, each of which begins anew.
+    interval_s : array, shape (segments,)
+        From sample to sample.
 
     Returns
     -------
     psi_ab, smooth_ab : array
         In the stator frame, magnet included [Wb].
     i_smooth_ab : array
-        i + L^-1 (psi_smooth - psi(i)) [A], no further from i than the largest i: a map on trial may be nearly flat.
+        i + L^-1 (psi_smooth - psi(i)) [A], no further from i than the segment's largest i: a map on trial may be nearly
+        flat.
     """
     n = psi_dq.shape[0]
     psi = np.empty((n, 2))
     out = np.empty((n, 2))
     current = np.empty((n, 2))
-    pull = 1.0 - math.exp(-ts / time_constant_s)
-    rests = turn.shape[0] == 1
-    mean_d = 0.0
-    mean_q = 0.0
-    for k in range(n):
-        mean_d += inductance[k, 0] / n
-        mean_q += inductance[k, 2] / n
-    least = 1e-3 * mean_d * mean_q
-    largest = 0.0
-    for k in range(n):
-        largest = max(largest, math.hypot(i_ab[k, 0], i_ab[k, 1]))
-    for k in range(n):
-        c, s = turn[0 if rests else k]
-        d = psi_dq[k, 0] + pm_flux
-        psi[k, 0] = c * d - s * psi_dq[k, 1]
-        psi[k, 1] = s * d + c * psi_dq[k, 1]
-        for axis in range(2):
-            if k == 0:
-                out[k, axis] = psi[k, axis]
-            else:
-                r = 0.25 * (resistance_ohm[k - 1] + resistance_ohm[k])
-                p = out[k - 1, axis] + ts * (v_ab[k - 1, axis] - r * (i_ab[k - 1, axis] + i_ab[k, axis]))
-                out[k, axis] = p + pull * (psi[k, axis] - p)
-        x = out[k, 0] - psi[k, 0]
-        y = out[k, 1] - psi[k, 1]
-        step_d = c * x + s * y
-        step_q = -s * x + c * y
-        det = max(inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2, least)
-        i_d = (inductance[k, 2] * step_d - inductance[k, 1] * step_q) / det
-        i_q = (inductance[k, 0] * step_q - inductance[k, 1] * step_d) / det
-        bearable = largest / max(largest, math.hypot(i_d, i_q), 1e-300)
-        i_d *= bearable
-        i_q *= bearable
-        current[k, 0] = i_ab[k, 0] + c * i_d - s * i_q
-        current[k, 1] = i_ab[k, 1] + s * i_d + c * i_q
+    segments = starts.shape[0] - 1
+    rests = turn.shape[0] == segments
+    for m in range(segments):
+        first, end = starts[m], starts[m + 1]
+        ts = interval_s[m]
+        pull = 1.0 - math.exp(-ts / time_constant_s)
+        mean_d = 0.0
+        mean_q = 0.0
+        largest = 0.0
+        for k in range(first, end):
+            mean_d += inductance[k, 0] / (end - first)
+            mean_q += inductance[k, 2] / (end - first)
+            largest = max(largest, math.hypot(i_ab[k, 0], i_ab[k, 1]))
+        least = 1e-3 * mean_d * mean_q
+        for k in range(first, end):
+            c, s = turn[m if rests else k]
+            d = psi_dq[k, 0] + pm_flux
+            psi[k, 0] = c * d - s * psi_dq[k, 1]
+            psi[k, 1] = s * d + c * psi_dq[k, 1]
+            for axis in range(2):
+                if k == first:
+                    out[k, axis] = psi[k, axis]
+                else:
+                    r = 0.25 * (resistance_ohm[k - 1] + resistance_ohm[k])
+                    p = out[k - 1, axis] + ts * (v_ab[k - 1, axis] - r * (i_ab[k - 1, axis] + i_ab[k, axis]))
+                    out[k, axis] = p + pull * (psi[k, axis] - p)
+            x = out[k, 0] - psi[k, 0]
+            y = out[k, 1] - psi[k, 1]
+            step_d = c * x + s * y
+            step_q = -s * x + c * y
+            det = max(inductance[k, 0] * inductance[k, 2] - inductance[k, 1] ** 2, least)
+            i_d = (inductance[k, 2] * step_d - inductance[k, 1] * step_q) / det
+            i_q = (inductance[k, 0] * step_q - inductance[k, 1] * step_d) / det
+            bearable = largest / max(largest, math.hypot(i_d, i_q), 1e-300)
+            i_d *= bearable
+            i_q *= bearable
+            current[k, 0] = i_ab[k, 0] + c * i_d - s * i_q
+            current[k, 1] = i_ab[k, 1] + s * i_d + c * i_q
     return psi, out, current

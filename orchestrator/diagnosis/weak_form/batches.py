@@ -1,0 +1,157 @@
+"""Segments laid end to end, so that one call of a kernel makes the equations of all: their signals and their windows.
+
+A batch has some ten thousand samples: few enough for its arrays to stay in a processor's cache, so many that a call's
+own cost does not count. Knows nothing of motors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.numerics.types import Array
+from protocols import SignalBatch
+
+
+class WindowLayout(NamedTuple):
+    """The windows of a batch's segments, as kernels read them.
+
+    Attributes
+    ----------
+    starts : array of int64, shape (segments + 1,)
+        Bounds of the segments' samples.
+    rows : array of int64, shape (segments + 1,)
+        Bounds of their equations: test function, mode, axis.
+    hats, n_bins, n_modes, unread : array of int64, shape (segments,)
+        As `Windows`; -1 where both axes were read.
+    steps : array, shape (segments,)
+        Distance of the test functions in intervals.
+    bins : array of int32, shape (samples,)
+        Of the interval after each sample.
+    mode_starts : array of int64, shape (segments,)
+        Where a segment's modes begin in `modes`.
+    modes : array
+        All segments' carriers, mode by mode.
+    interval_s : array, shape (segments,)
+        From sample to sample.
+    cos, sin : array, shape (segments,)
+        Of the angle at which the rotor is believed to lie.
+    """
+
+    starts: NDArray[np.int64]
+    rows: NDArray[np.int64]
+    hats: NDArray[np.int64]
+    n_bins: NDArray[np.int64]
+    n_modes: NDArray[np.int64]
+    unread: NDArray[np.int64]
+    steps: Array
+    bins: NDArray[np.int32]
+    mode_starts: NDArray[np.int64]
+    modes: Array
+    interval_s: Array
+    cos: Array
+    sin: Array
+
+
+@dataclass(frozen=True)
+class SegmentBatch:
+    """Some segments of a recording.
+
+    Attributes
+    ----------
+    places : tuple of int
+        Which of the recording's they are.
+    pieces : tuple of SegmentSignals
+    signals : SignalBatch
+        Theirs, as measured and commanded.
+    """
+
+    places: tuple[int, ...]
+    pieces: tuple[SegmentSignals, ...]
+    signals: SignalBatch
+
+    @classmethod
+    def of(cls, pieces: Sequence[SegmentSignals], places: Iterable[int] | None = None) -> SegmentBatch:
+        """All of some segments, or those at some places among them."""
+        at = tuple(range(len(pieces)) if places is None else places)
+        chosen = tuple(pieces[k] for k in at)
+        return cls(at, chosen, SignalBatch.of([p.signals for p in chosen]))
+
+    @cached_property
+    def layout(self) -> WindowLayout:
+        windows = [p.windows for p in self.pieces]
+        angles = np.array([float(p.segment.rotor_angle_rad) for p in self.pieces])
+        sizes = [w.carriers.size for w in windows]
+        # The last sample of a segment begins no interval.
+        bins = [np.append(w.bins, 0) for w in windows]
+        return WindowLayout(
+            starts=self.signals.starts,
+            rows=_bounds([w.rows for w in windows]),
+            hats=np.array([w.hats for w in windows]),
+            n_bins=np.array([w.n_bins for w in windows]),
+            n_modes=np.array([len(w.carriers) for w in windows]),
+            unread=np.array([-1 if w.unread is None else w.unread for w in windows]),
+            steps=np.array([float(w.step) for w in windows]),
+            bins=np.concatenate(bins).astype(np.int32),
+            mode_starts=_bounds(sizes)[:-1],
+            modes=np.concatenate([w.carriers.ravel() for w in windows]),
+            interval_s=1.0 / np.array([p.signals.sampling_frequency_hz for p in self.pieces]),
+            cos=np.cos(angles),
+            sin=np.sin(angles),
+        )
+
+    @cached_property
+    def believed_rad(self) -> Array:
+        """The angle at which the rotor is believed to lie, shape (samples,), or (1,) where it is one."""
+        angles = np.array([float(p.segment.rotor_angle_rad) for p in self.pieces])
+        return np.asarray(self.signals.per_sample(angles), dtype=np.float64)
+
+    @cached_property
+    def singles(self) -> tuple[SegmentBatch, ...]:
+        """Each segment as a batch of its own."""
+        return tuple(SegmentBatch.of([piece]) for piece in self.pieces)
+
+    def rows_of(self, j: int) -> slice:
+        """The equations of the batch's segment j."""
+        return slice(int(self.layout.rows[j]), int(self.layout.rows[j + 1]))
+
+
+def _bounds(sizes: Sequence[int]) -> NDArray[np.int64]:
+    return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
+
+
+def in_batches(
+    pieces: Sequence[SegmentSignals], first: Iterable[int], samples: int
+) -> tuple[tuple[SegmentBatch, ...], tuple[SegmentBatch, ...]]:
+    """A recording's segments in batches of at most so many samples, those that come first apart from the others.
+
+    What is held out of fits, and what was read with the bridge off, is in batches of its own: neither is asked for all
+    that the others are.
+    """
+    ahead = set(first)
+    kinds: dict[tuple[bool, bool, bool], list[int]] = {}
+    for k, piece in enumerate(pieces):
+        kinds.setdefault((k in ahead, piece.held_out, piece.signals.bridge_on), []).append(k)
+    early, late = list[SegmentBatch](), list[SegmentBatch]()
+    for (is_ahead, _, _), places in kinds.items():
+        (early if is_ahead else late).extend(SegmentBatch.of(pieces, part) for part in _split(pieces, places, samples))
+    return tuple(early), tuple(late)
+
+
+def _split(pieces: Sequence[SegmentSignals], places: Sequence[int], samples: int) -> list[list[int]]:
+    """Places dealt out so that each part has much the same number of samples, the longest segments first."""
+    lengths = {k: len(pieces[k].signals.v_dc) for k in places}
+    count = max(1, -(-sum(lengths.values()) // samples))
+    parts: list[list[int]] = [[] for _ in range(min(count, len(places)))]
+    filled = [0] * len(parts)
+    for k in sorted(places, key=lambda k: -lengths[k]):
+        least = filled.index(min(filled))
+        parts[least].append(k)
+        filled[least] += lengths[k]
+    return [sorted(part) for part in parts]
