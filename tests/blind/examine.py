@@ -10,7 +10,7 @@ import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import nullcontext, suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -44,13 +44,15 @@ class Answer:
     """Fields of `Removal` by hidden effect, where many are hidden; None elsewhere."""
 
 
-def examine(case: Case, recordings: Path | None = None) -> Answer:
+def examine(case: Case, recordings: Path | None = None, *, held_against_others: bool = True) -> Answer:
     """Diagnose a case's recording through the public API of the command line.
 
     Parameters
     ----------
     recordings : Path, optional
         Where recordings are stored, by `stored_recording`; by default each is made in a temporary place.
+    held_against_others : bool
+        Whether simpler searches and the plant are asked too, which takes as long as a quick diagnosis.
     """
     from orchestrator.diagnosis import diagnose_recording
     from orchestrator.recording import open_recording
@@ -74,7 +76,7 @@ def examine(case: Case, recordings: Path | None = None) -> Answer:
             error = str(refused)
         seconds, cpu = time.perf_counter() - start, time.process_time() - cpu
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-        if delivered is not None:
+        if delivered is not None and held_against_others:
             named = baselines(recording, [effect for effect in library if effect.name not in case.without])
     done = {name: asdict(one) for name, one in removals(case).items()} if case.kind in MANY else None
     return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named, done)
@@ -114,14 +116,14 @@ def examine_all(
             yield done.result
 
 
-def keep(file: Path | None, seed: int, answer: Answer) -> None:
+def keep(file: Path | None, seed: int, answer: Answer, **more: Any) -> None:
     """Append an answer to a file of JSON lines; nowhere, where there is none."""
     if file is None:
         return
     names = ("report", "error", "samples", "seconds", "cpu_s", "peak_mb", "delivered", "baselines", "removal")
     row = {name: getattr(answer, name) for name in names}
     with file.open("a", encoding="utf-8") as lines:
-        lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row}) + "\n")
+        lines.write(json.dumps({"seed": seed, "case": [answer.case.kind, answer.case.index], **row, **more}) + "\n")
 
 
 def kept(file: Path | None, seed: int) -> dict[tuple[str, int], Answer]:
@@ -132,8 +134,9 @@ def kept(file: Path | None, seed: int) -> dict[tuple[str, int], Answer]:
     for line in file.read_text(encoding="utf-8").splitlines():
         row = json.loads(line)
         kind, index = row.pop("case")
-        if row.pop("seed") == seed:
-            answers[kind, index] = Answer(draw_case(kind, index, seed), **row)
+        if row["seed"] == seed:
+            known = {field.name for field in fields(Answer)}
+            answers[kind, index] = Answer(draw_case(kind, index, seed), **{n: x for n, x in row.items() if n in known})
     return answers
 
 

@@ -1,0 +1,259 @@
+"""`python -m tests.blind.ablation`: what each rule of the search earns, over stored recordings of the blind suite.
+
+First every rule is observed: how often it is called, how often it gives back anything but what it was given, and what
+it takes. A rule that changed nothing anywhere earns nothing. The others are then taken out, one at a time, over those
+recordings alone whose answer they had a part in: all other answers are the same without.
+"""
+
+from __future__ import annotations
+
+import argparse
+import inspect
+import json
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial, wraps
+from importlib import import_module
+from multiprocessing import get_context
+from pathlib import Path
+from typing import Any
+
+from tests.blind.examine import Answer, examine, keep, kept
+from tests.blind.hidden import KINDS, draw_case
+from tests.blind.score import judge, said
+
+ROOM = "orchestrator.diagnosis"
+
+
+@dataclass(frozen=True)
+class Rule:
+    """One step of the search that can be left out.
+
+    Attributes
+    ----------
+    module, name : str
+        Where its function is, below `ROOM`.
+    nothing : callable
+        What comes back where it does nothing, by the function's arguments.
+    """
+
+    module: str
+    name: str
+    nothing: Callable[[Mapping[str, Any]], Any]
+
+    @property
+    def label(self) -> str:
+        return f"{self.module.rpartition('.')[2]}.{self.name}"
+
+
+def _given(*names: str) -> Callable[[Mapping[str, Any]], Any]:
+    """What it was given under these names, as a tuple where they are several."""
+    return lambda given: given[names[0]] if len(names) == 1 else tuple(given[name] for name in names)
+
+
+def _given_and(extra: Callable[[], Any], *names: str) -> Callable[[Mapping[str, Any]], Any]:
+    return lambda given: (*(given[name] for name in names), extra())
+
+
+def _always(value: Any) -> Callable[[Mapping[str, Any]], Any]:
+    return lambda _: value
+
+
+RULES = (
+    Rule("selection.forward_search", "_many_are_missing", _always(False)),
+    Rule("selection.forward_search", "_stands_before_a_form", _always(False)),
+    Rule("selection.forward_search", "_stands_in", _always(False)),
+    Rule("selection.refining", "repolished", _given("fit")),
+    Rule("selection.refining", "settled", _given("fit")),
+    Rule("selection.refining", "to_spare", _always([])),
+    Rule("selection.refining", "_other_forms", _always([])),
+    Rule("selection.workflow", "_detailed", _given("fit")),
+    Rule("selection.workflow", "on_a_finer_map", _given("search")),
+    Rule("selection.workflow", "pruned", _given_and(list, "search")),
+    Rule("selection.workflow", "no_sharper_than_asked", _given("search")),
+    Rule("selection.workflow", "converged", _given("search")),
+    Rule("selection.workflow", "without_doubtful", _given_and(list, "search")),
+    Rule("selection.workflow", "_without_absent", _given_and(list, "search")),
+    Rule("selection.workflow", "no_worse_than_without", _given("search")),
+    Rule("selection.workflow", "with_scatter_as_found", _given("setup", "search")),
+    Rule("selection.workflow", "with_its_scatter", _always(None)),
+    Rule("selection.faint", "with_faint", _given("search")),
+    Rule("selection.modulator_timer", "with_its_timer", _given("setup")),
+    Rule("selection.modulator_timer", "with_sharper_timer", _given("setup", "doubting")),
+    Rule("selection.modulator_timer", "with_timer_of_fit", _always(None)),
+    Rule("selection.rippling", "is_of_the_other_kind", _always(False)),
+    Rule("selection.joint_search", "in_better_form", _given("fit")),
+    Rule("selection.joint_search", "in_simpler_forms", _given("fit")),
+    Rule("selection.joint_search", "in_forms_still_asked_for", _given("fit")),
+    Rule("selection.joint_search", "with_overlooked", _given("fit")),
+    Rule("selection.joint_search", "exchanged", _given_and(dict, "fit")),
+    Rule("selection.joint_search", "without_doubles", _given_and(dict, "fit")),
+    Rule("selection.joint_workflow", "without_needless_scatter", _given("setup", "doubting", "fit")),
+    Rule("selection.joint_workflow", "on_a_sharper_map", _given("fit")),
+    Rule("selection.joint_workflow", "no_sharper_than_asked", _given("fit")),
+    Rule("selection.joint_workflow", "with_the_map_instead", _given("fit")),
+    Rule("selection.joint_workflow", "timed_anew", _given("setup", "doubting", "fit", "rivals")),
+    Rule("selection.joint_workflow", "with_its_noise", _given("setup", "fit")),
+    Rule("selection.joint_workflow", "without_stand_ins", _given_and(list, "search")),
+    Rule("uncertainty.scatter", "doubting_zeros", _given("setup")),
+    Rule("uncertainty.scatter", "beside_scatter", _always(None)),
+)
+BY_LABEL = {rule.label: rule for rule in RULES}
+
+
+@dataclass
+class Observed:
+    """What a rule did in one diagnosis."""
+
+    calls: int = 0
+    changed: int = 0
+    seconds: float = 0.0
+    """Of CPU, calls within calls counted once."""
+    depth: int = 0
+
+
+def is_same(one: Any, other: Any) -> bool:
+    """Whether two results lead a search on in the same way: the same fits, setups and names."""
+    if isinstance(one, tuple) and isinstance(other, tuple):
+        return len(one) == len(other) and all(is_same(a, b) for a, b in zip(one, other, strict=True))
+    if isinstance(one, list | dict | bool) or one is None:
+        return bool(one == other)
+    return one is other
+
+
+@contextmanager
+def observing(without: Sequence[str] = ()) -> Iterator[dict[str, Observed]]:
+    """What each rule does meanwhile; those named do nothing."""
+    seen: dict[str, Observed] = {rule.label: Observed() for rule in RULES}
+    changed: list[tuple[Any, str, Any]] = []
+    try:
+        for rule in RULES:
+            function = getattr(import_module(f"{ROOM}.{rule.module}"), rule.name)
+            stand_in = _wrapped(rule, function, seen[rule.label], idle=rule.label in without)
+            for module in [m for n, m in sys.modules.items() if n.startswith(ROOM) and m is not None]:
+                if getattr(module, rule.name, None) is function:
+                    changed.append((module, rule.name, function))
+                    setattr(module, rule.name, stand_in)
+        yield seen
+    finally:
+        for module, name, function in changed:
+            setattr(module, name, function)
+
+
+def _wrapped(rule: Rule, function: Callable[..., Any], seen: Observed, *, idle: bool) -> Callable[..., Any]:
+    signature = inspect.signature(function)
+
+    @wraps(function)
+    def called(*args: Any, **kwargs: Any) -> Any:
+        given = signature.bind(*args, **kwargs)
+        given.apply_defaults()
+        nothing = rule.nothing(given.arguments)
+        if idle:
+            return nothing
+        seen.calls += 1
+        seen.depth += 1
+        start = time.process_time()
+        try:
+            result = function(*args, **kwargs)
+        finally:
+            seen.depth -= 1
+            if seen.depth == 0:
+                seen.seconds += time.process_time() - start
+        seen.changed += not is_same(result, nothing)
+        return result
+
+    return called
+
+
+def ask(
+    kind: str, index: int, seed: int, recordings: Path, without: tuple[str, ...]
+) -> tuple[Answer, dict[str, dict[str, float]]]:
+    """Diagnose one case while its rules are observed."""
+    import_module(f"{ROOM}._diagnose")
+    with observing(without) as seen:
+        answer = examine(draw_case(kind, index, seed), recordings, held_against_others=False)
+    return answer, {
+        label: {"calls": one.calls, "changed": one.changed, "seconds": one.seconds}
+        for label, one in seen.items()
+        if one.calls
+    }
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    """Entry point; returns the exit code."""
+    asked = _parser().parse_args(words)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    for label in asked.without:
+        if label not in BY_LABEL:
+            print(f"--without {label}: no such rule; one of {', '.join(BY_LABEL)}", file=sys.stderr)
+            return 2
+    asked.recordings.mkdir(parents=True, exist_ok=True)
+    known = kept(asked.answers, asked.seed)
+    cases = [case for case in _cases(asked) if case not in known]
+    question = partial(ask, seed=asked.seed, recordings=asked.recordings, without=tuple(asked.without))
+    with ProcessPoolExecutor(asked.jobs, mp_context=get_context("spawn")) as pool:
+        tasks = [pool.submit(question, *case) for case in cases]
+        for task in as_completed(tasks):
+            answer, rules = task.result()
+            keep(asked.answers, asked.seed, answer, rules=rules)
+            mark = "MISS" if judge(answer).wrong else "ok"
+            print(
+                f"{mark:<5}{answer.case.label:<34}{answer.cpu_s:6.1f} s  {answer.case.hidden} -> {said(answer)}",
+                flush=True,
+            )
+    print(table(asked.answers))
+    return 0
+
+
+def _cases(asked: argparse.Namespace) -> list[tuple[str, int]]:
+    """Those named, or all whose recordings are stored; where rules are left out, of those that they had a part in."""
+    if asked.cases:
+        return [(kind, int(index)) for kind, index in (case.split(":") for case in asked.cases)]
+    stored = [path.name.rpartition("-") for path in asked.recordings.iterdir() if not path.name.startswith(".")]
+    cases = sorted(
+        ((kind, int(index)) for kind, _, index in stored if kind in KINDS), key=lambda case: (case[1], case[0])
+    )
+    if asked.observed is None:
+        return cases
+    concerned = {
+        tuple(row["case"])
+        for row in map(json.loads, asked.observed.read_text(encoding="utf-8").splitlines())
+        if any(row["rules"].get(label, {}).get("changed") for label in asked.without)
+    }
+    return [case for case in cases if case in concerned]
+
+
+def table(answers: Path) -> str:
+    """Of each rule: calls, those that changed anything, recordings in which one did, and its part of the CPU time."""
+    rows = [json.loads(line) for line in answers.read_text(encoding="utf-8").splitlines()]
+    total = sum(row["cpu_s"] for row in rows) or 1.0
+    lines = ["| rule | calls | changed | recordings | % of the time |", "| --- | --- | --- | --- | --- |"]
+    for rule in RULES:
+        seen = [found for row in rows if (found := row.get("rules", {}).get(rule.label))]
+        calls, changed = (round(sum(one[name] for one in seen)) for name in ("calls", "changed"))
+        where, part = sum(one["changed"] > 0 for one in seen), 100.0 * sum(one["seconds"] for one in seen) / total
+        lines.append(f"| `{rule.label}` | {calls} | {changed} | {where} | {part:.1f} |")
+    return "\n".join(lines)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m tests.blind.ablation", description=__doc__)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--recordings", type=Path, required=True, help="where the recordings are stored")
+    parser.add_argument("--answers", type=Path, required=True, help="file to keep the answers in, a line each")
+    parser.add_argument("--without", nargs="*", default=[], metavar="RULE", help="rules that do nothing")
+    parser.add_argument(
+        "--observed", type=Path, help="answers with all rules: only recordings that RULE changed are asked"
+    )
+    parser.add_argument("--cases", nargs="*", metavar="CASE", help="only these, e.g. single:3")
+    parser.add_argument("--jobs", type=int, default=2)
+    return parser
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())
