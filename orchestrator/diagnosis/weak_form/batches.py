@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.diagnosis.weak_form.windows import Windows
 from orchestrator.numerics.types import Array
 from protocols import SignalBatch
 
@@ -34,6 +35,10 @@ class WindowLayout(NamedTuple):
         Distance of the test functions in intervals.
     bins : array of int32, shape (samples,)
         Of the interval after each sample.
+    before : array of int32, shape (samples,)
+        The test function before the middle of that interval, 0 for the first, ...
+    weights : array, shape (samples, 2)
+        ... its value there and that of the next one; zero where there is none.
     mode_starts : array of int64, shape (segments,)
         Where a segment's modes begin in `modes`.
     modes : array
@@ -52,6 +57,8 @@ class WindowLayout(NamedTuple):
     unread: NDArray[np.int64]
     steps: Array
     bins: NDArray[np.int32]
+    before: NDArray[np.int32]
+    weights: Array
     mode_starts: NDArray[np.int64]
     modes: Array
     interval_s: Array
@@ -90,6 +97,7 @@ class SegmentBatch:
         sizes = [w.carriers.size for w in windows]
         # The last sample of a segment begins no interval.
         bins = [np.append(w.bins, 0) for w in windows]
+        before, weights = zip(*(_test_functions(w) for w in windows), strict=True)
         return WindowLayout(
             starts=self.signals.starts,
             rows=_bounds([w.rows for w in windows]),
@@ -99,6 +107,8 @@ class SegmentBatch:
             unread=np.array([-1 if w.unread is None else w.unread for w in windows]),
             steps=np.array([float(w.step) for w in windows]),
             bins=np.concatenate(bins).astype(np.int32),
+            before=np.concatenate(before),
+            weights=np.concatenate(weights),
             mode_starts=_bounds(sizes)[:-1],
             modes=np.concatenate([w.carriers.ravel() for w in windows]),
             interval_s=1.0 / np.array([p.signals.sampling_frequency_hz for p in self.pieces]),
@@ -120,6 +130,31 @@ class SegmentBatch:
     def rows_of(self, j: int) -> slice:
         """The equations of the batch's segment j."""
         return slice(int(self.layout.rows[j]), int(self.layout.rows[j + 1]))
+
+
+def _test_functions(windows: Windows) -> tuple[NDArray[np.int32], Array]:
+    """Which test functions an interval counts for after each sample of a segment, and by how much."""
+    place = (np.arange(len(windows.bins) + 1) + 0.5) / windows.step
+    after = place - np.floor(place)
+    before = np.floor(place).astype(np.int64) - 1
+    weights = np.column_stack([1.0 - after, after])
+    for side in range(2):
+        weights[(before + side < 0) | (before + side >= windows.hats), side] = 0.0
+    weights[-1] = 0.0
+    # Where there is none before the first or after the last, what counts for nothing is written to one that is there.
+    return np.clip(before, 0, max(windows.hats - 2, 0)).astype(np.int32), _aligned(weights, before, windows.hats)
+
+
+def _aligned(weights: Array, before: NDArray[np.int64], hats: int) -> Array:
+    """Weights (n, 2) of the test functions at `clip(before)` and after it, where `before` runs from -1 to `hats` - 1."""
+    aligned = weights.copy()
+    early, late = before < 0, before > hats - 2
+    aligned[early, 0], aligned[early, 1] = weights[early, 1], 0.0
+    if hats > 1:
+        aligned[late, 1], aligned[late, 0] = weights[late, 0], 0.0
+    else:
+        aligned[late & ~early, 1] = 0.0
+    return aligned
 
 
 def _bounds(sizes: Sequence[int]) -> NDArray[np.int64]:

@@ -17,7 +17,6 @@ from numba import njit
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch, WindowLayout
 from orchestrator.diagnosis.weak_form.derivatives import sum_basis
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
-from orchestrator.diagnosis.weak_form.windows import hat_weights
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.tensor_spline import CARDINAL
@@ -143,6 +142,9 @@ def change_of_rows(
         return np.zeros((0, 2)[: getattr(base, name).ndim]) if known is None else known
 
     rows = np.empty(batch.layout.rows[-1]) if out is None else out
+    if change.keys() == {"v_ab"}:
+        _sum_voltages(np.ascontiguousarray(change["v_ab"]), batch.layout, rows)
+        return rows
     _sum_changes(
         of("v_ab"),
         np.ascontiguousarray(base.i_ab),
@@ -163,14 +165,22 @@ def change_of_rows(
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _add(sums: Array, j: int, w0: float, w1: float, b: int, x_d: float, x_q: float) -> None:
-    """An interval's vector to the test functions on both sides of it."""
-    if w0 > 0.0:
-        sums[j, b, 0] += w0 * x_d
-        sums[j, b, 1] += w0 * x_q
-    if w1 > 0.0:
-        sums[j + 1, b, 0] += w1 * x_d
-        sums[j + 1, b, 1] += w1 * x_q
+def _add(sums: Array, layout: WindowLayout, k: int, x_d: float, x_q: float) -> None:
+    """The vector of the interval after sample k to the test functions on both sides of it."""
+    j = layout.before[k]
+    b = layout.bins[k]
+    w0 = layout.weights[k, 0]
+    w1 = layout.weights[k, 1]
+    sums[j, b, 0] += w0 * x_d
+    sums[j, b, 1] += w0 * x_q
+    sums[j + 1, b, 0] += w1 * x_d
+    sums[j + 1, b, 1] += w1 * x_q
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _sums(layout: WindowLayout, s: int) -> Array:
+    """Nothing yet of a segment's test functions, bins and axes; of a single function there is one more, for nothing."""
+    return np.zeros((max(layout.hats[s], 2), layout.n_bins[s], 2))
 
 
 @njit(cache=True, nogil=True)
@@ -196,10 +206,9 @@ def _sum_steps(x: Array, layout: WindowLayout, out: Array) -> None:
     """Rows of -(x_k+1 - x_k), x (n, 2) in the believed rotor frame."""
     for s in range(layout.hats.shape[0]):
         first = layout.starts[s]
-        sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        sums = _sums(layout, s)
         for k in range(first, layout.starts[s + 1] - 1):
-            j, w0, w1 = hat_weights(k - first, layout.steps[s], layout.hats[s])
-            _add(sums, j, w0, w1, layout.bins[k], x[k, 0] - x[k + 1, 0], x[k, 1] - x[k + 1, 1])
+            _add(sums, layout, k, x[k, 0] - x[k + 1, 0], x[k, 1] - x[k + 1, 1])
         _combine(sums, layout, s, out)
 
 
@@ -222,8 +231,8 @@ def _sum_intervals(
         sn = layout.sin[s]
         ts = layout.interval_s[s]
         sixth = ts * ts / 12.0
-        v_sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
-        r_sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        v_sums = _sums(layout, s)
+        r_sums = _sums(layout, s)
         for k in range(first, layout.starts[s + 1] - 1):
             vd = c * v_ab[k, 0] + sn * v_ab[k, 1]
             vq = -sn * v_ab[k, 0] + c * v_ab[k, 1]
@@ -251,14 +260,29 @@ def _sum_intervals(
             if turn.shape[0] > 0:
                 v_d -= pm_flux * (turn[k + 1, 0] - turn[k, 0])
                 v_q -= pm_flux * (turn[k + 1, 1] - turn[k, 1])
-            j, w0, w1 = hat_weights(k - first, layout.steps[s], layout.hats[s])
-            b = layout.bins[k]
-            _add(v_sums, j, w0, w1, b, v_d, v_q)
+            _add(v_sums, layout, k, v_d, v_q)
             r_d = -r * (0.5 * ts * (id0 + id1) + sixth * gd)
             r_q = -r * (0.5 * ts * (iq0 + iq1) + sixth * gq)
-            _add(r_sums, j, w0, w1, b, r_d, r_q)
+            _add(r_sums, layout, k, r_d, r_q)
         _combine(v_sums, layout, s, v_out)
         _combine(r_sums, layout, s, r_out)
+
+
+@njit(cache=True, nogil=True)
+def _sum_voltages(dv: Array, layout: WindowLayout, out: Array) -> None:
+    """Rows of a change of the voltage alone, (n, 2) in the stator frame: summed there, then turned."""
+    for s in range(layout.hats.shape[0]):
+        sums = _sums(layout, s)
+        for k in range(layout.starts[s], layout.starts[s + 1] - 1):
+            _add(sums, layout, k, dv[k, 0], dv[k, 1])
+        c = layout.interval_s[s] * layout.cos[s]
+        sn = layout.interval_s[s] * layout.sin[s]
+        for j in range(layout.hats[s]):
+            for b in range(layout.n_bins[s]):
+                alpha, beta = sums[j, b, 0], sums[j, b, 1]
+                sums[j, b, 0] = c * alpha + sn * beta
+                sums[j, b, 1] = c * beta - sn * alpha
+        _combine(sums, layout, s, out)
 
 
 @njit(cache=True, nogil=True)
@@ -289,7 +313,7 @@ def _sum_changes(
         c = layout.cos[s]
         sn = layout.sin[s]
         ts = layout.interval_s[s]
-        sums = np.zeros((layout.hats[s], layout.n_bins[s], 2))
+        sums = _sums(layout, s)
         old_d, old_q, ohm_d, ohm_q = 0.0, 0.0, 0.0, 0.0
         for k in range(first, layout.starts[s + 1]):
             # Flux change at this sample, in the believed frame.
@@ -336,7 +360,6 @@ def _sum_changes(
                 if has_v:
                     x_d += ts * (c * dv[k - 1, 0] + sn * dv[k - 1, 1])
                     x_q += ts * (-sn * dv[k - 1, 0] + c * dv[k - 1, 1])
-                j, w0, w1 = hat_weights(k - 1 - first, layout.steps[s], layout.hats[s])
-                _add(sums, j, w0, w1, layout.bins[k - 1], x_d, x_q)
+                _add(sums, layout, k - 1, x_d, x_q)
             old_d, old_q, ohm_d, ohm_q = pd, pq, od, oq
         _combine(sums, layout, s, out)
