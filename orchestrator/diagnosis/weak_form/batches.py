@@ -146,7 +146,7 @@ def _test_functions(windows: Windows) -> tuple[NDArray[np.int32], Array]:
 
 
 def _aligned(weights: Array, before: NDArray[np.int64], hats: int) -> Array:
-    """Weights (n, 2) of the test functions at `clip(before)` and after it, where `before` runs from -1 to `hats` - 1."""
+    """Weights (n, 2) of the test functions at `clip(before)` and after it; `before` runs from -1 to `hats` - 1."""
     aligned = weights.copy()
     early, late = before < 0, before > hats - 2
     aligned[early, 0], aligned[early, 1] = weights[early, 1], 0.0
