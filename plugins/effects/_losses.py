@@ -35,7 +35,7 @@ def along_losses(
         losses = batch.segments[which[0]].losses
         if losses is not None:
             curve = (doubles(losses.time_s), doubles(warm(losses)))
-            _read(out, batch.starts, which, batch.start_s, batch.sampling_frequency_hz, *curve)
+            _read(out, batch.starts, which, doubles(batch.start_s), doubles(batch.sampling_frequency_hz), *curve)
     return out
 
 

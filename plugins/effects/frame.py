@@ -11,6 +11,7 @@ from scipy.signal import cont2discrete, lfilter_zi, ss2tf
 from orchestrator.numerics.types import Array
 from plugins.effects._batches import BatchEffect, by_value
 from plugins.effects._filters import low_pass, second_order
+from plugins.effects._vectors import doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude, refinement, shape
 
 
@@ -141,4 +142,4 @@ def _spring(lag_s: float, inertia_s2: float, step_s: float) -> tuple[Array, Arra
 
 def _late(x: Array, lag_s: float, batch: SignalBatch) -> Array:
     """The same (N,) behind a first-order lag."""
-    return np.asarray(low_pass(x, batch.starts, 1.0 / (lag_s * batch.sampling_frequency_hz)))
+    return np.asarray(low_pass(x, batch.starts, doubles(1.0 / (lag_s * batch.sampling_frequency_hz))))

@@ -231,7 +231,7 @@ def _lost_at_edges(batch: SignalBatch, volts: Array, legs: Array, p: DeadTime.Pa
     takeover = p.takeover * p.threshold_a / (rated_current_a(batch) or p.threshold_a)
     swing = Swing(swing_course(p.grading), takeover, p.yielding)
     courses = (doubles(batch.v_ab), _without_noise(batch), volts, batch.starts)
-    carrier = (_inductance(batch), 1.0 / batch.pwm_frequency_hz, cycles)
+    carrier = (_inductance(batch), doubles(1.0 / batch.pwm_frequency_hz), cycles)
     return np.asarray(lost_at_edges(*courses, legs, 1.0 / p.threshold_a, *carrier, swing))
 
 
@@ -362,7 +362,7 @@ class BusSag(BatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Scale the commanded voltage by what the bus has left."""
-        intervals = p.lag_s * batch.sampling_frequency_hz
+        intervals = doubles(p.lag_s * batch.sampling_frequency_hz)
         v_ab, i_ab = doubles(batch.v_ab), doubles(batch.i_ab)
         return Correction(v_ab=_sagged(v_ab, i_ab, batch.starts, p.per_watt, intervals, p.at_once, 1.0 - p.one_way))
 

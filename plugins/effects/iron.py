@@ -316,8 +316,9 @@ def _ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array,
     inductance = np.repeat(_inductance(batch)[:, None], 2, axis=1)
     if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
         inductance[:] = motor.d_inductance_h, motor.q_inductance_h
-    axis = np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1)
-    corners = (doubles(np.concatenate(came_from)), points, batch.i_ab[batch.starts[:-1]], inductance, axis)
+    axis = doubles(np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1))
+    began = doubles(batch.i_ab[batch.starts[:-1]])
+    corners = (doubles(np.concatenate(came_from)), points.astype(np.int64), began, inductance, axis)
     return _ways(psi, batch.starts, way_starts, *corners, overshoot), way_starts
 
 
@@ -374,7 +375,7 @@ def _flux(batch: SignalBatch) -> Array:
     if batch.psi_smooth_ab is not None:
         return doubles(batch.psi_smooth_ab)
     drops = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm))
-    return np.asarray(_summed(*drops, batch.starts, batch.sampling_frequency_hz))
+    return np.asarray(_summed(*drops, batch.starts, doubles(batch.sampling_frequency_hz)))
 
 
 @njit(cache=True, nogil=True)

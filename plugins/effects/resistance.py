@@ -172,7 +172,7 @@ class SkinEffect(BatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract what the extra resistance drops in the mean of each interval."""
-        rates = 2.0 * math.pi * p.corner_hz / batch.sampling_frequency_hz
+        rates = doubles(2.0 * math.pi * p.corner_hz / batch.sampling_frequency_hz)
         spread = math.sqrt(p.variance)
         # The readings' noise is fast, and would be multiplied.
         i = doubles(batch.i_ab if batch.i_smooth_ab is None else batch.i_smooth_ab)

@@ -51,7 +51,9 @@ class SamplingOffset(DoubtfulBatchEffect):
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
         given, beside = _beside_readings(batch, p.offset_s)
         v_ab, ohm = doubles(batch.v_ab), doubles(batch.resistance_ohm)
-        return Correction(v_ab=_between_readings(v_ab, given, beside, ohm, batch.starts, batch.sampling_frequency_hz))
+        return Correction(
+            v_ab=_between_readings(v_ab, given, beside, ohm, batch.starts, doubles(batch.sampling_frequency_hz))
+        )
 
     def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What R_s takes beside the readings' mean follows the map's own L, which is not that sure in its corners."""
@@ -66,7 +68,7 @@ def _beside_readings(batch: SignalBatch, offset_s: float) -> tuple[Array, Array]
     Both of shape (N, 2).
     """
     v_ab, i_ab, ohm = doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm)
-    given = _given(v_ab, i_ab, ohm, doubles(batch.v_dc), offset_s, batch.starts, 1.0 / batch.pwm_frequency_hz)
+    given = _given(v_ab, i_ab, ohm, doubles(batch.v_dc), offset_s, batch.starts, doubles(1.0 / batch.pwm_frequency_hz))
     if batch.inductance_ab is None:
         return given, np.zeros_like(i_ab)
     return given, _moved(doubles(batch.inductance_ab), given)

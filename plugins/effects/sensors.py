@@ -160,8 +160,8 @@ class CurrentOffsetDrift(BatchEffect):
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract what the offsets have grown by at each sample's time."""
         rates = _offsets(batch, p.rate_a_a_per_s, p.rate_b_a_per_s)
-        times = (batch.starts, batch.start_s, batch.sampling_frequency_hz)
-        return Correction(i_ab=_less_drift(doubles(batch.i_ab), *times, rates, p.settling_per_s))
+        times = (doubles(batch.start_s), doubles(batch.sampling_frequency_hz))
+        return Correction(i_ab=_less_drift(doubles(batch.i_ab), batch.starts, *times, rates, p.settling_per_s))
 
 
 @njit(cache=True, nogil=True)
@@ -207,7 +207,7 @@ class CurrentNonlinearity(BatchEffect):
 
 @njit(cache=True, nogil=True)
 def _straightened(i_ab: Array, starts: Starts, square: float, cubic: float, clarke: Array) -> Array:
-    """Vectors (N, 2) without squares and cubes of the phase currents, of which `clarke` (segments, 3, 2) makes vectors."""
+    """Vectors (N, 2) without squares and cubes of the phase currents; `clarke` (segments, 3, 2) makes vectors of these."""
     out = i_ab.copy()
     for s in range(starts.shape[0] - 1):
         for k in range(starts[s], starts[s + 1]):

@@ -62,7 +62,7 @@ class VoltageDelay(BatchEffect):
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The mean voltage of each interval, and what its end has beside it."""
         late_ab = NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab)
-        late = p.delay_s * batch.sampling_frequency_hz
+        late = doubles(p.delay_s * batch.sampling_frequency_hz)
         acting, beside = _acting(doubles(batch.v_ab), late_ab, batch.starts, late)
         return Correction(v_ab=acting, v_late_ab=beside)
 
@@ -91,7 +91,7 @@ class CurrentFilter(BatchEffect):
         read = doubles(batch.i_ab)
         # A slope with the reading's own noise in it would be taken for signal by a fit.
         smooth = read if batch.i_smooth_ab is None else batch.i_smooth_ab
-        samples = p.time_constant_s * batch.sampling_frequency_hz
+        samples = doubles(p.time_constant_s * batch.sampling_frequency_hz)
         return Correction(i_ab=_led(read, doubles(smooth), batch.starts, samples))
 
 
