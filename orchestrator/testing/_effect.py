@@ -7,13 +7,14 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from orchestrator.testing._effect_batches import EffectBatchChecks
 from orchestrator.testing._effect_physics import EffectPhysicsChecks
 from orchestrator.testing._kit import PLUGIN_NAME, Kit
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
 from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, Signals
 
 
-class EffectConformance(EffectPhysicsChecks, Kit, ABC):
+class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
     """Says whether an effect plugin keeps the contract of `protocols.Effect`.
 
     Subclass it in a test file, in a class whose name begins with ``Test``, and give one method,

@@ -39,6 +39,7 @@ from numba import njit
 
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
+from plugins.effects._vectors import Starts
 
 Legs = tuple[float, float, float]
 
@@ -182,68 +183,71 @@ def lost_at_edges(
     v_ab: Array,
     i_ab: Array,
     volts: Array,
+    starts: Starts,
     legs: Array,
     knees_per_a: float,
     inductance_ab: Array,
-    period_s: float,
-    cycles: int,
+    periods_s: Array,
+    cycles: Starts,
     swing: Swing,
 ) -> Array:
-    """Voltage (n, 2) that dead time takes over each interval.
+    """Voltage (N, 2) that dead time takes over each interval.
 
     Parameters
     ----------
-    v_ab, i_ab : array, shape (n, 2)
-    volts : array, shape (n,)
+    v_ab, i_ab : array, shape (N, 2)
+    volts : array, shape (N,)
         V_dt in each interval: dead time as a part of the carrier's period, times V_dc.
+    starts : array of int64, shape (segments + 1,)
     legs : array, shape (3,)
         Each leg's own dead time in parts of that.
     knees_per_a : float
         1 / i_k.
-    inductance_ab : array, shape (n, 3) or (1, 3)
+    inductance_ab : array, shape (N, 3) or (1, 3)
         L_aa, L_ab, L_bb of the motor in the stator frame, at every interval or at all of them.
-    period_s : float
+    periods_s : array, shape (segments,)
         Of the carrier.
-    cycles : int
+    cycles : array of int64, shape (segments,)
         Carrier periods in an interval.
     swing : Swing
     """
-    n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    up, down = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
-    for k in range(n):
-        after = min(k + 1, n - 1)
-        by_a, by_b, by_c = _pulls(inductance_ab[min(k, inductance_ab.shape[0] - 1)], knees_per_a * period_s)
-        a, b, c = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
-        per_cycle = knees_per_a / cycles
-        step_a, step_b, step_c = phases_of(
-            per_cycle * (i_ab[after, 0] - i_ab[k, 0]), per_cycle * (i_ab[after, 1] - i_ab[k, 1])
-        )
-        v_a, v_b, v_c = phases_of(v_ab[k, 0], v_ab[k, 1])
-        lost_a, lost_b, lost_c = 0.0, 0.0, 0.0
-        for _ in range(cycles):
-            for _ in range(PASSES):
-                (a0, b0, c0), (a1, b1, c1) = up, down
-                a_up, a_down = _edges(
-                    a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
-                )
-                b_up, b_down = _edges(
-                    b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], swing
-                )
-                c_up, c_down = _edges(
-                    c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], swing
-                )
-                up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
-                moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
-                if max(moved_up, abs(a_down - a1), abs(b_down - b1), abs(c_down - c1)) < SETTLED:
-                    break
-            lost_a += (up[0] - down[0]) / cycles
-            lost_b += (up[1] - down[1]) / cycles
-            lost_c += (up[2] - down[2]) / cycles
-            a, b, c = a + step_a, b + step_b, c + step_c
-        alpha, beta = vector_of(lost_a, lost_b, lost_c)
-        out[k, 0] = volts[k] * alpha
-        out[k, 1] = volts[k] * beta
+    for s in range(starts.shape[0] - 1):
+        up, down = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
+        last, period_s, times = starts[s + 1] - 1, periods_s[s], cycles[s]
+        for k in range(starts[s], last + 1):
+            after = min(k + 1, last)
+            by_a, by_b, by_c = _pulls(inductance_ab[min(k, inductance_ab.shape[0] - 1)], knees_per_a * period_s)
+            a, b, c = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
+            per_cycle = knees_per_a / times
+            step_a, step_b, step_c = phases_of(
+                per_cycle * (i_ab[after, 0] - i_ab[k, 0]), per_cycle * (i_ab[after, 1] - i_ab[k, 1])
+            )
+            v_a, v_b, v_c = phases_of(v_ab[k, 0], v_ab[k, 1])
+            lost_a, lost_b, lost_c = 0.0, 0.0, 0.0
+            for _ in range(times):
+                for _ in range(PASSES):
+                    (a0, b0, c0), (a1, b1, c1) = up, down
+                    a_up, a_down = _edges(
+                        a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
+                    )
+                    b_up, b_down = _edges(
+                        b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], swing
+                    )
+                    c_up, c_down = _edges(
+                        c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], swing
+                    )
+                    up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
+                    moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
+                    if max(moved_up, abs(a_down - a1), abs(b_down - b1), abs(c_down - c1)) < SETTLED:
+                        break
+                lost_a += (up[0] - down[0]) / times
+                lost_b += (up[1] - down[1]) / times
+                lost_c += (up[2] - down[2]) / times
+                a, b, c = a + step_a, b + step_b, c + step_c
+            alpha, beta = vector_of(lost_a, lost_b, lost_c)
+            out[k, 0] = volts[k] * alpha
+            out[k, 1] = volts[k] * beta
     return out
 
 

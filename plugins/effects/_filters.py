@@ -7,8 +7,8 @@ import math
 import numpy as np
 from numba import njit
 
-from orchestrator.numerics.types import Array
-from plugins.effects._vectors import doubles
+from orchestrator.numerics.types import Array, Indices
+from plugins.effects._vectors import Starts, doubles
 from protocols import RealArray
 
 
@@ -20,33 +20,61 @@ def _weights(rate: float) -> tuple[float, float]:
 
 
 @njit(cache=True, nogil=True)
-def low_pass(x: Array, rate: float) -> Array:
-    """First-order lag of each column of (n, m), from y_0 = x_0; exact for what is linear between samples.
+def low_pass(x: Array, starts: Starts, rates: Array) -> Array:
+    """First-order lag (N,) of x (N,), in each segment from its first value; exact for what is linear between samples.
 
-    `rate` is the sampling interval in time constants.
+    `rates` (segments,) are sampling intervals in time constants.
     """
-    decay, part = _weights(rate)
     y = np.empty_like(x)
-    for m in range(x.shape[1]):
-        y[0, m] = x[0, m]
-        for k in range(1, x.shape[0]):
-            y[k, m] = decay * y[k - 1, m] + (1.0 - decay) * x[k - 1, m] + part * (x[k, m] - x[k - 1, m])
+    for s in range(starts.shape[0] - 1):
+        decay, part = _weights(rates[s])
+        y[starts[s]] = x[starts[s]]
+        for k in range(starts[s] + 1, starts[s + 1]):
+            y[k] = decay * y[k - 1] + (1.0 - decay) * x[k - 1] + part * (x[k] - x[k - 1])
     return y
 
 
 @njit(cache=True, nogil=True)
-def high_pass_means(x: Array, rate: float) -> Array:
-    """Mean over each interval of x less its lag, the last interval's as the one before; exact as `low_pass`.
+def high_pass_means(x: Array, starts: Starts, rates: Array) -> Array:
+    """Mean over each interval of x (N, m) less its lag, a segment's last as the one before; exact as `low_pass`.
 
     By the lag's own equation, tau y' = x - y, that is what y changes by, over the interval in time constants.
     """
-    y = low_pass(x, rate)
-    last = x.shape[0] - 1
-    for m in range(x.shape[1]):
-        for k in range(last):
-            y[k, m] = (y[k + 1, m] - y[k, m]) / rate
-        y[last, m] = y[last - 1, m] if last > 0 else 0.0
-    return y
+    out = np.empty_like(x)
+    for s in range(starts.shape[0] - 1):
+        decay, part = _weights(rates[s])
+        first, last = starts[s], starts[s + 1] - 1
+        for m in range(x.shape[1]):
+            lag = x[first, m]
+            for k in range(first, last):
+                after = decay * lag + (1.0 - decay) * x[k, m] + part * (x[k + 1, m] - x[k, m])
+                out[k, m] = (after - lag) / rates[s]
+                lag = after
+            out[last, m] = out[last - 1, m] if last > first else 0.0
+    return out
+
+
+@njit(cache=True, nogil=True)
+def second_order(
+    y: Array, x: Array, starts: Starts, which: Indices, above: Array, below: Array, resting: Array
+) -> None:
+    """A filter of second order, written into y (N,) for some segments of x (N,), each from rest at its first value.
+
+    Parameters
+    ----------
+    which : array
+        The segments.
+    above, below : array, shape (3,)
+        Its transfer function's coefficients in falling powers of z, the first of `below` 1.
+    resting : array, shape (2,)
+        Its state where x is 1 and has always been, as of `scipy.signal.lfilter_zi`.
+    """
+    for s in which:
+        one, two = resting[0] * x[starts[s]], resting[1] * x[starts[s]]
+        for k in range(starts[s], starts[s + 1]):
+            y[k] = one + above[0] * x[k]
+            one = two + above[1] * x[k] - below[1] * y[k]
+            two = above[2] * x[k] - below[2] * y[k]
 
 
 @njit(cache=True, nogil=True)

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from orchestrator.numerics.types import Array
+from plugins.effects._vectors import Starts
 
 FILLINGS = 1024
 """Steps of `yields_of`, read linearly between them: 3e-6 of what stops hold, from a softness of 0.1 on."""
@@ -29,18 +31,29 @@ def yields_of(softness: float) -> Array:
     return np.asarray(full ** (1.0 / max(softness, 1e-2)))
 
 
-@njit(cache=True, nogil=True)
-def stops(
-    course: Array, before: int, stiffness: Array, limits: Array, yields: Array, giving: float, off: Array
-) -> Array:
-    """Sum of vector stop operators of a course (n, 2), whose first `before` values were before.
+class Course(NamedTuple):
+    """What stops follow, segment by segment: a way of its own to where it begins, and the values there."""
 
-    Where it began, nothing was remembered.
+    values: Array
+    """Shape (N, 2)."""
+    starts: Starts
+    """Values `starts[s]` up to `starts[s + 1]` are those of segment s."""
+    ways: Array
+    """What was before, oldest first, shape (M, 2)."""
+    way_starts: Starts
+    """The same bounds of these; a way may be empty."""
+
+
+@njit(cache=True, nogil=True)
+def stops(course: Course, stiffness: Array, limits: Array, yields: Array, giving: float, off: Array) -> Array:
+    """Sum of vector stop operators of a course, segment by segment.
+
+    Where a way began, nothing was remembered.
 
     Parameters
     ----------
-    off : array, shape (stops, 2)
-        What is remembered beside that where the rest of the values begin, in the stops' limits.
+    off : array, shape (segments, stops, 2)
+        What is remembered beside that where a segment's values begin, in the stops' limits.
     yields : array
         Of `yields_of`: outwards a stop moves by what it does not yield of what is elastic; without any, by all of it as
         long as it is below its limit.
@@ -49,16 +62,24 @@ def stops(
 
     Returns
     -------
-    array, shape (n - before, 2)
+    array, shape (N, 2)
     """
-    n = course.shape[0]
-    out = np.zeros((n - before, 2))
-    held = np.zeros((limits.shape[0], 2))
+    out = np.empty_like(course.values)
+    held = np.empty((limits.shape[0], 2))
     fillings = stiffness / limits
     soft = yields.size > 0
-    for k in range(n):
-        if k > 0:
-            step_a, step_b = course[k, 0] - course[k - 1, 0], course[k, 1] - course[k - 1, 1]
+    for s in range(course.starts.shape[0] - 1):
+        held[:] = 0.0
+        first, way = course.starts[s], course.way_starts[s]
+        before = course.way_starts[s + 1] - way
+        old_a, old_b = 0.0, 0.0
+        for k in range(before + course.starts[s + 1] - first):
+            if k < before:
+                new_a, new_b = course.ways[way + k, 0], course.ways[way + k, 1]
+            else:
+                new_a, new_b = course.values[first + k - before, 0], course.values[first + k - before, 1]
+            step_a, step_b = (new_a - old_a, new_b - old_b) if k > 0 else (0.0, 0.0)
+            old_a, old_b = new_a, new_b
             length = math.sqrt(step_a * step_a + step_b * step_b) if soft else 0.0
             # A stop waits for its own last step alone: side by side they take less time than one after the other.
             for m in range(limits.shape[0]):
@@ -82,12 +103,14 @@ def stops(
                         part *= ((1.0 - giving) * outwards + giving * far) / size
                     a, b = _within(a + da - part * a, b + db - part * b, limit)
                 held[m, 0], held[m, 1] = a, b
-        if k == before:
-            _remember(held, off, limits)
-        if k >= before:
-            for m in range(limits.shape[0]):
-                out[k - before, 0] += held[m, 0]
-                out[k - before, 1] += held[m, 1]
+            if k == before:
+                _remember(held, off[s], limits)
+            if k >= before:
+                sum_a, sum_b = 0.0, 0.0
+                for m in range(limits.shape[0]):
+                    sum_a += held[m, 0]
+                    sum_b += held[m, 1]
+                out[first + k - before, 0], out[first + k - before, 1] = sum_a, sum_b
     return out
 
 

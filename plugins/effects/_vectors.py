@@ -1,12 +1,18 @@
-"""Vectors along time, shape (n, 2), changed in one pass by numba kernels; they know nothing of motors."""
+"""Vectors along time, shape (N, 2), changed in one pass by numba kernels; they know nothing of motors.
+
+Segments lie end to end: samples `starts[s]` up to `starts[s + 1]` are those of segment s.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from orchestrator.numerics.types import Array
 from protocols import RealArray
+
+Starts = NDArray[np.int64]
 
 
 def doubles(x: RealArray) -> Array:
@@ -14,23 +20,40 @@ def doubles(x: RealArray) -> Array:
     return np.ascontiguousarray(x, dtype=np.float64)
 
 
-def less_constant(x: RealArray, constant: RealArray) -> Array:
-    """x_k - c, c of shape (2,)."""
-    return _less_constant(doubles(x), doubles(constant))
+def less_constant(x: RealArray, starts: Starts, constants: RealArray) -> Array:
+    """x_k - c_s, c of shape (segments, 2)."""
+    return _less_constant(doubles(x), starts, doubles(constants))
 
 
 @njit(cache=True, nogil=True)
-def _less_constant(x: Array, constant: Array) -> Array:
+def _less_constant(x: Array, starts: Starts, constants: Array) -> Array:
     out = np.empty_like(x)
-    a, b = constant[0], constant[1]
-    for k in range(x.shape[0]):
-        out[k, 0] = x[k, 0] - a
-        out[k, 1] = x[k, 1] - b
+    for s in range(starts.shape[0] - 1):
+        a, b = constants[s, 0], constants[s, 1]
+        for k in range(starts[s], starts[s + 1]):
+            out[k, 0] = x[k, 0] - a
+            out[k, 1] = x[k, 1] - b
+    return out
+
+
+def stretched(x: RealArray, starts: Starts, matrices: RealArray) -> Array:
+    """x_k M_s, M of shape (segments, 2, 2)."""
+    return _stretched(doubles(x), starts, doubles(matrices))
+
+
+@njit(cache=True, nogil=True)
+def _stretched(x: Array, starts: Starts, matrices: Array) -> Array:
+    out = np.empty_like(x)
+    for s in range(starts.shape[0] - 1):
+        aa, ab, ba, bb = matrices[s, 0, 0], matrices[s, 0, 1], matrices[s, 1, 0], matrices[s, 1, 1]
+        for k in range(starts[s], starts[s + 1]):
+            out[k, 0] = x[k, 0] * aa + x[k, 1] * ba
+            out[k, 1] = x[k, 0] * ab + x[k, 1] * bb
     return out
 
 
 def plus_along(x: RealArray, sizes: RealArray, along: RealArray) -> Array:
-    """x_k + s_k d_k, s of shape (n,), d of shape (n, 2), or of shape (1, 2): the same for all."""
+    """x_k + s_k d_k, s of shape (N,), d of shape (N, 2)."""
     return _plus_along(doubles(x), doubles(sizes), doubles(along))
 
 
@@ -38,37 +61,25 @@ def plus_along(x: RealArray, sizes: RealArray, along: RealArray) -> Array:
 def _plus_along(x: Array, sizes: Array, along: Array) -> Array:
     out = np.empty_like(x)
     for k in range(x.shape[0]):
-        m = min(k, along.shape[0] - 1)
-        out[k, 0] = x[k, 0] + sizes[k] * along[m, 0]
-        out[k, 1] = x[k, 1] + sizes[k] * along[m, 1]
+        out[k, 0] = x[k, 0] + sizes[k] * along[k, 0]
+        out[k, 1] = x[k, 1] + sizes[k] * along[k, 1]
     return out
 
 
-def stretched(x: RealArray, matrix: RealArray) -> Array:
-    """x_k M, M of shape (2, 2)."""
-    return _stretched(doubles(x), doubles(matrix))
+def less_of_means(x: RealArray, starts: Starts, y: RealArray, matrix: RealArray) -> Array:
+    """x_k - (y_k + y_k+1) / 2 M, M of shape (2, 2): beyond a segment's end y stays as it is."""
+    return _less_of_means(doubles(x), starts, doubles(y), doubles(matrix))
 
 
 @njit(cache=True, nogil=True)
-def _stretched(x: Array, matrix: Array) -> Array:
+def _less_of_means(x: Array, starts: Starts, y: Array, matrix: Array) -> Array:
     out = np.empty_like(x)
-    for k in range(x.shape[0]):
-        out[k, 0] = x[k, 0] * matrix[0, 0] + x[k, 1] * matrix[1, 0]
-        out[k, 1] = x[k, 0] * matrix[0, 1] + x[k, 1] * matrix[1, 1]
-    return out
-
-
-def less_of_means(x: RealArray, y: RealArray, matrix: RealArray) -> Array:
-    """x_k - (y_k + y_k+1) / 2 M, M of shape (2, 2): beyond its end y stays as it is."""
-    return _less_of_means(doubles(x), doubles(y), doubles(matrix))
-
-
-@njit(cache=True, nogil=True)
-def _less_of_means(x: Array, y: Array, matrix: Array) -> Array:
-    out = np.empty_like(x)
-    for k in range(x.shape[0]):
-        after = min(k + 1, x.shape[0] - 1)
-        a, b = 0.5 * (y[k, 0] + y[after, 0]), 0.5 * (y[k, 1] + y[after, 1])
-        out[k, 0] = x[k, 0] - (a * matrix[0, 0] + b * matrix[1, 0])
-        out[k, 1] = x[k, 1] - (a * matrix[0, 1] + b * matrix[1, 1])
+    aa, ab, ba, bb = matrix[0, 0], matrix[0, 1], matrix[1, 0], matrix[1, 1]
+    for s in range(starts.shape[0] - 1):
+        last = starts[s + 1] - 1
+        for k in range(starts[s], last + 1):
+            after = min(k + 1, last)
+            a, b = 0.5 * (y[k, 0] + y[after, 0]), 0.5 * (y[k, 1] + y[after, 1])
+            out[k, 0] = x[k, 0] - (a * aa + b * ba)
+            out[k, 1] = x[k, 1] - (a * ab + b * bb)
     return out

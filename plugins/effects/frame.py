@@ -6,14 +6,16 @@ import math
 from typing import ClassVar
 
 import numpy as np
-from scipy.signal import cont2discrete, lfilter, lfilter_zi, ss2tf
+from scipy.signal import cont2discrete, lfilter_zi, ss2tf
 
 from orchestrator.numerics.types import Array
-from plugins.effects._filters import low_pass
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
+from plugins.effects._batches import BatchEffect, by_value
+from plugins.effects._filters import low_pass, second_order
+from plugins.effects._vectors import doubles
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude, refinement, shape
 
 
-class RotorMisalignment:
+class RotorMisalignment(BatchEffect):
     """True electrical angle = believed + delta [rad].
 
     It shows only because the machine is even in the true i_q: in the believed frame the map then has
@@ -30,12 +32,12 @@ class RotorMisalignment:
     class Parameters(EffectParameters):
         angle_rad: float = amplitude("rad", typical=0.035, prior_width=0.05, low=-0.6, high=0.6)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Turn the d axis to where it is."""
-        return Correction(theta_rad=signals.theta_rad + p.angle_rad)
+        return Correction(theta_rad=batch.theta_rad + p.angle_rad)
 
 
-class BrakeCompliance:
+class BrakeCompliance(BatchEffect):
     """A brake that gives way: delta = kappa T_e, T_e = 3/2 n (psi_d i_q - psi_q i_d) [Nm].
 
     kappa is in electrical radians per Nm.
@@ -57,16 +59,16 @@ class BrakeCompliance:
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
         inertia_s2: float = refinement("s^2", neutral=0.0, prior_width=1e-6, low=0.0, high=1e-3, other_form=3e-8)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Add the twist to the angle; without a flux in the signals there is no torque, and nothing changes."""
-        torque = _torque_nm(signals)
+        torque = _torque_nm(batch)
         if torque is None:
             return Correction()
-        twist = _swinging(torque, p.lag_s, p.inertia_s2, signals)
-        return Correction(theta_rad=signals.theta_rad + p.rad_per_nm * twist)
+        twist = _swinging(torque, p.lag_s, p.inertia_s2, batch)
+        return Correction(theta_rad=batch.theta_rad + p.rad_per_nm * twist)
 
 
-class BrakeBacklash:
+class BrakeBacklash(BatchEffect):
     """A brake with play: the rotor lies at either end of a gap, delta = gap/2 s(T_e / T_f), with a lag.
 
     The gap is in electrical radians; within the torque T_f [Nm], friction's, it is crossed by
@@ -86,9 +88,9 @@ class BrakeBacklash:
         lag_s: float = shape("s", typical=1e-3, prior_width=1.5, low=1e-5, high=0.1)
         softness: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.1, high=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Add to the angle where in its gap the rotor lies; without a flux in the signals nothing changes."""
-        torque = _torque_nm(signals)
+        torque = _torque_nm(batch)
         if torque is None:
             return Correction()
         x = torque / p.friction_nm
@@ -97,18 +99,18 @@ class BrakeBacklash:
         small, large = np.minimum(size, 1.0), np.maximum(size, 1.0)
         share = small / (small ** (1.0 / p.softness) + large ** (-1.0 / p.softness)) ** p.softness
         end = np.copysign(share, x)
-        return Correction(theta_rad=signals.theta_rad + 0.5 * p.gap_rad * _late(end, p.lag_s, signals))
+        return Correction(theta_rad=batch.theta_rad + 0.5 * p.gap_rad * _late(end, p.lag_s, batch))
 
 
-def _torque_nm(signals: Signals) -> Array | None:
-    """T_e = 3/2 n (psi_d i_q - psi_q i_d), shape (n,); None without a flux."""
+def _torque_nm(batch: SignalBatch) -> Array | None:
+    """T_e = 3/2 n (psi_d i_q - psi_q i_d), shape (N,); None without a flux."""
     # A torque with the readings' noise in it would turn the frame to and fro with every sample.
-    psi, i = signals.psi_smooth_ab, signals.i_smooth_ab
+    psi, i = batch.psi_smooth_ab, batch.i_smooth_ab
     if psi is None or i is None:
-        psi, i = signals.psi_ab, signals.i_ab
+        psi, i = batch.psi_ab, batch.i_ab
     if psi is None:
         return None
-    pairs = signals.motor.pole_pairs if signals.motor is not None else 1
+    pairs = batch.motor.pole_pairs if batch.motor is not None else 1
     return np.asarray(1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0]), dtype=np.float64)
 
 
@@ -116,21 +118,28 @@ NO_TIME = 1e-3
 """Of a sample period, a lag that is none; and no matrix exponential tells it beside a lag of many."""
 
 
-def _swinging(x: Array, lag_s: float, inertia_s2: float, signals: Signals) -> Array:
-    """y (n,) of y + lag y' + inertia y'' = x, from rest at x_0; exact for what is linear between samples."""
-    step = 1.0 / signals.sampling_frequency_hz
-    if inertia_s2 <= lag_s * NO_TIME * step:
-        return _late(x, lag_s, signals)
+def _swinging(x: Array, lag_s: float, inertia_s2: float, batch: SignalBatch) -> Array:
+    """y (N,) of y + lag y' + inertia y'' = x, from rest at each segment's x_0; exact for what is linear between."""
+    # A lag alone wherever the inertia is none beside a sample period.
+    y = _late(x, lag_s, batch)
+    for rate_hz, segments in by_value(batch.sampling_frequency_hz):
+        step_s = 1.0 / rate_hz
+        if inertia_s2 > lag_s * NO_TIME * step_s:
+            second_order(y, x, batch.starts, segments, *_spring(lag_s, inertia_s2, step_s))
+    return y
+
+
+def _spring(lag_s: float, inertia_s2: float, step_s: float) -> tuple[Array, Array, Array]:
+    """The filter of `_swinging` for one sampling interval, as `second_order` asks for it."""
     # In y and its rate over the natural frequency both states are of one size, however fast they are.
     natural = 1.0 / math.sqrt(inertia_s2)
     state = np.array([[0.0, natural], [-natural, -lag_s * natural**2]])
     force, seen = np.array([[0.0], [natural]]), np.array([[1.0, 0.0]])
-    phi, gamma, out, through, _ = cont2discrete((state, force, seen, np.zeros((1, 1))), step, method="foh")
+    phi, gamma, out, through, _ = cont2discrete((state, force, seen, np.zeros((1, 1))), step_s, method="foh")
     above, below = ss2tf(phi, gamma, out, through)
-    return np.asarray(lfilter(above[0], below, x, zi=lfilter_zi(above[0], below) * x[0])[0])
+    return above[0].copy(), below, lfilter_zi(above[0], below)
 
 
-def _late(x: Array, lag_s: float, signals: Signals) -> Array:
-    """The same (n,) behind a first-order lag."""
-    rate = 1.0 / (lag_s * signals.sampling_frequency_hz)
-    return np.asarray(low_pass(np.ascontiguousarray(x[:, None]), rate)[:, 0])
+def _late(x: Array, lag_s: float, batch: SignalBatch) -> Array:
+    """The same (N,) behind a first-order lag."""
+    return np.asarray(low_pass(x, batch.starts, doubles(1.0 / (lag_s * batch.sampling_frequency_hz))))

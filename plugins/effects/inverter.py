@@ -12,16 +12,20 @@ from numba import njit
 from orchestrator.numerics.frames import from_two_phases, inductance_to_ab
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
+from plugins.effects._batches import BatchEffect, pwm_share, rated_current_a
 from plugins.effects._commutation import Swing, lost_at_edges, swing_course
 from plugins.effects._filters import lagged_steps
-from plugins.effects._vectors import doubles, less_constant
+from plugins.effects._losses import along_losses
+from plugins.effects._vectors import Starts, doubles, less_constant
 from protocols import (
     Contrast,
     Correction,
     EffectLayer,
     EffectParameters,
+    LossHistory,
+    RealArray,
     Remark,
-    Signals,
+    SignalBatch,
     amplitude,
     refinement,
     shape,
@@ -97,33 +101,27 @@ def _look_up(tables: Array, place: float, growth: float) -> float:
 
 @njit(cache=True, nogil=True)
 def _without_sign(
-    v_ab: Array, i_ab: Array, volts: Array, legs: Array, steps: float, tables: Array, growth: float
+    v_ab: Array, i_ab: Array, starts: Starts, volts: Array, legs: Array, steps: float, tables: Array, growth: float
 ) -> Array:
     """v - volts s, s averaged over each interval by Simpson's rule; `steps` of the first table are one ampere."""
-    n = i_ab.shape[0]
     out = np.empty_like(v_ab)
-    a0 = 0.0
-    b0 = 0.0
-    c0 = 0.0
-    s0 = 0.0
-    s1 = 0.0
-    s2 = 0.0
-    for k in range(n + 1):
-        last = min(k, n - 1)
-        a1, b1, c1 = phases_of(steps * i_ab[last, 0], steps * i_ab[last, 1])
-        e0 = _look_up(tables, a1, growth)
-        e1 = _look_up(tables, b1, growth)
-        e2 = _look_up(tables, c1, growth)
-        if k > 0:
+    for s in range(starts.shape[0] - 1):
+        first, last = starts[s], starts[s + 1] - 1
+        a0, b0, c0 = phases_of(steps * i_ab[first, 0], steps * i_ab[first, 1])
+        s0, s1, s2 = _look_up(tables, a0, growth), _look_up(tables, b0, growth), _look_up(tables, c0, growth)
+        for k in range(first, last + 1):
+            after = min(k + 1, last)
+            a1, b1, c1 = phases_of(steps * i_ab[after, 0], steps * i_ab[after, 1])
+            e0, e1, e2 = _look_up(tables, a1, growth), _look_up(tables, b1, growth), _look_up(tables, c1, growth)
             m0 = s0 + 4.0 * _look_up(tables, 0.5 * (a0 + a1), growth) + e0
             m1 = s1 + 4.0 * _look_up(tables, 0.5 * (b0 + b1), growth) + e1
             m2 = s2 + 4.0 * _look_up(tables, 0.5 * (c0 + c1), growth) + e2
-            sixth = volts[k - 1] / 6.0
+            sixth = volts[k] / 6.0
             alpha, beta = vector_of(legs[0] * m0, legs[1] * m1, legs[2] * m2)
-            out[k - 1, 0] = v_ab[k - 1, 0] - sixth * alpha
-            out[k - 1, 1] = v_ab[k - 1, 1] - sixth * beta
-        a0, b0, c0 = a1, b1, c1
-        s0, s1, s2 = e0, e1, e2
+            out[k, 0] = v_ab[k, 0] - sixth * alpha
+            out[k, 1] = v_ab[k, 1] - sixth * beta
+            a0, b0, c0 = a1, b1, c1
+            s0, s1, s2 = e0, e1, e2
     return out
 
 
@@ -137,8 +135,7 @@ class Knee(EffectParameters):
 
 
 def _less_step(
-    v_ab: Array,
-    i_ab: Array,
+    batch: SignalBatch,
     volts: Array,
     threshold_a: float,
     knee: Knee,
@@ -149,15 +146,17 @@ def _less_step(
     step: float = 0.01,
     end: float = 40.0,
 ) -> Array:
-    """The voltage without `volts` (n,) against the sign of each phase current, in each leg times its part (3,).
+    """The voltage without `volts` (N,) against the sign of each phase current, in each leg times its part (3,).
 
     It is read, linearly between entries, from `_tables` of this `step` and `end`, in thresholds.
     """
     tables = _tables(knee.softness, (knee.narrow, knee.wide, knee.wider), charged, growth, step, end)
-    return np.asarray(_without_sign(v_ab, i_ab, volts, legs, 1.0 / (threshold_a * step), tables, growth))
+    steps = 1.0 / (threshold_a * step)
+    courses = (doubles(batch.v_ab), _without_noise(batch), batch.starts)
+    return np.asarray(_without_sign(*courses, volts, legs, steps, tables, growth))
 
 
-class DeadTime:
+class DeadTime(BatchEffect):
     """Blanking time between the switches of a leg.
 
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`
@@ -196,24 +195,15 @@ class DeadTime:
         leg_a_longer: float = refinement("1", neutral=0.0, prior_width=0.1, low=-0.95, high=2.0, detail=True)
         leg_b_over_c: float = refinement("1", neutral=0.0, prior_width=0.1, low=-1.5, high=1.5, detail=True)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the voltage lost from the commanded voltage."""
-        bus = signals.drive.dc_bus_voltage_v if signals.drive is not None else float(np.mean(signals.v_dc))
-        scale = p.voltage_v * _times_own_frequency(signals) / bus
-        volts = np.asarray(scale * signals.v_dc, dtype=np.float64)
-        commanded = v_ab = doubles(signals.v_ab)
-        i_ab = _without_noise(signals)
+        volts = batch.per_sample(p.voltage_v * pwm_share(batch) / _nominal_bus_v(batch)) * batch.v_dc
+        v_ab = batch.v_ab
         legs = np.maximum([1.0 + longer for longer in _longer(p)], 0.0)
         if p.switched < 1.0:
-            v_ab = _less_step(v_ab, i_ab, (1.0 - p.switched) * volts, p.threshold_a, p, legs, charged=p.charged)
+            v_ab = _less_step(batch, (1.0 - p.switched) * volts, p.threshold_a, p, legs, charged=p.charged)
         if p.switched > 0.0:
-            # Current between samples hardly bends: two carrier periods stand for all of them.
-            cycles = min(max(round(signals.pwm_frequency_hz / signals.sampling_frequency_hz), 1), 2)
-            motor_ab, period_s = _inductance(signals), 1.0 / signals.pwm_frequency_hz
-            takeover = p.takeover * p.threshold_a / (_rated_a(signals) or p.threshold_a)
-            swing = Swing(swing_course(p.grading), takeover, p.yielding)
-            lost = lost_at_edges(commanded, i_ab, volts, legs, 1.0 / p.threshold_a, motor_ab, period_s, cycles, swing)
-            v_ab = v_ab - p.switched * lost
+            v_ab = v_ab - p.switched * _lost_at_edges(batch, volts, legs, p)
         return Correction(v_ab=v_ab)
 
     def remarks(self, p: Parameters) -> list[Remark]:
@@ -227,10 +217,22 @@ class DeadTime:
         return [Remark.of("leg_differs", text, leg=leg, percent=100.0 * abs(legs[leg]), which=which)]
 
 
-def _times_own_frequency(signals: Signals) -> float:
-    """The PWM frequency in units of the drive's own; 1 where that is not known."""
-    own = signals.drive.pwm_frequency_hz if signals.drive is not None else None
-    return signals.pwm_frequency_hz / (own or signals.pwm_frequency_hz)
+def _nominal_bus_v(batch: SignalBatch) -> RealArray | float:
+    """The drive's, or else the mean over each segment (segments,)."""
+    if batch.drive is not None:
+        return batch.drive.dc_bus_voltage_v
+    return np.array([np.mean(batch.v_dc[batch.slice_of(k)]) for k in range(len(batch.segments))])
+
+
+def _lost_at_edges(batch: SignalBatch, volts: Array, legs: Array, p: DeadTime.Parameters) -> Array:
+    """What a leg that switches loses of its V_dt, `volts` (N,), shape (N, 2)."""
+    # Current between samples hardly bends: two carrier periods stand for all of them.
+    cycles = np.clip(np.round(batch.pwm_frequency_hz / batch.sampling_frequency_hz), 1, 2).astype(np.int64)
+    takeover = p.takeover * p.threshold_a / (rated_current_a(batch) or p.threshold_a)
+    swing = Swing(swing_course(p.grading), takeover, p.yielding)
+    courses = (doubles(batch.v_ab), _without_noise(batch), volts, batch.starts)
+    carrier = (_inductance(batch), doubles(1.0 / batch.pwm_frequency_hz), cycles)
+    return np.asarray(lost_at_edges(*courses, legs, 1.0 / p.threshold_a, *carrier, swing))
 
 
 def _longer(p: DeadTime.Parameters) -> tuple[float, float, float]:
@@ -239,28 +241,26 @@ def _longer(p: DeadTime.Parameters) -> tuple[float, float, float]:
     return p.leg_a_longer, others + p.leg_b_over_c, others - p.leg_b_over_c
 
 
-def _without_noise(signals: Signals) -> Array:
+def _without_noise(batch: SignalBatch) -> Array:
     """The stator current; a bend near zero would turn its noise into a mean."""
-    quiet = signals.i_ab if signals.i_quiet_ab is None else signals.i_quiet_ab
-    return doubles(quiet)
+    return doubles(batch.i_ab if batch.i_quiet_ab is None else batch.i_quiet_ab)
 
 
-def _rated_a(signals: Signals) -> float:
-    """The motor's rated current; 0 if unknown."""
-    return (signals.motor.rated_current_a if signals.motor is not None else None) or 0.0
+def _inductance(batch: SignalBatch) -> Array:
+    """L_aa, L_ab, L_bb in the stator frame [H], by the model or else the nameplate; endless where neither is known.
 
-
-def _inductance(signals: Signals) -> Array:
-    """L_aa, L_ab, L_bb in the stator frame [H], by the model or else the nameplate; endless where neither is known."""
-    if signals.inductance_ab is not None:
-        return doubles(signals.inductance_ab)
-    motor = signals.motor
+    Of shape (N, 3), or (1, 3) where all are the same.
+    """
+    if batch.inductance_ab is not None:
+        return doubles(batch.inductance_ab)
+    motor = batch.motor
     if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
         return np.array([[1e9, 0.0, 1e9]])
-    return inductance_to_ab(np.array([[motor.d_inductance_h, 0.0, motor.q_inductance_h]]), np.mean(signals.theta_rad))
+    theta_rad = np.array([np.mean(batch.theta_rad[batch.slice_of(k)]) for k in range(len(batch.segments))])
+    return inductance_to_ab(np.array([[motor.d_inductance_h, 0.0, motor.q_inductance_h]]), batch.per_sample(theta_rad))
 
 
-class DeviceDrop:
+class DeviceDrop(BatchEffect):
     """Forward drop of transistors and diodes.
 
     e = T V_0 s(i_abc / i_th) [V], whatever the PWM frequency; the part proportional to the current,
@@ -289,31 +289,29 @@ class DeviceDrop:
         warming: float = refinement("1", neutral=0.0, prior_width=0.05, low=-0.5, high=0.5)
         warming_s: float = refinement("s", neutral=3.0, prior_width=3.0, low=0.1, high=100.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""
-        v_ab = doubles(signals.v_ab)
-        i_ab = _without_noise(signals)
         # A logarithm alone is nothing at the current zero, which an unknown rated one would be.
-        rated = math.log1p((_rated_a(signals) or p.threshold_a) / p.threshold_a)
+        rated = math.log1p((rated_current_a(batch) or p.threshold_a) / p.threshold_a)
         at_knee = p.voltage_v / (1.0 - p.growth + p.growth * rated)
-        volts = np.full(len(signals.v_dc), at_knee)
+        volts = np.full(batch.samples, at_knee)
         if p.warming != 0.0:
-            volts *= 1.0 + p.warming * _warmth(signals, p.warming_s)
-        return Correction(v_ab=_less_step(v_ab, i_ab, volts, p.threshold_a, p, np.ones(3), growth=p.growth))
+            volts *= 1.0 + p.warming * _warmth(batch, p.warming_s)
+        return Correction(v_ab=_less_step(batch, volts, p.threshold_a, p, np.ones(3), growth=p.growth))
 
 
-def _warmth(signals: Signals, lag_s: float) -> Array:
-    """How warm devices are that lose power with their current, (n,), in parts of the most; 0 where that is unknown."""
-    losses = signals.losses
-    if losses is None:
-        return np.zeros(len(signals.v_dc))
-    # A nearly constant drop times the current, of which the copper loss goes with the square.
-    warm = lagged_steps(losses.time_s, np.sqrt(losses.power_w), lag_s)
-    part = np.interp(signals.time_s, losses.time_s, warm / max(float(warm.max()), 1e-12))
-    return np.asarray(part, dtype=np.float64)
+def _warmth(batch: SignalBatch, lag_s: float) -> Array:
+    """How warm devices are that lose power with their current, (N,), in parts of the most; 0 where that is unknown."""
+
+    def warm(losses: LossHistory) -> Array:
+        # A nearly constant drop times the current, of which the copper loss goes with the square.
+        warm = lagged_steps(losses.time_s, np.sqrt(losses.power_w), lag_s)
+        return np.asarray(warm / max(float(warm.max()), 1e-12))
+
+    return along_losses(batch, warm, lambda: 0.0)
 
 
-class VoltageBias:
+class VoltageBias(BatchEffect):
     """Constant voltage error of each leg: e = T (b_a, b_b, -b_a - b_b) [V], while the bridge is on.
 
     Its cause is a constant error of the modulation or of the gate drivers' delays. What delays make happens at every
@@ -333,13 +331,14 @@ class VoltageBias:
         bias_b_v: float = amplitude("V", typical=0.15, prior_width=0.2, low=-2.0, high=2.0)
         at_edges: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0, other_form=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the bias from the commanded voltage."""
-        share = 1.0 - p.at_edges + p.at_edges * _times_own_frequency(signals)
-        return Correction(v_ab=less_constant(signals.v_ab, share * from_two_phases(p.bias_a_v, p.bias_b_v)))
+        share = 1.0 - p.at_edges + p.at_edges * pwm_share(batch)
+        biases = np.outer(share, from_two_phases(p.bias_a_v, p.bias_b_v))
+        return Correction(v_ab=less_constant(batch.v_ab, batch.starts, biases))
 
 
-class BusSag:
+class BusSag(BatchEffect):
     """The bus voltage sags under load while the drive modulates for the nominal one.
 
     v = v* (1 - k P), P = 3/2 v . i the power drawn [W], k in 1/W. The bus's own capacitors make the sag follow
@@ -361,45 +360,51 @@ class BusSag:
         at_once: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=0.9)
         one_way: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Scale the commanded voltage by what the bus has left."""
-        intervals = p.lag_s * signals.sampling_frequency_hz
-        sag = _sag(doubles(signals.v_ab), doubles(signals.i_ab), intervals, p.at_once, 1.0 - p.one_way)
-        return Correction(v_ab=signals.v_ab * (1.0 - p.per_watt * sag)[:, None])
+        intervals = doubles(p.lag_s * batch.sampling_frequency_hz)
+        v_ab, i_ab = doubles(batch.v_ab), doubles(batch.i_ab)
+        return Correction(v_ab=_sagged(v_ab, i_ab, batch.starts, p.per_watt, intervals, p.at_once, 1.0 - p.one_way))
 
 
 @njit(cache=True, nogil=True)
-def _sag(v_ab: Array, i_ab: Array, lag: float, at_once: float, back: float) -> Array:
-    """The power that a source would have to give for as much sag as there is, on the mean over each interval, (n,) [W].
+def _sagged(
+    v_ab: Array, i_ab: Array, starts: Starts, per_watt: float, lags: Array, at_once: float, back: float
+) -> Array:
+    """The voltage (N, 2) that a bus has left, which sags with the power that its source gives.
 
     Parameters
     ----------
-    lag : float
+    lags : array, shape (segments,)
         Of the sag behind the power drawn, in intervals.
     at_once : float
         Part of it that does not lag.
     back : float
         Conductance of the source for a current that flows back, over that for one that flows out.
     """
-    out = np.empty(v_ab.shape[0])
+    out = np.empty_like(v_ab)
     direct = at_once / (1.0 - at_once)
     ways = (1.0, back)
     given = (1.0 / (1.0 + direct), back / (1.0 + back * direct))
-    # Of a first-order lag, over an interval: how much of its first slope it goes, to the end and on the mean.
-    rates = (given[0] / (lag * (1.0 - at_once)), given[1] / (lag * (1.0 - at_once)))
-    to_end = (_part_gone(rates[0]), _part_gone(rates[1]))
-    on_mean = (_part_gone_on_mean(rates[0]), _part_gone_on_mean(rates[1]))
-    late = 0.0
-    for k in range(v_ab.shape[0]):
-        after = min(k + 1, v_ab.shape[0] - 1)
-        power = 0.75 * (v_ab[k, 0] * (i_ab[k, 0] + i_ab[after, 0]) + v_ab[k, 1] * (i_ab[k, 1] + i_ab[after, 1]))
-        if k == 0:
-            late = power
-        way = 0 if late + direct * power >= 0.0 else 1
-        slope = (power - given[way] * (late + direct * power)) / (lag * (1.0 - at_once))
-        mean = late + on_mean[way] * slope
-        out[k] = (mean + direct * power) / (1.0 + ways[way] * direct)
-        late += to_end[way] * slope
+    for s in range(starts.shape[0] - 1):
+        first, last, lag = starts[s], starts[s + 1] - 1, lags[s]
+        # Of a first-order lag, over an interval: how much of its first slope it goes, to the end and on the mean.
+        rates = (given[0] / (lag * (1.0 - at_once)), given[1] / (lag * (1.0 - at_once)))
+        to_end = (_part_gone(rates[0]), _part_gone(rates[1]))
+        on_mean = (_part_gone_on_mean(rates[0]), _part_gone_on_mean(rates[1]))
+        late = 0.0
+        for k in range(first, last + 1):
+            after = min(k + 1, last)
+            power = 0.75 * (v_ab[k, 0] * (i_ab[k, 0] + i_ab[after, 0]) + v_ab[k, 1] * (i_ab[k, 1] + i_ab[after, 1]))
+            if k == first:
+                late = power
+            way = 0 if late + direct * power >= 0.0 else 1
+            slope = (power - given[way] * (late + direct * power)) / (lag * (1.0 - at_once))
+            mean = late + on_mean[way] * slope
+            left = 1.0 - per_watt * ((mean + direct * power) / (1.0 + ways[way] * direct))
+            out[k, 0] = v_ab[k, 0] * left
+            out[k, 1] = v_ab[k, 1] * left
+            late += to_end[way] * slope
     return out
 
 

@@ -9,26 +9,28 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from orchestrator.numerics.frames import to_ab, to_dq
-from orchestrator.numerics.kernels import dq_of, unit_vectors
+from orchestrator.numerics.kernels import dq_of
 from orchestrator.numerics.types import Array
+from plugins.effects._batches import NOTHING, BatchEffect, DoubtfulBatchEffect, axes, per_segment
 from plugins.effects._filters import lagged_steps
-from plugins.effects._stops import stops, yields_of
-from plugins.effects._vectors import doubles, plus_along
+from plugins.effects._losses import along_losses
+from plugins.effects._stops import Course, stops, yields_of
+from plugins.effects._vectors import Starts, doubles, plus_along
 from protocols import (
     Contrast,
     Correction,
     EffectLayer,
     EffectParameters,
+    LossHistory,
     RealArray,
-    Signals,
+    SignalBatch,
     amplitude,
     refinement,
     shape,
 )
 
 
-class EddyCurrents:
+class EddyCurrents(BatchEffect):
     """Eddy currents in the iron: i = i_m + (dpsi/dt) / R_c [A], R_c in ohm, dpsi/dt = v - R_s i.
 
     A sample taken just before the voltage changes has seen the voltage of the interval before: what it was at its end,
@@ -57,19 +59,18 @@ class EddyCurrents:
         diffused: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
         saliency: float = refinement("1", neutral=0.0, prior_width=0.5, low=-1.0, high=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Take the eddy current from the magnetising current, and its steps from the resistive drop."""
-        theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
-        nothing = np.zeros((0, 2))
         i_m_ab, v_ab = _without_eddies(
-            doubles(signals.i_m_ab),
-            doubles(signals.v_ab),
-            nothing if signals.v_late_ab is None else doubles(signals.v_late_ab),
-            doubles(signals.i_ab),
-            doubles(signals.resistance_ohm),
-            unit_vectors(theta_rad) if p.saliency != 0.0 else nothing,
+            doubles(batch.i_m_ab),
+            doubles(batch.v_ab),
+            NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab),
+            doubles(batch.i_ab),
+            doubles(batch.resistance_ohm),
+            axes(batch) if p.saliency != 0.0 else NOTHING,
+            batch.starts,
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
-            _paths(p.lag_s * signals.sampling_frequency_hz, p.diffused),
+            per_segment(p.lag_s * batch.sampling_frequency_hz, lambda late: _paths(late, p.diffused)),
         )
         return Correction(i_m_ab=i_m_ab, v_ab=v_ab)
 
@@ -81,14 +82,16 @@ LADDER = 4
 def _paths(late: float, diffused: float) -> Array:
     """What each path has of the conductance, its decay, bend and feeling as `_without_eddies` asks, shape (paths, 4).
 
-    `late` is the slowest one's lag in sample periods.
+    `late` is the slowest one's lag in sample periods; without one a single path has all, and the others nothing.
     """
     rungs = np.arange(1.0, LADDER + 1.0) if diffused > 0.0 and late > 1e-2 else np.ones(1)
     parts = diffused * 6.0 / (math.pi * rungs) ** 2
     parts[-1] = 0.0
     parts[-1] = diffused - parts.sum()
     parts[0] += 1.0 - diffused
-    return np.array([(part, *_path(late / rung**2)) for part, rung in zip(parts, rungs, strict=True)])
+    paths = np.zeros((LADDER if diffused > 0.0 else 1, 4))
+    paths[: len(rungs)] = [(part, *_path(late / rung**2)) for part, rung in zip(parts, rungs, strict=True)]
+    return paths
 
 
 def _path(late: float) -> tuple[float, float, float]:
@@ -108,49 +111,54 @@ def _without_eddies(
     i_ab: Array,
     ohm: Array,
     axis: Array,
+    starts: Starts,
     siemens: Array,
     paths: Array,
 ) -> tuple[Array, Array]:
-    """The magnetising current without the eddies', and the voltage without what their steps drop, shapes (n, 2).
+    """The magnetising current without the eddies', and the voltage without what their steps drop, shapes (N, 2).
 
     Parameters
     ----------
-    late_ab : array, shape (n, 2) or (0, 2)
+    late_ab : array, shape (N, 2) or (0, 2)
         What an interval's end has beside the mean voltage; empty where nothing.
-    axis : array, shape (n, 2) or (0, 2)
+    axis : array, shape (N, 2) or (0, 2)
         Cosine and sine of the d axis' angle; empty where both axes are alike.
     siemens : array, shape (2,)
         Conductance on d and on q.
-    paths : array, shape (m, 4)
+    paths : array, shape (segments, m, 4)
         Of each path that a current follows by: its part of the conductance; its decay in a sample period: the voltage
         is held over an interval, and at its end the current has come this much nearer to it; of a step of its current,
         what its mean over an interval is beside the mean of both samples; what it feels of an interval's end.
     """
     i_out, v_out = i_m_ab.copy(), v_ab.copy()
     salient = axis.shape[0] > 0
-    for m in range(paths.shape[0]):
-        part, decay, bend, felt = paths[m]
-        felt_a, felt_b = 0.0, 0.0
-        late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
-        for k in range(v_ab.shape[0]):
-            # The sample has seen the voltage of the interval before.
-            before = max(k - 1, 0)
-            if late_ab.shape[0] > 0:
-                late_a, late_b = felt * late_ab[before, 0], felt * late_ab[before, 1]
-                next_a, next_b = felt * late_ab[k, 0], felt * late_ab[k, 1]
-            drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
-            kept = decay if k > 0 else 0.0
-            felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] + late_a - drop_a)
-            felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
-            step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
-            step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
-            cos, sin = (axis[k, 0], axis[k, 1]) if salient else (1.0, 0.0)
-            d, q = dq_of(part * felt_a, part * felt_b, cos, sin)
-            i_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
-            i_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
-            d, q = dq_of(part * step_a, part * step_b, cos, sin)
-            v_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
-            v_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
+    for s in range(starts.shape[0] - 1):
+        first = starts[s]
+        for m in range(paths.shape[1]):
+            part, decay, bend, felt = paths[s, m]
+            if part == 0.0:
+                continue
+            felt_a, felt_b = 0.0, 0.0
+            late_a, late_b, next_a, next_b = 0.0, 0.0, 0.0, 0.0
+            for k in range(first, starts[s + 1]):
+                # The sample has seen the voltage of the interval before.
+                before = max(k - 1, first)
+                if late_ab.shape[0] > 0:
+                    late_a, late_b = felt * late_ab[before, 0], felt * late_ab[before, 1]
+                    next_a, next_b = felt * late_ab[k, 0], felt * late_ab[k, 1]
+                drop_a, drop_b = ohm[k] * i_ab[k, 0], ohm[k] * i_ab[k, 1]
+                kept = decay if k > first else 0.0
+                felt_a = kept * felt_a + (1.0 - kept) * (v_ab[before, 0] + late_a - drop_a)
+                felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
+                step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
+                step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
+                cos, sin = (axis[k, 0], axis[k, 1]) if salient else (1.0, 0.0)
+                d, q = dq_of(part * felt_a, part * felt_b, cos, sin)
+                i_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
+                i_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
+                d, q = dq_of(part * step_a, part * step_b, cos, sin)
+                v_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
+                v_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
     return i_out, v_out
 
 
@@ -158,7 +166,7 @@ FORGOTTEN = 0.25
 """Of a stop's limit, the standard deviation of what is not known of it where a segment begins."""
 
 
-class Hysteresis:
+class Hysteresis(DoubtfulBatchEffect):
     """Hysteresis of the iron: i = grad H(psi) + sum of vector stop operators of psi [A].
 
     A stop follows kappa psi until it reaches its limit. Both limits add up to `half_width_a`, half the
@@ -199,111 +207,211 @@ class Hysteresis:
         overshoot: float = refinement("1", neutral=0.0, prior_width=0.2, low=0.0, high=1.0)
         stiffening_per_wb2: float = refinement("1/Wb^2", neutral=0.0, prior_width=20.0, low=0.0, high=500.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        held = self._held(signals, p)(np.zeros((3, 2)))
-        return Correction(i_m_ab=signals.i_m_ab - p.half_width_a * held)
+        held = self._held(batch, p)(np.zeros((3, 2)))
+        return Correction(i_m_ab=batch.i_m_ab - p.half_width_a * held)
 
-    def doubts(self, signals: Signals, p: Parameters) -> list[Correction]:
+    def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
-        held, doubts = self._held(signals, p), []
+        held, doubts = self._held(batch, p), []
         known = held(np.zeros((3, 2)))
         for stop in (0, 2):
             for axis in range(2):
                 off = np.zeros((3, 2))
                 off[stop, axis] = FORGOTTEN
-                doubts.append(Correction(i_m_ab=signals.i_m_ab - p.half_width_a * (held(off) - known)))
+                doubts.append(Correction(i_m_ab=batch.i_m_ab - p.half_width_a * (held(off) - known)))
         return doubts
 
-    def _held(self, signals: Signals, p: Parameters) -> Callable[[Array], Array]:
-        """What the stops hold, shape (n, 2), of a half width, by what they remember beside the way here (3, 2)."""
+    def _held(self, batch: SignalBatch, p: Parameters) -> Callable[[Array], Array]:
+        """What the stops hold, shape (N, 2), of a half width, by what they remember beside the way here (3, 2)."""
         rest, apart = 1.0 - p.middle_share, math.sqrt(p.variance)
         shares = np.array([rest * p.early_share, p.middle_share, rest * (1.0 - p.early_share)])
         limits = shares * np.exp([-apart, 0.0, apart])
         there = shares > 0.0
         stiffness, parts = shares[there] / p.yield_wb, limits[there] / limits.sum()
-        psi = _flux(signals)
-        way = _way_here(signals, psi, p.overshoot)
-        course = np.concatenate([way, psi])
+        psi = _flux(batch)
+        course = Course(psi, batch.starts, *_ways_here(batch, psi, p.overshoot))
 
-        def stopped(course: Array, off: Array) -> Array:
+        def stopped(course: Course, off: Array) -> Array:
             if p.stiffening_per_wb2 > 0.0:
-                square = np.einsum("ij,ij->i", course, course)
-                course = course * (1.0 + p.stiffening_per_wb2 * square)[:, None]
-            return np.asarray(stops(course, len(way), stiffness, parts, yields_of(p.softness), p.giving, off[there]))
+                followed = (_stiffened(x, p.stiffening_per_wb2) for x in (course.values, course.ways))
+                course = Course(next(followed), course.starts, next(followed), course.way_starts)
+            return np.asarray(stops(course, stiffness, parts, yields_of(p.softness), p.giving, off))
 
         def held(off: Array) -> Array:
-            of_all = stopped(course, off) if p.by_axes < 1.0 else np.zeros_like(psi)
+            memory = np.repeat(off[None, there], len(batch.segments), axis=0)
+            of_all = stopped(course, memory) if p.by_axes < 1.0 else np.zeros_like(psi)
             if p.by_axes > 0.0:
-                of_axes = _by_axes(stopped, course, off, float(signals.theta_rad[0]))
+                of_axes = _by_axes(stopped, course, memory, batch.theta_rad[batch.starts[:-1]])
                 of_all = (1.0 - p.by_axes) * of_all + p.by_axes * of_axes
             if p.widening_per_wb2 == 0.0:
                 return of_all
-            return of_all * _width(signals, psi, p.widening_per_wb2)[:, None]
+            return of_all * _width(batch, psi, p.widening_per_wb2)[:, None]
 
         return held
 
 
-def _by_axes(stopped: Callable[[Array, Array], Array], course: Array, off: Array, theta_rad: float) -> Array:
-    """What stops hold of a course of the flux (m, 2), each axis alone as if nothing were on the other, shape (n, 2)."""
-    first = np.array([1.0, 0.0])
-    along, memory = to_dq(course, theta_rad), to_dq(off, theta_rad)
-    d, q = (stopped(np.outer(along[:, k], first), np.outer(memory[:, k], first))[:, 0] for k in range(2))
-    return to_ab(np.stack([d, q], axis=1), theta_rad)
+def _stiffened(flux: Array, stiffening_per_wb2: float) -> Array:
+    square = np.einsum("ij,ij->i", flux, flux)
+    return np.asarray(flux * (1.0 + stiffening_per_wb2 * square)[:, None])
 
 
-def _width(signals: Signals, psi: Array, widening_per_wb2: float) -> Array:
-    """By how much a loop is wider, (n,), or narrower, where the current has made a flux psi (n, 2), magnet included."""
-    by_current = psi - _magnet_wb(signals) * unit_vectors(np.asarray(signals.theta_rad, dtype=np.float64))
+def _by_axes(stopped: Callable[[Course, Array], Array], course: Course, off: Array, theta_rad: RealArray) -> Array:
+    """What stops hold of a course of the flux, each axis alone as if nothing were on the other, shape (N, 2).
+
+    The axes are those at an angle of each segment's own, (segments,); `off` as `stops` asks for it.
+    """
+    back = np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1)
+    turn, first = back * [1.0, -1.0], np.array([1.0, 0.0])
+    psi, way = _turned(course.values, course.starts, turn), _turned(course.ways, course.way_starts, turn)
+    memory = np.einsum("sij,smj->smi", _rotations(turn), off)
+    held = np.empty_like(psi)
+    for k in range(2):
+        alone = Course(np.outer(psi[:, k], first), course.starts, np.outer(way[:, k], first), course.way_starts)
+        held[:, k] = stopped(alone, np.multiply.outer(memory[:, :, k], first))[:, 0]
+    return np.asarray(_turned(held, course.starts, back))
+
+
+def _rotations(turns: Array) -> Array:
+    """Matrices (segments, 2, 2) of turns by angles of this cosine and sine, (segments, 2)."""
+    cos, sin = turns.T
+    return np.stack([np.stack([cos, -sin], axis=1), np.stack([sin, cos], axis=1)], axis=1)
+
+
+@njit(cache=True, nogil=True)
+def _turned(x: Array, starts: Starts, turns: Array) -> Array:
+    """Vectors (n, 2), each segment's turned by an angle of its own, of this cosine and sine (segments, 2)."""
+    out = np.empty_like(x)
+    for s in range(starts.shape[0] - 1):
+        cos, sin = turns[s, 0], turns[s, 1]
+        for k in range(starts[s], starts[s + 1]):
+            out[k, 0] = cos * x[k, 0] - sin * x[k, 1]
+            out[k, 1] = sin * x[k, 0] + cos * x[k, 1]
+    return out
+
+
+def _width(batch: SignalBatch, psi: Array, widening_per_wb2: float) -> Array:
+    """By how much a loop is wider, (N,), or narrower, where the current has made a flux psi (N, 2), magnet included."""
+    by_current = psi - _magnet_wb(batch) * axes(batch)
     wider = 1.0 + abs(widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
     return np.asarray(wider if widening_per_wb2 > 0.0 else 1.0 / wider)
 
 
-def _way_here(signals: Signals, psi: Array, overshoot: float, steps: int = 8) -> Array:
-    """The flux (m, 2) on its way to where that of a segment, psi (n, 2), begins: from where the current was.
+WAY_STEPS = 8
+"""From corner to corner of a way."""
+
+
+def _ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, Starts]:
+    """The flux (M, 2) on each segment's way to where it begins, of psi (N, 2): from where the current was; and bounds.
 
     Straight from point to point; last it goes beyond, by a part of the way from there, and back. Where the way is not
     known, the end of a periodic record is what came before its start.
     """
-    came_from = signals.came_from_ab
-    if came_from is None:
-        end = psi[len(psi) - len(psi) // 4 :]
-        return np.asarray(end + (psi[0] - end[-1]), dtype=np.float64)
-    motor, theta_rad = signals.motor, float(signals.theta_rad[0])
-    if motor is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
-        inductance = np.full(2, _inductance(signals))
-    else:
-        inductance = np.array([motor.d_inductance_h, motor.q_inductance_h])
-    away = to_ab(to_dq(came_from - signals.i_ab[0], theta_rad) * inductance, theta_rad)
-    corners = np.concatenate([away, [-overshoot * away[-1], np.zeros(2)]])
-    at = np.linspace(0.0, len(corners) - 1.0, steps * (len(corners) - 1) + 1)
-    way = np.stack([np.interp(at, np.arange(len(corners)), corners[:, k]) for k in range(2)], axis=1)
-    return np.asarray(psi[0] + way, dtype=np.float64)
-
-
-def _flux(signals: Signals) -> Array:
-    """Flux linkage (n, 2), up to a constant."""
-    if signals.psi_smooth_ab is not None:
-        return doubles(signals.psi_smooth_ab)
-    drop = signals.v_ab - signals.resistance_ohm[:, None] * signals.i_ab
-    return np.asarray(np.cumsum(drop, axis=0) / signals.sampling_frequency_hz)
-
-
-def _magnet_wb(signals: Signals) -> float:
-    """The nameplate's flux of the magnet; 0 where it has none."""
-    return (signals.motor.pm_flux_wb if signals.motor is not None else None) or 0.0
-
-
-def _inductance(signals: Signals) -> float:
-    """A typical one: the nameplate's, or else the swing of flux over that of current [H]."""
-    motor = signals.motor
+    came_from = [NOTHING if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
+    points = np.array([len(one) for one in came_from])
+    lengths = np.where(points > 0, WAY_STEPS * (points + 1) + 1, np.diff(batch.starts) // 4)
+    way_starts = np.append(0, np.cumsum(lengths)).astype(np.int64)
+    motor, theta_rad = batch.motor, batch.theta_rad[batch.starts[:-1]]
+    inductance = np.repeat(_inductance(batch)[:, None], 2, axis=1)
     if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        return math.sqrt(motor.d_inductance_h * motor.q_inductance_h)
-    swing = float(np.ptp(signals.i_m_ab, axis=0).max())
-    return float(np.ptp(_flux(signals), axis=0).max()) / swing if swing > 0.0 else 1.0
+        inductance[:] = motor.d_inductance_h, motor.q_inductance_h
+    axis = doubles(np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1))
+    began = doubles(batch.i_ab[batch.starts[:-1]])
+    corners = (doubles(np.concatenate(came_from)), points.astype(np.int64), began, inductance, axis)
+    return _ways(psi, batch.starts, way_starts, *corners, overshoot), way_starts
 
 
-class MagnetHeating:
+@njit(cache=True, nogil=True)
+def _ways(
+    psi: Array,
+    starts: Starts,
+    way_starts: Starts,
+    came_from_ab: Array,
+    points: Starts,
+    i_ab: Array,
+    inductance: Array,
+    axis: Array,
+    overshoot: float,
+) -> Array:
+    """The flux (M, 2) of `_ways_here`.
+
+    Parameters
+    ----------
+    came_from_ab : array, shape (sum of points, 2)
+        Where the current was; `points` (segments,) of each segment, none where its way is not known.
+    i_ab, inductance, axis : array, shape (segments, 2)
+        The current where a segment begins, L_d and L_q there, cosine and sine of the d axis' angle.
+    """
+    out = np.empty((way_starts[-1], 2))
+    point = 0
+    for s in range(starts.shape[0] - 1):
+        first, end, way = starts[s], starts[s + 1], way_starts[s]
+        if points[s] == 0:
+            length = way_starts[s + 1] - way
+            for k in range(length):
+                for x in range(2):
+                    out[way + k, x] = psi[end - length + k, x] + (psi[first, x] - psi[end - 1, x])
+            continue
+        corners = np.zeros((points[s] + 2, 2))
+        cos, sin = axis[s, 0], axis[s, 1]
+        for k in range(points[s]):
+            d, q = dq_of(came_from_ab[point, 0] - i_ab[s, 0], came_from_ab[point, 1] - i_ab[s, 1], cos, sin)
+            d, q = inductance[s, 0] * d, inductance[s, 1] * q
+            corners[k, 0], corners[k, 1] = cos * d - sin * q, sin * d + cos * q
+            point += 1
+        for x in range(2):
+            corners[-2, x] = -overshoot * corners[-3, x]
+            for k in range(points[s] + 1):
+                for part in range(WAY_STEPS):
+                    on = (corners[k + 1, x] - corners[k, x]) * (part / WAY_STEPS) + corners[k, x]
+                    out[way + k * WAY_STEPS + part, x] = psi[first, x] + on
+            out[way_starts[s + 1] - 1, x] = psi[first, x]
+    return out
+
+
+def _flux(batch: SignalBatch) -> Array:
+    """Flux linkage (N, 2), up to a constant of each segment."""
+    if batch.psi_smooth_ab is not None:
+        return doubles(batch.psi_smooth_ab)
+    drops = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm))
+    return np.asarray(_summed(*drops, batch.starts, doubles(batch.sampling_frequency_hz)))
+
+
+@njit(cache=True, nogil=True)
+def _summed(v_ab: Array, i_ab: Array, ohm: Array, starts: Starts, rates_hz: Array) -> Array:
+    """The volt-seconds of v - R i from each segment's beginning, shape (N, 2)."""
+    out = np.empty_like(v_ab)
+    for s in range(starts.shape[0] - 1):
+        sum_a, sum_b = 0.0, 0.0
+        for k in range(starts[s], starts[s + 1]):
+            sum_a += v_ab[k, 0] - ohm[k] * i_ab[k, 0]
+            sum_b += v_ab[k, 1] - ohm[k] * i_ab[k, 1]
+            out[k, 0], out[k, 1] = sum_a / rates_hz[s], sum_b / rates_hz[s]
+    return out
+
+
+def _magnet_wb(batch: SignalBatch) -> float:
+    """The nameplate's flux of the magnet; 0 where it has none."""
+    return (batch.motor.pm_flux_wb if batch.motor is not None else None) or 0.0
+
+
+def _inductance(batch: SignalBatch) -> Array:
+    """A typical one of each segment: the nameplate's, or else the swing of flux over that of current [H]."""
+    motor = batch.motor
+    if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
+        return np.full(len(batch.segments), math.sqrt(motor.d_inductance_h * motor.q_inductance_h))
+    current, flux = _swing(batch.i_m_ab, batch.starts), _swing(_flux(batch), batch.starts)
+    return np.divide(flux, current, out=np.ones_like(flux), where=current > 0.0)
+
+
+def _swing(x: RealArray, starts: Starts) -> Array:
+    """Between the largest and the smallest of each segment, on the axis where that is more, shape (segments,)."""
+    span = np.maximum.reduceat(x, starts[:-1]) - np.minimum.reduceat(x, starts[:-1])
+    return np.asarray(span.max(axis=1), dtype=np.float64)
+
+
+class MagnetHeating(BatchEffect):
     """Magnets that warm up: their flux falls (about -0.11 %/K for NdFeB), and the map slides along i_d.
 
     i_m = i + Delta psi(t) / L_d on the d axis [A]; Delta psi follows the copper loss through a thermal lag
@@ -324,20 +432,25 @@ class MagnetHeating:
         time_constant_s: float = shape("s", typical=300.0, prior_width=1.0, low=5.0, high=20000.0)
         steady: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Slide the map along the d axis by the flux lost so far."""
-        if signals.losses is None:
-            part = signals.heat_j / max(float(signals.heat_j[-1]), 1e-12)
-        else:
-            time_s, power_w = signals.losses.time_s, signals.losses.power_w
-            warm = (1.0 - p.steady) * _warmth(time_s, power_w, p.time_constant_s)
+
+        def warm(losses: LossHistory) -> Array:
+            warm = (1.0 - p.steady) * _warmth(losses.time_s, losses.power_w, p.time_constant_s)
             if p.steady > 0.0:
-                warm += p.steady * _warmth(time_s, np.ones(len(time_s)), p.time_constant_s)
-            part = np.interp(signals.time_s, time_s, warm)
-        inductance = (signals.motor.d_inductance_h if signals.motor is not None else None) or _inductance(signals)
-        slide = p.flux_change_wb / inductance * part
-        theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
-        return Correction(i_m_ab=plus_along(signals.i_m_ab, slide, unit_vectors(theta_rad)))
+                warm += p.steady * _warmth(losses.time_s, np.ones(len(losses.time_s)), p.time_constant_s)
+            return warm
+
+        part = along_losses(batch, warm, lambda: _part_of_heat(batch))
+        nameplate = batch.motor.d_inductance_h if batch.motor is not None else None
+        inductance = np.array([nameplate]) if nameplate else _inductance(batch)
+        slide = batch.per_sample(p.flux_change_wb / inductance) * part
+        return Correction(i_m_ab=plus_along(batch.i_m_ab, slide, axes(batch)))
+
+
+def _part_of_heat(batch: SignalBatch) -> Array:
+    """The heat so far in parts of what it comes to at the end of the segment, shape (N,)."""
+    return np.asarray(batch.heat_j / batch.per_sample(np.maximum(batch.heat_j[batch.starts[1:] - 1], 1e-12)))
 
 
 def _warmth(time_s: RealArray, power_w: RealArray, time_constant_s: float) -> Array:
@@ -346,7 +459,7 @@ def _warmth(time_s: RealArray, power_w: RealArray, time_constant_s: float) -> Ar
     return np.asarray(warm / max(float(warm[-1]), 1e-12), dtype=np.float64)
 
 
-class SlotHarmonics:
+class SlotHarmonics(BatchEffect):
     """Slots give the locked angle a saliency of its own: an L_dq that is even in i_q, `relative` times L.
 
     The energy r L i_d i_q beside the map's own, so that reciprocity is kept: its flux r L (i_q, i_d) [Wb] is taken
@@ -373,48 +486,64 @@ class SlotHarmonics:
         fading_per_a2: float = refinement("1/A^2", neutral=0.0, prior_width=0.1, low=-0.03, high=10.0)
         by_flux: float = refinement("1", neutral=0.0, prior_width=0.5, low=0.0, high=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Take the change of this flux from the voltage of each interval."""
-        there = 2.0 * math.sin(3.0 * signals.turned_rad)
-        parts = np.array([there * p.along_d, p.relative + there * p.across, there * p.along_q])
-        theta_rad = np.asarray(signals.theta_rad, dtype=np.float64)
-        inductance = _inductance(signals)
-        strengths = (1.0 - p.by_flux) * parts * inductance * signals.sampling_frequency_hz
-        v_ab, i_m_ab = doubles(signals.v_ab), doubles(signals.i_m_ab)
-        less = _without_slots(v_ab, i_m_ab, unit_vectors(theta_rad), strengths, p.fading_per_a2)
+        there = 2.0 * np.sin(3.0 * batch.turned_rad)
+        mere = np.full_like(there, p.relative)
+        parts = np.stack([there * p.along_d, mere + there * p.across, there * p.along_q], axis=1)
+        inductance, axis = _inductance(batch), axes(batch)
+        strengths = (1.0 - p.by_flux) * parts * (inductance * batch.sampling_frequency_hz)[:, None]
+        v_ab, i_m_ab = doubles(batch.v_ab), doubles(batch.i_m_ab)
+        less = _without_slots(v_ab, i_m_ab, axis, batch.starts, strengths, p.fading_per_a2)
         if p.by_flux == 0.0:
             return Correction(v_ab=less)
-        along_d, across, along_q = p.by_flux * parts / inductance
-        psi = to_dq(_flux(signals), theta_rad) - [_magnet_wb(signals), 0.0]
-        asked = to_ab(psi @ np.array([[along_d, across], [across, along_q]]), theta_rad)
-        return Correction(v_ab=less, i_m_ab=i_m_ab + asked)
+        asked = p.by_flux * parts / inductance[:, None]
+        more = _with_slots(i_m_ab, _flux(batch), axis, batch.starts, asked, _magnet_wb(batch))
+        return Correction(v_ab=less, i_m_ab=more)
 
 
 @njit(cache=True, nogil=True)
-def _without_slots(v_ab: Array, i_ab: Array, axis: Array, strengths: Array, fading: float) -> Array:
-    """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2), (n, 2).
+def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, strengths: Array, fading: float) -> Array:
+    """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2), (N, 2).
 
     Parameters
     ----------
-    axis : array, shape (n, 2)
+    axis : array, shape (N, 2)
         Cosine and sine of the d axis' angle.
-    strengths : array, shape (3,)
+    strengths : array, shape (segments, 3)
         a, r and b.
     """
     out = v_ab.copy()
-    along_d, across, along_q = strengths
-    old_alpha, old_beta = 0.0, 0.0
-    for k in range(v_ab.shape[0]):
-        cos, sin = axis[k, 0], axis[k, 1]
-        d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
-        left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
-        mere_d, mere_q = along_d * d + across * q, across * d + along_q * q
-        # The form is half of what its own gradient makes along the current.
-        bend = fading * (mere_d * d + mere_q * q) * left * left
-        psi_d, psi_q = mere_d * left - bend * d, mere_q * left - bend * q
-        alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
-        if k > 0:
-            out[k - 1, 0] -= alpha - old_alpha
-            out[k - 1, 1] -= beta - old_beta
-        old_alpha, old_beta = alpha, beta
+    for s in range(starts.shape[0] - 1):
+        along_d, across, along_q = strengths[s]
+        old_alpha, old_beta = 0.0, 0.0
+        for k in range(starts[s], starts[s + 1]):
+            cos, sin = axis[k, 0], axis[k, 1]
+            d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
+            left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
+            mere_d, mere_q = along_d * d + across * q, across * d + along_q * q
+            # The form is half of what its own gradient makes along the current.
+            bend = fading * (mere_d * d + mere_q * q) * left * left
+            psi_d, psi_q = mere_d * left - bend * d, mere_q * left - bend * q
+            alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
+            if k > starts[s]:
+                out[k - 1, 0] -= alpha - old_alpha
+                out[k - 1, 1] -= beta - old_beta
+            old_alpha, old_beta = alpha, beta
+    return out
+
+
+@njit(cache=True, nogil=True)
+def _with_slots(i_ab: Array, psi_ab: Array, axis: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
+    """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `asked` as `strengths`."""
+    out = np.empty_like(i_ab)
+    for s in range(starts.shape[0] - 1):
+        along_d, across, along_q = asked[s]
+        for k in range(starts[s], starts[s + 1]):
+            cos, sin = axis[k, 0], axis[k, 1]
+            d, q = dq_of(psi_ab[k, 0], psi_ab[k, 1], cos, sin)
+            d -= magnet_wb
+            more_d, more_q = along_d * d + across * q, across * d + along_q * q
+            out[k, 0] = i_ab[k, 0] + cos * more_d - sin * more_q
+            out[k, 1] = i_ab[k, 1] + sin * more_d + cos * more_q
     return out

@@ -10,12 +10,25 @@ from numba import njit
 
 from orchestrator.numerics.frames import from_phases, to_phases
 from orchestrator.numerics.types import Array
+from plugins.effects._batches import BatchEffect
 from plugins.effects._filters import high_pass_means
+from plugins.effects._losses import along_losses
 from plugins.effects._vectors import doubles, less_of_means
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude, refinement, shape
+from protocols import (
+    Contrast,
+    Correction,
+    EffectLayer,
+    EffectParameters,
+    LossHistory,
+    SignalBatch,
+    Signals,
+    amplitude,
+    refinement,
+    shape,
+)
 
 
-class PhaseResistanceImbalance:
+class PhaseResistanceImbalance(BatchEffect):
     """Extra resistance in phases a and b beside phase c's: e = T (r_a i_a, r_b i_b, 0) [V], r in ohm.
 
     In the flexible form it warms, as a joint does that conducts badly: r (1 + `rise_per_watt` y), y the winding's loss
@@ -38,16 +51,16 @@ class PhaseResistanceImbalance:
         rise_per_watt: float = refinement("1/W", neutral=0.0, prior_width=0.005, low=0.0, high=0.1)
         rise_s: float = refinement("s", neutral=30.0, prior_width=30.0, low=1.0, high=1000.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract what the extra resistances drop, at the mean current of each interval."""
         ohm = from_phases(to_phases(np.eye(2)) * np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0]))
-        i_ab = doubles(signals.i_ab)
+        i_ab = batch.i_ab
         if p.rise_per_watt > 0.0:
-            i_ab = i_ab * (1.0 + p.rise_per_watt * _warm(signals, 0.0, np.full(2, p.rise_s), 0.0))[:, None]
-        return Correction(v_ab=less_of_means(signals.v_ab, i_ab, ohm))
+            i_ab = i_ab * (1.0 + p.rise_per_watt * _warm(batch, 0.0, np.full(2, p.rise_s), 0.0))[:, None]
+        return Correction(v_ab=less_of_means(batch.v_ab, batch.starts, i_ab, ohm))
 
 
-class WindingHeating:
+class WindingHeating(BatchEffect):
     """Copper that warms up: R = R_0 (1 + a y), tau dy/dt = P - y, P the copper loss [W].
 
     a = alpha R_th [1/W], alpha = 0.39 %/K for copper; tau is the winding's thermal time constant [s].
@@ -70,65 +83,37 @@ class WindingHeating:
         slow_share: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=0.95)
         slow_ratio: float = refinement("1", neutral=6.0, prior_width=4.0, low=3.0, high=40.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Raise the resistance by what the loss so far has warmed."""
-        warm = _warm(signals, p.rise_per_watt, p.time_constant_s * np.array([1.0, p.slow_ratio]), p.slow_share)
-        return Correction(resistance_ohm=signals.resistance_ohm * (1.0 + p.rise_per_watt * warm))
+        warm = _warm(batch, p.rise_per_watt, p.time_constant_s * np.array([1.0, p.slow_ratio]), p.slow_share)
+        return Correction(resistance_ohm=batch.resistance_ohm * (1.0 + p.rise_per_watt * warm))
 
 
-def _warm(signals: Signals, rise: float, constants_s: Array, slow_share: float) -> Array:
-    """The copper loss through lags of two time constants, at the samples [W]; as `_warmth`."""
-    if signals.losses is None:
-        # No history: as if nothing had been lost to the surroundings.
-        return np.asarray(signals.heat_j / constants_s[0], dtype=np.float64)
-    return np.asarray(
-        _warmth(
-            doubles(signals.losses.time_s),
-            doubles(signals.losses.power_w),
-            rise,
-            constants_s,
-            slow_share,
-            signals.start_s,
-            1.0 / signals.sampling_frequency_hz,
-            len(signals.v_dc),
-        )
-    )
+def _warm(batch: SignalBatch, rise: float, constants_s: Array, slow_share: float) -> Array:
+    """The copper loss through lags of two time constants, at the samples [W], shape (N,); as `_warmth`."""
+
+    def warm(losses: LossHistory) -> Array:
+        return np.asarray(_warmth(doubles(losses.time_s), doubles(losses.power_w), rise, constants_s, slow_share))
+
+    # Without a history: as if nothing had been lost to the surroundings.
+    return along_losses(batch, warm, lambda: batch.heat_j / constants_s[0])
 
 
 @njit(cache=True, nogil=True)
-def _warmth(
-    time_s: Array,
-    power_w: Array,
-    rise: float,
-    constants_s: Array,
-    slow_share: float,
-    start_s: float,
-    step_s: float,
-    n: int,
-) -> Array:
-    """Lagged loss at the n samples from `start_s` on; a warmer winding loses more: P = P_0 (1 + a y)."""
-    out = np.empty(n)
-    fast, slow, before, after = 0.0, 0.0, 0.0, 0.0
-    m, k = 0, 0
-    while k < n:
-        now = start_s + k * step_s
-        while m + 1 < time_s.shape[0] and time_s[m] <= now:
-            span = time_s[m + 1] - time_s[m]
-            power = power_w[m] * (1.0 + rise * after)
-            fast += (1.0 - math.exp(-span / constants_s[0])) * (power - fast)
-            slow += (1.0 - math.exp(-span / constants_s[1])) * (power - slow)
-            before, after = after, (1.0 - slow_share) * fast + slow_share * slow
-            m += 1
-        # Between the steps on both sides; beyond the last one as at its end.
-        reached, end = time_s[max(m - 1, 0)], time_s[m]
-        while k < n and (m + 1 == time_s.shape[0] or start_s + k * step_s < end):
-            part = (start_s + k * step_s - reached) / (end - reached) if end > reached else 1.0
-            out[k] = before + min(max(part, 0.0), 1.0) * (after - before)
-            k += 1
+def _warmth(time_s: Array, power_w: Array, rise: float, constants_s: Array, slow_share: float) -> Array:
+    """Lagged loss at the times of a history, from zero; a warmer winding loses more: P = P_0 (1 + a y)."""
+    out = np.zeros(time_s.shape[0])
+    fast, slow = 0.0, 0.0
+    for m in range(time_s.shape[0] - 1):
+        span = time_s[m + 1] - time_s[m]
+        power = power_w[m] * (1.0 + rise * out[m])
+        fast += (1.0 - math.exp(-span / constants_s[0])) * (power - fast)
+        slow += (1.0 - math.exp(-span / constants_s[1])) * (power - slow)
+        out[m + 1] = (1.0 - slow_share) * fast + slow_share * slow
     return out
 
 
-class ResistanceWithTemperature:
+class ResistanceWithTemperature(BatchEffect):
     """Resistance that follows the logged temperature: R = R_0 (1 + alpha (T - T_0)), T_0 the first that was logged.
 
     alpha [1/K] is 0.39 %/K where the thermometer is in a winding of copper, less where it tells of a part of the
@@ -149,11 +134,12 @@ class ResistanceWithTemperature:
         """Where a temperature was logged that is not the first one, by a kelvin at least."""
         return signals.temperature_c is not None and float(np.abs(_warmer_k(signals)).max()) >= 1.0
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Raise the resistance by what the thermometer says; nothing without one."""
-        if signals.temperature_c is None:
+        if all(s.temperature_c is None for s in batch.segments):
             return Correction()
-        return Correction(resistance_ohm=signals.resistance_ohm * (1.0 + p.per_k * _warmer_k(signals)))
+        warmer_k = np.concatenate([_warmer_k(s) for s in batch.segments])
+        return Correction(resistance_ohm=batch.resistance_ohm * (1.0 + p.per_k * warmer_k))
 
 
 def _warmer_k(signals: Signals) -> Array:
@@ -164,7 +150,7 @@ def _warmer_k(signals: Signals) -> Array:
     return np.asarray(signals.temperature_c - first, dtype=np.float64)
 
 
-class SkinEffect:
+class SkinEffect(BatchEffect):
     """Extra resistance for what changes fast: e = R_x (i - i_slow) [V], i_slow behind a first-order corner.
 
     R_x in ohm, the corner in Hz. It stands for the current that is crowded to the conductors' surface. In the flexible
@@ -184,13 +170,14 @@ class SkinEffect:
         variance: float = refinement("1", neutral=0.0, prior_width=0.4, low=0.0, high=4.0)
         low_share: float = refinement("1", neutral=0.5, prior_width=0.2, low=0.05, high=0.95)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract what the extra resistance drops in the mean of each interval."""
-        rate = 2.0 * math.pi * p.corner_hz / signals.sampling_frequency_hz
+        rates = doubles(2.0 * math.pi * p.corner_hz / batch.sampling_frequency_hz)
         spread = math.sqrt(p.variance)
         # The readings' noise is fast, and would be multiplied.
-        i = doubles(signals.i_ab if signals.i_smooth_ab is None else signals.i_smooth_ab)
-        fast = high_pass_means(i, rate * math.exp(-spread))
+        i = doubles(batch.i_ab if batch.i_smooth_ab is None else batch.i_smooth_ab)
+        fast = high_pass_means(i, batch.starts, rates * math.exp(-spread))
         if spread > 0.0:
-            fast = p.low_share * fast + (1.0 - p.low_share) * high_pass_means(i, rate * math.exp(spread))
-        return Correction(v_ab=signals.v_ab - p.extra_ohm * fast)
+            faster = high_pass_means(i, batch.starts, rates * math.exp(spread))
+            fast = p.low_share * fast + (1.0 - p.low_share) * faster
+        return Correction(v_ab=batch.v_ab - p.extra_ohm * fast)

@@ -9,15 +9,16 @@ from numba import njit
 
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
-from plugins.effects._vectors import doubles
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
+from plugins.effects._batches import DoubtfulBatchEffect
+from plugins.effects._vectors import Starts, doubles
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
 MAP_DOUBT = 0.01
 """Of the inductance that a reading's ripple is told by: what a map of some hundred numbers leaves open in corners of
 the plane that only a sweep's dwells reach, as seen on a simulated servo of 48 V."""
 
 
-class SamplingOffset:
+class SamplingOffset(DoubtfulBatchEffect):
     """Currents are read tau after the turning point of a symmetric carrier, where a row begins; negative: before.
 
     Since the turning point the legs have given the volt-seconds F, and the resistance has taken R i tau:
@@ -46,72 +47,79 @@ class SamplingOffset:
     class Parameters(EffectParameters):
         offset_s: float = amplitude("s", typical=5e-6, prior_width=5e-6, low=-2e-5, high=2e-5)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
-        given, beside = _beside_readings(signals, p.offset_s)
-        v_ab, ohm = doubles(signals.v_ab), doubles(signals.resistance_ohm)
-        return Correction(v_ab=_between_readings(v_ab, given, beside, ohm, signals.sampling_frequency_hz))
+        given, beside = _beside_readings(batch, p.offset_s)
+        v_ab, ohm = doubles(batch.v_ab), doubles(batch.resistance_ohm)
+        return Correction(
+            v_ab=_between_readings(v_ab, given, beside, ohm, batch.starts, doubles(batch.sampling_frequency_hz))
+        )
 
-    def doubts(self, signals: Signals, p: Parameters) -> list[Correction]:
+    def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What R_s takes beside the readings' mean follows the map's own L, which is not that sure in its corners."""
-        _, beside = _beside_readings(signals, p.offset_s)
-        taken = doubles(signals.resistance_ohm)[:, None] * beside
-        return [Correction(v_ab=signals.v_ab + MAP_DOUBT * taken)]
+        _, beside = _beside_readings(batch, p.offset_s)
+        taken = batch.resistance_ohm[:, None] * beside
+        return [Correction(v_ab=batch.v_ab + MAP_DOUBT * taken)]
 
 
-def _beside_readings(signals: Signals, offset_s: float) -> tuple[Array, Array]:
+def _beside_readings(batch: SignalBatch, offset_s: float) -> tuple[Array, Array]:
     """Volt-seconds that the winding was given from each row's turning point to its reading, and the current of these.
 
-    Both of shape (n, 2).
+    Both of shape (N, 2).
     """
-    v_ab, i_ab, ohm = doubles(signals.v_ab), doubles(signals.i_ab), doubles(signals.resistance_ohm)
-    given = _given(v_ab, i_ab, ohm, doubles(signals.v_dc), offset_s, 1.0 / signals.pwm_frequency_hz)
-    if signals.inductance_ab is None:
+    v_ab, i_ab, ohm = doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm)
+    given = _given(v_ab, i_ab, ohm, doubles(batch.v_dc), offset_s, batch.starts, doubles(1.0 / batch.pwm_frequency_hz))
+    if batch.inductance_ab is None:
         return given, np.zeros_like(i_ab)
-    return given, _moved(doubles(signals.inductance_ab), given)
+    return given, _moved(doubles(batch.inductance_ab), given)
 
 
 @njit(cache=True, nogil=True)
-def _between_readings(v_ab: Array, given: Array, beside: Array, ohm: Array, rate_hz: float) -> Array:
-    """The mean voltage (n, 2) from each reading to the next: with what was given before it, less what R_s takes."""
+def _between_readings(v_ab: Array, given: Array, beside: Array, ohm: Array, starts: Starts, rates_hz: Array) -> Array:
+    """The mean voltage (N, 2) from each reading to the next: with what was given before it, less what R_s takes."""
     out = np.empty_like(v_ab)
-    for k in range(v_ab.shape[0]):
-        after = min(k + 1, v_ab.shape[0] - 1)
-        for x in range(2):
-            lost = 0.5 * ohm[k] * (beside[k, x] + beside[after, x])
-            out[k, x] = v_ab[k, x] + rate_hz * (given[after, x] - given[k, x]) + lost
+    for s in range(starts.shape[0] - 1):
+        last, rate_hz = starts[s + 1] - 1, rates_hz[s]
+        for k in range(starts[s], last + 1):
+            after = min(k + 1, last)
+            for x in range(2):
+                lost = 0.5 * ohm[k] * (beside[k, x] + beside[after, x])
+                out[k, x] = v_ab[k, x] + rate_hz * (given[after, x] - given[k, x]) + lost
     return out
 
 
 @njit(cache=True, nogil=True)
-def _given(v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, offset_s: float, period_s: float) -> Array:
-    """Volt-seconds F - tau R i (n, 2) that the winding was given from each row's turning point to its reading."""
+def _given(
+    v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, offset_s: float, starts: Starts, periods_s: Array
+) -> Array:
+    """Volt-seconds F - tau R i (N, 2) that the winding was given from each row's turning point to its reading."""
     out = np.empty_like(v_ab)
-    beyond = abs(offset_s) - 0.25 * period_s
     sign = 1.0 if offset_s > 0.0 else -1.0
-    for k in range(v_ab.shape[0]):
-        out[k, 0] = -offset_s * ohm[k] * i_ab[k, 0]
-        out[k, 1] = -offset_s * ohm[k] * i_ab[k, 1]
-        row = k if offset_s > 0.0 else max(k - 1, 0)
-        a, b, c = phases_of(v_ab[row, 0], v_ab[row, 1])
-        centre = 0.5 * (max(a, b, c) + min(a, b, c))
-        # A leg of more voltage rises earlier, by half the period for all of the bus.
-        early = 0.5 * period_s / v_dc[row]
-        if beyond + early * (max(a, b, c) - centre) <= 0.0:
-            continue
-        alpha, beta = vector_of(
-            max(0.0, beyond + early * (a - centre)),
-            max(0.0, beyond + early * (b - centre)),
-            max(0.0, beyond + early * (c - centre)),
-        )
-        out[k, 0] += sign * v_dc[row] * alpha
-        out[k, 1] += sign * v_dc[row] * beta
+    for s in range(starts.shape[0] - 1):
+        beyond = abs(offset_s) - 0.25 * periods_s[s]
+        for k in range(starts[s], starts[s + 1]):
+            out[k, 0] = -offset_s * ohm[k] * i_ab[k, 0]
+            out[k, 1] = -offset_s * ohm[k] * i_ab[k, 1]
+            row = k if offset_s > 0.0 else max(k - 1, starts[s])
+            a, b, c = phases_of(v_ab[row, 0], v_ab[row, 1])
+            centre = 0.5 * (max(a, b, c) + min(a, b, c))
+            # A leg of more voltage rises earlier, by half the period for all of the bus.
+            early = 0.5 * periods_s[s] / v_dc[row]
+            if beyond + early * (max(a, b, c) - centre) <= 0.0:
+                continue
+            alpha, beta = vector_of(
+                max(0.0, beyond + early * (a - centre)),
+                max(0.0, beyond + early * (b - centre)),
+                max(0.0, beyond + early * (c - centre)),
+            )
+            out[k, 0] += sign * v_dc[row] * alpha
+            out[k, 1] += sign * v_dc[row] * beta
     return out
 
 
 @njit(cache=True, nogil=True)
 def _moved(inductance_ab: Array, flux_ab: Array) -> Array:
-    """The current (n, 2) that goes with a flux, by the model's inductance at every sample."""
+    """The current (N, 2) that goes with a flux, by the model's inductance at every sample."""
     out = np.empty_like(flux_ab)
     for k in range(flux_ab.shape[0]):
         aa, ab, bb = inductance_ab[k, 0], inductance_ab[k, 1], inductance_ab[k, 2]

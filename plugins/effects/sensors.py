@@ -6,6 +6,7 @@ A recording without phase currents is taken for one of two.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from functools import lru_cache
 from typing import ClassVar
@@ -17,12 +18,14 @@ from orchestrator.numerics.frames import from_phases, from_two_phases, to_phases
 from orchestrator.numerics.kernels import phases_of
 from orchestrator.numerics.types import Array
 from orchestrator.numerics.zero_sequence import gains_of
-from plugins.effects._vectors import doubles, less_constant, plus_along, stretched
+from plugins.effects._batches import BatchEffect, of_three_readings
+from plugins.effects._vectors import Starts, doubles, less_constant, stretched
 from protocols import (
     Contrast,
     Correction,
     EffectLayer,
     EffectParameters,
+    SignalBatch,
     Signals,
     amplitude,
     refinement,
@@ -40,7 +43,7 @@ def _ungaining(gains: tuple[float, float, float], three: bool) -> Array:
     return np.asarray(np.linalg.inv(_vectors(to_phases(np.eye(2)) * np.array(gains), three)))
 
 
-class CurrentGainMismatch:
+class CurrentGainMismatch(BatchEffect):
     """Gains 1 + g/2 of sensor a and 1 - g/2 of sensor b, g dimensionless; i_c = -i_a - i_b, or as a third one reads."""
 
     name: ClassVar[str] = "current_gain_mismatch"
@@ -53,11 +56,12 @@ class CurrentGainMismatch:
     class Parameters(EffectParameters):
         gain_a_minus_b: float = amplitude("1", typical=0.01, prior_width=0.02, low=-0.2, high=0.2)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Divide each sensor's reading by its gain."""
         half = 0.5 * p.gain_a_minus_b
         gains = (1.0 + half, 1.0 - half, 1.0)
-        return Correction(i_ab=stretched(signals.i_ab, _ungaining(gains, signals.clarke_of_three is True)))
+        ungaining = np.stack([_ungaining(gains, three) for three in (False, True)])
+        return Correction(i_ab=stretched(batch.i_ab, batch.starts, ungaining[of_three_readings(batch)]))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
         """What three readings that do not add up to zero say of it."""
@@ -66,7 +70,7 @@ class CurrentGainMismatch:
         return None if value is None else self.Parameters(gain_a_minus_b=value)
 
 
-class ThirdCurrentSensor:
+class ThirdCurrentSensor(BatchEffect):
     """Gain 1 + g of sensor c where three sensors make the vector: it is stretched along phase c by 2/3 g.
 
     Its offset moves the vector as those of a and b do, and is told as theirs.
@@ -89,11 +93,13 @@ class ThirdCurrentSensor:
         """Where it is not known that a and b alone make the vector."""
         return signals.clarke_of_three is not False
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Divide the third reading by its gain; nothing where there is none."""
-        if not self.shows_in(signals):
+        third = [self.shows_in(s) for s in batch.segments]
+        if not any(third):
             return Correction()
-        return Correction(i_ab=stretched(signals.i_ab, _ungaining((1.0, 1.0, 1.0 + p.gain_c_minus_1), True)))
+        ungaining = np.stack([np.eye(2), _ungaining((1.0, 1.0, 1.0 + p.gain_c_minus_1), True)])
+        return Correction(i_ab=stretched(batch.i_ab, batch.starts, ungaining[np.array(third, dtype=np.intp)]))
 
     def measured(self, signals: Sequence[Signals]) -> Parameters | None:
         """What three readings that do not add up to zero say of it."""
@@ -102,7 +108,7 @@ class ThirdCurrentSensor:
         return None if value is None else self.Parameters(gain_c_minus_1=value)
 
 
-class CurrentOffset:
+class CurrentOffset(BatchEffect):
     """Sensors a and b read i + o [A]; a computed phase c reads i_c - o_a - o_b, a third sensor i_c.
 
     Three offsets o_a, o_b, o_c are seen as o_a - o_c and o_b - o_c.
@@ -121,19 +127,18 @@ class CurrentOffset:
         offset_a_a: float = amplitude("A", typical=0.015, prior_width=0.02, low=-0.5, high=0.5)
         offset_b_a: float = amplitude("A", typical=0.015, prior_width=0.02, low=-0.5, high=0.5)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the offsets."""
-        offset = _offset(p.offset_a_a, p.offset_b_a, signals.clarke_of_three is True)
-        return Correction(i_ab=less_constant(signals.i_ab, offset))
+        return Correction(i_ab=less_constant(batch.i_ab, batch.starts, _offsets(batch, p.offset_a_a, p.offset_b_a)))
 
 
-@lru_cache(maxsize=32)
-def _offset(a: float, b: float, three: bool) -> Array:
-    """The vector (2,) that sensors a and b show without a current."""
-    return np.asarray(_vectors(np.array([[a, b, 0.0]]), three)[0])
+def _offsets(batch: SignalBatch, a: float, b: float) -> Array:
+    """The vector that sensors a and b show without a current, of each segment, shape (segments, 2)."""
+    read = np.array([[a, b, 0.0]])
+    return np.concatenate([_vectors(read, three) for three in (False, True)])[of_three_readings(batch)]
 
 
-class CurrentOffsetDrift:
+class CurrentOffsetDrift(BatchEffect):
     """Offsets of sensors a and b that grow with time: o(t) = rate (1 - exp(-s t)) / s [A], s = `settling_per_s`.
 
     t counts from the start of the experiment, and o(0) is a `CurrentOffset`. In the simple form s is 0 and the offset
@@ -152,15 +157,31 @@ class CurrentOffsetDrift:
         rate_b_a_per_s: float = amplitude("A/s", typical=2e-4, prior_width=3e-4, low=-0.01, high=0.01)
         settling_per_s: float = refinement("1/s", neutral=0.0, prior_width=0.01, low=0.0, high=1.0)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract what the offsets have grown by at each sample's time."""
-        now, s = signals.time_s, p.settling_per_s
-        grown = now if s == 0.0 else -np.expm1(-s * now) / s
-        rates = _offset(p.rate_a_a_per_s, p.rate_b_a_per_s, signals.clarke_of_three is True)
-        return Correction(i_ab=plus_along(signals.i_ab, grown, -rates[None]))
+        rates = _offsets(batch, p.rate_a_a_per_s, p.rate_b_a_per_s)
+        times = (doubles(batch.start_s), doubles(batch.sampling_frequency_hz))
+        return Correction(i_ab=_less_drift(doubles(batch.i_ab), batch.starts, *times, rates, p.settling_per_s))
 
 
-class CurrentNonlinearity:
+@njit(cache=True, nogil=True)
+def _less_drift(
+    i_ab: Array, starts: Starts, start_s: Array, rate_hz: Array, drifts: Array, settling_per_s: float
+) -> Array:
+    """Vectors (N, 2) less drifts (segments, 2) that settle, at the times of a batch's samples."""
+    out = np.empty_like(i_ab)
+    for s in range(starts.shape[0] - 1):
+        a, b = drifts[s, 0], drifts[s, 1]
+        for k in range(starts[s], starts[s + 1]):
+            grown = start_s[s] + (k - starts[s]) / rate_hz[s]
+            if settling_per_s != 0.0:
+                grown = -math.expm1(-settling_per_s * grown) / settling_per_s
+            out[k, 0] = i_ab[k, 0] - grown * a
+            out[k, 1] = i_ab[k, 1] - grown * b
+    return out
+
+
+class CurrentNonlinearity(BatchEffect):
     """Every sensor reads i + h i^2 + k i^3 [A]: a core that begins to saturate, in one direction first or in both.
 
     h is `square_per_a`, k `cubic_per_a2`; of an amplifier either may be there alone.
@@ -177,24 +198,26 @@ class CurrentNonlinearity:
         cubic_per_a2: float = amplitude("1/A^2", typical=3e-4, prior_width=1e-3, low=-0.02, high=0.02)
         square_per_a: float = amplitude("1/A", typical=1e-3, prior_width=3e-3, low=-0.02, high=0.02)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Solve m = i + h i^2 + k i^3 for i in each sensor, by two fixed-point steps from the reading."""
-        clarke = _vectors(np.eye(3), signals.clarke_of_three is True)
-        return Correction(i_ab=_straightened(doubles(signals.i_ab), p.square_per_a, p.cubic_per_a2, clarke))
+        clarke = np.stack([_vectors(np.eye(3), three) for three in (False, True)])[of_three_readings(batch)]
+        curve = (p.square_per_a, p.cubic_per_a2)
+        return Correction(i_ab=_straightened(doubles(batch.i_ab), batch.starts, *curve, clarke))
 
 
 @njit(cache=True, nogil=True)
-def _straightened(i_ab: Array, square: float, cubic: float, clarke: Array) -> Array:
-    """Vectors (n, 2) without squares and cubes of the phase currents, of which `clarke` (3, 2) makes vectors."""
+def _straightened(i_ab: Array, starts: Starts, square: float, cubic: float, clarke: Array) -> Array:
+    """Vectors (N, 2) without squares and cubes of the phase currents; `clarke` (segments, 3, 2) makes vectors of these."""
     out = i_ab.copy()
-    for k in range(i_ab.shape[0]):
-        phases = phases_of(i_ab[k, 0], i_ab[k, 1])
-        for x in range(3):
-            read = phases[x]
-            bent = read * (square + cubic * read)
-            # Newton's step, bounded where the curve folds back.
-            near = read * (1.0 - bent / (1.0 + abs(read * (2.0 * square + 3.0 * cubic * read))))
-            more = near * near * (square + cubic * near)
-            out[k, 0] -= more * clarke[x, 0]
-            out[k, 1] -= more * clarke[x, 1]
+    for s in range(starts.shape[0] - 1):
+        for k in range(starts[s], starts[s + 1]):
+            phases = phases_of(i_ab[k, 0], i_ab[k, 1])
+            for x in range(3):
+                read = phases[x]
+                bent = read * (square + cubic * read)
+                # Newton's step, bounded where the curve folds back.
+                near = read * (1.0 - bent / (1.0 + abs(read * (2.0 * square + 3.0 * cubic * read))))
+                more = near * near * (square + cubic * near)
+                out[k, 0] -= more * clarke[s, x, 0]
+                out[k, 1] -= more * clarke[s, x, 1]
     return out

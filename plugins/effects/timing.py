@@ -9,31 +9,40 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.types import Array
-from plugins.effects._vectors import doubles
-from protocols import Contrast, Correction, EffectLayer, EffectParameters, Signals, amplitude
+from plugins.effects._batches import NOTHING, BatchEffect
+from plugins.effects._vectors import Starts, doubles
+from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
 
 @njit(cache=True, nogil=True)
-def _acting(v_ab: Array, late_ab: Array, late: float) -> tuple[Array, Array]:
-    """Vectors that act so many samples later, and what the end of each interval then has beside them, shapes (n, 2).
+def _acting(v_ab: Array, late_ab: Array, starts: Starts, late: Array) -> tuple[Array, Array]:
+    """Vectors that act so many samples later, and what the end of each interval then has beside them, shapes (N, 2).
 
-    The first and the last stand for those beyond them. What comes a part of a sample early is not yet felt at the
+    A segment's first and last stand for those beyond them. What comes a part of a sample early is not yet felt at the
     end of the interval before: what follows a voltage takes longer than that.
+
+    Parameters
+    ----------
+    late_ab : array, shape (N, 2) or (0, 2)
+        What the end of an interval has beside its mean; empty where nothing.
+    late : array, shape (segments,)
     """
-    last = v_ab.shape[0] - 1
-    whole = math.floor(late)
-    part = late - whole
     out, beside = np.empty_like(v_ab), np.empty_like(v_ab)
-    for k in range(last + 1):
-        near, far = min(max(k - whole, 0), last), min(max(k - whole - 1, 0), last)
-        felt = far if whole < 0 and part > 0.0 else near
-        for x in range(2):
-            out[k, x] = (1.0 - part) * v_ab[near, x] + part * v_ab[far, x]
-            beside[k, x] = v_ab[felt, x] + late_ab[felt, x] - out[k, x]
+    for s in range(starts.shape[0] - 1):
+        first, last = starts[s], starts[s + 1] - 1
+        whole = math.floor(late[s])
+        part = late[s] - whole
+        for k in range(first, last + 1):
+            near, far = min(max(k - whole, first), last), min(max(k - whole - 1, first), last)
+            felt = far if whole < 0 and part > 0.0 else near
+            for x in range(2):
+                out[k, x] = (1.0 - part) * v_ab[near, x] + part * v_ab[far, x]
+                end = v_ab[felt, x] + late_ab[felt, x] if late_ab.shape[0] > 0 else v_ab[felt, x]
+                beside[k, x] = end - out[k, x]
     return out, beside
 
 
-class VoltageDelay:
+class VoltageDelay(BatchEffect):
     """v(t - T_d) [V]: each command acts T_d later than the record says; T_d in s.
 
     Over one interval the mean voltage is then (1 - T_d/Ts) v_k + (T_d/Ts) v_k-1.
@@ -50,15 +59,15 @@ class VoltageDelay:
     class Parameters(EffectParameters):
         delay_s: float = amplitude("s", typical=1e-5, prior_width=2e-5, low=-1e-4, high=3e-4)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The mean voltage of each interval, and what its end has beside it."""
-        v_ab = doubles(signals.v_ab)
-        late_ab = np.zeros_like(v_ab) if signals.v_late_ab is None else doubles(signals.v_late_ab)
-        acting, beside = _acting(v_ab, late_ab, p.delay_s * signals.sampling_frequency_hz)
+        late_ab = NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab)
+        late = doubles(p.delay_s * batch.sampling_frequency_hz)
+        acting, beside = _acting(doubles(batch.v_ab), late_ab, batch.starts, late)
         return Correction(v_ab=acting, v_late_ab=beside)
 
 
-class CurrentFilter:
+class CurrentFilter(BatchEffect):
     """First-order lag of the current sensors: tau dm/dt = i - m [A], tau in s.
 
     A sample lags a current that is linear between samples by what is left of its lag before, and by its slope since:
@@ -77,32 +86,38 @@ class CurrentFilter:
     class Parameters(EffectParameters):
         time_constant_s: float = amplitude("s", typical=5e-6, prior_width=1e-5, low=0.0, high=1e-3)
 
-    def correct(self, signals: Signals, p: Parameters) -> Correction:
+    def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The current before the lag."""
-        read = doubles(signals.i_ab)
+        read = doubles(batch.i_ab)
         # A slope with the reading's own noise in it would be taken for signal by a fit.
-        smooth = read if signals.i_smooth_ab is None else signals.i_smooth_ab
-        samples = p.time_constant_s * signals.sampling_frequency_hz
-        return Correction(i_ab=_led(read, doubles(smooth), samples))
+        smooth = read if batch.i_smooth_ab is None else batch.i_smooth_ab
+        samples = doubles(p.time_constant_s * batch.sampling_frequency_hz)
+        return Correction(i_ab=_led(read, doubles(smooth), batch.starts, samples))
 
 
 @njit(cache=True, nogil=True)
-def _led(i_ab: Array, smooth_ab: Array, samples: float) -> Array:
-    """Vectors (n, 2) before a first-order lag of so many samples, told by the slope of a smoother course.
+def _led(i_ab: Array, smooth_ab: Array, starts: Starts, samples: Array) -> Array:
+    """Vectors (N, 2) before a first-order lag of so many samples (segments,), told by the slope of a smoother course.
 
-    Where a model on trial leads the smooth current further away than the reading's own span, the reading leads it back.
+    Where a model on trial leads the smooth current further away than the reading's own span in the segment, the reading
+    leads it back.
     """
     out = np.empty_like(i_ab)
-    stays = math.exp(-1.0 / samples) if samples > 0.0 else 0.0
-    for axis in range(2):
-        span = np.max(i_ab[:, axis]) - np.min(i_ab[:, axis])
-        before = 0.0
-        late = 0.0
-        for k in range(i_ab.shape[0]):
-            read = i_ab[k, axis]
-            near = min(max(smooth_ab[k, axis], read - span), read + span)
-            if k > 0:
-                late = stays * late + samples * (1.0 - stays) * (near - before)
-            out[k, axis] = read + late
-            before = near
+    for s in range(starts.shape[0] - 1):
+        first, end = starts[s], starts[s + 1]
+        stays = math.exp(-1.0 / samples[s]) if samples[s] > 0.0 else 0.0
+        moves = samples[s] * (1.0 - stays)
+        for axis in range(2):
+            low, high = i_ab[first, axis], i_ab[first, axis]
+            for k in range(first, end):
+                low, high = min(low, i_ab[k, axis]), max(high, i_ab[k, axis])
+            span = high - low
+            before, late = 0.0, 0.0
+            for k in range(first, end):
+                read = i_ab[k, axis]
+                near = min(max(smooth_ab[k, axis], read - span), read + span)
+                if k > first:
+                    late = stays * late + moves * (near - before)
+                out[k, axis] = read + late
+                before = near
     return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -16,6 +17,7 @@ from protocols import (
     Effect,
     EffectLayer,
     EffectParameters,
+    SignalBatch,
     Signals,
     amplitude,
     refinement,
@@ -74,6 +76,67 @@ class SeenThroughAResistor(ExampleEffect):
 
 def test_passes_an_effect_that_is_absent_only_in_the_limit(tmp_path: Path) -> None:
     assert failures(kit_for(SeenThroughAResistor), tmp_path) == {}
+
+
+class InOneCall(ExampleEffect):
+    """Takes voltage with the current of a sample before, the less the higher the PWM frequency is."""
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        return self.correct_batch(SignalBatch.of([signals]), p)
+
+    def doubts(self, signals: Signals, p: Any) -> Sequence[Correction]:
+        return [Correction(v_ab=signals.v_ab * (1.0 + 0.1 * p.bias_a_v))]
+
+    def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
+        share = batch.per_sample(1e4 / batch.pwm_frequency_hz)
+        return Correction(v_ab=batch.v_ab - self.late(batch) * np.outer(share, [p.bias_a_v, 0.0]))
+
+    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+        return [Correction(v_ab=batch.v_ab * (1.0 + 0.1 * p.bias_a_v))]
+
+    def late(self, batch: SignalBatch) -> np.ndarray:
+        """The current a sample before, in each segment the first one twice."""
+        before = np.arange(batch.samples) - 1
+        before[batch.starts[:-1]] = batch.starts[:-1]
+        return np.asarray(batch.i_ab[before])
+
+
+def test_passes_an_effect_that_is_evaluated_on_batches(tmp_path: Path) -> None:
+    assert failures(kit_for(InOneCall), tmp_path, only="batch") == {}
+
+
+class LooksBeyondASegment(InOneCall):
+    def late(self, batch: SignalBatch) -> np.ndarray:
+        return np.concatenate([batch.i_ab[:1], batch.i_ab[:-1]])
+
+
+class TakesOneFrequencyForAll(InOneCall):
+    def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
+        share = 1e4 / batch.pwm_frequency_hz[0]
+        return Correction(v_ab=batch.v_ab - share * self.late(batch) * [p.bias_a_v, 0.0])
+
+
+class DropsASampleOfABatch(InOneCall):
+    def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
+        correction = super().correct_batch(batch, p)
+        return correction if len(batch.segments) == 1 else Correction(v_ab=batch.v_ab[1:])
+
+
+class WorksInPlaceOnBatches(InOneCall):
+    def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
+        batch.v_ab.flags.writeable = True
+        batch.v_ab[:, 0] -= p.bias_a_v
+        return Correction(v_ab=batch.v_ab)
+
+
+class DoubtsBatchesLess(InOneCall):
+    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+        return [Correction(v_ab=batch.v_ab)]
+
+
+class DoubtsOnlyBatches(ExampleEffect):
+    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+        return []
 
 
 class NotNeutralAtNeutral(ExampleEffect):
@@ -243,6 +306,12 @@ class ATwinThatNobodyKnows(ExampleEffect):
 
 
 MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
+    (LooksBeyondASegment, "batch_is_corrected"),
+    (TakesOneFrequencyForAll, "batch_is_corrected"),
+    (DropsASampleOfABatch, "batch_is_corrected"),
+    (WorksInPlaceOnBatches, "batch_is_not_modified"),
+    (DoubtsBatchesLess, "doubts_of_a_batch"),
+    (DoubtsOnlyBatches, "doubts_of_a_batch"),
     (Staircase, "has_a_slope"),
     (ZeroSlope, "has_a_slope"),
     (WrongUnit, "machine_of_another_size"),

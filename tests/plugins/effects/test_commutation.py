@@ -14,6 +14,8 @@ BUS, PERIOD, STEP = 540.0, 1e-4, 1e-8
 DEAD = 193
 """Dead time in steps."""
 L_D, L_Q = 0.043, 0.069
+TWO, CARRIER = np.array([0, 2]), (np.array([PERIOD]), np.array([1]))
+"""Bounds of a segment of two samples; a period in each of its intervals."""
 VOLT = 2.0 * BUS * STEP / PERIOD
 """The voltage that shifts each edge by a step, so that all of them are on the grid."""
 
@@ -74,7 +76,7 @@ def test_the_kernel_agrees_with_legs_switched_step_by_step(
     motor = np.array([[L_D, 0.0, L_Q]])
     i_ab, v_ab = from_phases(np.array([i_abc, after])), from_phases(np.array([commanded, commanded]))
     swing = Swing(swing_course(grading), yielding=1.0)
-    told = lost_at_edges(v_ab, i_ab, np.full(2, volts), np.ones(3), 1.0 / knee, motor, PERIOD, 1, swing)
+    told = lost_at_edges(v_ab, i_ab, np.full(2, volts), TWO, np.ones(3), 1.0 / knee, motor, *CARRIER, swing)
     lost = to_phases(told)[0]
     np.testing.assert_allclose(lost, commanded - mean, atol=0.006 * volts)
 
@@ -95,5 +97,5 @@ def test_a_knee_s_current_swings_the_node_in_just_the_dead_time(yielding: float)
     stiff, volts = np.array([[1e9, 0.0, 1e9]]), np.full(2, 5.0)
     i_ab, v_ab = from_phases(np.tile([0.0, 1.0, -1.0], (2, 1))), np.zeros((2, 2))
     swing = Swing(swing_course(0.5), yielding=yielding)
-    told = to_phases(lost_at_edges(v_ab, i_ab, volts, np.ones(3), 1.0, stiff, PERIOD, 1, swing))[0]
+    told = to_phases(lost_at_edges(v_ab, i_ab, volts, TWO, np.ones(3), 1.0, stiff, *CARRIER, swing))[0]
     np.testing.assert_allclose(told, 5.0 * np.array([0.0, 0.5, -0.5]), atol=2e-2)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
-from plugins.effects._stops import stops, yields_of
+from plugins.effects._stops import Course, stops, yields_of
 
 LIMITS = np.array([0.3, 0.7])
 STIFFNESS = np.array([2.0, 1.0])
@@ -18,7 +18,13 @@ SOFTNESSES = [0.0, 0.05, 0.6, 3.0]
 
 
 def held(course: Array, softness: float, before: int = 0, giving: float = 0.0, off: Array = NOTHING) -> Array:
-    return np.asarray(stops(course, before, STIFFNESS, LIMITS, yields_of(softness), giving, off))
+    return np.asarray(stops(_course(course, before), STIFFNESS, LIMITS, yields_of(softness), giving, off[None]))
+
+
+def _course(course: Array, before: int = 0) -> Course:
+    """One segment's, whose first `before` values were before."""
+    ways, values = course[:before], course[before:]
+    return Course(values, np.array([0, len(values)]), ways, np.array([0, before]))
 
 
 def a_walk(seed: int, count: int = 400) -> Array:
@@ -81,7 +87,7 @@ def test_a_table_of_the_power_law_is_as_good_as_the_law(softness: float) -> None
         size += 1.2e-5 * (1.0 - (size / limit) ** (1.0 / softness))
     along = np.stack([course, np.zeros(10_000)], axis=1)
     one = np.array([1.0]), np.array([limit])
-    found = stops(along, 0, *one, yields_of(softness), 0.0, np.zeros((1, 2)))
+    found = stops(_course(along), *one, yields_of(softness), 0.0, np.zeros((1, 1, 2)))
     assert found[-1, 0] == pytest.approx(size, rel=2e-3)
 
 
@@ -90,3 +96,17 @@ def test_a_course_that_is_no_number_ends_nowhere_else() -> None:
     course[300:] = np.nan
     found = held(course, 0.6, giving=0.3)
     np.testing.assert_array_equal(found[:300], held(course[:300], 0.6, giving=0.3))
+
+
+def test_each_segment_begins_anew_after_its_own_way() -> None:
+    one, other = a_walk(3), a_walk(4, 300)
+    course = Course(
+        np.concatenate([one[100:], other]),
+        np.array([0, len(one) - 100, len(one) - 100 + len(other)]),
+        one[:100],
+        np.array([0, 100, 100]),
+    )
+    off = np.array([NOTHING, [[0.2, 0.0], [0.0, 0.1]]])
+    found = stops(course, STIFFNESS, LIMITS, yields_of(0.6), 0.3, off)
+    expected = [held(one, 0.6, 100, 0.3), held(other, 0.6, 0, 0.3, off[1])]
+    np.testing.assert_array_equal(found, np.concatenate(expected))

@@ -13,20 +13,22 @@ from protocols import RealArray
 
 RNG = np.random.default_rng(5)
 X, Y, SIZES, ALONG = RNG.normal(size=(9, 2)), RNG.normal(size=(9, 2)), RNG.normal(size=9), RNG.normal(size=(9, 2))
-MATRIX, CONSTANT = RNG.normal(size=(2, 2)), RNG.normal(size=2)
-NEXT = np.concatenate([Y[1:], Y[-1:]])
+MATRIX = RNG.normal(size=(2, 2))
+STARTS = np.array([0, 4, 5, 9], dtype=np.int64)
+SEGMENT = np.repeat([0, 1, 2], np.diff(STARTS))
+CONSTANTS, MATRICES = RNG.normal(size=(3, 2)), RNG.normal(size=(3, 2, 2))
+NEXT = Y[[1, 2, 3, 3, 4, 6, 7, 8, 8]]
 
 
 @pytest.mark.parametrize(
     ("work", "expected"),
     [
-        (lambda x: less_constant(x, CONSTANT), X - CONSTANT),
+        (lambda x: less_constant(x, STARTS, CONSTANTS), X - CONSTANTS[SEGMENT]),
         (lambda x: plus_along(x, SIZES, ALONG), X + SIZES[:, None] * ALONG),
-        (lambda x: plus_along(x, SIZES, ALONG[:1]), X + SIZES[:, None] * ALONG[0]),
-        (lambda x: stretched(x, MATRIX), X @ MATRIX),
-        (lambda x: less_of_means(x, Y, MATRIX), X - 0.5 * (Y + NEXT) @ MATRIX),
+        (lambda x: stretched(x, STARTS, MATRICES), np.einsum("ki,kij->kj", X, MATRICES[SEGMENT])),
+        (lambda x: less_of_means(x, STARTS, Y, MATRIX), X - 0.5 * (Y + NEXT) @ MATRIX),
     ],
-    ids=["less_constant", "plus_along", "plus_along_one", "stretched", "less_of_means"],
+    ids=["less_constant", "plus_along", "stretched", "less_of_means"],
 )
 def test_it_is_what_numpy_makes_of_it(work: Callable[[RealArray], Array], expected: Array) -> None:
     given = X.copy()

@@ -1,0 +1,118 @@
+"""Effect checks: an effect that is evaluated on a batch of segments does to each what it does to that one alone."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals
+
+SAME = 1e-9
+"""Of the largest value of an array, a difference that is rounding."""
+BOUNDS = (0.0, 0.1, 0.15, 0.6, 1.0)
+"""Where the kit's signals are cut into segments."""
+
+
+class EffectBatchChecks(ABC):
+    """What `correct_batch` and `doubts_batch` promise; an effect without them passes."""
+
+    @abstractmethod
+    def make_effect(self) -> Effect: ...
+
+    @abstractmethod
+    def signals(self) -> Signals: ...
+
+    def test_a_batch_is_corrected_as_its_segments_alone(self) -> None:
+        effect = self.make_effect()
+        correct_batch = getattr(effect, "correct_batch", None)
+        if correct_batch is None:
+            return
+        batch = SignalBatch.of(_segments(self.signals()))
+        for parameters in _settings(effect):
+            alone = [effect.correct(signals, parameters) for signals in batch.segments]
+            _compare("correct_batch", batch, correct_batch(batch, parameters), alone)
+
+    def test_doubts_of_a_batch_are_those_of_its_segments(self) -> None:
+        effect = self.make_effect()
+        doubts, doubts_batch = getattr(effect, "doubts", None), getattr(effect, "doubts_batch", None)
+        if doubts is None or doubts_batch is None:
+            assert doubts_batch is None, "it has doubts_batch, but no doubts: a single segment is asked for the latter"
+            return
+        batch = SignalBatch.of(_segments(self.signals()))
+        for parameters in _settings(effect):
+            alone = [doubts(signals, parameters) for signals in batch.segments]
+            found = doubts_batch(batch, parameters)
+            assert {len(found)} == set(map(len, alone)), "doubts_batch and doubts differ in how many there are"
+            for m, doubt in enumerate(found):
+                _compare(f"doubts_batch, number {m}", batch, doubt, [one[m] for one in alone])
+
+    def test_a_batch_is_not_modified(self) -> None:
+        effect = self.make_effect()
+        batch = SignalBatch.of(_segments(self.signals()))
+        held = {name: getattr(batch, name) for name in SignalBatch.__slots__}
+        arrays = {name: array for name, array in held.items() if isinstance(array, np.ndarray)}
+        before = {name: array.tobytes() for name, array in arrays.items()}
+        for array in arrays.values():
+            array.flags.writeable = False
+        asked: list[Callable[[SignalBatch, EffectParameters], object]] = [
+            getattr(effect, name) for name in ("correct_batch", "doubts_batch") if hasattr(effect, name)
+        ]
+        for ask in asked:
+            for parameters in _settings(effect):
+                ask(batch, parameters)
+        changed = [name for name, array in arrays.items() if array.tobytes() != before[name]]
+        assert not changed, f"modified in place: {changed}"
+
+
+def _settings(effect: Effect) -> tuple[EffectParameters, EffectParameters]:
+    """All typical; and each parameter some way from there to its upper bound, so that refinements take part."""
+    declared = effect.Parameters.declared()
+    typical = {p.name: p.typical for p in declared}
+    moved = {p.name: p.typical + min(0.3 * p.prior_width, 0.5 * (p.high - p.typical)) for p in declared}
+    return effect.Parameters(**typical), effect.Parameters(**moved)
+
+
+def _segments(signals: Signals) -> list[Signals]:
+    """Pieces of some signals, which differ in all that segments of a recording may differ in."""
+    n = len(signals.v_dc)
+    ends = [round(part * n) for part in BOUNDS]
+    pieces = []
+    for k, (first, end) in enumerate(pairwise(ends)):
+        update: dict[str, object] = {
+            "start_s": signals.start_s + first / signals.sampling_frequency_hz,
+            "sampling_frequency_hz": signals.sampling_frequency_hz * (1.0, 2.0, 1.0, 1.0)[k],
+            "pwm_frequency_hz": signals.pwm_frequency_hz * (1.0, 2.0, 2.0, 1.0)[k],
+            "turned_rad": signals.turned_rad * (1.0, 0.0, 0.5, 1.0)[k],
+        }
+        for name in type(signals).model_fields:
+            array = getattr(signals, name)
+            if isinstance(array, np.ndarray) and len(array) == n and name != "came_from_ab":
+                update[name] = array[first:end]
+        if k == 3:
+            update |= {"came_from_ab": None, "losses": None, "v_late_ab": None}
+        pieces.append(signals.model_copy(update=update))
+    # Backwards, so that none goes on where the one beside it ends.
+    return pieces[::-1]
+
+
+def _compare(asked: str, batch: SignalBatch, found: object, alone: Sequence[Correction]) -> None:
+    """Complains where a correction of a batch is not that of each segment alone."""
+    assert isinstance(found, Correction), f"{asked} returned {type(found).__name__} instead of a Correction"
+    for name in sorted(set(found.arrays).union(*(one.arrays for one in alone))):
+        there = getattr(batch, name)
+        whole = np.asarray(found.arrays.get(name, there))
+        tail = () if name in ("v_dc", "theta_rad", "resistance_ohm") else (2,)
+        shape = (batch.samples, *tail)
+        assert np.shape(whole) == shape, f"{asked}: {name} has shape {np.shape(whole)} instead of {shape}"
+        assert whole.dtype.kind == "f", f"{asked}: {name} is of type {whole.dtype}"
+        for k, one in enumerate(alone):
+            part = batch.slice_of(k)
+            expected = one.arrays.get(name, np.zeros((1, *tail)) if there is None else there[part])
+            off = float(np.abs(whole[part] - expected).max())
+            assert off <= SAME * float(np.abs(expected).max()), (
+                f"{asked}: {name} of segment {k} of {len(alone)} differs by {off:.2g} from what the segment alone "
+                "becomes: does it look beyond a segment's ends, or take one's sampling or PWM frequency for all?"
+            )

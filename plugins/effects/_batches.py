@@ -1,0 +1,91 @@
+"""What the built-in effects have in common: each is written for a batch of segments, and serves one segment by it."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numba import njit
+
+from orchestrator.numerics.kernels import unit_vectors
+from orchestrator.numerics.types import Array, Indices
+from plugins.effects._vectors import Starts, doubles
+from protocols import Correction, RealArray, SignalBatch, Signals
+
+NOTHING = np.zeros((0, 2))
+"""Of vectors that a kernel may do without."""
+NOTHING.flags.writeable = False
+
+
+class BatchEffect(ABC):
+    """Base of an effect that is evaluated on many segments in one call."""
+
+    @abstractmethod
+    def correct_batch(self, batch: SignalBatch, p: Any) -> Correction:
+        """What becomes of the signals, each segment by itself, when this effect is accounted for."""
+
+    def correct(self, signals: Signals, p: Any) -> Correction:
+        """The same of one segment."""
+        return self.correct_batch(SignalBatch.of([signals]), p)
+
+
+class DoubtfulBatchEffect(BatchEffect):
+    """Base of one that, besides, cannot know all of what it does."""
+
+    @abstractmethod
+    def doubts_batch(self, batch: SignalBatch, p: Any) -> Sequence[Correction]:
+        """What a standard deviation of each thing that is not known would change, in each segment by its own."""
+
+    def doubts(self, signals: Signals, p: Any) -> Sequence[Correction]:
+        """The same of one segment."""
+        return self.doubts_batch(SignalBatch.of([signals]), p)
+
+
+def by_value(values: RealArray) -> Iterator[tuple[float, Indices]]:
+    """Each distinct value of (segments,), and which segments have it."""
+    if (values == values[0]).all():
+        yield float(values[0]), np.arange(len(values))
+        return
+    for value in np.unique(values):
+        yield float(value), np.flatnonzero(values == value)
+
+
+def per_segment(values: RealArray, of: Callable[[float], RealArray]) -> Array:
+    """An array of each segment's own, shape (segments, ...), worked out once for each distinct value (segments,)."""
+    groups = [(np.asarray(of(value)), which) for value, which in by_value(values)]
+    out = np.empty((len(values), *groups[0][0].shape))
+    for array, which in groups:
+        out[which] = array
+    return out
+
+
+def pwm_share(batch: SignalBatch) -> Array:
+    """Each segment's PWM frequency in units of the drive's own, (segments,); 1 where that is not known."""
+    own = batch.drive.pwm_frequency_hz if batch.drive is not None else None
+    return np.asarray(batch.pwm_frequency_hz / (own or batch.pwm_frequency_hz))
+
+
+def rated_current_a(batch: SignalBatch) -> float:
+    """The motor's rated current; 0 if unknown."""
+    return (batch.motor.rated_current_a if batch.motor is not None else None) or 0.0
+
+
+def of_three_readings(batch: SignalBatch) -> Indices:
+    """1 where the vector was made of three readings, else 0; shape (segments,)."""
+    return np.array([s.clarke_of_three is True for s in batch.segments], dtype=np.intp)
+
+
+def axes(batch: SignalBatch) -> Array:
+    """Cosine and sine of the d axis' angle, shape (N, 2)."""
+    return np.asarray(_axes(doubles(batch.theta_rad), batch.starts))
+
+
+@njit(cache=True, nogil=True)
+def _axes(theta_rad: Array, starts: Starts) -> Array:
+    # Around its own first angle the one of a segment hardly moves.
+    out = np.empty((theta_rad.shape[0], 2))
+    for s in range(starts.shape[0] - 1):
+        out[starts[s] : starts[s + 1]] = unit_vectors(theta_rad[starts[s] : starts[s + 1]])
+    return out
