@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from protocols._motor import Motor
 from protocols._recording import DriveRecord
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class SignalBatch:
     """Segments as `Signals` has one, their arrays laid end to end: N samples in all, time first.
 
@@ -116,8 +116,7 @@ class SignalBatch:
     def replaced(self, arrays: Mapping[str, RealArray]) -> SignalBatch:
         """The same with other arrays of the same shapes in the place of some, by their names; nothing is checked."""
         other = object.__new__(SignalBatch)
-        for name in _FIELDS:
-            object.__setattr__(other, name, arrays[name] if name in arrays else getattr(self, name))
+        other.__dict__.update(self.__dict__, **arrays)
         return other
 
     def with_segments(self, segments: Sequence[Signals]) -> SignalBatch:
@@ -134,7 +133,6 @@ _FACTS = ("sampling_frequency_hz", "pwm_frequency_hz", "start_s", "turned_rad")
 _ALWAYS = ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm", "i_m_ab", "heat_j")
 _MODEL = ("psi_ab", "inductance_ab", "psi_smooth_ab", "i_smooth_ab")
 _OPTIONAL = ("v_late_ab", "i_quiet_ab", *_MODEL)
-_FIELDS = tuple(f.name for f in fields(SignalBatch))
 
 
 def _laid(segments: Sequence[Signals], name: str) -> RealArray:

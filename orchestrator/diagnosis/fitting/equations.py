@@ -118,14 +118,14 @@ class WeakFormEquations:
         """Of each segment how its noise is whitened, and by what: as before, where that bears what has moved since."""
         batch, local, corrected = state.batch, state.local, state.cascade.corrected
         carriers = self._carriers(batch, model)
-        found: list[tuple[Whitener, Array, dict[ColumnName, float]] | None] = []
-        for j in range(len(batch.pieces)):
-            mean = local.inductance[corrected.slice_of(j)].mean(axis=0)
-            before = None if old is None else old.pieces[j]
-            if before is not None and self._same_noise(mean, carriers, before):
-                found.append((before.whitener, before.mean_inductance, before.carried_by))
-            else:
-                found.append(None)
+        means = np.add.reduceat(local.inductance, batch.layout.starts[:-1]) / np.diff(batch.layout.starts)[:, None]
+        found: list[tuple[Whitener, Array, dict[ColumnName, float]] | None] = [None] * len(batch.pieces)
+        if old is not None:
+            same = self._same_noise(means, carriers, old)
+            found = [
+                (kept.whitener, kept.mean_inductance, kept.carried_by) if as_before else None
+                for kept, as_before in zip(old.pieces, same, strict=True)
+            ]
         if all(one is not None for one in found):
             return [one for one in found if one is not None]
         slopes = self._slopes(batch, state.frame.base, model)
@@ -145,7 +145,7 @@ class WeakFormEquations:
                 rows = self._common_rows(state, j, slopes)
                 common.append(rows * scatter_sizes(TimerScatter.of(piece), scatter))
             whitener = Whitener.of(covariance, np.column_stack(common) if common else None)
-            made.append((whitener, own.inductance.mean(axis=0), carriers))
+            made.append((whitener, means[j], carriers))
         return made
 
     def _common_rows(self, state: BatchState, j: int, slopes: Array | None) -> Array:
@@ -185,13 +185,22 @@ class WeakFormEquations:
         directions = state.cascade.random_directions()
         return [change_of_rows(state.batch, at, change, state.local, magnet) for change in directions]
 
-    def _same_noise(self, inductance: Array, carriers: dict[ColumnName, float], old: SegmentFrame) -> bool:
-        """Whether the noise's covariance bears what has moved since an earlier frame."""
-        limits = self.criteria.fitting
-        bearable = limits.same_inductance * float(inductance[[0, 2]].min())
-        if np.abs(inductance - old.mean_inductance).max() >= bearable or carriers.keys() != old.carried_by.keys():
-            return False
-        return all(abs(x - old.carried_by[k]) <= limits.same_inverter * max(abs(x), 1.0) for k, x in carriers.items())
+    def _same_noise(self, inductances: Array, carriers: dict[ColumnName, float], old: BatchFrame) -> list[bool]:
+        """Of each segment, whether its noise's covariance bears what has moved since an earlier frame."""
+        limits, carried = self.criteria.fitting, dict[int, bool]()
+        before = np.stack([kept.mean_inductance for kept in old.pieces])
+        moved = np.abs(inductances - before).max(axis=1)
+        bearable = limits.same_inductance * inductances[:, [0, 2]].min(axis=1)
+        # Segments whose noise was told at once share what it was carried by.
+        for kept in old.pieces:
+            if id(kept.carried_by) not in carried:
+                carried[id(kept.carried_by)] = carriers.keys() == kept.carried_by.keys() and all(
+                    abs(x - kept.carried_by[k]) <= limits.same_inverter * max(abs(x), 1.0) for k, x in carriers.items()
+                )
+        return [
+            bool(steady) and carried[id(kept.carried_by)]
+            for kept, steady in zip(old.pieces, moved < bearable, strict=True)
+        ]
 
     def _untouched_basis(self, batch: SegmentBatch, local: LocalMap, model: Model) -> list[Array]:
         known = self._raw_basis.get(id(batch))
