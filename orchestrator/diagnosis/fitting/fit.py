@@ -22,6 +22,7 @@ from orchestrator.diagnosis.fitting.model import Answers, Fit, Frame, MapSpace, 
 from orchestrator.diagnosis.fitting.segment_equations import SegmentEquations
 from orchestrator.diagnosis.fitting.segment_work import Hands, Job, OneHand, Stand
 from orchestrator.diagnosis.fitting.solution import solved
+from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise
@@ -44,6 +45,8 @@ class Fitter:
         Called with what is under way, in a few words.
     hands : Hands
         Who makes the segments' equations.
+    trace : SearchRecorder
+        Of what is tried with it.
     equations : SegmentEquations
     """
 
@@ -54,6 +57,7 @@ class Fitter:
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
     hands: Hands = field(default_factory=OneHand)
+    trace: SearchRecorder = field(default_factory=SearchRecorder)
     equations: SegmentEquations = field(init=False)
 
     def __post_init__(self) -> None:
