@@ -13,6 +13,7 @@ from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.helpers import processes_here
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
+from orchestrator.diagnosis.reporting.explanation import explanation_of
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
@@ -34,6 +35,7 @@ __all__ = [
     "diagnose_and_keep",
     "diagnose_recording",
     "diagnosis_step",
+    "explanation_of",
     "flux_map_of",
     "guarded",
     "in_words",
