@@ -25,7 +25,7 @@ def search_rows(events: Sequence[SearchEvent]) -> list[tuple[str, ...]]:
         (
             str(event.step),
             plain(event.move) + (", in a part" if event.data == "part" else ""),
-            _names(event.effects),
+            _names(event),
             _scored(event.score, event.measure),
             _scored(event.threshold, event.measure),
             _chi2(event),
@@ -39,7 +39,7 @@ def search_lines(events: Sequence[SearchEvent]) -> list[str]:
     """The same, a line each."""
     lines = []
     for event, (step, move, effects, gain, threshold, chi2, decision) in zip(events, search_rows(events), strict=True):
-        told = [f"{step}. {move}" + (f" of {effects}" if event.effects else "")]
+        told = [f"{step}. {move}" + (f": {effects}" if event.effects else "")]
         if event.score is not None:
             told.append(f"gain {gain}" + ("" if event.threshold is None else f" (threshold {threshold})"))
         told += [f"chi2 {chi2}"] if chi2 != UNKNOWN else []
@@ -80,8 +80,11 @@ def accuracy_sentences(report: DiagnosisReport) -> list[str]:
     return told
 
 
-def _names(names: Sequence[str]) -> str:
-    """Names of effects, not more than a line holds."""
+def _names(event: SearchEvent) -> str:
+    """Names of the effects of a move, not more than a line holds."""
+    names = event.effects
+    if event.move in ("swap", "merge") and len(names) == 2:
+        return f"{plain(names[0])} for {plain(names[1])}"
     if len(names) <= _MOST_NAMES:
         return listed([plain(name) for name in names]) or UNKNOWN
     return f"{', '.join(map(plain, names[: _MOST_NAMES - 1]))} and {len(names) - _MOST_NAMES + 1} more"

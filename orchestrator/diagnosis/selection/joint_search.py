@@ -84,6 +84,8 @@ def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:
 def _record_shapes(fitter: Fitter, fit: Fit, freer: Fit) -> None:
     before = {a.name: len(a.free) for a in fit.model.active}
     freed = [a.name for a in freer.model.active if len(a.free) > before.get(a.name, 0)]
+    if not freed:
+        return
     gain = fit.objective - freer.objective
     fitter.trace.record("free_shape", freed, before=fit, after=freer, measure="objective", score=gain, taken=True)
 

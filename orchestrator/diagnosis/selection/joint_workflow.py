@@ -136,7 +136,7 @@ def without_needless_scatter(
         score=fit.objective - alone.objective,
         threshold=0.0,
         taken=alone.objective < fit.objective,
-        note="without variance components",
+        note="a fit without variance components",
     )
     return (plain, plain, alone) if alone.objective < fit.objective else (setup, doubting, fit)
 

@@ -115,7 +115,8 @@ def _with_effects(record: VerdictRecord, limits: VerdictLimits) -> Outcome:
     broken = [_of_shape(record, limits)] if strained else []
     if not (small or immaterial):
         broken.append(_of_chi2(record, limits.mostly_explained_excess_chi2, "mostly_explained"))
-        broken.append(_of_voltage(record, limits.material_voltage) if explained[0][0] else explained[0][1])
+        large = _of_fraction(fraction, limits.explained_fraction, "a larger chi2")
+        broken.append(_of_voltage(record, limits.material_voltage) if explained[0][0] else large)
     return "unknown_remains", broken
 
 
@@ -191,20 +192,20 @@ def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) ->
     return reasons
 
 
-def _of_chi2(record: VerdictRecord, limit: float, verdict: str) -> Reason:
+def _of_chi2(record: VerdictRecord, limit: float, claim: str) -> Reason:
     """The larger chi2 of the fitted and the held-out stages against an excess that a verdict allows."""
     fitted, largest = _finite(record.chi2_after), _largest_chi2(record)
     value, most = _apart(largest, 1.0 + limit)
     name, stages = "chi2_per_dof", "The fitted stages"
     if largest > fitted:
         name, stages = "held_out_chi2_per_dof", "The stages that were not fitted"
-    text = f"{stages} have chi2 {value} per degree of freedom; {plain(verdict)} allows up to {most}."
+    text = f"{stages} have chi2 {value} per degree of freedom; {plain(claim)} is allowed up to {most}."
     return Reason(quantity=name, value=largest, limit=1.0 + limit, sentence=text)
 
 
-def _of_fraction(fraction: float, limit: float, verdict: Verdict) -> Reason:
+def _of_fraction(fraction: float, limit: float, claim: str) -> Reason:
     value, most = _apart(100.0 * fraction, 100.0 * limit)
-    text = f"{value} % of the first error is left; {plain(verdict)} allows up to {most} %."
+    text = f"{value} % of the first error is left; {plain(claim)} is allowed up to {most} %."
     return _percentage("left_of_first_error", fraction, limit, text)
 
 

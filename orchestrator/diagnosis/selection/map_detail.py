@@ -10,12 +10,9 @@ from orchestrator.diagnosis.fitting.model import Fit
 def with_finer_map(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same model on the finest map that is worth its freedom; the fit itself where none is."""
     finer = with_detail(setup, fitter, fit)
-    fitter.trace.record(
-        "finer_map",
-        before=fit,
-        after=finer,
-        measure="objective",
-        score=fit.objective - finer.objective,
-        taken=finer.model.space is not fit.model.space,
-    )
+    if finer is fit:
+        fitter.trace.record("finer_map", before=fit, taken=False)
+    else:
+        gain = fit.objective - finer.objective
+        fitter.trace.record("finer_map", before=fit, after=finer, measure="objective", score=gain, taken=True)
     return finer

@@ -9,10 +9,10 @@ import pytest
 
 from orchestrator.cli import _diagnosis
 from orchestrator.cli._running import run_app
-from orchestrator.diagnosis import save_diagnosis
+from orchestrator.diagnosis import judge, save_diagnosis
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from protocols import DiagnosisReport
-from tests.orchestrator.diagnosis.selection.test_judge import a_record, judge
+from tests.orchestrator.diagnosis.selection.test_judge import a_record
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
 

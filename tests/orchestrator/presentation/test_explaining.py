@@ -30,7 +30,7 @@ def test_a_gain_stands_beside_its_threshold_in_one_unit() -> None:
 
 def test_a_move_is_a_line() -> None:
     lines = search_lines(some_moves().events)
-    assert lines[1] == "2. add, in a part of dead time; gain 12820 nat (threshold 16 nat); refused: too small"
+    assert lines[1] == "2. add, in a part: dead time; gain 12820 nat (threshold 16 nat); refused: too small"
     assert lines[4] == "5. quantiser; gain chi2 1.23 (threshold chi2 1.5); taken"
 
 
