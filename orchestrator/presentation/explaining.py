@@ -69,13 +69,14 @@ def accuracy_sentences(report: DiagnosisReport) -> list[str]:
     told = []
     if report.reproduces_current_percent is not None:
         told.append(
-            "The current simulated from the voltage differs from the measured one by "
+            "The current that the model predicts from the voltage differs from the measured one by "
             f"{percent(report.reproduces_current_percent)} of its range (rms)."
         )
     if report.map_error_percent is not None:
+        start = "The model's" if report.verdict in ("clean", "explained") else "If the model is right, its"
         told.append(
-            f"The model's flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over "
-            "the measured currents)."
+            f"{start} flux map is known to ±{percent(report.map_error_percent)} of the rated flux (95 %, rms over the "
+            "measured currents)."
         )
     return told
 

@@ -48,6 +48,7 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
     """
     limits = fitter.prepared.criteria.selection
     fit = briefly_refitted(fitter, with_everything(start, library))
+    fitter.trace.record("full_model", fit.model.names, after=fit, taken=True)
     for other in (c.absent_in_other_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue

@@ -65,7 +65,6 @@ def all_together(
     given, begin = setup, setup.fitter.begin
     begin(f"{len(library)} effects together", BEGINS_AT["together"])
     fit = together(setup.coarse_fitter, quick.fit.model, library)
-    setup.coarse_fitter.trace.record("full_model", fit.model.names, before=quick.fit, after=fit, taken=True)
     begin("each effect's own form", BEGINS_AT["forms"])
     setup, doubting, fit = formed_together(setup, fit, library)
     fit = on_a_sharper_map(doubting, fit)

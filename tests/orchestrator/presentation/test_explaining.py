@@ -39,3 +39,5 @@ def test_how_well_the_model_does_is_said_where_it_is_known() -> None:
     assert "0.056 % of its range" in current
     assert "±0.12 % of the rated flux" in flux
     assert accuracy_sentences(a_diagnosis()) == []
+    (flux,) = accuracy_sentences(a_diagnosis(verdict="unknown_remains", map_error_percent=0.12))
+    assert flux.startswith("If the model is right, ")

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from orchestrator.diagnosis import explanation_of
+from orchestrator.diagnosis import Criteria, explanation_of
+from orchestrator.diagnosis.conventions import convention_report
 from orchestrator.diagnosis.search_recorder import SearchRecorder
+from protocols import Convention, ManifestCorrection
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 
@@ -21,3 +23,16 @@ def test_an_effect_rests_on_the_moves_that_brought_it_and_kept_it() -> None:
     assert basis.name == "dead_time"
     assert basis.steps == (2, 5, 6)
     assert basis.twins == ("device_drop",)
+
+
+def test_a_convention_is_explained_by_its_evidence() -> None:
+    convention = Convention(
+        kind="scaled_currents",
+        what="currents are effective values",
+        evidence="all set-points are 1.414 times the readings",
+        correction=ManifestCorrection(text="multiply the currents by 1.414"),
+    )
+    explanation = explanation_of(convention_report("r", convention, Criteria(), 1.0))
+    assert [reason.sentence for reason in explanation.reasons] == [convention.evidence]
+    assert explanation.verdict_record is None
+    assert explanation.search == ()
