@@ -167,8 +167,10 @@ from protocols._reports import (
     Convention,
     DiagnosisReport,
     DiagnosisWords,
+    EffectBasis,
     EstimationReport,
     EstimatorsReport,
+    Explanation,
     FoundEffect,
     InductanceRange,
     JointEntry,
@@ -186,9 +188,9 @@ from protocols._reports import (
     ShapeShare,
     StageError,
     Unexplained,
-    Verdict,
     WorstSegment,
 )
+from protocols._search_trace import SearchDecision, SearchEvent, SearchMeasure, SearchMove
 from protocols._shipped import (
     shipped_procedure,
     shipped_procedures,
@@ -207,6 +209,13 @@ from protocols._stages import (
 from protocols._streams import (
     Stream,
     StreamSetup,
+)
+from protocols._verdict import (
+    Judgement,
+    Reason,
+    Verdict,
+    VerdictLimits,
+    VerdictRecord,
 )
 
 __all__ = [
@@ -246,6 +255,7 @@ __all__ = [
     "DriveSetup",
     "DriveState",
     "Effect",
+    "EffectBasis",
     "EffectLayer",
     "EffectParameter",
     "EffectParameters",
@@ -258,6 +268,7 @@ __all__ = [
     "Excitation",
     "ExcitationKind",
     "ExperimentProposed",
+    "Explanation",
     "FaultCause",
     "FluxLoop",
     "FluxMap",
@@ -277,6 +288,7 @@ __all__ = [
     "InverterLoss",
     "JointEntry",
     "JournalledMessage",
+    "Judgement",
     "Lenient",
     "Limits",
     "LockChecked",
@@ -319,6 +331,7 @@ __all__ = [
     "ProcedureMotor",
     "ProposingStage",
     "RealArray",
+    "Reason",
     "RecordingError",
     "RecordingReader",
     "RelayedDrive",
@@ -338,6 +351,10 @@ __all__ = [
     "Samples",
     "SamplesCaptured",
     "Saturated",
+    "SearchDecision",
+    "SearchEvent",
+    "SearchMeasure",
+    "SearchMove",
     "SeenByInjection",
     "Segment",
     "SegmentId",
@@ -370,6 +387,8 @@ __all__ = [
     "Unexplained",
     "Vectors",
     "Verdict",
+    "VerdictLimits",
+    "VerdictRecord",
     "VoltageSteps",
     "Waveform",
     "WorstSegment",

@@ -44,9 +44,16 @@ def _remarked(given: object) -> object:
     return tuple(Remark(code="remark", text=one) if isinstance(one, str) else one for one in given)
 
 
+Noted = Annotated[
+    tuple[Remark, ...],
+    BeforeValidator(_remarked),
+    Field(validation_alias=AliasChoices("remarks", "notes")),
+]
+"""The remarks of a report, under the name that older files have for them too; bare sentences are taken for remarks."""
+
 Remarks = Annotated[
     tuple[Remark, ...],
     BeforeValidator(_remarked),
     Field(validation_alias=AliasChoices("remarks", "notes", "reasons")),
 ]
-"""Remarks as a field; bare sentences are taken for remarks, under the names that older files have for them too."""
+"""The remarks of an estimate: as `Noted`, or under ``reasons``."""

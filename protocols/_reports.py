@@ -12,9 +12,10 @@ from pydantic import Field, computed_field
 
 from protocols._base import Lenient
 from protocols._estimates import AxisPercent, Basis, ClosedForm, MapChecks, ResistanceEstimate
-from protocols._remarks import Number, Remark, Remarks
+from protocols._remarks import Noted, Number, Remark, Remarks
+from protocols._search_trace import SearchEvent
+from protocols._verdict import Reason, Verdict, VerdictRecord
 
-Verdict = Literal["clean", "explained", "mostly_explained", "unknown_remains", "convention", "cannot_tell"]
 ShapeGroup = Literal[
     "odd_phase_current",
     "even_phase_current",
@@ -36,7 +37,7 @@ ShapeGroup = Literal[
 class Remarked(Lenient):
     """A report with remarks; `notes` has their sentences alone."""
 
-    remarks: Remarks = ()
+    remarks: Noted = ()
 
     @computed_field  # type: ignore[prop-decorator]
     @property
@@ -168,6 +169,10 @@ class DiagnosisReport(Remarked):
     recording: str
     noise_floor: NoiseFloor
     verdict: Verdict
+    reasons: tuple[Reason, ...] = ()
+    """Why this verdict and no better one, the deciding reasons first; empty in files of older versions."""
+    verdict_record: VerdictRecord | None = None
+    """What the verdict follows from; null with a convention, which ends a diagnosis before any fit."""
     effects: tuple[FoundEffect, ...]
     """By share, largest first."""
     minor: tuple[FoundEffect, ...] = ()
@@ -188,6 +193,35 @@ class DiagnosisReport(Remarked):
     seconds: Number
     criteria: dict[str, dict[str, Any]] = Field(default_factory=dict)
     """The thresholds that it was made with, by room."""
+    search: tuple[SearchEvent, ...] = ()
+    """Every move of the search, in order."""
+
+
+class EffectBasis(Lenient):
+    """What a named effect rests on."""
+
+    name: str
+    relative_size: Number
+    log_evidence: Number
+    """Gain of the move that added it [nat]."""
+    probability: Number
+    share: Number
+    """Of the first model's error."""
+    material: bool | None
+    twins: tuple[str, ...]
+    steps: tuple[int, ...]
+    """The moves of the search that took it."""
+
+
+class Explanation(Lenient):
+    """`fluxbench explain --json`: why a diagnosis says what it says."""
+
+    recording: str
+    verdict: Verdict
+    reasons: tuple[Reason, ...]
+    verdict_record: VerdictRecord | None
+    search: tuple[SearchEvent, ...]
+    effects: tuple[EffectBasis, ...]
 
 
 class StageError(Lenient):

@@ -11,7 +11,7 @@ from pydantic import AwareDatetime, Field, model_validator
 
 from protocols._base import Lenient, Strict
 from protocols._remarks import Number, Remark
-from protocols._reports import Verdict
+from protocols._verdict import Verdict
 
 Judgement = Literal["pass", "fail", "unsure", "not_measured"]
 

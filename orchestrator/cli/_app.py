@@ -48,6 +48,7 @@ START = """fluxbench commissions a permanent-magnet synchronous motor. To begin 
   fluxbench check demo            what it would do; nothing is energised
   fluxbench run demo              do it, on a simulated drive
   fluxbench diagnose runs/NAME    which effect the model lacks
+  fluxbench explain runs/NAME     why the diagnosis says so
   fluxbench probe                 drives on this machine's serial ports and CAN buses
 
 fluxbench --help lists all commands, fluxbench COMMAND --help the options of one."""
@@ -75,6 +76,9 @@ def start(context: typer.Context, _version: VersionOption = False) -> None:
 
 ProcedureArgument = Annotated[str, typer.Argument(help="Name of a shipped procedure, or a YAML file.")]
 RecordingArgument = Annotated[Path, typer.Argument(help="A recording or run directory.", metavar="RECORDING")]
+DiagnosedArgument = Annotated[
+    Path, typer.Argument(help="A run, a recording, or what `diagnose --out` wrote to.", metavar="RUN")
+]
 RunArgument = Annotated[Path, typer.Argument(help="A run directory.", metavar="RUN")]
 DriveOption = Annotated[str | None, typer.Option(help="Use this drive instead of the procedure's.")]
 MotorOption = Annotated[
@@ -341,6 +345,17 @@ def diagnose_command(
     from orchestrator.cli._diagnosis import diagnose
 
     return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json, priors)
+
+
+@app.command("explain")
+def explain_command(run: DiagnosedArgument, as_json: JsonOption = False) -> int:
+    """Why the diagnosis says what it says.
+
+    The reasons of the verdict, each number beside its limit; every move of the search; what each effect rests on.
+    """
+    from orchestrator.cli._explaining import explain
+
+    return explain(run, as_json)
 
 
 @app.command("add")

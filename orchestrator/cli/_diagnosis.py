@@ -9,6 +9,7 @@ from orchestrator import workbench
 from orchestrator.cli._interrupting import prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
+from orchestrator.presentation.explaining import accuracy_sentences
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
 from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_rows
@@ -95,7 +96,8 @@ def _print_comparison(report: CompareReport) -> None:
 
 
 def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
-    say(f"{report.recording}: {plain(report.verdict)}", "", *columns(list(slots(words))), "")
+    say(f"{report.recording}: {plain(report.verdict)}", *(f"  {reason.sentence}" for reason in report.reasons), "")
+    say(*columns(list(slots(words))), "")
     if report.convention is None:
         _print_ladder(report)
     heads = ("of its typical size", "of the error", "probability", "material")
@@ -105,6 +107,7 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
     if traces:
         say(f"traces, below what deserves a name: {', '.join(traces)}")
+    say(*accuracy_sentences(report))
     say_notes(report.notes)
     if report.next_experiment is not None:
         say("to decide, as a stage of a procedure (`fluxbench run --from` measures it into the run itself):")

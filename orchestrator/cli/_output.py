@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from orchestrator.presentation.sentences import cut, for_output, text_table, visible
+from orchestrator.presentation.sentences import can_print, cut, for_output, text_table, visible
+
+_FILE_WIDTH = 180
+"""Characters of a line of a table that goes to a file or another program."""
 
 
 def say(*lines: str) -> None:
@@ -34,6 +38,26 @@ def complain(line: str, choices: Sequence[str] = (), most: int = 50) -> None:
 def say_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print a table of numbers: columns as wide as they need to be, the first to the left, the others to the right."""
     say(text_table(head, rows))
+
+
+def say_wide_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
+    """Print a table whose cells wrap where the terminal is too narrow; other outputs have room for long lines."""
+    import io
+
+    from rich import box
+    from rich.console import Console
+    from rich.table import Table
+    from rich.text import Text
+
+    frame = box.SIMPLE_HEAD if can_print(sys.stdout) else box.ASCII2
+    table = Table(box=frame, pad_edge=False, show_edge=False)
+    for name in head:
+        table.add_column(name, overflow="fold")
+    for row in rows:
+        table.add_row(*(Text(for_output(cell, sys.stdout)) for cell in row))
+    page, width = io.StringIO(), shutil.get_terminal_size().columns if sys.stdout.isatty() else _FILE_WIDTH
+    Console(file=page, width=width, color_system=None).print(table)
+    say(*(line.rstrip() for line in page.getvalue().splitlines()))
 
 
 def say_notes(notes: Iterable[str]) -> None:

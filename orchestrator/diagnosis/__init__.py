@@ -13,10 +13,12 @@ from orchestrator.diagnosis.fitting.guarded import guarded
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.fitting.workers import workers_here
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, load_diagnosis, save_diagnosis
+from orchestrator.diagnosis.reporting.explanation import explanation_of
 from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.words import in_words
+from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
 
@@ -33,9 +35,11 @@ __all__ = [
     "diagnose_and_keep",
     "diagnose_recording",
     "diagnosis_step",
+    "explanation_of",
     "flux_map_of",
     "guarded",
     "in_words",
+    "judge",
     "linear_magnetics",
     "load_diagnosis",
     "remove_effect",

@@ -38,6 +38,7 @@ from orchestrator.diagnosis.selection.faint import with_faint
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
+from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.measured import with_measured
 from orchestrator.diagnosis.selection.rippling import is_of_the_other_kind
 from orchestrator.diagnosis.selection.shares import (
@@ -46,10 +47,9 @@ from orchestrator.diagnosis.selection.shares import (
     shares,
     unexplained_at_rest_v,
     visited,
-    why_nothing_is_told,
 )
 from orchestrator.diagnosis.selection.sufficiency import solvable
-from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together, verdict_of
+from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_record
 from orchestrator.diagnosis.selection.workflow import (
     ModelChoice,
     baseline_of,
@@ -235,6 +235,7 @@ def _diagnosed(
     opened = setup
     setup, search = searched(opened)
     if is_of_the_other_kind(setup, search.fit):
+        setup.fitter.trace.record("switching_ripple", before=search.fit, taken=True, note="the search begins again")
         setup, search = searched(opened.with_ripple(ripples=not opened.prepared.ripples))
     if search.shares:
         search, doubtful = without_stand_ins(setup.fitter, search)
@@ -253,15 +254,15 @@ def _diagnosed(
     active = found_effects(setup.fitter, sized, evidence, search.rivals, sizes)
     of_map = map_effects(last, freed)
     found = of_map + tuple(e for e in active if e.name not in search.minor)
-    periodic = any(not line.switching for line in setup.fitter.noise.lines)
+    periodic = sum(not line.switching for line in setup.fitter.noise.lines)
     error = current_error(last)
     # As whoever reads the model back will find it, not as the search left it.
     held = plain.fitter.hold(last.model)
-    verdict = "unknown_remains" if periodic else verdict_of(first, held, len(found))
-    doubts = why_nothing_is_told(last, noise_rms_v(last), error)
-    doubted = bool(rare_together(last)) or bool(doubts)
-    if verdict != "unknown_remains" and doubted:
-        verdict = "cannot_tell"
+    record = verdict_record(
+        first, held, len(found), periodic_lines=periodic, noise_v=noise_rms_v(last), current_error=error
+    )
+    judgement = judge(record)
+    verdict = judgement.verdict
     left = unexplained(plain, first.chi2_per_dof, last)
     if periodic and not left.shape:
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
@@ -276,6 +277,8 @@ def _diagnosed(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
+        reasons=judgement.reasons,
+        verdict_record=record,
         effects=found,
         minor=beyond_the_rest(
             (e for e in active if e.name in search.minor), rest, last.criteria.selection.balanced_share
@@ -287,7 +290,6 @@ def _diagnosed(
         next_experiment=_proposal(plain, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
             *_remarks(setup, search, verdict, left, doubtful),
-            *(doubts if verdict == "cannot_tell" else ()),
             *said_by_effects(sized, {effect.name for effect in found}),
             *said_of_sizes(last),
             *other_opinion(joint, active, last.criteria.selection),
@@ -300,6 +302,7 @@ def _diagnosed(
         ),
         seconds=time.monotonic() - began,
         criteria=setup.prepared.criteria.model_dump(mode="json"),
+        search=tuple(setup.fitter.trace.events),
     )
     baseline = baseline_of(model)
     if isinstance(baseline, Nameplate):

@@ -14,6 +14,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.reporting.motor_model import flux_of, with_noise_of
+from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection.rippling import with_its_ripple
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise, sensor_noise
@@ -97,8 +98,10 @@ def setup_of(
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
     effort = Effort(max(criteria.fitting.most_effort, criteria.fitting.most_effort_per_sample * samples))
     flux = (motor.pm_flux_wb or 0.0) if pm_flux_wb is None else pm_flux_wb
-    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll, tell=tell)
-    search = Fitter(coarse(prepared), noise, fitter.pm_flux_wb, effort=effort, poll=poll, tell=tell)
+    trace = SearchRecorder(effort, samples)
+    fitter = Fitter(prepared, noise, flux, effort=effort, poll=poll, tell=tell, trace=trace)
+    part = coarse(prepared)
+    search = Fitter(part, noise, fitter.pm_flux_wb, effort=effort, poll=poll, tell=tell, trace=trace.of_part())
     return DiagnosisSetup(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 

@@ -11,6 +11,7 @@ from orchestrator.workbench.analysing import (
     compare_runs,
     diagnose,
     estimate,
+    explain,
     map_of,
     remove,
 )
@@ -28,6 +29,7 @@ __all__ = [
     "compare_runs",
     "diagnose",
     "estimate",
+    "explain",
     "map_of",
     "one_thread",
     "open",

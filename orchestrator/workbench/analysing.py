@@ -11,7 +11,17 @@ from orchestrator.recording import read_model
 from orchestrator.registry import PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
 from orchestrator.workbench.threads import one_thread
-from protocols import AddReport, CompareReport, Effect, EstimationReport, FluxMap, MotorModel, PluginError
+from protocols import (
+    AddReport,
+    CompareReport,
+    Effect,
+    EstimationReport,
+    Explanation,
+    FluxMap,
+    InputError,
+    MotorModel,
+    PluginError,
+)
 
 if TYPE_CHECKING:
     import xarray as xr
@@ -117,6 +127,28 @@ def diagnose(
         priors=_chosen_priors(priors),
         workers=workers or workers_here(),
     )[1]
+
+
+def explain(place: Place) -> Explanation:
+    """Why the latest diagnosis says what it says: reasons of the verdict, the search, what each effect rests on.
+
+    Raises
+    ------
+    InputError
+        Where there is no diagnosis.
+    RecordingError
+        Where its file is damaged.
+    """
+    from orchestrator.diagnosis import explanation_of, load_diagnosis
+
+    path = Path(place)
+    refuse_file(path)
+    if not path.is_dir():
+        raise InputError(str(path), "", "no such directory")
+    found = load_diagnosis(path)
+    if found is None:
+        raise InputError(str(path), "", f"has no diagnosis yet; run `fluxbench diagnose {path}` first")
+    return explanation_of(found.report)
 
 
 @one_thread()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.criteria import Criteria
-from protocols import Convention, DiagnosisReport, DiagnosisWords, NoiseFloor, Remark, Rung, Unexplained
+from protocols import Convention, DiagnosisReport, DiagnosisWords, NoiseFloor, Reason, Remark, Rung, Unexplained
 
 
 def convention_report(recording: str, convention: Convention, criteria: Criteria, seconds: float) -> DiagnosisReport:
@@ -12,6 +12,7 @@ def convention_report(recording: str, convention: Convention, criteria: Criteria
         recording=recording,
         noise_floor=NoiseFloor(rms_v=None),
         verdict="convention",
+        reasons=(Reason(quantity="convention", value=None, limit=None, sentence=convention.evidence),),
         effects=(),
         traces=(),
         joint=(),

@@ -22,6 +22,7 @@ from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
 from orchestrator.diagnosis.fitting.model import Answers, BatchFrame, Fit, Frame, MapSpace, Model, SegmentRows
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
+from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
@@ -101,11 +102,19 @@ class Fitter:
         Called before each evaluation; what it raises ends the fit.
     tell : callable
         Called with what is under way, in a few words.
+<<<<<<< HEAD
     executor : Executor
         Who makes the batches' equations.
     batches : RecordingBatches, optional
         Of the same segments, where they have been dealt out before.
     equations : WeakFormEquations
+=======
+    hands : Hands
+        Who makes the segments' equations.
+    trace : SearchRecorder
+        Of what is tried with it.
+    equations : SegmentEquations
+>>>>>>> reasons
     """
 
     prepared: PreparedRecording
@@ -114,9 +123,15 @@ class Fitter:
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
+<<<<<<< HEAD
     executor: Executor = field(default_factory=SerialExecutor)
     batches: RecordingBatches | None = None
     equations: WeakFormEquations = field(init=False)
+=======
+    hands: Hands = field(default_factory=OneHand)
+    trace: SearchRecorder = field(default_factory=SearchRecorder)
+    equations: SegmentEquations = field(init=False)
+>>>>>>> reasons
 
     def __post_init__(self) -> None:
         if self.batches is None or self.batches.pieces is not self.prepared.pieces:

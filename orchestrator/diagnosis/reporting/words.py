@@ -153,7 +153,7 @@ def _next(diagnosis: Diagnosis) -> str:
     if any(remark.code == "rare_together" for remark in diagnosis.report.remarks):
         return "the same once more, the rotor locked at a second angle"
     if diagnosis.report.verdict == "cannot_tell":
-        return "another recording: the notes say what this one lacks"
+        return "another recording: the reasons of the verdict say what this one lacks"
     if diagnosis.report.verdict == "unknown_remains":
         return "no experiment of the catalogue; look at the leftover's shape"
     if diagnosis.report.verdict == "mostly_explained":

@@ -28,7 +28,12 @@ def with_expected(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
             active = active.moved(name, x)
         fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]), before.frame, renewals=0)
         inflation = max(1.0, min(before.chi2_per_dof, fit.chi2_per_dof))
-        steps.append(Step(candidate.name, fit, log_evidence(fit, inflation) - log_evidence(before, inflation)))
+        gain = log_evidence(fit, inflation) - log_evidence(before, inflation)
+        named, note = [candidate.name], "the fleet has it nearly always"
+        setup.fitter.trace.record(
+            "add", named, before=before, after=fit, measure="log_evidence", score=gain, taken=True, note=note
+        )
+        steps.append(Step(candidate.name, fit, gain))
     if len(steps) > given:
         # Forms are asked for once all of them are there: another's lack would bend them.
         last = steps[-1]

@@ -32,6 +32,8 @@ def with_faint(setup: DiagnosisSetup, search: Search, library: Sequence[Candidat
     fit = downwards(setup.fitter, fit)
     sure = certainty(fit)
     steady = [a for a in fit.model.active if sure[a.name] >= fit.criteria.selection.least_certainty]
+    note = "below the threshold of the search: in the model, and no cause"
+    setup.fitter.trace.record("add", [a.name for a in steady], before=search.fit, taken=bool(steady), note=note)
     if not steady:
         return search
     if len(steady) < len(fit.model.active):

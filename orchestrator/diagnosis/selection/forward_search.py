@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate
@@ -106,6 +107,7 @@ def forward(
     rejected = {n for tied in (rivals or {}).values() for n in tied}
     while len(search.fit.model.active) < most and not fitter.effort.exhausted:
         if few and len(search.fit.model.active) > start and _many_are_missing(_viewed(fitter, search, candidates)):
+            fitter.trace.record("screen", before=search.fit, taken=False, note="more effects are missing than a few")
             break
         if not _one_more(fitter, search, candidates, rejected) and not _bent_after_all(fitter, search):
             break
@@ -136,6 +138,16 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
     view = _viewed(fitter, search, candidates)
     scores = [s for s in score(view) if s.candidate.name not in rejected]
     hopeful = _worth_trying(scores, fit)
+    if scores:
+        fitter.trace.record(
+            "screen",
+            [s.candidate.name for s in hopeful or scores[:1]],
+            before=fit,
+            measure="chi2",
+            score=scores[0].gain,
+            threshold=_least_gain(scores[0], fit),
+            taken=None if hopeful else False,
+        )
     if not hopeful:
         search.traces += _faint(scores, fit)
         return False
@@ -147,9 +159,15 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
     weighed = ((log_evidence(t, inflation) - before + starts[n], n, t) for n, t in trials)
     ranked = sorted(weighed, key=lambda item: -item[0])
     gain, name, trial = ranked[0]
+    record = partial(fitter.trace.record, before=fit, measure="log_evidence", threshold=limits.log_evidence)
+    for g, n, t in ranked:
+        record("refit", [n], after=t, score=g)
     if gain < limits.log_evidence:
+        record("add", [name], after=trial, score=gain, taken=False)
         return False
     if _size(trial, name) < limits.least_size or _share(fit, trial) < limits.least_share:
+        note = "too small, or removes too little of the misfit"
+        record("add", [name], after=trial, score=gain, taken=False, note=note)
         rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
         search.traces.append(name)
         return True
@@ -161,11 +179,14 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
     _taken(fitter, search, Step(name, trial, gain), candidates, inflation)
     if search.fit.objective > fit.objective:
         # What it promised where the model stood does not hold where it leads.
+        note = "the complete refit leaves more than before"
+        record("add", [name], after=search.fit, score=gain, taken=False, note=note)
         search.steps.pop()
         search.view = None
         rejected.add(name)
         search.traces.append(name)
         return True
+    record("add", [name], after=search.fit, score=gain, taken=True)
     rejected.clear()
     rejected.update(n for tied in search.rivals.values() for n in tied)
     return True
@@ -229,8 +250,7 @@ def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
     def least(s: Score) -> float:
         return 2.0 * asked(fit, s.candidate) * inflation
 
-    # A refit with the shape free does better than the linear estimate, but not without limit.
-    if best.gain < least(best) or best.gain < 0.5 * limits.least_share * (fit.chi2 - fit.dof):
+    if best.gain < _least_gain(best, fit):
         return []
 
     def alike(s: Score) -> bool:
@@ -238,6 +258,13 @@ def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
 
     hopeful = [s for s in scores if s.gain > limits.hopeful * best.gain or alike(s)]
     return [s for s in hopeful if s.gain > least(s)][: limits.most_trials]
+
+
+def _least_gain(best: Score, fit: Fit) -> float:
+    """Fall of chi2 that the best effect has to promise; a refit with its shape free brings more, within limits."""
+    inflation = max(1.0, (fit.chi2 - best.gain) / fit.dof)
+    share = 0.5 * fit.criteria.selection.least_share
+    return max(2.0 * asked(fit, best.candidate) * inflation, share * (fit.chi2 - fit.dof))
 
 
 def _faint(scores: Sequence[Score], fit: Fit) -> list[str]:

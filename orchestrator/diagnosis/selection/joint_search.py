@@ -35,7 +35,7 @@ from orchestrator.diagnosis.selection.scoring import (
 )
 from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
 from orchestrator.numerics.types import Array
-from protocols import Effect, ParameterRole
+from protocols import Effect, ParameterRole, SearchMove
 
 
 def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
@@ -48,14 +48,23 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
     """
     limits = fitter.prepared.criteria.selection
     fit = briefly_refitted(fitter, with_everything(start, library))
+    fitter.trace.record("full_model", fit.model.names, after=fit, taken=True)
     for other in (c.absent_in_other_form() for c in library):
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
         model = _with_form(fit.model, other)
         if glanced(fitter, model, fit).chi2_per_dof <= limits.hopeless_form * fit.chi2_per_dof:
             trial = briefly_refitted(fitter, model, fit)
+            _record_form(fitter, other.name, fit, trial, taken=trial.objective < fit.objective)
             fit = trial if trial.objective < fit.objective else fit
     return fit
+
+
+def _record_form(fitter: Fitter, name: str, fit: Fit, trial: Fit, *, taken: bool) -> None:
+    gain = fit.objective - trial.objective
+    fitter.trace.record(
+        "switch_form", [name], before=fit, after=trial, measure="objective", score=gain, threshold=0.0, taken=taken
+    )
 
 
 def with_everything(model: Model, library: Sequence[Candidate]) -> Model:
@@ -67,8 +76,19 @@ def with_everything(model: Model, library: Sequence[Candidate]) -> Model:
 def in_own_forms(fitter: Fitter, fit: Fit) -> Fit:
     """The fit with the shapes of those effects free that show, and the flexible forms of those that it is worth to."""
     known = fit if fit.frame.noise is fitter.noise else None
-    fit = refitted(fitter, with_shapes(fitter, fit), known)
-    return refitted(fitter, with_flexible_forms(fitter, fit, share=math.inf), fit)
+    given, fit = fit, refitted(fitter, with_shapes(fitter, fit), known)
+    fit = refitted(fitter, with_flexible_forms(fitter, fit, share=math.inf), fit)
+    _record_shapes(fitter, given, fit)
+    return fit
+
+
+def _record_shapes(fitter: Fitter, fit: Fit, freer: Fit) -> None:
+    before = {a.name: len(a.free) for a in fit.model.active}
+    freed = [a.name for a in freer.model.active if len(a.free) > before.get(a.name, 0)]
+    if not freed:
+        return
+    gain = fit.objective - freer.objective
+    fitter.trace.record("free_shape", freed, before=fit, after=freer, measure="objective", score=gain, taken=True)
 
 
 def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tuple[Fit, dict[str, list[str]]]:
@@ -93,7 +113,8 @@ def in_forms_still_asked_for(fitter: Fitter, fit: Fit) -> Fit:
             freed = form(fitter, fit)
             if len(freed.free) == len(fit.model.free):
                 break
-            fit = refitted(fitter, freed, fit)
+            given, fit = fit, refitted(fitter, freed, fit)
+            _record_shapes(fitter, given, fit)
     return fit
 
 
@@ -127,6 +148,16 @@ def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> F
             active = active.moved(name, float(x))
         overlooked.append(active)
     more = refitted(fitter, fit.model.with_active([*fit.model.active, *overlooked]), fit)
+    fitter.trace.record(
+        "add",
+        [active.name for active in overlooked],
+        before=fit,
+        after=more,
+        measure="objective",
+        score=fit.objective - more.objective,
+        threshold=0.0,
+        taken=more.objective < fit.objective,
+    )
     if more.objective >= fit.objective:
         return fit
     return with_overlooked(fitter, more, library) if len(overlooked) < len(asking) else more
@@ -182,9 +213,37 @@ def in_better_form(fitter: Fitter, fit: Fit, *, at_once: bool = False) -> Fit:
             continue
         trial = refitted(fitter, models[best], fit)
         trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
-        if _evidence_gain(trial, fit) > limits.tie:
+        gain = _evidence_gain(trial, fit)
+        _record_evidence(fitter, "switch_form", [one.name], (fit, trial), gain, limits.tie, taken=gain > limits.tie)
+        if gain > limits.tie:
             fit = trial
     return fit
+
+
+def _record_evidence(
+    fitter: Fitter,
+    move: SearchMove,
+    effects: Sequence[str],
+    fits: tuple[Fit, Fit],
+    gain: float,
+    threshold: float,
+    *,
+    taken: bool,
+    note: str = "",
+) -> None:
+    """Record a move between two fits that log evidence decides."""
+    before, after = fits
+    fitter.trace.record(
+        move,
+        effects,
+        before=before,
+        after=after,
+        measure="log_evidence",
+        score=gain,
+        threshold=threshold,
+        taken=taken,
+        note=note,
+    )
 
 
 def _with_form(model: Model, form: Active) -> Model:
@@ -203,8 +262,11 @@ def in_simpler_forms(fitter: Fitter, fit: Fit) -> Fit:
     if len(model.free) == len(fit.model.free):
         return fit
     trial = briefly_refitted(fitter, model, fit)
+    lost, tie = _evidence_gain(fit, trial), fit.criteria.selection.tie
+    fixed = [a.name for a, b in zip(fit.model.active, model.active, strict=True) if len(b.free) < len(a.free)]
+    _record_evidence(fitter, "fix_shape", fixed, (fit, trial), -lost, -tie, taken=lost <= tie)
     # A refinement of a form that is gone is none.
-    return in_simpler_forms(fitter, trial) if _evidence_gain(fit, trial) <= fit.criteria.selection.tie else fit
+    return in_simpler_forms(fitter, trial) if lost <= tie else fit
 
 
 def downwards(fitter: Fitter, fit: Fit) -> Fit:
@@ -214,11 +276,16 @@ def downwards(fitter: Fitter, fit: Fit) -> Fit:
     """
     while out := dispensable(fit):
         trial = _without(fitter, fit, out)
-        if _evidence_gain(fit, trial) > fit.criteria.selection.log_evidence * len(out):
+        lost, most = _evidence_gain(fit, trial), fit.criteria.selection.log_evidence * len(out)
+        _record_evidence(fitter, "remove", out, (fit, trial), -lost, -most, taken=lost <= most)
+        if lost > most:
             out = dispensable(fit, doubting_blocks=False)
             if not out:
                 break
             trial = _without(fitter, fit, out)
+            lost = _evidence_gain(fit, trial)
+            note = "the scatter between blocks does not count"
+            _record_evidence(fitter, "remove", out, (fit, trial), -lost, -most, taken=True, note=note)
         fit = trial
     return fit
 
@@ -275,6 +342,8 @@ def exchanged(
         better, lesser = (trial, fit) if gain > 0.0 else (fit, trial)
         parted = separable(fit.prepared, other.candidate.effect, _effect(fit, name))
         tied = abs(gain) < limits.tie or not parted or does_as_well(lesser, better)
+        note = "both do as well" if tied else ""
+        _record_evidence(fitter, "swap", [other.name, name], (fit, trial), gain, 0.0, taken=gain > 0.0, note=note)
         if gain > 0.0:
             fit = trial
             rivals[other.name] = [*rivals.pop(name, []), name] if tied else []
@@ -286,13 +355,16 @@ def exchanged(
 def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]]:
     """The fit with one of each two effects that the recording cannot part, where it does as well, and what went."""
     gone: dict[str, list[str]] = {}
+    limits = fit.criteria.selection
     for one, other in combinations(fit.model.names, 2):
         if not {one, other} <= set(fit.model.names) or separable(fit.prepared, _effect(fit, one), _effect(fit, other)):
             continue
         factors = log_bayes_factors(fit)
         lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
         if (alone := _better_alone(fitter, fit, lesser, stays)) is not None:
-            keeps, fit = alone
+            given, (keeps, fit) = fit, alone
+            pair, gain = [keeps, stays if keeps == lesser else lesser], _evidence_gain(fit, given)
+            _record_evidence(fitter, "merge", pair, (given, fit), gain, -limits.log_evidence, taken=True)
             gone.setdefault(keeps, []).append(stays if keeps == lesser else lesser)
     return fit, gone
 

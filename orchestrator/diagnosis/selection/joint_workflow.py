@@ -10,7 +10,6 @@ from orchestrator.diagnosis.fitting.baseline import (
     earns_its_sharpness,
     is_sharp,
     on_usual_map,
-    with_detail,
 )
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -29,6 +28,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     with_overlooked,
     without_doubles,
 )
+from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer, with_timer_of_fit
 from orchestrator.diagnosis.selection.scoring import LinearView
 from orchestrator.diagnosis.selection.shares import is_material, shares
@@ -87,11 +87,12 @@ def all_together(
     begin("the same on the whole recording", BEGINS_AT["whole"])
     whole = setup.fitter.fit(at_rest(fit.model))
     if whole.model.space.is_free:
-        whole = with_detail(setup, setup.fitter, whole)
+        whole = with_finer_map(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
     if as_much(setup.fitter.noise.of_model, before) and setup.judged(whole).chi2_per_dof > limits.detected_chi2:
         # What a part's wrong forms hid; with it as noise, the forms' error is not as large as it seemed.
         wider = beside_scatter(setup, setup.fitter, whole, library)
+        setup.fitter.trace.record("noise", before=whole, taken=wider is not None)
         if wider is not None:
             setup, whole = wider, downwards(wider.fitter, refitted(wider.fitter, whole.model))
     # The whole tells what a part of it was too little for.
@@ -126,6 +127,16 @@ def without_needless_scatter(
     if alone.objective >= fit.objective and alone.chi2_per_dof < near:
         # From far off a descent may end on its way: its steps have become short.
         alone = in_own_forms(plain.coarse_fitter, alone)
+    plain.coarse_fitter.trace.record(
+        "noise",
+        before=fit,
+        after=alone,
+        measure="objective",
+        score=fit.objective - alone.objective,
+        threshold=0.0,
+        taken=alone.objective < fit.objective,
+        note="a fit without variance components",
+    )
     return (plain, plain, alone) if alone.objective < fit.objective else (setup, doubting, fit)
 
 
@@ -137,7 +148,7 @@ def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """
     while _formless(fit) and fit.model.space.is_free:
         resting = setup.coarse_fitter.fit(at_rest(fit.model), fit.frame)
-        sharper = with_detail(setup, setup.coarse_fitter, resting)
+        sharper = with_finer_map(setup, setup.coarse_fitter, resting)
         if sharper is resting:
             break
         fit = in_own_forms(
@@ -159,7 +170,9 @@ def no_sharper_than_asked(setup: DiagnosisSetup, fit: Fit) -> Fit:
     if not is_sharp(fit):
         return fit
     usual = refitted(setup.fitter, on_usual_map(setup, fit))
-    return fit if earns_its_sharpness(fit, usual) else downwards(setup.fitter, usual)
+    keeps = earns_its_sharpness(fit, usual)
+    setup.fitter.trace.record("coarser_map", before=fit, after=usual, taken=not keeps)
+    return fit if keeps else downwards(setup.fitter, usual)
 
 
 def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:
@@ -173,8 +186,20 @@ def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:
         if not is_sharp(fit) or fit.chi2_per_dof <= limits.finer_above_chi2 or len(fit.model.active) < 2:
             break
         rest = fit.model.with_active([a for a in fit.model.active if a.name != name])
-        trial = with_detail(setup, setup.fitter, refitted(setup.fitter, rest, fit))
-        if trial.model.space is not fit.model.space and trial.chi2_per_dof < fit.chi2_per_dof:
+        trial = with_finer_map(setup, setup.fitter, refitted(setup.fitter, rest, fit))
+        replaced = trial.model.space is not fit.model.space and trial.chi2_per_dof < fit.chi2_per_dof
+        setup.fitter.trace.record(
+            "swap",
+            [name],
+            before=fit,
+            after=trial,
+            measure="chi2_per_dof",
+            score=trial.chi2_per_dof,
+            threshold=fit.chi2_per_dof,
+            taken=replaced,
+            note="a finer map in its place",
+        )
+        if replaced:
             fit = downwards(setup.fitter, refitted(setup.fitter, trial.model))
     return fit
 
@@ -200,6 +225,10 @@ def timed_anew(
         more = with_timer_of_fit(setup, doubting, fit, library)
         if more is not None and more[-1].objective < fit.objective:
             setup, doubting, fit = more
+    gain = before.objective - fit.objective
+    doubting.coarse_fitter.trace.record(
+        "quantiser", before=before, after=fit, measure="objective", score=gain, threshold=0.0, taken=gain > 0.0
+    )
     return (setup, doubting, fit, rivals) if fit.objective < before.objective else untold
 
 
@@ -227,6 +256,8 @@ def formed_together(
         before = doubting
         if _formless(fit) or before is not start:
             doubting = doubting_zeros(setup, likelihood_of(setup.coarse_fitter, fit, library))
+            note = "variance components beside all effects"
+            setup.coarse_fitter.trace.record("noise", before=fit, taken=doubting is not setup, note=note)
             setup, doubting = with_sharper_timer(setup, doubting, fit, library)
         if turn:
             if as_much(doubting.fitter.noise.of_model, before.fitter.noise.of_model):
@@ -250,6 +281,7 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     """
     everything = with_everything(fit.model, library)
     wider = beside_scatter(setup, setup.coarse_fitter, fit, library)
+    setup.coarse_fitter.trace.record("noise", before=fit, taken=wider is not None)
     setup = wider or setup
     if fit.frame.noise is not setup.coarse_fitter.noise:
         if wider is None:
@@ -263,6 +295,8 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
         model = everything if wider is None else fit.model
         for _ in range(fit.criteria.selection.weighings):
             setup = setup.with_noise(with_model_error(setup.fitter.noise.of_model, fit))
+            note = "the model's own error by stage and mode"
+            setup.coarse_fitter.trace.record("noise", before=fit, taken=True, note=note)
             fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, model))
             model = fit.model
     return setup, fit
@@ -300,6 +334,17 @@ def ladder_of(
     clear = [n for n in order if factors[n] > rest]
     causes = [n for n in clear if sizes[n].of_error > least or is_material(sizes[n], whole)] or order[:1]
     minor = [n for n in order if n not in causes]
+    for name in order:
+        setup.fitter.trace.record(
+            "name",
+            [name],
+            after=judged,
+            measure="share",
+            score=sizes[name].of_error,
+            threshold=least,
+            taken=name in causes,
+            note="" if name in clear else "its evidence does not exceed half of what is left",
+        )
     # What was measured beforehand is in the first steps, and has its place among the causes.
     rungs = [step for step in steps if step.added not in known]
     for count, name in enumerate(causes[:-1], 1):
@@ -325,6 +370,7 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     """
     first, last = search.steps[0].fit, search.fit
     if search.shares and nothing_is_sure(fitter, search.sized):
+        fitter.trace.record("remove", last.model.names, before=last, taken=True, note="no effect is certain")
         return Search(search.bare_steps, search.traces), list(last.model.names)
     if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
@@ -338,6 +384,20 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     most = limits.balanced_pair if several else limits.balanced_share
     balanced = [n for n in causes if taken[n] > most]
     doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent or n in balanced]
+    for name in doubtful:
+        note = next(
+            text
+            for text, names in (
+                ("its size varies between blocks of the recording", unsteady),
+                ("its 95 % interval contains no effect at all", absent),
+                ("another effect balances it", balanced),
+                ("it takes away less than remains", doubtful),
+            )
+            if name in names
+        )
+        fitter.trace.record(
+            "name", [name], after=last, measure="share", score=taken[name], threshold=left, taken=False, note=note
+        )
     steps = [s for s in search.steps[:-1] if s.added not in doubtful]
     added = next((n for n in reversed(causes) if n not in doubtful), None)
     steps = [s for s in steps if s.added != added or added is None]

@@ -26,7 +26,19 @@ def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
             continue
         fit = setup.fitter.fit(before.model.with_active([*before.model.active, active]))
         gain = 0.5 * (before.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
-        if gain > fit.criteria.selection.log_evidence:
+        least = fit.criteria.selection.log_evidence
+        setup.fitter.trace.record(
+            "add",
+            [candidate.name],
+            before=before,
+            after=fit,
+            measure="log_evidence",
+            score=gain,
+            threshold=least,
+            taken=gain > least,
+            note="its size was measured by the readings alone",
+        )
+        if gain > least:
             steps.append(Step(candidate.name, fit, gain))
     return steps
 

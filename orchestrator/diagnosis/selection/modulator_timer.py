@@ -48,6 +48,7 @@ def with_sharper_timer(
     likelihood = likelihood_of(setup.bare.coarse_fitter, fit, library)
     timer, scatter = timer_near(setup.coarse_fitter.prepared, likelihood, doubting.fitter.noise.of_model, setup.timers)
     timed = setup.with_timer(timer)
+    timed.coarse_fitter.trace.record("quantiser", before=fit, taken=True, note="estimated from the dwells")
     return timed, timed.with_noise(at_most_sound(timed, scatter))
 
 

@@ -91,7 +91,18 @@ def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | 
     models[index] = active.resting(*names)
     trial = fitter.fit(fit.model.with_active(models), fit.frame, steps=8, renewals=0, tolerance=3e-4)
     inflation = max(1.0, min(fit.chi2_per_dof, trial.chi2_per_dof))
-    return trial if log_evidence(trial, inflation) > log_evidence(fit, inflation) - limits.tie else None
+    simple, free = log_evidence(trial, inflation), log_evidence(fit, inflation)
+    fitter.trace.record(
+        "fix_shape",
+        [active.name],
+        before=fit,
+        after=trial,
+        measure="log_evidence",
+        score=simple - free,
+        threshold=-limits.tie,
+        taken=simple > free - limits.tie,
+    )
+    return trial if simple > free - limits.tie else None
 
 
 def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | None:
@@ -106,7 +117,18 @@ def _flexible(fitter: Fitter, fit: Fit, index: int, inflation: float) -> Fit | N
         return None
     inflation = max(1.0, min(inflation, best.chi2_per_dof))
     tie = fit.criteria.selection.tie
-    return best if log_evidence(best, inflation) > log_evidence(fit, inflation) + tie else None
+    free, simple = log_evidence(best, inflation), log_evidence(fit, inflation)
+    fitter.trace.record(
+        "free_shape",
+        [active.name],
+        before=fit,
+        after=best,
+        measure="log_evidence",
+        score=free - simple,
+        threshold=tie,
+        taken=free > simple + tie,
+    )
+    return best if free > simple + tie else None
 
 
 def _other_forms(active: Active, best: Fit, index: int) -> list[Active]:

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.selection.joint_search import without_effect
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import sum_intervals
 from orchestrator.numerics.types import Array
-from protocols import Remark, SegmentStage
+from protocols import SegmentStage
 
 
 @dataclass(frozen=True)
@@ -78,40 +78,53 @@ def left_of_excitation(fit: Fit) -> float:
     return max((beyond[kind] / volts[kind] for kind in beyond if volts[kind] > 0.0), default=0.0)
 
 
+@dataclass(frozen=True)
+class GatesOffError:
+    """What the readings with the gates off say against a model.
+
+    Attributes
+    ----------
+    rms_v : float
+        Their rms error, as the voltage of that current [V].
+    probability : float
+        That chance makes so large an error.
+    least_excitation_v : float or None
+        rms voltage of the kind of stage that has the least [V]; None where nothing is excited.
+    """
+
+    rms_v: float
+    probability: float
+    least_excitation_v: float | None
+
+
+def gates_off_error(fit: Fit) -> GatesOffError | None:
+    """What the readings with the gates off say against a model; None where there are none."""
+    left = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if _without_current(p)]
+    if not left:
+        return None
+    together = np.concatenate(left)
+    excited = [v for v in _by_kind(fit, _voltages(fit)).values() if v > 0.0]
+    return GatesOffError(
+        rms_v=fit.rms_v(_without_current) or 0.0,
+        probability=float(chdtrc(len(together), float(together @ together))),
+        least_excitation_v=min(excited, default=None),
+    )
+
+
 def unexplained_at_rest_v(fit: Fit) -> float:
     """What a reading without current says against the model, as the voltage of that current [V]; 0 where nothing.
 
     Its few equations hardly count among thousands, so it is asked by itself: whether chance makes so much of it, and
     whether it is material beside the excitation, as an effect would be.
     """
-    limits = fit.criteria.selection
-    left = [e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True) if _without_current(p)]
-    volts = fit.rms_v(_without_current) or 0.0
-    least = min((v for v in _by_kind(fit, _voltages(fit)).values() if v > 0.0), default=math.inf)
-    if not left or volts <= limits.material_voltage * least:
+    error, limits = gates_off_error(fit), fit.criteria.selection
+    if error is None or error.least_excitation_v is None or error.probability >= limits.no_chance:
         return 0.0
-    together = np.concatenate(left)
-    return volts if chdtrc(len(together), float(together @ together)) < limits.no_chance else 0.0
+    return error.rms_v if error.rms_v > limits.material_voltage * error.least_excitation_v else 0.0
 
 
 def _without_current(piece: SegmentSignals) -> bool:
     return piece.stage is SegmentStage.GATES_OFF
-
-
-def why_nothing_is_told(fit: Fit, noise_v: float | None, current_error: float | None) -> list[Remark]:
-    """Why a model that fits says nothing, if it does not: beside a large noise, or where its current is far off."""
-    limits, told = fit.criteria.selection, []
-    excited = excitation_v(fit)
-    if noise_v is not None and noise_v > limits.most_floor * excited:
-        text = "noise alone makes {noise_mv:.3g} mV of the {excited_mv:.3g} mV that were injected or swept: too much"
-        told.append(Remark.of("noise_too_large", text, noise_mv=1e3 * noise_v, excited_mv=1e3 * excited))
-    if current_error is not None and current_error > limits.most_current_error:
-        text = (
-            "by the model alone the current runs off, by {percent:.2g} % of its range (rms): somewhere that it was "
-            "excited the map does not hold, as where points are too far apart for how the iron bends"
-        )
-        told.append(Remark.of("current_runs_off", text, percent=100.0 * current_error))
-    return told
 
 
 def visited(fit: Fit) -> Array:

@@ -1,102 +1,131 @@
-"""The verdict on what is left after a search. Words nothing."""
+"""The record that a verdict follows from, made of fits; `judge` turns it into the verdict."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 
+from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import is_sharp
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.selection.shares import left_of_excitation, unexplained_at_rest_v
-from protocols import Verdict
+from orchestrator.diagnosis.selection.judge import fraction_left, jointly_implausible, judge
+from orchestrator.diagnosis.selection.shares import excitation_v, gates_off_error, left_of_excitation
+from protocols import Verdict, VerdictLimits, VerdictRecord
+
+
+def verdict_limits(criteria: SelectionCriteria) -> VerdictLimits:
+    """The limits of a verdict among the criteria of a diagnosis."""
+    return VerdictLimits(
+        noise_chi2=criteria.detected_chi2,
+        chance_sigmas=criteria.chance_sigmas,
+        explained_fraction=criteria.explained,
+        mostly_explained_fraction=criteria.mostly_explained,
+        explained_excess_chi2=criteria.explained_left,
+        mostly_explained_excess_chi2=criteria.mostly_left,
+        immaterial_excess_chi2=criteria.immaterial_left,
+        noise_accuracy_excess_chi2=criteria.noise_known,
+        clean_excess_chi2=criteria.formless_left,
+        material_voltage=criteria.material_voltage,
+        negligible_voltage=criteria.nothing_left,
+        shape_widths=criteria.strained,
+        large_effect_widths=criteria.rare_size,
+        large_effects=criteria.rare_count,
+        noise_of_excitation=criteria.most_floor,
+        current_error=criteria.most_current_error,
+        chance_probability=criteria.no_chance,
+    )
+
+
+def verdict_record(
+    before: Fit,
+    after: Fit,
+    effects: int,
+    *,
+    periodic_lines: int = 0,
+    noise_v: float | None = None,
+    current_error: float | None = None,
+) -> VerdictRecord:
+    """The record of a finished search.
+
+    Parameters
+    ----------
+    before, after : Fit
+        Without any effect, and with all of them.
+    effects : int
+        Number of effects that are named.
+    periodic_lines : int
+        Number of lines in the holds' spectrum that are no switching ripple.
+    noise_v : float, optional
+        rms that noise alone would make [V].
+    current_error : float, optional
+        rms error of the simulated current over its range.
+    """
+    gates_off = gates_off_error(after)
+    return VerdictRecord(
+        **_of_fitted_stages(before, after, effects),
+        held_out_chi2=held_out_chi2(after),
+        gates_off_v=None if gates_off is None else gates_off.rms_v,
+        gates_off_probability=None if gates_off is None else gates_off.probability,
+        least_excitation_v=None if gates_off is None else gates_off.least_excitation_v,
+        effect_widths={a.name: _widths(a, a.candidate.amplitudes) for a in after.model.active},
+        periodic_lines=periodic_lines,
+        noise_v=noise_v,
+        excitation_v=excitation_v(after),
+        current_error=current_error,
+        limits=verdict_limits(after.criteria.selection),
+    )
+
+
+def fitted_verdict(before: Fit, after: Fit) -> Verdict:
+    """The verdict by the fitted stages alone, for decisions on names: the held-out stages decide none.
+
+    A search may take for explained what is not good enough for the report, so the limit of chi2 is wider here.
+    """
+    criteria = after.criteria.selection
+    limits = verdict_limits(criteria).model_copy(update={"explained_excess_chi2": criteria.formless_left})
+    fields = _of_fitted_stages(before, after, len(after.model.active))
+    return judge(VerdictRecord(**fields, limits=limits)).verdict
+
+
+def _of_fitted_stages(before: Fit, after: Fit, effects: int) -> dict[str, Any]:
+    """The fields of a record that the fitted stages determine."""
+    strains = {a.name: _widths(a, a.bent_by) for a in after.model.active}
+    return {
+        "chi2_before": before.chi2_per_dof,
+        "chi2_after": after.chi2_per_dof,
+        "degrees_of_freedom": after.dof,
+        "effects": effects,
+        "left_of_excitation": left_of_excitation(after),
+        "fine_map": is_sharp(after),
+        "shape_widths": max(strains.values(), default=0.0),
+        "shape_effect": max(strains, key=lambda name: strains[name], default=None),
+    }
 
 
 def left_fraction(before_chi2: float, after: Fit) -> float:
     """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    if before_chi2 <= after.criteria.selection.detected_chi2:
-        return 0.0
-    return math.sqrt(max(after.chi2_per_dof - 1.0, 0.0) / (before_chi2 - 1.0))
-
-
-def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
-    """The verdict on what is left: it has to be small beside what was found, and small in itself.
-
-    The fraction alone would forgive a large second error beside a huge first one; so would the fitted part alone what
-    only the held-out part shows. What no engineer would miss is forgiven near the noise, and not far beyond it: what
-    nobody has named may be small where it was measured, and not elsewhere. Where nothing was named, noise that is a
-    little more than the readings say is noise, and so is what chance makes of few readings. What a reading without
-    current denies is no explanation.
-    """
-    if unexplained_at_rest_v(after) > 0.0:
-        return "unknown_remains"
-    return _judged(before, after, effects, remainder(after), after.criteria.selection.explained_left)
-
-
-def fitted_verdict(before: Fit, after: Fit) -> Verdict:
-    """The same of what was fitted alone, for decisions on names: what was held out judges them, and makes none.
-
-    A search may take for explained what is not yet good enough to be told so.
-    """
-    limits = after.criteria.selection
-    return _judged(before, after, len(after.model.active), after.chi2_per_dof - 1.0, limits.formless_left)
-
-
-def _judged(before: Fit, after: Fit, effects: int, left: float, bearable: float) -> Verdict:
-    limits = after.criteria.selection
-    by_chance = limits.chance_sigmas * math.sqrt(2.0 / after.dof)
-    if after.chi2_per_dof - 1.0 <= max(limits.detected_chi2 - 1.0, by_chance) and left <= max(bearable, by_chance):
-        return "explained" if effects else "clean"
-    by_chance = limits.chance_sigmas * math.sqrt(2.0 / after.dof)
-    bearable_by = (
-        (max(limits.noise_known, by_chance), limits.material_voltage),
-        (limits.formless_left, limits.nothing_left),
-    )
-    if not effects and any(left <= most and left_of_excitation(after) <= part for most, part in bearable_by):
-        return "clean"
-    fraction = left_fraction(before.chi2_per_dof, after)
-    # What even a sharp map leaves may be more of its detail, and what was found a part of that.
-    if is_sharp(after) and after.chi2_per_dof - 1.0 > limits.noise_known:
-        return "unknown_remains"
-    if not effects or fraction > limits.mostly_explained or left > limits.immaterial_left:
-        return "unknown_remains"
-    if fraction <= limits.explained and left <= bearable:
-        return "explained"
-    immaterial = fraction <= limits.explained and left_of_excitation(after) <= limits.material_voltage
-    forgiven = left <= limits.mostly_left or immaterial
-    return "mostly_explained" if forgiven and not _is_strained(after) else "unknown_remains"
-
-
-def _is_strained(fit: Fit) -> bool:
-    """Whether a form is bent further than such effects are: where something is left, it stands in for another one."""
-    return any(_strain(a, a.bent_by) > fit.criteria.selection.strained for a in fit.model.active)
+    return fraction_left(before_chi2, after.chi2_per_dof, after.criteria.selection.detected_chi2)
 
 
 def most_strained(fit: Fit) -> str | None:
     """The effect whose form is furthest from where such effects have theirs; None where none is too far."""
-    strains = {a.name: _strain(a, [n for n in a.free if n not in a.candidate.amplitudes]) for a in fit.model.active}
+    strains = {a.name: _widths(a, [n for n in a.free if n not in a.candidate.amplitudes]) for a in fit.model.active}
     most = max(strains, key=lambda name: strains[name], default=None)
     return most if most is not None and strains[most] > fit.criteria.selection.strained else None
 
 
 def rare_together(fit: Fit) -> list[str]:
     """Effects larger than most drives have them, the largest first, where they are so many that it is suspicious."""
-    limits = fit.criteria.selection
-    sizes = {a.name: _strain(a, a.candidate.amplitudes) for a in fit.model.active}
-    large = sorted((n for n in sizes if sizes[n] > limits.rare_size), key=lambda n: sizes[n], reverse=True)
-    return large if len(large) >= limits.rare_count else []
+    widths = {a.name: _widths(a, a.candidate.amplitudes) for a in fit.model.active}
+    return jointly_implausible(widths, verdict_limits(fit.criteria.selection))
 
 
-def _strain(active: Active, names: Iterable[str]) -> float:
-    """How far some numbers of an effect are from where such effects have them, in standard deviations of the prior."""
+def _widths(active: Active, names: Iterable[str]) -> float:
+    """Largest distance of some parameters from their usual values, in standard deviations of their priors."""
     return max((abs(active.off_prior(n)) for n in names), default=0.0)
-
-
-def remainder(fit: Fit) -> float:
-    """What is left of chi2 - 1, ripple included: of what was fitted or of what was held out, whichever is more."""
-    return max(fit.chi2_per_dof, held_out_chi2(fit) or 0.0) - 1.0
 
 
 def held_out_chi2(fit: Fit) -> float | None:

@@ -15,7 +15,6 @@ from orchestrator.diagnosis.fitting.baseline import (
     given_model,
     is_sharp,
     on_usual_map,
-    with_detail,
 )
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, Active, Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -23,6 +22,7 @@ from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
 from orchestrator.diagnosis.selection.joint_workflow import all_together
+from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
 from orchestrator.diagnosis.selection.refining import polished, repolished, settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
@@ -81,6 +81,7 @@ def map_steps(
 ) -> list[Step]:
     """`first_steps`, and from a linear baseline the map's own, as far as the data ask for them."""
     steps = first_steps(setup, model, library)
+    setup.fitter.trace.record("baseline", steps[-1].fit.model.names, after=steps[-1].fit, taken=True)
     if model != "linear":
         return steps
     baseline = Nameplate()
@@ -91,7 +92,18 @@ def map_steps(
         fit = with_map_step(setup, steps[-1].fit, freed)
         gain = 0.5 * (steps[-1].fit.chi2 - fit.chi2) / max(fit.chi2_per_dof, 1.0)
         gain -= 0.5 * (steps[-1].fit.dof - fit.dof) * math.log(fit.dof)
-        if gain > setup.prepared.criteria.selection.log_evidence:
+        least = setup.prepared.criteria.selection.log_evidence
+        setup.fitter.trace.record(
+            "add",
+            [name],
+            before=steps[-1].fit,
+            after=fit,
+            measure="log_evidence",
+            score=gain,
+            threshold=least,
+            taken=gain > least,
+        )
+        if gain > least:
             steps.append(Step(name, fit, gain))
             baseline = freed
     return steps
@@ -107,7 +119,17 @@ def search_effects(
         if timed is not setup:
             beside = refitted_steps(timed, steps)
             # Beside large effects a timer's rounding shows in none of it; where it leaves far more, it is none.
-            if beside[-1].fit.chi2_per_dof <= NO_TIMER * first.chi2_per_dof:
+            reached = beside[-1].fit
+            setup.fitter.trace.record(
+                "quantiser",
+                before=first,
+                after=reached,
+                measure="chi2_per_dof",
+                score=reached.chi2_per_dof,
+                threshold=NO_TIMER * first.chi2_per_dof,
+                taken=reached.chi2_per_dof <= NO_TIMER * first.chi2_per_dof,
+            )
+            if reached.chi2_per_dof <= NO_TIMER * first.chi2_per_dof:
                 setup, steps = timed, beside
     return _searched(setup, steps, library)
 
@@ -125,6 +147,7 @@ def _searched(
         return _after(quick, setup, steps, library)
     steps = refitted_steps(wider, steps)
     beside = wider.coarse_fitter.fit(quick.fit.model, renewals=1)
+    wider.coarse_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
     if _explains(beside):
         return with_scatter_as_found(*_searched(wider, steps, library), library)
     # A few effects will not do beside what scatters either.
@@ -177,8 +200,11 @@ def with_scatter_as_found(
     plain = setup.with_noise(ModelNoise())
     steps = refitted_steps(plain, search.steps)
     if steps[-1].fit.chi2_per_dof <= steps[-1].fit.criteria.selection.detected_chi2:
+        note = "the effects explain the error without it"
+        plain.fitter.trace.record("noise", before=search.fit, after=steps[-1].fit, taken=False, note=note)
         return plain, replace(search, steps=steps, view=None)
     found = beside_scatter(plain, plain.fitter, search.fit, library) or plain
+    plain.fitter.trace.record("noise", before=steps[-1].fit, taken=found is not plain)
     return found, replace(search, steps=refitted_steps(found, search.steps), view=None)
 
 
@@ -199,7 +225,7 @@ def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
 def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """A part's fit on a finer map, where effects leave more than noise on its own."""
     coarse_map = fit.chi2_per_dof > setup.criteria.finer_above_chi2 and fit.model.space.is_free
-    return with_detail(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
+    return with_finer_map(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
 
 
 def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:
@@ -209,11 +235,11 @@ def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Cand
     if not fit.model.active or not fit.model.space.is_free:
         return search
     if first.chi2_per_dof <= detected and first.model.space is fit.model.space:
-        detailed = with_detail(setup, setup.fitter, first)
+        detailed = with_finer_map(setup, setup.fitter, first)
         return search if detailed is first else forward(setup.fitter, [Step(None, detailed)], library)
     if fit.chi2_per_dof < detected:
         return search
-    return _finer(search, with_detail(setup, setup.fitter, fit), setup.fitter, library)
+    return _finer(search, with_finer_map(setup, setup.fitter, fit), setup.fitter, library)
 
 
 def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate], most: int | None = None) -> Search:
@@ -246,6 +272,8 @@ def no_worse_than_without(setup: DiagnosisSetup, search: Search) -> Search:
     judge = setup.unweighed.fitter
     if judge.hold(last.model).chi2_per_dof <= judge.hold(first.model).chi2_per_dof:
         return search
+    note = "together they leave more than the first model"
+    setup.fitter.trace.record("remove", last.model.names, before=last, after=first, taken=True, note=note)
     return Search(search.bare_steps, [*search.traces, *last.model.names])
 
 
@@ -261,10 +289,22 @@ def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, lis
         if fitted_verdict(first, search.fit) == "unknown_remains":
             drift = {name: max(size, steady * _left_over_own(search, name)) for name, size in drift.items()}
         worst = max(drift, key=lambda name: drift[name])
-        if drift[worst] <= steady:
+        full, goes = search.fit, drift[worst] > steady
+        if goes:
+            doubtful.append(worst)
+            search = without(setup, search, worst)
+        setup.fitter.trace.record(
+            "remove",
+            [worst],
+            before=full,
+            after=search.fit,
+            measure="block_scatter",
+            score=drift[worst],
+            threshold=steady,
+            taken=goes,
+        )
+        if not goes:
             break
-        doubtful.append(worst)
-        search = without(setup, search, worst)
     return search, doubtful
 
 
@@ -279,7 +319,9 @@ def _without_absent(setup: DiagnosisSetup, search: Search) -> tuple[Search, list
     while absent := [n for n in perhaps_absent(setup.fitter, search.fit, as_shaped=True) if n not in expected]:
         least = min(absent, key=lambda name: brought[name])
         gone.append(least)
-        search = without(setup, search, least)
+        full, search = search.fit, without(setup, search, least)
+        note = "its 95 % interval contains no effect at all"
+        setup.fitter.trace.record("remove", [least], before=full, after=search.fit, taken=True, note=note)
     return search, gone
 
 
@@ -323,7 +365,9 @@ def no_sharper_than_asked(setup: DiagnosisSetup, search: Search) -> Search:
     if not fit.model.active or not is_sharp(fit):
         return search
     usual = setup.fitter.fit(on_usual_map(setup, fit), steps=8, renewals=2, tolerance=3e-4)
-    return search if earns_its_sharpness(fit, usual) else _with_last(search, usual)
+    keeps = earns_its_sharpness(fit, usual)
+    setup.fitter.trace.record("coarser_map", before=fit, after=usual, taken=not keeps)
+    return search if keeps else _with_last(search, usual)
 
 
 def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
@@ -336,7 +380,19 @@ def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
         for active in doubted:
             others = full.model.with_active([a for a in full.model.active if a.name != active.name])
             less = setup.fitter.fit(others, steps=4, renewals=0, tolerance=3e-3)
-            if _can_be_spared(first, less, full, active.name):
+            spare = _can_be_spared(first, less, full, active.name)
+            setup.fitter.trace.record(
+                "remove",
+                [active.name],
+                before=full,
+                after=less,
+                measure="log_evidence",
+                score=-_evidence_lost(full, less),
+                threshold=-asked_to_stay(full, active.candidate),
+                taken=spare,
+                note="small, uncertain, or what another effect's form makes" if spare else "",
+            )
+            if spare:
                 spared.append(active.name)
                 search = without(setup, search, active.name, last=less)
                 break
@@ -358,11 +414,16 @@ def _spare(first: Fit) -> float:
     return max(limits.detected_chi2 - 1.0, limits.spare * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
 
 
+def _evidence_lost(full: Fit, less: Fit) -> float:
+    """By how much the log evidence falls without an effect, noise as large as all effects leave it."""
+    inflation = max(1.0, full.chi2_per_dof)
+    return log_evidence(full, inflation) - log_evidence(less, inflation)
+
+
 def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     limits, active = full.criteria.selection, next(a for a in full.model.active if a.name == name)
     size = active.relative_size
-    inflation = max(1.0, full.chi2_per_dof)
-    gained = log_evidence(full, inflation) - log_evidence(without, inflation)
+    gained = _evidence_lost(full, without)
     if active.candidate.is_expected:
         return gained < asked_to_stay(full, active.candidate)
     if size < limits.least_size or certainty(full)[name] < limits.least_certainty:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from orchestrator.presentation.explaining import accuracy_sentences, search_rows
 from orchestrator.presentation.names import VERDICTS, Verdict, plain, slots
 from orchestrator.presentation.quantities import duration, number, percent, quantity
 from orchestrator.presentation.results import ladder_rows as rungs
@@ -31,6 +32,25 @@ Rows = list[tuple[str, ...]]
 def verdict(found: SavedDiagnosis) -> Verdict:
     """The verdict, and what it means."""
     return VERDICTS[found.report.verdict]
+
+
+def reasons(found: SavedDiagnosis) -> list[str]:
+    """Why this verdict and no better one, a sentence each."""
+    return [_squared(reason.sentence) for reason in found.report.reasons]
+
+
+def accuracy(found: SavedDiagnosis) -> str:
+    """How well the model reproduces the current, and how well its map is known."""
+    return " ".join(accuracy_sentences(found.report))
+
+
+def search_moves(found: SavedDiagnosis) -> Rows:
+    """Every move of the search."""
+    return [tuple(map(_squared, row)) for row in search_rows(found.report.search)]
+
+
+def _squared(text: str) -> str:
+    return typographic(text).replace("chi2", "χ²")
 
 
 def filled_slots(found: SavedDiagnosis) -> Iterator[tuple[str, str]]:

@@ -119,7 +119,10 @@ def _diagnosis(material: Material, *, draws: bool) -> dict[str, Any] | None:
         return None
     return {
         "verdict": findings.verdict(found),
+        "reasons": findings.reasons(found),
         "slots": list(findings.filled_slots(found)),
+        "accuracy": findings.accuracy(found),
+        "search": findings.search_moves(found),
         "pictures": list(diagnosis_pictures(found)) if draws else [],
         "ladder": findings.ladder_rows(found),
         "effects": findings.effect_rows(found),

@@ -16,7 +16,7 @@ from orchestrator.presentation.sentences import markdown_table
 from plugins.streams.rerun._axes import Chart, colour_bar, dotted, lined, plane, reach, worded
 from plugins.streams.rerun._detail import DETAIL
 from plugins.streams.rerun._tape import ALWAYS, Entry, When, entry, properties
-from plugins.streams.rerun._words import page, words_page
+from plugins.streams.rerun._words import page, search_page, words_page
 from protocols import (
     Compared,
     CurrentExcerpt,
@@ -137,7 +137,10 @@ class Diagnosis:
         report = message.report
         effects = ", ".join(effect.name for effect in report.effects)
         facts = {"verdict": report.verdict, "effects": effects, "round": message.round}
-        return [*self._told("words", words_page(message.words)), properties("diagnosis", facts)]
+        told = self._told("words", words_page(message.words, [reason.sentence for reason in report.reasons]))
+        if report.search:
+            told = self._told("search", search_page(report.search))
+        return [*told, properties("diagnosis", facts)]
 
     def _proposed(self, message: ExperimentProposed) -> list[Entry]:
         apart = f"**{plain(message.separates[0])}** from **{plain(message.separates[1])}**"
@@ -155,7 +158,7 @@ class Diagnosis:
     def _told(self, part: str, text: str) -> list[Entry]:
         """The page of the diagnosis, which always stands as it was last."""
         self._page[part] = text
-        parts = [self._page[name] for name in ("words", "next", "compared") if name in self._page]
+        parts = [self._page[name] for name in ("words", "next", "compared", "search") if name in self._page]
         return [page("diagnosis", ALWAYS, "\n\n".join(parts))]
 
 

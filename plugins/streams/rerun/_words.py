@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import rerun as rr
 
+from orchestrator.presentation.explaining import search_lines
 from orchestrator.presentation.names import PAPER_CROSSINGS, slots
 from orchestrator.presentation.quantities import UNKNOWN, percent
 from orchestrator.presentation.results import resistance, resistance_course
 from orchestrator.presentation.sentences import markdown_table, one_line, visible
 from plugins.streams.rerun._tape import Entry, When, entry
-from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate
+from protocols import AxisPercent, DiagnosisWords, FluxMapEstimate, LockChecked, ResistanceEstimate, SearchEvent
 
 
 def page(path: str, when: When, text: str) -> Entry:
@@ -51,10 +52,16 @@ def trust_page(maps: Mapping[str, FluxMapEstimate], lock: LockChecked | None) ->
     return "\n\n".join(parts)
 
 
-def words_page(words: DiagnosisWords) -> str:
-    """A diagnosis in its five slots."""
+def words_page(words: DiagnosisWords, reasons: Sequence[str] = ()) -> str:
+    """A diagnosis in its five slots, the reasons of its verdict first."""
+    why = ["\n".join(f"- {one_line(reason)}" for reason in reasons)] if reasons else []
     told = (f"## {title.capitalize()}\n\n{one_line(text)}" for title, text in slots(words))
-    return "\n\n".join(["# The diagnosis", *told])
+    return "\n\n".join(["# The diagnosis", *why, *told])
+
+
+def search_page(events: Sequence[SearchEvent]) -> str:
+    """The moves of a search, a line each."""
+    return "\n\n".join(["## What the search tried", *(one_line(line) for line in search_lines(events))])
 
 
 def _axes(value: AxisPercent | None) -> tuple[str, str]:

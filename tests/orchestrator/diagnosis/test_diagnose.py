@@ -16,6 +16,7 @@ from orchestrator.diagnosis import (
     compare_recording,
     diagnose_recording,
     in_words,
+    judge,
     remove_effect,
 )
 from orchestrator.recording import Recording, SegmentWriter, open_recording, read_model, write_manifest
@@ -26,7 +27,18 @@ from plugins.effects.iron import EddyCurrents, Hysteresis, SlotHarmonics
 from plugins.effects.resistance import PhaseResistanceImbalance, ResistanceWithTemperature, WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset, CurrentOffsetDrift, ThirdCurrentSensor
 from plugins.effects.timing import VoltageDelay
-from protocols import Capture, DiagnosisStep, Effect, NotMeasuredError, PluginError, Segment, SegmentStage
+from protocols import (
+    Capture,
+    DiagnosisReport,
+    DiagnosisStep,
+    Effect,
+    Judgement,
+    NotMeasuredError,
+    PluginError,
+    Segment,
+    SegmentStage,
+    VerdictRecord,
+)
 
 LIBRARY: list[Effect] = [
     DeadTime(),
@@ -44,7 +56,7 @@ LIBRARY: list[Effect] = [
 REPORT = {
     "recording", "noise_floor", "verdict", "effects", "traces", "joint", "ladder", "unexplained", "convention",
     "next_experiment", "remarks", "notes", "seconds", "criteria", "minor", "materiality",
-    "reproduces_current_percent", "map_error_percent",
+    "reproduces_current_percent", "map_error_percent", "reasons", "verdict_record", "search",
 }  # fmt: skip
 
 
@@ -54,6 +66,17 @@ def _numbers(value: object) -> list[float]:
     if isinstance(value, list):
         return [n for v in value for n in _numbers(v)]
     return [float(value)] if isinstance(value, int | float) else []
+
+
+def _without_times(report: DiagnosisReport) -> DiagnosisReport:
+    search = [event.model_copy(update={"seconds": 0.0}) for event in report.search]
+    return report.model_copy(update={"seconds": 0.0, "search": search})
+
+
+def _judged_again(report: DiagnosisReport) -> Judgement:
+    """The verdict of a report that was written and read, by its record alone."""
+    record = json.loads(report.model_dump_json())["verdict_record"]
+    return judge(VerdictRecord.model_validate(record))
 
 
 def _digest(recording: Recording) -> str:
@@ -101,6 +124,7 @@ def test_what_is_taken_out_and_added_again_keeps_the_noise_that_was_found(wander
 def test_clean_recording_is_clean(clean: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(clean, LIBRARY, out=tmp_path).report
     assert report.verdict == "clean"
+    assert _judged_again(report) == Judgement(verdict="clean", reasons=report.reasons)
     assert not report.effects
     assert report.ladder[0].chi2 == pytest.approx(1.0, abs=0.05)
     assert report.ladder[0].rms_v == pytest.approx(report.noise_floor.rms_v, rel=0.05)
@@ -116,6 +140,29 @@ def test_dead_time_is_named_with_its_twin_and_its_size(diagnosed: Diagnosis) -> 
     assert diagnosed.search.fit.model.r_s == pytest.approx(4.31, abs=0.005)
 
 
+def test_the_verdict_follows_from_the_record_in_the_report(diagnosed: Diagnosis) -> None:
+    report = diagnosed.report
+    assert _judged_again(report) == Judgement(verdict="explained", reasons=report.reasons)
+    assert report.reasons[0].quantity == "chi2_per_dof"
+    assert report.reasons[0].value == report.ladder[-1].chi2
+
+
+def test_the_search_is_kept_from_the_baseline_to_the_last_move(diagnosed: Diagnosis) -> None:
+    search = diagnosed.report.search
+    assert [event.step for event in search] == list(range(1, len(search) + 1))
+    assert search[0].move == "baseline"
+    assert search[0].chi2_after == diagnosed.report.ladder[0].chi2
+    (cause,) = diagnosed.report.effects
+    added = [event for event in search if event.move == "add" and event.decision == "taken"]
+    assert [event.effects for event in added] == [(cause.name,)]
+    assert added[0].score == cause.log_evidence
+    tried = [event.effects for event in search if event.move == "refit" and event.step < added[0].step]
+    assert {("dead_time",), ("device_drop",)} <= set(tried)
+    spent = [event.evaluations for event in search]
+    assert spent == sorted(spent)
+    assert spent[-1] > 0.0
+
+
 def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
     first, last = diagnosed.report.ladder[0], diagnosed.report.ladder[-1]
     floor = diagnosed.report.noise_floor.heldout_rms_v
@@ -129,7 +176,7 @@ def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
 
 def test_two_processes_come_to_the_same_report(diagnosed: Diagnosis, with_dead_time: Recording, tmp_path: Path) -> None:
     report = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, processes=2).report
-    assert report.model_copy(update={"seconds": diagnosed.report.seconds}) == diagnosed.report
+    assert _without_times(report) == _without_times(diagnosed.report)
 
 
 def test_each_rung_is_shown_in_order(diagnosed: Diagnosis, steps: list[DiagnosisStep]) -> None:

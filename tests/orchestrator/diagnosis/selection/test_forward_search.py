@@ -11,6 +11,7 @@ from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.search_recorder import SearchRecorder
 from orchestrator.diagnosis.selection import forward_search as forward_search_module
 from orchestrator.diagnosis.selection.forward_search import Step, forward
 from orchestrator.diagnosis.selection.refining import flexible
@@ -39,6 +40,25 @@ def test_noise_alone_is_given_no_name() -> None:
     search = forward(maker, [Step(None, maker.fit(free_model()))], library)
     assert [step.added for step in search.steps] == [None]
     assert search.traces == []
+    (screen,) = maker.trace.events
+    assert (screen.move, screen.decision) == ("screen", "refused")
+    assert screen.score is not None
+    assert screen.threshold is not None
+    assert screen.score < screen.threshold
+
+
+def test_every_refit_is_on_record_with_the_score_that_decided(biased: Fitter) -> None:
+    maker = replace(biased, trace=SearchRecorder())
+    library = scaled_library([VoltageBias(), VoltageDelay(), DeadTime()], maker.prepared.manifest)
+    search = forward(maker, [Step(None, maker.fit(free_model()))], library)
+    refits = [event for event in maker.trace.events if event.move == "refit"]
+    (added,) = [event for event in maker.trace.events if event.move == "add"]
+    assert added.effects == ("voltage_bias",)
+    assert added.decision == "taken"
+    assert added.score == search.steps[1].log_evidence == max(event.score or 0.0 for event in refits)
+    assert added.threshold == maker.prepared.criteria.selection.log_evidence
+    assert added.chi2_after == search.fit.chi2_per_dof
+    assert maker.trace.events[-1].decision == "refused"
 
 
 def test_thresholds_are_those_that_are_handed_in(biased: Fitter) -> None:

@@ -182,7 +182,7 @@ def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
         tried.append(fit)
         return fitter.fit(replace(fit.model, space=finer)) if len(tried) == 1 else fit
 
-    monkeypatch.setattr(joint_workflow, "with_detail", with_detail)
+    monkeypatch.setattr(joint_workflow, "with_finer_map", with_detail)
     monkeypatch.setattr(joint_workflow, "in_own_forms", lambda _, fit: replace(fit, chi2=chi2 * fit.dof))
     fit = replace(part, chi2=chi2 * part.dof)
     after = joint_workflow.on_a_sharper_map(setup, fit)
@@ -232,7 +232,7 @@ def test_an_effect_in_whose_place_a_sharper_map_does_better_is_gone(
         sharper = replace(trial.model, space=replace(trial.model.space, roughness=9.0))
         return replace(trial, model=sharper, chi2=left * fit.chi2)
 
-    monkeypatch.setattr(joint_workflow, "with_detail", on_another)
+    monkeypatch.setattr(joint_workflow, "with_finer_map", on_another)
     monkeypatch.setattr(joint_workflow, "refitted", lambda maker, model, known=None: replace(fit, model=model))
     monkeypatch.setattr(joint_workflow, "downwards", lambda _, fit: replace(fit, chi2=fit.dof))
     after = joint_workflow.with_the_map_instead(setup, fit)

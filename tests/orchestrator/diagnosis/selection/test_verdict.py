@@ -9,10 +9,11 @@ import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.shares import excitation_v, left_of_excitation
-from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, remainder, verdict_of
+from orchestrator.diagnosis.selection.verdict import fitted_verdict, left_fraction, verdict_record
 from plugins.effects.inverter import DeadTime
-from protocols import SegmentStage
+from protocols import SegmentStage, Verdict
 from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
 from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_voltage
 
@@ -21,6 +22,10 @@ from tests.orchestrator.diagnosis.pieces import fitter, plan, prepared, with_vol
 def fit() -> Fit:
     found = fitted_bias(fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0]))))
     return replace(found, dof=4000.0)  # as of a recording in which chance makes little
+
+
+def verdict_of(before: Fit, after: Fit, effects: int) -> Verdict:
+    return judge(verdict_record(before, after, effects)).verdict
 
 
 def _with_chi2(fit: Fit, chi2: float) -> Fit:
@@ -113,7 +118,9 @@ def test_what_is_left_is_a_ratio_of_amplitudes(fit: Fit) -> None:
 def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:
     off = [e + 2.0 if p.held_out else e for p, e in zip(fit.prepared.pieces, fit.residual, strict=True)]
     worse = replace(_with_chi2(fit, 1.0), residual=tuple(off))
-    assert remainder(worse) > worse.criteria.selection.mostly_left
+    held_out = verdict_record(worse, worse, 1).held_out_chi2
+    assert held_out is not None
+    assert held_out - 1.0 > worse.criteria.selection.mostly_left
     assert verdict_of(_with_chi2(fit, 900.0), _with_chi2(fit, 1.0), 1) == "explained"
     assert verdict_of(_with_chi2(fit, 900.0), worse, 1) != "explained"
     assert fitted_verdict(_with_chi2(fit, 900.0), worse) == "explained"  # and decides on no name

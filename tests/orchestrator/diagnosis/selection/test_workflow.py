@@ -88,10 +88,10 @@ def test_a_name_within_the_noise_has_to_do_more_than_a_finer_map(monkeypatch: py
     named = maker.evaluate(with_free(first.model, maker, VoltageBias()), first.frame)
     search = Search([Step(None, first), Step("voltage_bias", named, 20.0)])
     setup = setup_of(maker)
-    monkeypatch.setattr(workflow, "with_detail", lambda *_: first)
+    monkeypatch.setattr(workflow, "with_finer_map", lambda *_: first)
     assert on_a_finer_map(setup, search, []) is search
     finer = maker.fit(free_model())
-    monkeypatch.setattr(workflow, "with_detail", lambda *_: finer)
+    monkeypatch.setattr(workflow, "with_finer_map", lambda *_: finer)
     library = [a.candidate for a in named.model.active]
     assert [(step.added, step.fit) for step in on_a_finer_map(setup, search, library).steps] == [(None, finer)]
 

@@ -11,10 +11,12 @@ import pytest
 import yaml
 
 from orchestrator.diagnosis import SavedDiagnosis, save_diagnosis
+from orchestrator.diagnosis.search_recorder import SearchRecorder
 from plugins.streams.report import _diagnosis_content as findings
 from plugins.streams.report import write_report
 from plugins.streams.report._diagnosis_figures import _rising, plane_figures, with_zero_sequence
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
+from protocols import Reason
 from tests.plugins.streams.example_run import a_run_directory
 from tests.plugins.streams.report.example_diagnosis import (
     PHASES,
@@ -209,3 +211,25 @@ def test_readings_of_the_estimates_are_drawn_without_a_journal(tmp_path: Path) -
     kept["resistance"]["readings"] = [{"start_s": 1.0, "value_ohm": 4.4, "std_ohm": 0.01}] * 3
     file.write_text(json.dumps(kept))
     assert "3 readings while the current was constant" in words_of(write_report(run).read_text(encoding="utf-8"))
+
+
+def test_the_reasons_stand_below_the_verdict_and_the_search_is_folded(tmp_path: Path, undrawn: None) -> None:
+    run = a_run_directory(tmp_path / "run")
+    recorder = SearchRecorder()
+    recorder.record("screen", ["dead_time"], measure="chi2", score=60000.0, threshold=32.0)
+    recorder.record("add", ["dead_time"], measure="log_evidence", score=812.0, threshold=16.0, taken=True)
+    reason = Reason(quantity="chi2_per_dof", value=1.02, limit=1.08, sentence="chi2 is 1.02; noise makes up to 1.08.")
+    report = a_diagnosis(reasons=[reason], search=recorder.events, reproduces_current_percent=0.4)
+    save_diagnosis(run, report, WORDS, some_steps())
+    page = write_report(run).read_text(encoding="utf-8")
+    text = words_of(page)
+    assert text.index("Explained") < text.index("χ² is 1.02; noise makes up to 1.08.") < text.index("Where it fails")
+    assert "0.4 % of its range (rms)" in text
+    (folded,) = re.findall(r"<details>.*?</details>", page, flags=re.S)
+    assert words_of(folded).split("decision ")[1].startswith("1 screen dead time 60000 of χ² 32 of χ² – tried 2 add")
+    assert "in 2 moves" in folded
+
+
+def test_a_diagnosis_without_reasons_has_no_empty_list(page: str) -> None:
+    assert "<details>" not in page
+    assert 'class="reasons"' not in page

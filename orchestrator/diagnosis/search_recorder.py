@@ -1,0 +1,73 @@
+"""Record of what a search tries, for the report. Decides nothing, and costs a few numbers for each move."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+from orchestrator.diagnosis.fitting.effort import Effort
+from protocols import SearchDecision, SearchEvent, SearchMeasure, SearchMove
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis.fitting.model import Fit
+
+
+@dataclass
+class SearchRecorder:
+    """The moves of one diagnosis, in order.
+
+    Attributes
+    ----------
+    effort : Effort
+        Of all fits of the diagnosis.
+    samples : int
+        Of the whole recording; the unit of `SearchEvent.evaluations`.
+    is_part : bool
+        Whether fits are to a part of the recording.
+    events : list of SearchEvent
+        Shared by the recorders of the whole and of its part.
+    """
+
+    effort: Effort = field(default_factory=Effort)
+    samples: int = 1
+    is_part: bool = False
+    events: list[SearchEvent] = field(default_factory=list)
+    begun_s: float = field(default_factory=time.monotonic)
+
+    def of_part(self) -> SearchRecorder:
+        """A recorder for fits to a part of the recording, which writes into the same events."""
+        return replace(self, is_part=True)
+
+    def record(
+        self,
+        move: SearchMove,
+        effects: Sequence[str] = (),
+        *,
+        before: Fit | None = None,
+        after: Fit | None = None,
+        measure: SearchMeasure | None = None,
+        score: float | None = None,
+        threshold: float | None = None,
+        taken: bool | None = None,
+        note: str = "",
+    ) -> None:
+        """Record one move; `taken` is None where nothing was decided yet."""
+        decision: SearchDecision = "tried" if taken is None else "taken" if taken else "refused"
+        event = SearchEvent(
+            step=len(self.events) + 1,
+            move=move,
+            effects=tuple(effects),
+            data="part" if self.is_part else "whole",
+            measure=measure,
+            score=score,
+            threshold=threshold,
+            chi2_before=None if before is None else before.chi2_per_dof,
+            chi2_after=None if after is None else after.chi2_per_dof,
+            decision=decision,
+            note=note,
+            evaluations=self.effort.spent / self.samples,
+            seconds=time.monotonic() - self.begun_s,
+        )
+        self.events.append(event)
