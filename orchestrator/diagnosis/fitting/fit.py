@@ -102,19 +102,13 @@ class Fitter:
         Called before each evaluation; what it raises ends the fit.
     tell : callable
         Called with what is under way, in a few words.
-<<<<<<< HEAD
     executor : Executor
         Who makes the batches' equations.
+    trace : SearchRecorder
+        Of what is tried with it.
     batches : RecordingBatches, optional
         Of the same segments, where they have been dealt out before.
     equations : WeakFormEquations
-=======
-    hands : Hands
-        Who makes the segments' equations.
-    trace : SearchRecorder
-        Of what is tried with it.
-    equations : SegmentEquations
->>>>>>> reasons
     """
 
     prepared: PreparedRecording
@@ -123,15 +117,10 @@ class Fitter:
     effort: Effort = field(default_factory=Effort)
     poll: Callable[[], None] = lambda: None
     tell: Callable[[str], None] = lambda _: None
-<<<<<<< HEAD
     executor: Executor = field(default_factory=SerialExecutor)
+    trace: SearchRecorder = field(default_factory=SearchRecorder)
     batches: RecordingBatches | None = None
     equations: WeakFormEquations = field(init=False)
-=======
-    hands: Hands = field(default_factory=OneHand)
-    trace: SearchRecorder = field(default_factory=SearchRecorder)
-    equations: SegmentEquations = field(init=False)
->>>>>>> reasons
 
     def __post_init__(self) -> None:
         if self.batches is None or self.batches.pieces is not self.prepared.pieces:
