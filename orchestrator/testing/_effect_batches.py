@@ -52,8 +52,7 @@ class EffectBatchChecks(ABC):
     def test_a_batch_is_not_modified(self) -> None:
         effect = self.make_effect()
         batch = SignalBatch.of(_segments(self.signals()))
-        held = {name: getattr(batch, name) for name in SignalBatch.__slots__}
-        arrays = {name: array for name, array in held.items() if isinstance(array, np.ndarray)}
+        arrays = {name: array for name, array in vars(batch).items() if isinstance(array, np.ndarray)}
         before = {name: array.tobytes() for name, array in arrays.items()}
         for array in arrays.values():
             array.flags.writeable = False

@@ -120,14 +120,20 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     NotMeasuredError
         Where the recording holds too little.
     """
-    from orchestrator.diagnosis import diagnose_and_keep
+    from orchestrator.diagnosis import diagnose_and_keep, workers_here
 
     def say(step: DiagnosisStep) -> None:
         run.check()
         run.say(step)
 
     diagnosis, kept = diagnose_and_keep(
-        recording, run.plugins("effects"), model=stage.model, without=stage.without, on_step=say, poll=run.check
+        recording,
+        run.plugins("effects"),
+        model=stage.model,
+        without=stage.without,
+        on_step=say,
+        poll=run.check,
+        workers=workers_here(),
     )
     if diagnosis.estimates is not None:
         run.conclude(diagnosis.estimates)
