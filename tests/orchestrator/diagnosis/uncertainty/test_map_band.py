@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library

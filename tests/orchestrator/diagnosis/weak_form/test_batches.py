@@ -173,10 +173,14 @@ def test_flux_without_noise_begins_anew_with_each_segment(turned: Sequence[int])
 
     def observed(batch: SegmentBatch, at: SignalBatch) -> tuple[Array, ...]:
         local, layout = local_map(batch, at, MAGNETICS), batch.layout
-        turn = unit_vectors(at.theta_rad) if turned else np.column_stack([layout.cos, layout.sin])
-        flux, inductance = local.psi, local.inductance
-        arrays = (at.v_ab, at.i_ab, at.resistance_ohm, turn)
-        return smooth_flux(flux, inductance, *arrays, PM_WB, layout.starts, layout.interval_s, 0.005)
+        turn = (
+            unit_vectors(np.asarray(at.theta_rad, dtype=np.float64))
+            if turned
+            else np.column_stack([layout.cos, layout.sin])
+        )
+        v_ab, i_ab, ohm = (np.asarray(x, dtype=np.float64) for x in (at.v_ab, at.i_ab, at.resistance_ohm))
+        times = (layout.starts, layout.interval_s, 0.005)
+        return smooth_flux(local.psi, local.inductance, v_ab, i_ab, ohm, turn, PM_WB, *times)
 
     together = observed(BATCH, signals)
     for j, one in enumerate(PIECES):
