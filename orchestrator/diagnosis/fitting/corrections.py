@@ -115,16 +115,21 @@ def _sequence(item: Active, found: object) -> Sequence[object]:
 def _end_to_end(item: Active, method: str, signals: SignalBatch, parts: Sequence[object]) -> Correction:
     """Corrections of a batch's segments as one; what only some of them change stays as it is in the others."""
     corrections = [_require_correction(item, method, part) for part in parts]
+
+    def part_of(k: int, name: str) -> RealArray:
+        before: RealArray | None = getattr(signals, name)
+        return (np.zeros_like(signals.v_ab) if before is None else before)[signals.slice_of(k)]
+
+    for k, one in enumerate(corrections):
+        for name, array in one.arrays.items():
+            _require_array(item.name, f"{method}: {name}", part_of(k, name), array)
     arrays: dict[str, RealArray] = {}
     for name in dict.fromkeys(name for one in corrections for name in one.arrays):
         pieces = []
         for k, one in enumerate(corrections):
-            before = getattr(signals, name)
-            before = (np.zeros_like(signals.v_ab) if before is None else before)[signals.slice_of(k)]
-            if name in one.arrays:
-                _require_array(item.name, f"{method}: {name}", before, one.arrays[name])
-            elif name == "i_m_ab" and "i_ab" in one.arrays:
-                before = before + (one.arrays["i_ab"] - signals.i_ab[signals.slice_of(k)])
+            before = part_of(k, name)
+            if name == "i_m_ab" and "i_ab" in one.arrays:
+                before = before + (one.arrays["i_ab"] - part_of(k, "i_ab"))
             pieces.append(one.arrays.get(name, before))
         arrays[name] = np.concatenate(pieces)
     return Correction(**arrays)

@@ -6,6 +6,9 @@ views that cannot be written to.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import fields
+from functools import partial
 from typing import Any, cast
 
 import numpy as np
@@ -16,10 +19,10 @@ from protocols import (
     Effect,
     EffectLayer,
     EffectParameters,
-    LossHistory,
     ParameterRole,
     PluginError,
     RealArray,
+    SignalBatch,
     Signals,
 )
 
@@ -37,41 +40,70 @@ def guarded(effect: Effect) -> Effect:
 
 
 class _Guarded:
+    """An effect whose methods see signals that cannot be written to; what it does not have is not here either."""
+
     def __init__(self, effect: Effect) -> None:
         self._effect = effect
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._effect, name)
+        found = getattr(self._effect, name)
+        return partial(self._call, name, found) if name in _READS_SIGNALS else found
 
-    def correct(self, signals: Signals, parameters: EffectParameters) -> Correction:
-        """As the effect does it.
+    def _call(self, name: str, method: Callable[..., object], signals: Any, *parameters: EffectParameters) -> Any:
+        """What the effect's method returns of signals, a batch of them, or a sequence.
 
         Raises
         ------
         PluginError
-            Where it writes into what it was given, or returns no correction.
+            Where it writes into what it was given, or returns no correction where there should be one.
         """
         try:
-            found: object = self._effect.correct(_sealed(signals), parameters)
+            found = method(_sealed(signals), *parameters)
         except ValueError as error:
             if "read-only" not in str(error):
                 raise
-            told = "writes into the signals it was given; return a Correction with new arrays"
-            raise PluginError("effects", self._effect.name, f"correct: {told}") from error
+            message = "writes into the signals it was given; return a Correction with new arrays"
+            raise PluginError("effects", self._effect.name, f"{name}: {message}") from error
+        if name in _RETURNS_CORRECTION:
+            return self._owned(name, found)
+        if name in _RETURNS_CORRECTIONS:
+            if not isinstance(found, Sequence):
+                returned = type(found).__name__
+                raise PluginError("effects", self._effect.name, f"{name}: returned {returned} instead of a sequence")
+            return [self._owned(name, one) for one in found]
+        return found
+
+    def _owned(self, name: str, found: object) -> Correction:
         if not isinstance(found, Correction):
-            raise PluginError("effects", self._effect.name, f"correct: returned {type(found).__name__}, no Correction")
-        return Correction(**{name: _own(array) for name, array in found.arrays.items()})
+            raise PluginError("effects", self._effect.name, f"{name}: returned {type(found).__name__}, no Correction")
+        return Correction(**{of: _own(array) for of, array in found.arrays.items()})
 
 
-def _sealed(signals: Signals) -> Signals:
+_RETURNS_CORRECTION = ("correct", "correct_batch")
+_RETURNS_CORRECTIONS = ("doubts", "doubts_batch")
+_READS_SIGNALS = (*_RETURNS_CORRECTION, *_RETURNS_CORRECTIONS, "shows_in", "measured")
+
+
+def _sealed(signals: Signals | SignalBatch | Sequence[Signals]) -> Signals | SignalBatch | list[Signals]:
     """The same arrays, not to be written to."""
-    losses = signals.losses
-    return signals.model_copy(update={**_views(signals), "losses": losses and losses.model_copy(update=_views(losses))})
+    if isinstance(signals, SignalBatch):
+        views = _views({field.name: getattr(signals, field.name) for field in fields(signals)})
+        return signals.with_segments(_all_sealed(signals.segments)).replaced(views)
+    if isinstance(signals, Signals):
+        return _all_sealed([signals])[0]
+    return _all_sealed(signals)
 
 
-def _views(of: Signals | LossHistory) -> dict[str, RealArray]:
-    arrays = {name: getattr(of, name) for name in type(of).model_fields}
-    views = {name: array.view() for name, array in arrays.items() if isinstance(array, np.ndarray)}
+def _all_sealed(segments: Sequence[Signals]) -> list[Signals]:
+    """Each segment's arrays sealed; segments that share their history of losses go on sharing it."""
+    histories = {id(s.losses): s.losses for s in segments}
+    sealed = {k: h and h.model_copy(update=_views(vars(h))) for k, h in histories.items()}
+    return [s.model_copy(update={**_views(vars(s)), "losses": sealed[id(s.losses)]}) for s in segments]
+
+
+def _views(values: Mapping[str, object]) -> dict[str, RealArray]:
+    """Of those values that are arrays, views that cannot be written to."""
+    views = {name: array.view() for name, array in values.items() if isinstance(array, np.ndarray)}
     for view in views.values():
         view.flags.writeable = False
     return views

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import Protocol, TypeVar
 
@@ -42,8 +42,9 @@ class ThreadExecutor:
 
     def map(self, function: Callable[[Item], Result], items: Sequence[Item]) -> list[Result]:
         """As `Executor` has it."""
-        futures = [self._pool.submit(function, item) for item in items]
+        futures: list[Future[Result]] = []
         try:
+            futures.extend(self._pool.submit(function, item) for item in items)
             return [future.result() for future in futures]
         finally:
             # What raised ends the evaluation: nothing of it is still at work when the caller goes on.

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import Active
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import MapSpace, Model
 from orchestrator.diagnosis.weak_form.magnetics import linear_magnetics, smoothness_prior
@@ -23,7 +25,17 @@ from orchestrator.diagnosis.weak_form.segments import PreparedRecording, Segment
 from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_of
 from orchestrator.diagnosis.weak_form.timer import leg_step_of, rounded_by
 from orchestrator.numerics.tensor_spline import EvenSpline
-from protocols import DriveRecord, Manifest, ModulatorTimer, Motor, Segment, SegmentStage, Signals, TimerPhases
+from protocols import (
+    DriveRecord,
+    Manifest,
+    ModulatorTimer,
+    Motor,
+    Segment,
+    SegmentStage,
+    SignalBatch,
+    Signals,
+    TimerPhases,
+)
 
 Array = NDArray[np.float64]
 
@@ -180,6 +192,15 @@ def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -
         extra = change.get(p.segment.id, np.zeros(2)) if isinstance(change, Mapping) else change
         v_ab = p.signals.v_ab + (extra if p.signals.bridge_on else 0.0)
         pieces.append(replace(p, signals=p.signals.model_copy(update={"v_ab": v_ab})))
+    return replace(made, pieces=tuple(pieces))
+
+
+def with_effects(made: PreparedRecording, active: Sequence[Active]) -> PreparedRecording:
+    """The same where effects are accounted for in every piece's signals."""
+    pieces = []
+    for p in made.pieces:
+        batch = apply_effects(SignalBatch.of([p.signals]), active).signals
+        pieces.append(replace(p, signals=batch.segment(0)))
     return replace(made, pieces=tuple(pieces))
 
 

@@ -174,8 +174,8 @@ def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
     assert last.current_rms_a == pytest.approx(0.0045, rel=0.15)
 
 
-def test_two_processes_come_to_the_same_report(diagnosed: Diagnosis, with_dead_time: Recording, tmp_path: Path) -> None:
-    report = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, processes=2).report
+def test_two_workers_come_to_the_same_report(diagnosed: Diagnosis, with_dead_time: Recording, tmp_path: Path) -> None:
+    report = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, workers=2).report
     assert _without_times(report) == _without_times(diagnosed.report)
 
 

@@ -50,10 +50,9 @@ def test_shapes_span_those_between() -> None:
     shapes, frame = information(rehearsal, library).effects["dead_time"].shapes, fitter.frame(rehearsal.model)
     for x in (-1.75, -0.25, 0.25, 1.25, 1.75):
         wanted = [(a, "voltage_v") for a in (library[0].absent().moved("threshold_a", x), *shapes)]
-        pairs = zip(fitter.prepared.pieces, frame.pieces, strict=True)
-        places = [fitter.equations.place(rehearsal.model, piece, kept) for piece, kept in pairs]
-        white = [fitter.equations.rows(place, wanted).white[:, 2:] for place in places]
-        between, spanned = np.split(np.concatenate(white), [1], axis=1)
+        states = [fitter.equations.at(rehearsal.model, kept) for kept in frame.batches]
+        columns = [row.columns for state in states for row in fitter.equations.rows(state, wanted)]
+        between, spanned = np.split(np.concatenate(columns), [1], axis=1)
         left = np.linalg.lstsq(spanned, between, rcond=None)[1]
         assert left[0] < 1e-5 * np.sum(between**2)
 

@@ -16,7 +16,7 @@ from plugins.effects.inverter import DeadTime, VoltageBias
 from plugins.effects.iron import SlotHarmonics
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
-from protocols import Signals
+from protocols import SignalBatch
 from tests.orchestrator.diagnosis.pieces import CRITERIA, plan, prepared
 
 PREPARED = prepared(plan())
@@ -44,8 +44,9 @@ ACTIVE = tuple(
 ARRAYS = ("i_ab", "v_ab", "theta_rad", "resistance_ohm", "i_m_ab")
 
 
-def signals() -> Signals:
-    return PREPARED.pieces[-1].signals
+def signals() -> SignalBatch:
+    """Two segments, end to end."""
+    return SignalBatch.of([piece.signals for piece in PREPARED.pieces[-2:]])
 
 
 @pytest.mark.parametrize("place", range(len(ACTIVE)))

@@ -36,10 +36,11 @@ def all_effects(maker: Fitter, times: float = 1.0) -> Model:
 
 def whole(maker: Fitter, model: Model, fit: Fit) -> list[Array]:
     """Every column of every training segment, each led through all effects."""
-    pairs = zip(maker.prepared.pieces, fit.frame.pieces, strict=True)
-    return [
-        maker.equations.rows(maker.equations.place(model, p, f), model.free).columns for p, f in pairs if not p.held_out
-    ]
+    columns: dict[int, Array] = {}
+    for frame in fit.frame.batches:
+        rows = maker.equations.rows(maker.equations.at(model, frame), model.free)
+        columns |= {k: row.columns for k, row in zip(frame.batch.places, rows, strict=True)}
+    return [columns[k] for k, p in enumerate(maker.prepared.pieces) if not p.held_out]
 
 
 def distance(some: list[Array], others: list[Array]) -> Array:

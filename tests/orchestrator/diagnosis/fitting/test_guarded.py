@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +17,7 @@ from protocols import (
     EffectLayer,
     EffectParameters,
     PluginError,
+    SignalBatch,
     Signals,
     amplitude,
     refinement,
@@ -110,6 +111,139 @@ def test_no_correction_is_said() -> None:
         guarded(Brought(lambda s: None)).correct(exciting_signals(), VALUES)
     with pytest.raises(PluginError, match="returned Signals, no Correction"):
         guarded(Brought(lambda s: s)).correct(exciting_signals(), VALUES)
+
+
+class InOneCall(Brought):
+    """Does of a batch what it is given to do, and asks the same of itself for what it cannot know."""
+
+    def __init__(self, correct: Callable[[Any], Any]) -> None:
+        self._of_any: Callable[[Any], Any] = correct
+
+    def correct_batch(self, batch: SignalBatch, p: Brought.Parameters) -> Any:
+        return self._of_any(batch)
+
+    def doubts(self, signals: Signals, p: Brought.Parameters) -> Any:
+        return self._of_any(signals)
+
+    def doubts_batch(self, batch: SignalBatch, p: Brought.Parameters) -> Any:
+        return self._of_any(batch)
+
+    def shows_in(self, signals: Signals) -> Any:
+        return self._of_any(signals)
+
+    def measured(self, segments: Sequence[Signals]) -> Any:
+        return self._of_any(segments)
+
+
+def _batch() -> SignalBatch:
+    return SignalBatch.of([exciting_signals(seed) for seed in (1, 2)])
+
+
+def _first_segment(batch: SignalBatch) -> None:
+    batch.segment(1).v_ab[0] = 0.0
+
+
+def _as_laid(batch: SignalBatch) -> None:
+    batch.segments[0].v_ab[:] = 0.0
+
+
+def _losses_of_all(batch: SignalBatch) -> None:
+    losses = batch.segments[1].losses
+    assert losses is not None
+    losses.power_w[:] = 0.0
+
+
+def _bounds(batch: SignalBatch) -> None:
+    batch.starts[1] = 0
+
+
+@pytest.mark.parametrize("method", ["correct_batch", "doubts_batch"])
+@pytest.mark.parametrize("write", [_zero, _shift, _sorted, _first_segment, _as_laid, _losses_of_all, _bounds])
+def test_writing_into_a_batch_is_refused_and_changes_nothing(method: str, write: Callable[[Any], Any]) -> None:
+    batch, untouched = _batch(), _batch()
+    with pytest.raises(PluginError, match=f"^effects: brought: {method}: writes into the signals"):
+        getattr(guarded(InOneCall(write)), method)(batch, VALUES)
+    for name in ("v_ab", "i_ab", "heat_j", "starts"):
+        np.testing.assert_array_equal(getattr(batch, name), getattr(untouched, name))
+        assert getattr(batch, name).flags.writeable
+    for one, other in zip(batch.segments, untouched.segments, strict=True):
+        assert one.losses is not None
+        assert other.losses is not None
+        np.testing.assert_array_equal(one.v_ab, other.v_ab)
+        np.testing.assert_array_equal(one.losses.power_w, other.losses.power_w)
+
+
+@pytest.mark.parametrize("write", [_zero, _shift, _sorted, _forgotten])
+def test_writing_into_the_signals_that_are_doubted_or_looked_at_is_refused(write: Callable[[Any], Any]) -> None:
+    effect: Any = guarded(InOneCall(write))
+    with pytest.raises(PluginError, match="brought: doubts: writes into the signals"):
+        effect.doubts(exciting_signals(), VALUES)
+    with pytest.raises(PluginError, match="brought: shows_in: writes into the signals"):
+        effect.shows_in(exciting_signals())
+    with pytest.raises(PluginError, match="brought: measured: writes into the signals"):
+        guarded(InOneCall(lambda segments: write(segments[0]))).measured([exciting_signals()])  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("name", ["correct_batch", "doubts", "doubts_batch", "shows_in", "measured"])
+def test_what_an_effect_does_not_have_its_guard_has_not(name: str) -> None:
+    assert not hasattr(guarded(Brought()), name)
+    assert hasattr(guarded(InOneCall(lambda _: None)), name)
+
+
+def test_a_correction_of_a_batch_and_doubts_are_copies_that_can_be_written_to() -> None:
+    batch = _batch()
+    of_batch: Any = guarded(InOneCall(lambda b: Correction(v_ab=b.i_ab[::-1])))
+    of_doubts: Any = guarded(InOneCall(lambda b: (Correction(v_ab=b.i_ab), Correction(i_ab=b.v_ab))))
+    found = [of_batch.correct_batch(batch, VALUES), *of_doubts.doubts_batch(batch, VALUES)]
+    assert [set(one.arrays) for one in found] == [{"v_ab"}, {"v_ab"}, {"i_ab"}]
+    np.testing.assert_array_equal(found[0].v_ab, batch.i_ab[::-1])
+    for array in (array for one in found for array in one.arrays.values()):
+        assert array.flags.writeable
+        assert array.flags.c_contiguous
+        assert not any(np.shares_memory(array, of) for of in (batch.i_ab, batch.v_ab))
+
+
+def test_segments_that_share_their_losses_share_them_behind_the_guard() -> None:
+    one, other = _batch().segments
+    together = SignalBatch.of([one, other.model_copy(update={"losses": one.losses})])
+    seen: list[SignalBatch] = []
+
+    def look(batch: SignalBatch) -> Correction:
+        seen.append(batch)
+        return Correction()
+
+    effect: Any = guarded(InOneCall(look))
+    effect.correct_batch(together, VALUES)
+    (batch,) = seen
+    assert batch.segments[0].losses is batch.segments[1].losses
+    assert batch.segments[0].losses is not one.losses
+
+
+def test_no_correction_of_a_batch_and_no_sequence_of_doubts_is_said() -> None:
+    nothing: Any = guarded(InOneCall(lambda _: None))
+    with pytest.raises(PluginError, match="brought: correct_batch: returned NoneType, no Correction"):
+        nothing.correct_batch(_batch(), VALUES)
+    for method, signals in (("doubts", exciting_signals()), ("doubts_batch", _batch())):
+        with pytest.raises(PluginError, match=f"brought: {method}: returned NoneType instead of a sequence"):
+            getattr(nothing, method)(signals, VALUES)
+        with pytest.raises(PluginError, match=f"brought: {method}: returned int, no Correction"):
+            getattr(guarded(InOneCall(lambda _: [1])), method)(signals, VALUES)
+
+
+def test_what_looks_at_signals_says_behind_the_guard_what_it_says() -> None:
+    shows: Any = guarded(InOneCall(lambda s: len(s.v_dc) > 10))
+    assert shows.shows_in(exciting_signals()) is True
+    tells: Any = guarded(InOneCall(lambda segments: Brought.Parameters(offset_v=float(len(segments)))))
+    assert tells.measured([exciting_signals()] * 2).offset_v == 2.0
+
+
+def test_what_an_effect_raises_by_itself_is_passed_on() -> None:
+    def complain(batch: SignalBatch) -> Correction:
+        raise ValueError("no such batch")
+
+    effect: Any = guarded(InOneCall(complain))
+    with pytest.raises(ValueError, match="no such batch"):
+        effect.correct_batch(_batch(), VALUES)
 
 
 class WithoutAmplitude(Brought):

@@ -5,8 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.model import Fit, MapSpace
-from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias
+from orchestrator.numerics.frames import to_dq
+from plugins.effects.frame import RotorMisalignment
+from protocols import SignalBatch
+from tests.orchestrator.diagnosis.fitting.test_fit import fitted_bias, with_free
 from tests.orchestrator.diagnosis.pieces import GRID, fitter, free_model, plan, prepared, with_voltage
 
 
@@ -50,3 +54,40 @@ def test_covariance_is_that_of_all_unknowns_together(fit: Fit) -> None:
     whole[1 : 1 + GRID.size, 1 : 1 + GRID.size] += fit.model.space.prior.T @ fit.model.space.prior
     whole[-count:, -count:] += np.eye(count)
     np.testing.assert_allclose(fit.covariance(), np.linalg.inv(whole)[-count:, -count:], rtol=1e-4)
+
+
+def test_each_segment_of_a_frame_is_found_wherever_its_batch_is(fit: Fit) -> None:
+    places = [k for frame in fit.frame.batches for k in frame.batch.places]
+    assert sorted(places) == list(range(len(fit.prepared.pieces)))
+    assert places != sorted(places)
+    for k, piece in enumerate(fit.prepared.pieces):
+        batch, base = fit.frame.base_of(k)
+        assert batch.pieces == (piece,)
+        np.testing.assert_array_equal(base.i_ab, piece.signals.i_ab)
+        np.testing.assert_array_equal(base.resistance_ohm, fit.frame.batches[0].base.resistance_ohm[0])
+        assert len(fit.frame.pieces[k].basis) == piece.windows.rows
+    with pytest.raises(IndexError):
+        fit.frame.base_of(len(fit.prepared.pieces))
+
+
+def test_a_segment_is_corrected_as_if_it_were_alone(fit: Fit) -> None:
+    for k, piece in enumerate(fit.prepared.pieces):
+        base = fit.frame.base_of(k)[1].segment(0)
+        alone = apply_effects(SignalBatch.of([base]), fit.model.active).signals
+        corrected = fit.corrected(k)
+        assert corrected.samples == len(piece.signals.v_dc)
+        np.testing.assert_array_equal(corrected.v_ab, alone.v_ab)
+        assert (np.abs(corrected.v_ab - piece.signals.v_ab).max() > 0.1) == piece.signals.bridge_on
+
+
+def test_true_currents_are_those_of_the_rotor_where_the_effects_have_it() -> None:
+    maker = fitter(prepared(plan(sparse=True), angle=0.4))
+    model = with_free(free_model(), maker, RotorMisalignment(), angle_rad=0.05)
+    fit = maker.evaluate(model, maker.frame(model))
+    currents = fit.true_currents()
+    assert len(currents) == len(maker.prepared.pieces)
+    for k, (piece, current) in enumerate(zip(maker.prepared.pieces, currents, strict=True)):
+        corrected = fit.corrected(k)
+        np.testing.assert_allclose(current, to_dq(corrected.i_m_ab, corrected.theta_rad), atol=1e-12)
+        if piece.signals.bridge_on:
+            assert abs(corrected.theta_rad[0] - 0.4) == pytest.approx(0.05)

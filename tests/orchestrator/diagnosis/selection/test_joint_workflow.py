@@ -11,7 +11,6 @@ import pytest
 from orchestrator.diagnosis._prepare import setup_of
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, is_sharp
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_workflow
@@ -44,8 +43,7 @@ def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup
     maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
     given = ((VoltageBias(), {"bias_a_v": bias_v}), (CurrentGainMismatch(), {"gain_a_minus_b": 0.005}))
     hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
-    pieces = [replace(p, signals=apply_effects(p.signals, hidden).signals) for p in made.pieces]
-    setup = setup_of(replace(made, pieces=tuple(pieces)), maker.noise)
+    setup = setup_of(made_of.with_effects(made, hidden), maker.noise)
     bare = setup.fitter.fit(free_model())
     absent = [c.absent() for c in scaled_library(looked_for, made.manifest)]
     return setup, bare, setup.fitter.fit(bare.model.with_active(absent))

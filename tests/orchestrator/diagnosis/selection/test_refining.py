@@ -88,10 +88,10 @@ def test_a_second_form_is_also_begun_with_what_the_first_has_been_bent_by() -> N
     simple = candidate.absent().freeing("yield_wb")
     bent = simple.moved("variance", 0.6).freeing("variance")
     fit = maker.fit(free_model())
-    left = replace(fit, chi2=3.0 * fit.dof)
-    forms = [(form.values["softness"], form.values["variance"]) for form in _other_forms(simple, bent, left)]
+    best = replace(fit, model=fit.model.with_active([bent]), chi2=3.0 * fit.dof)
+    forms = [(form.values["softness"], form.values["variance"]) for form in _other_forms(simple, best, 0)]
     assert forms == [(0.6, 0.0), (0.6, bent.values["variance"])]
-    assert _other_forms(simple, bent, replace(fit, chi2=1.0 * fit.dof)) == []
+    assert _other_forms(simple, replace(best, chi2=1.0 * fit.dof), 0) == []
 
 
 def test_few_numbers_bend_a_form_and_details_wait() -> None:

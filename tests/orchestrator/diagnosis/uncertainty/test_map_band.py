@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.diagnosis.fitting.corrections import apply_effects
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty, Unseen, flux_rows
 from plugins.effects.resistance import WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch
 from plugins.effects.timing import CurrentFilter, VoltageDelay
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
-from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared
+from tests.orchestrator.diagnosis.pieces import L_D, L_Q, fitter, free_model, plan, prepared, with_effects
 
 POINTS = np.array([[0.0, 0.0], [1.5, 0.0], [-1.5, 0.5], [0.0, 1.5], [1.0, 1.0]])
 
@@ -56,12 +53,8 @@ def test_an_effect_that_was_left_out_lies_within_what_it_might_do() -> None:
     maker = fitter(prepared(plan()))
     (candidate,) = scaled_library([delay], maker.prepared.manifest)
     truth = with_free(free_model(), maker, delay, delay_s=4e-6)
-    moved = [
-        replace(p, signals=apply_effects(p.signals, [a.moved("delay_s", -a.coordinate("delay_s"))]).signals)
-        for p in maker.prepared.pieces
-        for a in truth.active
-    ]
-    late = fitter(replace(maker.prepared, pieces=tuple(moved)))
+    back = [a.moved("delay_s", -a.coordinate("delay_s")) for a in truth.active]
+    late = fitter(with_effects(maker.prepared, back))
     without = late.fit(free_model())
     (unseen,) = MapUncertainty.of(late, without, [candidate]).unseen
     assert unseen.probability > 0.99
@@ -89,8 +82,7 @@ def test_what_would_have_to_be_less_than_nothing_is_not_there() -> None:
 
     def unseen_beside(delay_s: float) -> Unseen:
         truth = with_free(free_model(), maker, VoltageDelay(), delay_s=delay_s)
-        late = [replace(p, signals=apply_effects(p.signals, truth.active).signals) for p in maker.prepared.pieces]
-        other = fitter(replace(maker.prepared, pieces=tuple(late)))
+        other = fitter(with_effects(maker.prepared, truth.active))
         (unseen,) = MapUncertainty.of(other, other.fit(free_model()), [candidate]).unseen
         return unseen
 

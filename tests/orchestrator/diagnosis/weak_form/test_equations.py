@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import (
     basis,
-    difference,
+    change_of_rows,
     flux_terms,
     local_map,
     voltage_and_resistance,
@@ -19,7 +20,7 @@ from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.windows import plain_windows
 from orchestrator.numerics.frames import to_ab
-from protocols import SegmentStage, Signals
+from protocols import SegmentStage, SignalBatch, Signals
 from tests.orchestrator.diagnosis.pieces import FS, GRID, PM_WB, R_S, TRUE_MAP, Array, Plan, piece, ripple, sweep
 
 SWEEP = Plan(SegmentStage.CLASSICAL, sweep(1, 2.5, 1.0))
@@ -29,14 +30,16 @@ RIPPLE = Plan(
 
 
 def _rows(one: SegmentSignals, signals: Signals, magnetics: Magnetics = TRUE_MAP) -> Array:
-    at = local_map(one, signals, magnetics)
-    known, resistance = voltage_and_resistance(one, signals, at, PM_WB)
-    return known + R_S * resistance + flux_terms(one, at)
+    batch, there = SegmentBatch.of([one]), SignalBatch.of([signals])
+    at = local_map(batch, there, magnetics)
+    known, resistance = voltage_and_resistance(batch, there, at, PM_WB)
+    return known + R_S * resistance + flux_terms(batch, at)
 
 
 def _voltage(one: SegmentSignals) -> Array:
     """What the rows consist of, to say how small what is left is."""
-    return voltage_and_resistance(one, one.signals, local_map(one, one.signals, TRUE_MAP), PM_WB)[0]
+    batch = SegmentBatch.of([one])
+    return voltage_and_resistance(batch, batch.signals, local_map(batch, batch.signals, TRUE_MAP), PM_WB)[0]
 
 
 def _saturated() -> Magnetics:
@@ -52,11 +55,12 @@ def test_nothing_is_left_where_the_model_is_the_machine(plan: Plan) -> None:
 
 @pytest.mark.parametrize("plan", [SWEEP, RIPPLE])
 def test_columns_of_the_coefficients_are_the_flux(plan: Plan) -> None:
-    one, magnetics = piece(plan), _saturated()
-    at = local_map(one, one.signals, magnetics)
-    terms = flux_terms(one, at)
+    batch, magnetics = SegmentBatch.of([piece(plan)]), _saturated()
+    at = local_map(batch, batch.signals, magnetics)
+    terms = flux_terms(batch, at)
     # Polynomials are used a little beyond their cells, where they part by some 3e-6.
-    columns = basis(one, at, magnetics) @ magnetics.coefficients
+    (columns,) = basis(batch, at, magnetics)
+    columns = columns @ magnetics.coefficients
     np.testing.assert_allclose(columns, terms, atol=1e-4 * np.abs(terms).max())
 
 
@@ -98,8 +102,9 @@ def test_an_unknown_turn_of_the_frame_is_found_in_the_angle() -> None:
 
 @pytest.mark.parametrize("quantity", ["v_ab", "i_ab", "i_m_ab", "resistance_ohm", "theta_rad"])
 @pytest.mark.parametrize("turn", [0.0, 0.05])
-def test_difference_is_the_derivative_by_each_quantity(quantity: str, turn: float) -> None:
+def test_change_of_rows_is_the_derivative_by_each_quantity(quantity: str, turn: float) -> None:
     one, magnetics, h = piece(SWEEP), _saturated(), 1e-5
+    batch = SegmentBatch.of([one])
     base = one.signals.model_copy(update={"theta_rad": one.signals.theta_rad + turn}) if turn else one.signals
     base = base.model_copy(update={"resistance_ohm": R_S * base.resistance_ohm})
     t = np.arange(len(base.v_dc)) / FS
@@ -111,13 +116,14 @@ def test_difference_is_the_derivative_by_each_quantity(quantity: str, turn: floa
         return base.model_copy(update=changed)
 
     def rows(x: float) -> Array:
-        signals = moved(x)
-        at = local_map(one, signals, magnetics)
-        known, resistance = voltage_and_resistance(one, signals, at, PM_WB)
-        return known + resistance + flux_terms(one, at)
+        signals = SignalBatch.of([moved(x)])
+        at = local_map(batch, signals, magnetics)
+        known, resistance = voltage_and_resistance(batch, signals, at, PM_WB)
+        return known + resistance + flux_terms(batch, at)
 
     slope = (rows(h) - rows(-h)) / (2.0 * h)
-    at = local_map(one, base, magnetics)
-    told = one.windows.combine(difference(one, base, {quantity: h * shape}, at, PM_WB)) / h
+    there = SignalBatch.of([base])
+    at = local_map(batch, there, magnetics)
+    derivative = change_of_rows(batch, there, {quantity: h * shape}, at, PM_WB) / h
     # What it leaves out is the small correction of the trapezoidal rule.
-    np.testing.assert_allclose(told, slope, atol=1e-3 * np.abs(slope).max())
+    np.testing.assert_allclose(derivative, slope, atol=1e-3 * np.abs(slope).max())

@@ -9,7 +9,8 @@ import pytest
 from scipy.linalg import cholesky_banded
 
 from orchestrator.diagnosis.criteria import WeakFormCriteria
-from orchestrator.diagnosis.weak_form.equations import flux_terms, local_map, voltage_and_resistance
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch
+from orchestrator.diagnosis.weak_form.equations import LocalMap, flux_terms, local_map, voltage_and_resistance
 from orchestrator.diagnosis.weak_form.noise import (
     SensorNoise,
     Slopes,
@@ -19,6 +20,7 @@ from orchestrator.diagnosis.weak_form.noise import (
     banded_covariance,
     sensor_noise,
 )
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_between
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import (
@@ -49,15 +51,20 @@ COVARIANCE = NOISE_A**2 * np.array([[1.0, 0.6], [0.6, 1.6]])
 
 
 def _rows(asked: Plan, noise: Array) -> Array:
-    one = piece(asked, noise=noise)
-    at = local_map(one, one.signals, TRUE_MAP)
-    known, resistance = voltage_and_resistance(one, one.signals, at, PM_WB)
-    return known + R_S * resistance + flux_terms(one, at)
+    batch = SegmentBatch.of([piece(asked, noise=noise)])
+    at = local_map(batch, batch.signals, TRUE_MAP)
+    known, resistance = voltage_and_resistance(batch, batch.signals, at, PM_WB)
+    return known + R_S * resistance + flux_terms(batch, at)
+
+
+def _local(one: SegmentSignals) -> LocalMap:
+    batch = SegmentBatch.of([one])
+    return local_map(batch, batch.signals, TRUE_MAP)
 
 
 def _whitener(asked: Plan, slopes: Slopes | None = None) -> Whitener:
     one = piece(asked)
-    at = local_map(one, one.signals, TRUE_MAP)
+    at = _local(one)
     noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
     return Whitener.of(banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, slopes))
 
@@ -77,7 +84,7 @@ def test_whitened_noise_has_unit_covariance(asked: Plan) -> None:
 
 def test_variance_and_determinant_are_the_covariances_own() -> None:
     one = piece(SWEEP)
-    at = local_map(one, one.signals, TRUE_MAP)
+    at = _local(one)
     noise = SensorNoise(COVARIANCE, COVARIANCE, 0.0)
     banded = banded_covariance(one, at, np.ones(len(one.signals.v_dc)), noise, R_S, None)
     n = banded.shape[1]
@@ -92,7 +99,7 @@ def test_variance_and_determinant_are_the_covariances_own() -> None:
 
 def test_errors_in_common_are_whitened_too() -> None:
     one = piece(SWEEP)
-    at = local_map(one, one.signals, TRUE_MAP)
+    at = _local(one)
     banded = banded_covariance(
         one, at, np.ones(len(one.signals.v_dc)), SensorNoise(COVARIANCE, COVARIANCE, 0.0), R_S, None
     )
@@ -170,7 +177,7 @@ def test_the_axis_that_was_read_is_whitened_as_if_the_other_were_not_there(unrea
     one = piece(Plan(SegmentStage.CLASSICAL, sweep(1 - unread, 2.0, 0.0, 1200)), angle=0.3)
     alone = replace(one, windows=replace(one.windows, unread=unread))
     noise = SensorNoise(NOISE_A**2 * np.eye(2), NOISE_A**2 * np.eye(2), 0.0)
-    local = local_map(one, one.signals, TRUE_MAP)
+    local = _local(one)
     banded = banded_covariance(alone, local, np.ones(len(one.signals.v_dc)), noise, R_S, None)
     rows = np.random.default_rng(5).normal(size=alone.windows.rows)
     other = rows.copy()

@@ -20,8 +20,8 @@ def _observed(noise: Array | float = 0.0, bias_v: float = 0.0) -> tuple[Array, A
     psi, inductance = TRUE_MAP.flux_and_inductance(i_dq)
     i_ab, v_ab = to_ab(i_dq, ANGLE), to_ab(V_DQ, ANGLE) + bias_v
     ohm = np.full(len(i_ab), R_S)
-    turn = np.array([[math.cos(ANGLE), math.sin(ANGLE)]])
-    return smooth_flux(psi, inductance, v_ab, i_ab, ohm, turn, PM_WB, 1.0 / FS, TAU_S)
+    turn, starts = np.array([[math.cos(ANGLE), math.sin(ANGLE)]]), np.array([0, len(i_ab)])
+    return smooth_flux(psi, inductance, v_ab, i_ab, ohm, turn, PM_WB, starts, np.array([1.0 / FS]), TAU_S)
 
 
 def test_exact_signals_come_back_as_they_are() -> None:
@@ -53,10 +53,12 @@ def test_a_map_that_is_nearly_flat_leads_the_current_no_further_than_the_largest
     i_dq = response(V_DQ, V_DQ.mean(axis=0) / R_S)
     psi, inductance = TRUE_MAP.flux_and_inductance(i_dq)
     i_ab, v_ab = to_ab(i_dq, ANGLE), to_ab(V_DQ, ANGLE)
-    turn = np.array([[math.cos(ANGLE), math.sin(ANGLE)]])
+    turn, starts = np.array([[math.cos(ANGLE), math.sin(ANGLE)]]), np.array([0, len(i_ab)])
     psi[500:600] += 0.1
     inductance[500:600, 2] *= 1e-6
-    current = smooth_flux(psi, inductance, v_ab, i_ab, np.full(len(i_ab), R_S), turn, PM_WB, 1.0 / FS, TAU_S)[2]
+    current = smooth_flux(
+        psi, inductance, v_ab, i_ab, np.full(len(i_ab), R_S), turn, PM_WB, starts, np.array([1.0 / FS]), TAU_S
+    )[2]
     off, largest = np.linalg.norm(current - i_ab, axis=1), float(np.linalg.norm(i_ab, axis=1).max())
     assert off.max() <= largest * (1.0 + 1e-9)
     np.testing.assert_allclose(off[500:600], largest, rtol=1e-9)

@@ -1,4 +1,4 @@
-"""One segment's equations: their columns are derivatives, and effects that are absent only add columns."""
+"""A batch's equations: their columns are derivatives, and effects that are absent only add columns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from scipy.optimize import brentq
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
-from orchestrator.diagnosis.weak_form.equations import difference
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch
+from orchestrator.diagnosis.weak_form.equations import change_of_rows
 from orchestrator.numerics.frames import from_two_phases, to_dq
 from plugins.effects.frame import BrakeCompliance
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -72,27 +73,33 @@ def test_columns_of_absent_effects_do_not_change_the_fit(biased: Fitter) -> None
 
 def test_a_frame_is_kept_as_far_as_the_model_did_not_move(biased: Fitter) -> None:
     model = free_model()
-    equations, piece = biased.equations, biased.prepared.pieces[-1]
-    frame = equations.renewed(model, piece, None).frame
-    again = equations.renewed(model, piece, frame).frame
-    assert again.whitener is frame.whitener
-    assert again.white_basis is frame.white_basis
-    turned = equations.renewed(with_free(model, biased, VoltageDelay(), delay_s=1e-5), piece, frame).frame
-    assert turned.basis is frame.basis
+    equations, batch = biased.equations, SegmentBatch.of(biased.prepared.pieces[-2:])
+    frame = equations.renewed(model, batch, None).frame
+    again = equations.renewed(model, batch, frame).frame
+    delayed = with_free(model, biased, VoltageDelay(), delay_s=1e-5)
+    later = equations.renewed(delayed, batch, frame).frame
+    for first, second, third in zip(frame.pieces, again.pieces, later.pieces, strict=True):
+        assert second.whitener is first.whitener
+        assert second.white_basis is first.white_basis
+        assert third.basis is first.basis
 
 
 def test_what_readings_have_in_common_is_what_an_offset_of_all_of_them_does(biased: Fitter) -> None:
     model = with_free(free_model(), biased, DeadTime(), voltage_v=2.0)
     fit, equations, offset_a = biased.evaluate(model, biased.frame(model)), biased.equations, 1e-4
-    for k, piece in enumerate(biased.prepared.pieces[:8]):
-        frame = fit.frame.pieces[k]
-        common = equations.common(model, piece, frame)
+    compared = []
+    for frame in fit.frame.batches:
+        common = equations.common(model, frame)
         for phase, one in enumerate(((1.0, 0.0), (0.0, 1.0))):
             off = frame.base.i_ab + offset_a * from_two_phases(*one)
             there = replace(frame, base=frame.base.corrected(Correction(i_ab=off)))
-            before, after = (equations.rows(equations.place(model, piece, f)).white for f in (frame, there))
-            moved = (after - before) @ np.array([1.0, model.r_s]) / offset_a
-            assert np.linalg.norm(common[:, phase] - moved) < 0.02 * np.linalg.norm(moved)
+            before, after = (equations.rows(equations.at(model, f)) for f in (frame, there))
+            for j, k in enumerate(frame.batch.places):
+                moved = (after[j].white - before[j].white) @ np.array([1.0, model.r_s]) / offset_a
+                if k < 8:
+                    assert np.linalg.norm(common[j][:, phase] - moved) < 0.02 * np.linalg.norm(moved)
+                    compared.append(k)
+    assert sorted(compared) == sorted([*range(8)] * 2)
 
 
 def test_a_resistance_below_nothing_loses_nothing(biased: Fitter) -> None:
@@ -101,9 +108,10 @@ def test_a_resistance_below_nothing_loses_nothing(biased: Fitter) -> None:
     bare = biased.prepared.pieces[0]
     piece = replace(bare, signals=bare.signals.model_copy(update={"losses": history}))
     for r_s, power_w in ((-1.0, 0.0), (2.0 * R_S, 10.0)):
-        base = biased.equations.renewed(replace(free_model(), r_s=r_s), piece, None).frame.base
-        assert base.losses is not None
-        assert base.losses.power_w[-1] == pytest.approx(power_w)
+        model = replace(free_model(), r_s=r_s)
+        (signals,) = biased.equations.renewed(model, SegmentBatch.of([piece]), None).frame.base.segments
+        assert signals.losses is not None
+        assert signals.losses.power_w[-1] == pytest.approx(power_w)
 
 
 @pytest.mark.parametrize("angle", [0.0, 0.6])
@@ -112,7 +120,8 @@ def test_effects_see_the_flux_of_the_rotor_where_it_lies(angle: float) -> None:
     made = fitter(prepared([*plan(), Plan(SegmentStage.RESISTANCE, hold(-2.0, 2.0))], angle=angle, noise_a=0.0))
     model = with_free(free_model(), made, BrakeCompliance(), rad_per_nm=0.05)
     piece = made.prepared.pieces[-1]
-    place = made.equations.place(model, piece, made.equations.renewed(model, piece, None).frame)
+    batch = SegmentBatch.of([piece])
+    state = made.equations.at(model, made.equations.renewed(model, batch, None).frame)
     i_d, i_q = map(float, to_dq(piece.signals.i_ab, angle)[-1])
 
     def torque_nm(delta: float) -> float:
@@ -120,7 +129,7 @@ def test_effects_see_the_flux_of_the_rotor_where_it_lies(angle: float) -> None:
         return 1.5 * MOTOR.pole_pairs * ((PM_WB + L_D * d) * q - L_Q * q * d)
 
     twist = brentq(lambda delta: delta - 0.05 * torque_nm(delta), -1.0, 1.0)
-    assert place.cascade.corrected.theta_rad[-1] - angle == pytest.approx(twist, rel=1e-2)
+    assert state.cascade.corrected.theta_rad[-1] - angle == pytest.approx(twist, rel=1e-2)
     assert 0.05 * torque_nm(0.0) != pytest.approx(twist, rel=3e-2)
 
 
@@ -128,10 +137,10 @@ def test_effects_see_the_flux_of_the_current_that_magnetises() -> None:
     made = fitter(prepared(plan(sparse=True), noise_a=0.0))
     model = with_free(free_model(), made, EddyCurrents(), core_loss_ohm=300.0)
     piece = made.prepared.pieces[-1]
-    place = made.equations.place(model, piece, made.equations.renewed(model, piece, None).frame)
-    magnetising = TRUE_MAP.flux_and_inductance(to_dq(place.cascade.corrected.i_m_ab, 0.0))[0] + np.array([PM_WB, 0.0])
+    state = made.equations.at(model, made.equations.renewed(model, SegmentBatch.of([piece]), None).frame)
+    magnetising = TRUE_MAP.flux_and_inductance(to_dq(state.cascade.corrected.i_m_ab, 0.0))[0] + np.array([PM_WB, 0.0])
     of_all = TRUE_MAP.flux_and_inductance(to_dq(piece.signals.i_ab, 0.0))[0] + np.array([PM_WB, 0.0])
-    seen = place.frame.base.psi_ab
+    seen = state.frame.base.psi_ab
     assert seen is not None
     apart = np.abs(of_all - magnetising).max()
     assert apart > 1e-3 * np.ptp(of_all)
@@ -142,10 +151,13 @@ def test_what_iron_may_remember_is_expected_as_noise() -> None:
     made = fitter(prepared(plan(sparse=True)))
     model = with_free(free_model(), made, Hysteresis(), half_width_a=0.5)
     piece = next(p for p in made.prepared.pieces if p.stage is SegmentStage.CLASSICAL)
-    place = made.equations.place(model, piece, made.equations.renewed(model, piece, None).frame)
-    bare = made.equations.renewed(free_model(), piece, None).frame.whitener
-    for change in place.cascade.doubts():
-        rows = piece.windows.combine(difference(piece, place.cascade.corrected, change, place.local, PM_WB))
-        known, unknown = np.linalg.norm(place.frame.whitener(rows)), np.linalg.norm(bare(rows))
+    batch = SegmentBatch.of([piece])
+    state = made.equations.at(model, made.equations.renewed(model, batch, None).frame)
+    aware, bare = (f.pieces[0].whitener for f in (state.frame, made.equations.renewed(free_model(), batch, None).frame))
+    changes = list(state.cascade.random_directions())
+    assert changes
+    for change in changes:
+        rows = change_of_rows(batch, state.cascade.corrected, change, state.local, PM_WB)
+        known, unknown = np.linalg.norm(aware(rows)), np.linalg.norm(bare(rows))
         assert unknown > 3.0
         assert known < 1.0
