@@ -59,8 +59,8 @@ SETTLED = 1e-3
 class Swing(NamedTuple):
     """What a leg's node does between a command and the end of its dead time."""
 
-    course: Array
-    """See `swing_course`."""
+    lines: Array
+    """See `swing_lines`."""
     takeover: float = 0.0
     """r: of the dead time, that a switch takes to take over the current of a knee."""
     yielding: float = 0.0
@@ -83,12 +83,24 @@ def swing_course(grading: float, entries: int = 256) -> Array:
     return np.stack([np.interp(q, charge, u), area / np.maximum(q, q[1])])
 
 
+@lru_cache(maxsize=32)
+def swing_lines(grading: float) -> Array:
+    """`swing_course` as lines from each of its places to the next, shape (2, places + 1, 2).
+
+    Each is told by what it is at the place 0, and its slope; the last one twice.
+    """
+    course = swing_course(grading)
+    slopes = np.diff(course, axis=1)
+    lines = np.stack([course[:, :-1] - np.arange(slopes.shape[1]) * slopes, slopes], axis=2)
+    return np.concatenate([lines, lines[:, -1:]], axis=1)
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _read(row: Array, q: float) -> float:
-    """A row of `swing_course` at q = 0..1."""
-    place = q * (row.shape[0] - 1)
-    m = min(int(place), row.shape[0] - 2)
-    return float(row[m] + (place - m) * (row[m + 1] - row[m]))
+def _mean_until(charge: float, lines: Array) -> float:
+    """Mean of the node's part of the bus until so much of a swing's charge has flown."""
+    place = charge * (lines.shape[1] - 1)
+    row = np.uintp(int(place))
+    return float(lines[1, row, 0] + lines[1, row, 1] * place)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -97,13 +109,11 @@ def _late_by(helping: float, leg: float, swing: Swing) -> float:
     x = helping * leg
     if x <= 0.0:
         return leg - swing.takeover * helping
-    return 0.5 / helping if x >= 1.0 else leg * (1.0 - _read(swing.course[1], x))
+    return 0.5 / helping if x >= 1.0 else leg * (1.0 - _mean_until(x, swing.lines))
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _late(
-    helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, lines: Array, swing: Swing
-) -> float:
+def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, swing: Swing) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
     Parameters
@@ -118,8 +128,6 @@ def _late(
         The same of the dead time.
     leg : float
         The leg's own dead time.
-    lines : array
-        Of `_lines`.
     swing : Swing
     """
     now = helping - pull[1] * max(0.0, -due[0]) - pull[2] * max(0.0, -due[1])
@@ -136,11 +144,11 @@ def _late(
     then = helping - first * max(0.0, wait - due[0]) - second * max(0.0, wait - due[1])
     if now + abs(wait) * (abs(first) + abs(second)) <= 0.0:
         return leg - swing.takeover * then
-    late, in_time = _swing_late(helping, now, (own, first, second), due, volts, leg, lines)
+    late, in_time = _swing_late(helping, now, (own, first, second), due, volts, leg, swing.lines)
     return late if in_time else late - swing.takeover * min(0.0, then)
 
 
-@njit(cache=True, nogil=True, fastmath={"contract"})
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def _swing_late(
     helping: float, now: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, lines: Array
 ) -> tuple[float, bool]:
@@ -150,7 +158,7 @@ def _swing_late(
     steps = math.ceil(STEPS * max(2.0, now * leg))
     step = leg / steps
     # Charge is counted in places of the course; of a place and of a current, what a step and half of one add.
-    places = float(lines.shape[0] - 1)
+    places = float(lines.shape[1] - 1)
     push, half_push, own_volts = places * step, 0.5 * places * step, volts * pull[0]
     by_risen, half_by_risen, by_node = push * own_volts, half_push * own_volts, half_push * own_volts * step
     risen, charge, node, since, half_since = 0.0, 0.0, 0.0, volts * step, 0.5 * volts * step
@@ -164,21 +172,11 @@ def _swing_late(
         if whole >= places:
             part = (places - charge) / (whole - charge)
             return step * m - risen + step * part * (0.5 - 0.5 * node), True
-        at_half, at_end = int(half), int(whole)
-        risen += step * (lines[at_half, 0] + lines[at_half, 1] * half)
-        charge, node = whole, lines[at_end, 0] + lines[at_end, 1] * whole
+        # Places that cannot be negative need not be counted from an array's end.
+        at_half, at_end = np.uintp(int(half)), np.uintp(int(whole))
+        risen += step * (lines[0, at_half, 0] + lines[0, at_half, 1] * half)
+        charge, node = whole, lines[0, at_end, 0] + lines[0, at_end, 1] * whole
     return leg - risen, False
-
-
-@njit(cache=True, nogil=True)
-def _lines(row: Array) -> Array:
-    """A row of `swing_course` as what it is at the place 0 and its slope, of the line from each place to the next."""
-    out = np.empty((row.shape[0], 2))
-    for m in range(row.shape[0] - 1):
-        out[m, 1] = row[m + 1] - row[m]
-        out[m, 0] = row[m] - m * out[m, 1]
-    out[-1] = out[-2]
-    return out
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -203,7 +201,7 @@ def _pulls(inductance: Array, scale: float) -> tuple[Legs, Legs, Legs]:
     return (own_a, a_b, c_a), (own_b, b_c, a_b), (own_c, c_a, b_c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def lost_at_edges(
     v_ab: Array,
     i_ab: Array,
@@ -236,7 +234,7 @@ def lost_at_edges(
         Carrier periods in an interval.
     swing : Swing
     """
-    out, lines = np.empty_like(v_ab), _lines(swing.course[0])
+    out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         up, down = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
         last, share = starts[s + 1] - 1, 1.0 / cycles[s]
@@ -256,13 +254,13 @@ def lost_at_edges(
                 for _ in range(PASSES):
                     (a0, b0, c0), (a1, b1, c1) = up, down
                     a_up, a_down = _edges(
-                        a, drift_a, by_a, (ab, -ca), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], lines, swing
+                        a, drift_a, by_a, (ab, -ca), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
                     )
                     b_up, b_down = _edges(
-                        b, drift_b, by_b, (bc, -ab), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], lines, swing
+                        b, drift_b, by_b, (bc, -ab), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], swing
                     )
                     c_up, c_down = _edges(
-                        c, drift_c, by_c, (ca, -bc), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], lines, swing
+                        c, drift_c, by_c, (ca, -bc), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], swing
                     )
                     up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
                     moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
@@ -288,7 +286,6 @@ def _edges(
     falls: Legs,
     volts: float,
     leg: float,
-    lines: Array,
     swing: Swing,
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
@@ -304,5 +301,5 @@ def _edges(
     falling += pull[2] * (apart[1] + volts * (rises[0] - rises[2]))
     up = (volts * rises[1] - apart[0], volts * rises[2] - apart[1])
     down = (volts * falls[1] + apart[0], volts * falls[2] + apart[1])
-    rise = _late(-rising, pull, up, volts, leg, lines, swing)
-    return rise, _late(falling, pull, down, volts, leg, lines, swing)
+    rise = _late(-rising, pull, up, volts, leg, swing)
+    return rise, _late(falling, pull, down, volts, leg, swing)
