@@ -9,13 +9,13 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from orchestrator.numerics.kernels import dq_of
+from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import NOTHING, BatchEffect, DoubtfulBatchEffect, axes, per_segment
+from plugins.effects._batches import NOTHING, BatchEffect, DoubtfulBatchEffect, per_segment
 from plugins.effects._filters import lagged_steps
 from plugins.effects._losses import along_losses
 from plugins.effects._stops import Course, stops, yields_of
-from plugins.effects._vectors import Starts, doubles, plus_along
+from plugins.effects._vectors import Starts, doubles, plus_along_d
 from protocols import (
     Contrast,
     Correction,
@@ -67,7 +67,7 @@ class EddyCurrents(BatchEffect):
             NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab),
             doubles(batch.i_ab),
             doubles(batch.resistance_ohm),
-            axes(batch) if p.saliency != 0.0 else NOTHING,
+            doubles(batch.theta_rad) if p.saliency != 0.0 else np.zeros(0),
             batch.starts,
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
             per_segment(p.lag_s * batch.sampling_frequency_hz, lambda late: _paths(late, p.diffused)),
@@ -110,7 +110,7 @@ def _without_eddies(
     late_ab: Array,
     i_ab: Array,
     ohm: Array,
-    axis: Array,
+    theta_rad: Array,
     starts: Starts,
     siemens: Array,
     paths: Array,
@@ -121,8 +121,8 @@ def _without_eddies(
     ----------
     late_ab : array, shape (N, 2) or (0, 2)
         What an interval's end has beside the mean voltage; empty where nothing.
-    axis : array, shape (N, 2) or (0, 2)
-        Cosine and sine of the d axis' angle; empty where both axes are alike.
+    theta_rad : array, shape (N,) or (0,)
+        The d axis' angle; empty where both axes are alike.
     siemens : array, shape (2,)
         Conductance on d and on q.
     paths : array, shape (segments, m, 4)
@@ -131,9 +131,10 @@ def _without_eddies(
         what its mean over an interval is beside the mean of both samples; what it feels of an interval's end.
     """
     i_out, v_out = i_m_ab.copy(), v_ab.copy()
-    salient = axis.shape[0] > 0
+    salient = theta_rad.shape[0] > 0
     for s in range(starts.shape[0] - 1):
         first = starts[s]
+        axis = unit_vectors(theta_rad[first : starts[s + 1]]) if salient else np.zeros((0, 2))
         for m in range(paths.shape[1]):
             part, decay, bend, felt = paths[s, m]
             if part == 0.0:
@@ -152,7 +153,7 @@ def _without_eddies(
                 felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
                 step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
                 step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
-                cos, sin = (axis[k, 0], axis[k, 1]) if salient else (1.0, 0.0)
+                cos, sin = (axis[k - first, 0], axis[k - first, 1]) if salient else (1.0, 0.0)
                 d, q = dq_of(part * felt_a, part * felt_b, cos, sin)
                 i_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
                 i_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
@@ -209,8 +210,10 @@ class Hysteresis(DoubtfulBatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        held = self._held(batch, p)(np.zeros((3, 2)))
-        return Correction(i_m_ab=batch.i_m_ab - p.half_width_a * held)
+        i_m_ab = self._held(batch, p)(np.zeros((3, 2)))
+        i_m_ab *= -p.half_width_a
+        i_m_ab += batch.i_m_ab
+        return Correction(i_m_ab=i_m_ab)
 
     def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
@@ -293,7 +296,7 @@ def _turned(x: Array, starts: Starts, turns: Array) -> Array:
 
 def _width(batch: SignalBatch, psi: Array, widening_per_wb2: float) -> Array:
     """By how much a loop is wider, (N,), or narrower, where the current has made a flux psi (N, 2), magnet included."""
-    by_current = psi - _magnet_wb(batch) * axes(batch)
+    by_current = plus_along_d(psi, batch.starts, np.full(batch.samples, -_magnet_wb(batch)), batch.theta_rad)
     wider = 1.0 + abs(widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
     return np.asarray(wider if widening_per_wb2 > 0.0 else 1.0 / wider)
 
@@ -444,8 +447,8 @@ class MagnetHeating(BatchEffect):
         part = along_losses(batch, warm, lambda: _part_of_heat(batch))
         nameplate = batch.motor.d_inductance_h if batch.motor is not None else None
         inductance = np.array([nameplate]) if nameplate else _inductance(batch)
-        slide = batch.per_sample(p.flux_change_wb / inductance) * part
-        return Correction(i_m_ab=plus_along(batch.i_m_ab, slide, axes(batch)))
+        part *= batch.per_sample(p.flux_change_wb / inductance)
+        return Correction(i_m_ab=plus_along_d(batch.i_m_ab, batch.starts, part, batch.theta_rad))
 
 
 def _part_of_heat(batch: SignalBatch) -> Array:
@@ -491,34 +494,37 @@ class SlotHarmonics(BatchEffect):
         there = 2.0 * np.sin(3.0 * batch.turned_rad)
         mere = np.full_like(there, p.relative)
         parts = np.stack([there * p.along_d, mere + there * p.across, there * p.along_q], axis=1)
-        inductance, axis = _inductance(batch), axes(batch)
+        inductance, theta_rad = _inductance(batch), doubles(batch.theta_rad)
         strengths = (1.0 - p.by_flux) * parts * (inductance * batch.sampling_frequency_hz)[:, None]
         v_ab, i_m_ab = doubles(batch.v_ab), doubles(batch.i_m_ab)
-        less = _without_slots(v_ab, i_m_ab, axis, batch.starts, strengths, p.fading_per_a2)
+        less = _without_slots(v_ab, i_m_ab, theta_rad, batch.starts, strengths, p.fading_per_a2)
         if p.by_flux == 0.0:
             return Correction(v_ab=less)
         asked = p.by_flux * parts / inductance[:, None]
-        more = _with_slots(i_m_ab, _flux(batch), axis, batch.starts, asked, _magnet_wb(batch))
+        more = _with_slots(i_m_ab, _flux(batch), theta_rad, batch.starts, asked, _magnet_wb(batch))
         return Correction(v_ab=less, i_m_ab=more)
 
 
 @njit(cache=True, nogil=True)
-def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, strengths: Array, fading: float) -> Array:
+def _without_slots(
+    v_ab: Array, i_ab: Array, theta_rad: Array, starts: Starts, strengths: Array, fading: float
+) -> Array:
     """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2), (N, 2).
 
     Parameters
     ----------
-    axis : array, shape (N, 2)
-        Cosine and sine of the d axis' angle.
+    theta_rad : array, shape (N,)
+        Of the d axis.
     strengths : array, shape (segments, 3)
         a, r and b.
     """
     out = v_ab.copy()
     for s in range(starts.shape[0] - 1):
-        along_d, across, along_q = strengths[s]
+        first, (along_d, across, along_q) = starts[s], strengths[s]
+        axis = unit_vectors(theta_rad[first : starts[s + 1]])
         old_alpha, old_beta = 0.0, 0.0
-        for k in range(starts[s], starts[s + 1]):
-            cos, sin = axis[k, 0], axis[k, 1]
+        for k in range(first, starts[s + 1]):
+            cos, sin = axis[k - first, 0], axis[k - first, 1]
             d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
             left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
             mere_d, mere_q = along_d * d + across * q, across * d + along_q * q
@@ -526,7 +532,7 @@ def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, streng
             bend = fading * (mere_d * d + mere_q * q) * left * left
             psi_d, psi_q = mere_d * left - bend * d, mere_q * left - bend * q
             alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
-            if k > starts[s]:
+            if k > first:
                 out[k - 1, 0] -= alpha - old_alpha
                 out[k - 1, 1] -= beta - old_beta
             old_alpha, old_beta = alpha, beta
@@ -534,13 +540,14 @@ def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, streng
 
 
 @njit(cache=True, nogil=True)
-def _with_slots(i_ab: Array, psi_ab: Array, axis: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
+def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
     """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `asked` as `strengths`."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
-        along_d, across, along_q = asked[s]
-        for k in range(starts[s], starts[s + 1]):
-            cos, sin = axis[k, 0], axis[k, 1]
+        first, (along_d, across, along_q) = starts[s], asked[s]
+        axis = unit_vectors(theta_rad[first : starts[s + 1]])
+        for k in range(first, starts[s + 1]):
+            cos, sin = axis[k - first, 0], axis[k - first, 1]
             d, q = dq_of(psi_ab[k, 0], psi_ab[k, 1], cos, sin)
             d -= magnet_wb
             more_d, more_q = along_d * d + across * q, across * d + along_q * q
