@@ -11,10 +11,6 @@ import numpy as np
 from orchestrator.numerics.types import Array, Indices
 from protocols import Correction, RealArray, SignalBatch, Signals
 
-NOTHING = np.zeros((0, 2))
-"""Of vectors that a kernel may do without."""
-NOTHING.flags.writeable = False
-
 
 class BatchEffect(ABC):
     """Base of an effect that is evaluated on many segments in one call."""

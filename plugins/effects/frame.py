@@ -102,19 +102,18 @@ class BrakeBacklash(BatchEffect):
         return Correction(theta_rad=lies)
 
 
-@njit(cache=True, nogil=True)
 def _ends(torque_nm: Array, friction_nm: float, softness: float) -> Array:
     """Where in its gap a rotor would lie, (N,), from -1 at one end to 1 at the other."""
-    out = np.empty_like(torque_nm)
-    for k in range(torque_nm.shape[0]):
-        x = torque_nm[k] / friction_nm
-        size = abs(x)
-        # Powers of what is below one alone, so that none overflows.
-        if size <= 1.0:
-            out[k] = x / (size ** (1.0 / softness) + 1.0) ** softness
-        else:
-            out[k] = math.copysign(1.0 / (1.0 + size ** (-1.0 / softness)) ** softness, x)
-    return out
+    x = torque_nm / friction_nm
+    large = np.abs(x)
+    # Powers of what is below one alone, so that none overflows.
+    share = np.minimum(large, 1.0)
+    np.maximum(large, 1.0, out=large)
+    large **= -1.0 / softness
+    large += share ** (1.0 / softness)
+    large **= softness
+    share /= large
+    return np.copysign(share, x, out=share)
 
 
 def _torque_nm(batch: SignalBatch) -> Array | None:

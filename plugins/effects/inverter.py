@@ -201,9 +201,13 @@ class DeadTime(BatchEffect):
         v_ab = batch.v_ab
         legs = np.maximum([1.0 + longer for longer in _longer(p)], 0.0)
         if p.switched < 1.0:
-            v_ab = _less_step(batch, (1.0 - p.switched) * volts, p.threshold_a, p, legs, charged=p.charged)
+            rest = volts if p.switched == 0.0 else (1.0 - p.switched) * volts
+            v_ab = _less_step(batch, rest, p.threshold_a, p, legs, charged=p.charged)
         if p.switched > 0.0:
-            v_ab = v_ab - p.switched * _lost_at_edges(batch, volts, legs, p)
+            lost = _lost_at_edges(batch, volts, legs, p)
+            lost *= -p.switched
+            lost += v_ab
+            v_ab = lost
         return Correction(v_ab=v_ab)
 
     def remarks(self, p: Parameters) -> list[Remark]:

@@ -11,8 +11,9 @@ from numba import njit
 
 from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import NOTHING, BatchEffect, DoubtfulBatchEffect, per_segment
+from plugins.effects._batches import BatchEffect, DoubtfulBatchEffect, per_segment
 from plugins.effects._filters import lagged_steps
+from plugins.effects._flux import flux_of, magnet_wb, typical_inductance, ways_here
 from plugins.effects._losses import along_losses
 from plugins.effects._stops import Course, stops, yields_of
 from plugins.effects._vectors import Starts, doubles, plus_along_d
@@ -64,7 +65,7 @@ class EddyCurrents(BatchEffect):
         i_m_ab, v_ab = _without_eddies(
             doubles(batch.i_m_ab),
             doubles(batch.v_ab),
-            NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab),
+            np.zeros((0, 2)) if batch.v_late_ab is None else doubles(batch.v_late_ab),
             doubles(batch.i_ab),
             doubles(batch.resistance_ohm),
             doubles(batch.theta_rad) if p.saliency != 0.0 else np.zeros(0),
@@ -233,8 +234,8 @@ class Hysteresis(DoubtfulBatchEffect):
         limits = shares * np.exp([-apart, 0.0, apart])
         there = shares > 0.0
         stiffness, parts = shares[there] / p.yield_wb, limits[there] / limits.sum()
-        psi = _flux(batch)
-        course = Course(psi, batch.starts, *_ways_here(batch, psi, p.overshoot))
+        psi = flux_of(batch)
+        course = Course(psi, batch.starts, *ways_here(batch, psi, p.overshoot))
 
         def stopped(course: Course, off: Array) -> Array:
             if p.stiffening_per_wb2 > 0.0:
@@ -296,122 +297,9 @@ def _turned(x: Array, starts: Starts, turns: Array) -> Array:
 
 def _width(batch: SignalBatch, psi: Array, widening_per_wb2: float) -> Array:
     """By how much a loop is wider, (N,), or narrower, where the current has made a flux psi (N, 2), magnet included."""
-    by_current = plus_along_d(psi, batch.starts, np.full(batch.samples, -_magnet_wb(batch)), batch.theta_rad)
+    by_current = plus_along_d(psi, batch.starts, np.full(batch.samples, -magnet_wb(batch)), batch.theta_rad)
     wider = 1.0 + abs(widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
     return np.asarray(wider if widening_per_wb2 > 0.0 else 1.0 / wider)
-
-
-WAY_STEPS = 8
-"""From corner to corner of a way."""
-
-
-def _ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, Starts]:
-    """The flux (M, 2) on each segment's way to where it begins, of psi (N, 2): from where the current was; and bounds.
-
-    Straight from point to point; last it goes beyond, by a part of the way from there, and back. Where the way is not
-    known, the end of a periodic record is what came before its start.
-    """
-    came_from = [NOTHING if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
-    points = np.array([len(one) for one in came_from])
-    lengths = np.where(points > 0, WAY_STEPS * (points + 1) + 1, np.diff(batch.starts) // 4)
-    way_starts = np.append(0, np.cumsum(lengths)).astype(np.int64)
-    motor, theta_rad = batch.motor, batch.theta_rad[batch.starts[:-1]]
-    inductance = np.repeat(_inductance(batch)[:, None], 2, axis=1)
-    if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        inductance[:] = motor.d_inductance_h, motor.q_inductance_h
-    axis = doubles(np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1))
-    began = doubles(batch.i_ab[batch.starts[:-1]])
-    corners = (doubles(np.concatenate(came_from)), points.astype(np.int64), began, inductance, axis)
-    return _ways(psi, batch.starts, way_starts, *corners, overshoot), way_starts
-
-
-@njit(cache=True, nogil=True)
-def _ways(
-    psi: Array,
-    starts: Starts,
-    way_starts: Starts,
-    came_from_ab: Array,
-    points: Starts,
-    i_ab: Array,
-    inductance: Array,
-    axis: Array,
-    overshoot: float,
-) -> Array:
-    """The flux (M, 2) of `_ways_here`.
-
-    Parameters
-    ----------
-    came_from_ab : array, shape (sum of points, 2)
-        Where the current was; `points` (segments,) of each segment, none where its way is not known.
-    i_ab, inductance, axis : array, shape (segments, 2)
-        The current where a segment begins, L_d and L_q there, cosine and sine of the d axis' angle.
-    """
-    out = np.empty((way_starts[-1], 2))
-    point = 0
-    for s in range(starts.shape[0] - 1):
-        first, end, way = starts[s], starts[s + 1], way_starts[s]
-        if points[s] == 0:
-            length = way_starts[s + 1] - way
-            for k in range(length):
-                for x in range(2):
-                    out[way + k, x] = psi[end - length + k, x] + (psi[first, x] - psi[end - 1, x])
-            continue
-        corners = np.zeros((points[s] + 2, 2))
-        cos, sin = axis[s, 0], axis[s, 1]
-        for k in range(points[s]):
-            d, q = dq_of(came_from_ab[point, 0] - i_ab[s, 0], came_from_ab[point, 1] - i_ab[s, 1], cos, sin)
-            d, q = inductance[s, 0] * d, inductance[s, 1] * q
-            corners[k, 0], corners[k, 1] = cos * d - sin * q, sin * d + cos * q
-            point += 1
-        for x in range(2):
-            corners[-2, x] = -overshoot * corners[-3, x]
-            for k in range(points[s] + 1):
-                for part in range(WAY_STEPS):
-                    on = (corners[k + 1, x] - corners[k, x]) * (part / WAY_STEPS) + corners[k, x]
-                    out[way + k * WAY_STEPS + part, x] = psi[first, x] + on
-            out[way_starts[s + 1] - 1, x] = psi[first, x]
-    return out
-
-
-def _flux(batch: SignalBatch) -> Array:
-    """Flux linkage (N, 2), up to a constant of each segment."""
-    if batch.psi_smooth_ab is not None:
-        return doubles(batch.psi_smooth_ab)
-    drops = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm))
-    return np.asarray(_summed(*drops, batch.starts, doubles(batch.sampling_frequency_hz)))
-
-
-@njit(cache=True, nogil=True)
-def _summed(v_ab: Array, i_ab: Array, ohm: Array, starts: Starts, rates_hz: Array) -> Array:
-    """The volt-seconds of v - R i from each segment's beginning, shape (N, 2)."""
-    out = np.empty_like(v_ab)
-    for s in range(starts.shape[0] - 1):
-        sum_a, sum_b = 0.0, 0.0
-        for k in range(starts[s], starts[s + 1]):
-            sum_a += v_ab[k, 0] - ohm[k] * i_ab[k, 0]
-            sum_b += v_ab[k, 1] - ohm[k] * i_ab[k, 1]
-            out[k, 0], out[k, 1] = sum_a / rates_hz[s], sum_b / rates_hz[s]
-    return out
-
-
-def _magnet_wb(batch: SignalBatch) -> float:
-    """The nameplate's flux of the magnet; 0 where it has none."""
-    return (batch.motor.pm_flux_wb if batch.motor is not None else None) or 0.0
-
-
-def _inductance(batch: SignalBatch) -> Array:
-    """A typical one of each segment: the nameplate's, or else the swing of flux over that of current [H]."""
-    motor = batch.motor
-    if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        return np.full(len(batch.segments), math.sqrt(motor.d_inductance_h * motor.q_inductance_h))
-    current, flux = _swing(batch.i_m_ab, batch.starts), _swing(_flux(batch), batch.starts)
-    return np.divide(flux, current, out=np.ones_like(flux), where=current > 0.0)
-
-
-def _swing(x: RealArray, starts: Starts) -> Array:
-    """Between the largest and the smallest of each segment, on the axis where that is more, shape (segments,)."""
-    span = np.maximum.reduceat(x, starts[:-1]) - np.minimum.reduceat(x, starts[:-1])
-    return np.asarray(span.max(axis=1), dtype=np.float64)
 
 
 class MagnetHeating(BatchEffect):
@@ -446,7 +334,7 @@ class MagnetHeating(BatchEffect):
 
         part = along_losses(batch, warm, lambda: _part_of_heat(batch))
         nameplate = batch.motor.d_inductance_h if batch.motor is not None else None
-        inductance = np.array([nameplate]) if nameplate else _inductance(batch)
+        inductance = np.array([nameplate]) if nameplate else typical_inductance(batch)
         part *= batch.per_sample(p.flux_change_wb / inductance)
         return Correction(i_m_ab=plus_along_d(batch.i_m_ab, batch.starts, part, batch.theta_rad))
 
@@ -494,14 +382,14 @@ class SlotHarmonics(BatchEffect):
         there = 2.0 * np.sin(3.0 * batch.turned_rad)
         mere = np.full_like(there, p.relative)
         parts = np.stack([there * p.along_d, mere + there * p.across, there * p.along_q], axis=1)
-        inductance, theta_rad = _inductance(batch), doubles(batch.theta_rad)
+        inductance, theta_rad = typical_inductance(batch), doubles(batch.theta_rad)
         strengths = (1.0 - p.by_flux) * parts * (inductance * batch.sampling_frequency_hz)[:, None]
         v_ab, i_m_ab = doubles(batch.v_ab), doubles(batch.i_m_ab)
         less = _without_slots(v_ab, i_m_ab, theta_rad, batch.starts, strengths, p.fading_per_a2)
         if p.by_flux == 0.0:
             return Correction(v_ab=less)
         asked = p.by_flux * parts / inductance[:, None]
-        more = _with_slots(i_m_ab, _flux(batch), theta_rad, batch.starts, asked, _magnet_wb(batch))
+        more = _with_slots(i_m_ab, flux_of(batch), theta_rad, batch.starts, asked, magnet_wb(batch))
         return Correction(v_ab=less, i_m_ab=more)
 
 
