@@ -7,16 +7,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 
-from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.types import Array, Indices
-from plugins.effects._vectors import Starts, doubles
 from protocols import Correction, RealArray, SignalBatch, Signals
-
-NOTHING = np.zeros((0, 2))
-"""Of vectors that a kernel may do without."""
-NOTHING.flags.writeable = False
 
 
 class BatchEffect(ABC):
@@ -75,17 +68,3 @@ def rated_current_a(batch: SignalBatch) -> float:
 def of_three_readings(batch: SignalBatch) -> Indices:
     """1 where the vector was made of three readings, else 0; shape (segments,)."""
     return np.array([s.clarke_of_three is True for s in batch.segments], dtype=np.intp)
-
-
-def axes(batch: SignalBatch) -> Array:
-    """Cosine and sine of the d axis' angle, shape (N, 2)."""
-    return np.asarray(_axes(doubles(batch.theta_rad), batch.starts))
-
-
-@njit(cache=True, nogil=True)
-def _axes(theta_rad: Array, starts: Starts) -> Array:
-    # Around its own first angle the one of a segment hardly moves.
-    out = np.empty((theta_rad.shape[0], 2))
-    for s in range(starts.shape[0] - 1):
-        out[starts[s] : starts[s + 1]] = unit_vectors(theta_rad[starts[s] : starts[s + 1]])
-    return out

@@ -59,8 +59,8 @@ SETTLED = 1e-3
 class Swing(NamedTuple):
     """What a leg's node does between a command and the end of its dead time."""
 
-    course: Array
-    """See `swing_course`."""
+    lines: Array
+    """See `swing_lines`."""
     takeover: float = 0.0
     """r: of the dead time, that a switch takes to take over the current of a knee."""
     yielding: float = 0.0
@@ -83,12 +83,24 @@ def swing_course(grading: float, entries: int = 256) -> Array:
     return np.stack([np.interp(q, charge, u), area / np.maximum(q, q[1])])
 
 
+@lru_cache(maxsize=32)
+def swing_lines(grading: float) -> Array:
+    """`swing_course` as lines from each of its places to the next, shape (2, places + 1, 2).
+
+    Each is told by what it is at the place 0, and its slope; the last one twice.
+    """
+    course = swing_course(grading)
+    slopes = np.diff(course, axis=1)
+    lines = np.stack([course[:, :-1] - np.arange(slopes.shape[1]) * slopes, slopes], axis=2)
+    return np.concatenate([lines, lines[:, -1:]], axis=1)
+
+
 @njit(cache=True, nogil=True, inline="always")
-def _read(row: Array, q: float) -> float:
-    """A row of `swing_course` at q = 0..1."""
-    place = q * (row.shape[0] - 1)
-    m = min(int(place), row.shape[0] - 2)
-    return float(row[m] + (place - m) * (row[m + 1] - row[m]))
+def _mean_until(charge: float, lines: Array) -> float:
+    """Mean of the node's part of the bus until so much of a swing's charge has flown."""
+    place = charge * (lines.shape[1] - 1)
+    row = np.uintp(int(place))
+    return float(lines[1, row, 0] + lines[1, row, 1] * place)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -97,10 +109,10 @@ def _late_by(helping: float, leg: float, swing: Swing) -> float:
     x = helping * leg
     if x <= 0.0:
         return leg - swing.takeover * helping
-    return 0.5 / helping if x >= 1.0 else leg * (1.0 - _read(swing.course[1], x))
+    return 0.5 / helping if x >= 1.0 else leg * (1.0 - _mean_until(x, swing.lines))
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, swing: Swing) -> float:
     """Delay of an edge's mean in parts of the dead time.
 
@@ -122,38 +134,49 @@ def _late(helping: float, pull: Legs, due: tuple[float, float], volts: float, le
     if swing.yielding == 0.0:
         return _late_by(now, leg, swing)
     helping = now + swing.yielding * (helping - now)
-    pull = (swing.yielding * pull[0], swing.yielding * pull[1], swing.yielding * pull[2])
+    own, first, second = swing.yielding * pull[0], swing.yielding * pull[1], swing.yielding * pull[2]
     if now * leg > QUICK:
         # As of an even swing: what the currents do within it is small.
         width = volts / now
-        mean = helping - pull[1] * _ramp(due[0], width) - pull[2] * _ramp(due[1], width)
-        return (0.5 + pull[0] * volts / (24.0 * now * now)) / max(mean, 0.5 * now)
+        mean = helping - first * _ramp(due[0], width) - second * _ramp(due[1], width)
+        return (0.5 + own * width / (24.0 * now)) / max(mean, 0.5 * now)
     wait = volts * leg
-    then = helping - pull[1] * max(0.0, wait - due[0]) - pull[2] * max(0.0, wait - due[1])
-    if now + abs(volts * leg) * (abs(pull[1]) + abs(pull[2])) <= 0.0:
+    then = helping - first * max(0.0, wait - due[0]) - second * max(0.0, wait - due[1])
+    if now + abs(wait) * (abs(first) + abs(second)) <= 0.0:
         return leg - swing.takeover * then
+    late, in_time = _swing_late(helping, now, (own, first, second), due, volts, leg, swing.lines)
+    return late if in_time else late - swing.takeover * min(0.0, then)
+
+
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
+def _swing_late(
+    helping: float, now: float, pull: Legs, due: tuple[float, float], volts: float, leg: float, lines: Array
+) -> tuple[float, bool]:
+    """The same of a swing that takes a good part of the dead time, followed in steps; and whether it ends within."""
+    if math.isnan(now):
+        return now, True
     steps = math.ceil(STEPS * max(2.0, now * leg))
     step = leg / steps
-    late, risen, charge, node = 0.0, 0.0, 0.0, 0.0
+    # Charge is counted in places of the course; of a place and of a current, what a step and half of one add.
+    places = float(lines.shape[1] - 1)
+    push, half_push, own_volts = places * step, 0.5 * places * step, volts * pull[0]
+    by_risen, half_by_risen, by_node = push * own_volts, half_push * own_volts, half_push * own_volts * step
+    risen, charge, node, since, half_since = 0.0, 0.0, 0.0, volts * step, 0.5 * volts * step
     for m in range(steps):
-        i = _helping(helping, pull, due, volts * step * m, volts * risen)
-        half = min(max(charge + 0.5 * step * i, 0.0), 1.0)
-        i = _helping(helping, pull, due, volts * step * (m + 0.5), volts * (risen + 0.5 * step * node))
-        whole = max(charge + step * i, 0.0)
-        if whole >= 1.0:
-            part = (1.0 - charge) / (whole - charge)
-            return late + step * part * (0.5 - 0.5 * node)
-        middle = _read(swing.course[0], half)
-        late += step * (1.0 - middle)
-        risen += step * middle
-        charge, node = whole, _read(swing.course[0], whole)
-    return late - swing.takeover * min(0.0, then)
-
-
-@njit(cache=True, nogil=True, inline="always")
-def _helping(helping: float, pull: Legs, due: tuple[float, float], since: float, risen: float) -> float:
-    """The current at a time after a command, told in volts like `due`, of a node that has risen for a time."""
-    return helping - pull[0] * risen - pull[1] * max(0.0, since - due[0]) - pull[2] * max(0.0, since - due[1])
+        begin = since * m
+        middle = begin + half_since
+        pushed = helping - pull[1] * max(0.0, begin - due[0]) - pull[2] * max(0.0, begin - due[1])
+        half = min(max(0.0, charge + half_push * pushed - half_by_risen * risen), places)
+        pushed = helping - pull[1] * max(0.0, middle - due[0]) - pull[2] * max(0.0, middle - due[1])
+        whole = max(0.0, charge + push * pushed - by_risen * risen - by_node * node)
+        if whole >= places:
+            part = (places - charge) / (whole - charge)
+            return step * m - risen + step * part * (0.5 - 0.5 * node), True
+        # Places that cannot be negative need not be counted from an array's end.
+        at_half, at_end = np.uintp(int(half)), np.uintp(int(whole))
+        risen += step * (lines[0, at_half, 0] + lines[0, at_half, 1] * half)
+        charge, node = whole, lines[0, at_end, 0] + lines[0, at_end, 1] * whole
+    return leg - risen, False
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -178,7 +201,7 @@ def _pulls(inductance: Array, scale: float) -> tuple[Legs, Legs, Legs]:
     return (own_a, a_b, c_a), (own_b, b_c, a_b), (own_c, c_a, b_c)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath={"contract", "nsz"})
 def lost_at_edges(
     v_ab: Array,
     i_ab: Array,
@@ -214,36 +237,38 @@ def lost_at_edges(
     out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
         up, down = (1.0, 1.0, 1.0), (1.0, 1.0, 1.0)
-        last, period_s, times = starts[s + 1] - 1, periods_s[s], cycles[s]
+        last, share = starts[s + 1] - 1, 1.0 / cycles[s]
         for k in range(starts[s], last + 1):
-            after = min(k + 1, last)
-            by_a, by_b, by_c = _pulls(inductance_ab[min(k, inductance_ab.shape[0] - 1)], knees_per_a * period_s)
+            after, by = min(k + 1, last), knees_per_a * share
+            by_a, by_b, by_c = _pulls(inductance_ab[min(k, inductance_ab.shape[0] - 1)], knees_per_a * periods_s[s])
             a, b, c = phases_of(knees_per_a * i_ab[k, 0], knees_per_a * i_ab[k, 1])
-            per_cycle = knees_per_a / times
-            step_a, step_b, step_c = phases_of(
-                per_cycle * (i_ab[after, 0] - i_ab[k, 0]), per_cycle * (i_ab[after, 1] - i_ab[k, 1])
-            )
+            step_a, step_b, step_c = phases_of(by * (i_ab[after, 0] - i_ab[k, 0]), by * (i_ab[after, 1] - i_ab[k, 1]))
             v_a, v_b, v_c = phases_of(v_ab[k, 0], v_ab[k, 1])
+            # What is the same in every pass: each current's own drift, and the legs' edges without their delays.
+            drift_a = step_a - by_a[0] * v_a - by_a[1] * v_b - by_a[2] * v_c
+            drift_b = step_b - by_b[0] * v_b - by_b[1] * v_c - by_b[2] * v_a
+            drift_c = step_c - by_c[0] * v_c - by_c[1] * v_a - by_c[2] * v_b
+            ab, bc, ca = 0.5 * (v_b - v_a), 0.5 * (v_c - v_b), 0.5 * (v_a - v_c)
             lost_a, lost_b, lost_c = 0.0, 0.0, 0.0
-            for _ in range(times):
+            for _ in range(cycles[s]):
                 for _ in range(PASSES):
                     (a0, b0, c0), (a1, b1, c1) = up, down
                     a_up, a_down = _edges(
-                        a, step_a, by_a, (v_a, v_b, v_c), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
+                        a, drift_a, by_a, (ab, -ca), (a0, b0, c0), (a1, b1, c1), volts[k], legs[0], swing
                     )
                     b_up, b_down = _edges(
-                        b, step_b, by_b, (v_b, v_c, v_a), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], swing
+                        b, drift_b, by_b, (bc, -ab), (b0, c0, a0), (b1, c1, a1), volts[k], legs[1], swing
                     )
                     c_up, c_down = _edges(
-                        c, step_c, by_c, (v_c, v_a, v_b), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], swing
+                        c, drift_c, by_c, (ca, -bc), (c0, a0, b0), (c1, a1, b1), volts[k], legs[2], swing
                     )
                     up, down = (a_up, b_up, c_up), (a_down, b_down, c_down)
                     moved_up = max(abs(a_up - a0), abs(b_up - b0), abs(c_up - c0))
                     if max(moved_up, abs(a_down - a1), abs(b_down - b1), abs(c_down - c1)) < SETTLED:
                         break
-                lost_a += (up[0] - down[0]) / times
-                lost_b += (up[1] - down[1]) / times
-                lost_c += (up[2] - down[2]) / times
+                lost_a += share * (up[0] - down[0])
+                lost_b += share * (up[1] - down[1])
+                lost_c += share * (up[2] - down[2])
                 a, b, c = a + step_a, b + step_b, c + step_c
             alpha, beta = vector_of(lost_a, lost_b, lost_c)
             out[k, 0] = volts[k] * alpha
@@ -254,9 +279,9 @@ def lost_at_edges(
 @njit(cache=True, nogil=True, inline="always")
 def _edges(
     valley: float,
-    step: float,
+    drift: float,
     pull: Legs,
-    commanded: Legs,
+    apart: tuple[float, float],
     rises: Legs,
     falls: Legs,
     volts: float,
@@ -265,15 +290,16 @@ def _edges(
 ) -> tuple[float, float]:
     """How late a leg's rise and fall of a period are, in parts of the dead time, from what all were before.
 
-    Of three legs, the leg's own comes first. Times are told by the volts that a pulse gains or loses by them.
+    Of three legs, the leg's own comes first. Times are told by the volts that a pulse gains or loses by them; `drift`
+    is what its current does in a period, and `apart` how much sooner than its own rise the others are commanded, both
+    without any delay.
     """
-    drift = step
-    for y in range(3):
-        drift -= pull[y] * (commanded[y] - volts * (rises[y] - falls[y]))
+    lost = pull[0] * (rises[0] - falls[0]) + pull[1] * (rises[1] - falls[1]) + pull[2] * (rises[2] - falls[2])
+    drift += volts * lost
     rising, falling = valley + 0.25 * drift, valley + 0.75 * drift
-    first, second = 0.5 * (commanded[1] - commanded[0]), 0.5 * (commanded[2] - commanded[0])
-    falling += pull[1] * (first + volts * (rises[0] - rises[1])) + pull[2] * (second + volts * (rises[0] - rises[2]))
-    up = (volts * rises[1] - first, volts * rises[2] - second)
-    down = (volts * falls[1] + first, volts * falls[2] + second)
+    falling += pull[1] * (apart[0] + volts * (rises[0] - rises[1]))
+    falling += pull[2] * (apart[1] + volts * (rises[0] - rises[2]))
+    up = (volts * rises[1] - apart[0], volts * rises[2] - apart[1])
+    down = (volts * falls[1] + apart[0], volts * falls[2] + apart[1])
     rise = _late(-rising, pull, up, volts, leg, swing)
     return rise, _late(falling, pull, down, volts, leg, swing)

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from orchestrator.numerics.kernels import unit_vectors
 from orchestrator.numerics.types import Array
 from protocols import RealArray
 
@@ -52,17 +53,21 @@ def _stretched(x: Array, starts: Starts, matrices: Array) -> Array:
     return out
 
 
-def plus_along(x: RealArray, sizes: RealArray, along: RealArray) -> Array:
-    """x_k + s_k d_k, s of shape (N,), d of shape (N, 2)."""
-    return _plus_along(doubles(x), doubles(sizes), doubles(along))
+def plus_along_d(x: RealArray, starts: Starts, sizes: RealArray, theta_rad: RealArray) -> Array:
+    """x_k + s_k d_k, s of shape (N,), d the unit vector at an angle of shape (N,)."""
+    return _plus_along_d(doubles(x), starts, doubles(sizes), doubles(theta_rad))
 
 
 @njit(cache=True, nogil=True)
-def _plus_along(x: Array, sizes: Array, along: Array) -> Array:
+def _plus_along_d(x: Array, starts: Starts, sizes: Array, theta_rad: Array) -> Array:
     out = np.empty_like(x)
-    for k in range(x.shape[0]):
-        out[k, 0] = x[k, 0] + sizes[k] * along[k, 0]
-        out[k, 1] = x[k, 1] + sizes[k] * along[k, 1]
+    for s in range(starts.shape[0] - 1):
+        first = starts[s]
+        # Around its own first angle that of a segment hardly moves.
+        axis = unit_vectors(theta_rad[first : starts[s + 1]])
+        for k in range(first, starts[s + 1]):
+            out[k, 0] = x[k, 0] + sizes[k] * axis[k - first, 0]
+            out[k, 1] = x[k, 1] + sizes[k] * axis[k - first, 1]
     return out
 
 

@@ -6,6 +6,7 @@ import math
 from typing import ClassVar
 
 import numpy as np
+from numba import njit
 from scipy.signal import cont2discrete, lfilter_zi, ss2tf
 
 from orchestrator.numerics.types import Array
@@ -65,7 +66,9 @@ class BrakeCompliance(BatchEffect):
         if torque is None:
             return Correction()
         twist = _swinging(torque, p.lag_s, p.inertia_s2, batch)
-        return Correction(theta_rad=batch.theta_rad + p.rad_per_nm * twist)
+        twist *= p.rad_per_nm
+        twist += batch.theta_rad
+        return Correction(theta_rad=twist)
 
 
 class BrakeBacklash(BatchEffect):
@@ -93,13 +96,24 @@ class BrakeBacklash(BatchEffect):
         torque = _torque_nm(batch)
         if torque is None:
             return Correction()
-        x = torque / p.friction_nm
-        size = np.abs(x)
-        # Powers of what is below one alone, so that none overflows.
-        small, large = np.minimum(size, 1.0), np.maximum(size, 1.0)
-        share = small / (small ** (1.0 / p.softness) + large ** (-1.0 / p.softness)) ** p.softness
-        end = np.copysign(share, x)
-        return Correction(theta_rad=batch.theta_rad + 0.5 * p.gap_rad * _late(end, p.lag_s, batch))
+        lies = _late(_ends(torque, p.friction_nm, p.softness), p.lag_s, batch)
+        lies *= 0.5 * p.gap_rad
+        lies += batch.theta_rad
+        return Correction(theta_rad=lies)
+
+
+def _ends(torque_nm: Array, friction_nm: float, softness: float) -> Array:
+    """Where in its gap a rotor would lie, (N,), from -1 at one end to 1 at the other."""
+    x = torque_nm / friction_nm
+    large = np.abs(x)
+    # Powers of what is below one alone, so that none overflows.
+    share = np.minimum(large, 1.0)
+    np.maximum(large, 1.0, out=large)
+    large **= -1.0 / softness
+    large += share ** (1.0 / softness)
+    large **= softness
+    share /= large
+    return np.copysign(share, x, out=share)
 
 
 def _torque_nm(batch: SignalBatch) -> Array | None:
@@ -111,7 +125,15 @@ def _torque_nm(batch: SignalBatch) -> Array | None:
     if psi is None:
         return None
     pairs = batch.motor.pole_pairs if batch.motor is not None else 1
-    return np.asarray(1.5 * pairs * (psi[:, 0] * i[:, 1] - psi[:, 1] * i[:, 0]), dtype=np.float64)
+    return np.asarray(_torques(doubles(psi), doubles(i), 1.5 * pairs))
+
+
+@njit(cache=True, nogil=True)
+def _torques(psi_ab: Array, i_ab: Array, factor: float) -> Array:
+    out = np.empty(psi_ab.shape[0])
+    for k in range(psi_ab.shape[0]):
+        out[k] = factor * (psi_ab[k, 0] * i_ab[k, 1] - psi_ab[k, 1] * i_ab[k, 0])
+    return out
 
 
 NO_TIME = 1e-3

@@ -13,7 +13,7 @@ from orchestrator.numerics.frames import from_two_phases, inductance_to_ab
 from orchestrator.numerics.kernels import phases_of, vector_of
 from orchestrator.numerics.types import Array
 from plugins.effects._batches import BatchEffect, pwm_share, rated_current_a
-from plugins.effects._commutation import Swing, lost_at_edges, swing_course
+from plugins.effects._commutation import Swing, lost_at_edges, swing_lines
 from plugins.effects._filters import lagged_steps
 from plugins.effects._losses import along_losses
 from plugins.effects._vectors import Starts, doubles, less_constant
@@ -201,9 +201,13 @@ class DeadTime(BatchEffect):
         v_ab = batch.v_ab
         legs = np.maximum([1.0 + longer for longer in _longer(p)], 0.0)
         if p.switched < 1.0:
-            v_ab = _less_step(batch, (1.0 - p.switched) * volts, p.threshold_a, p, legs, charged=p.charged)
+            rest = volts if p.switched == 0.0 else (1.0 - p.switched) * volts
+            v_ab = _less_step(batch, rest, p.threshold_a, p, legs, charged=p.charged)
         if p.switched > 0.0:
-            v_ab = v_ab - p.switched * _lost_at_edges(batch, volts, legs, p)
+            lost = _lost_at_edges(batch, volts, legs, p)
+            lost *= -p.switched
+            lost += v_ab
+            v_ab = lost
         return Correction(v_ab=v_ab)
 
     def remarks(self, p: Parameters) -> list[Remark]:
@@ -229,7 +233,7 @@ def _lost_at_edges(batch: SignalBatch, volts: Array, legs: Array, p: DeadTime.Pa
     # Current between samples hardly bends: two carrier periods stand for all of them.
     cycles = np.clip(np.round(batch.pwm_frequency_hz / batch.sampling_frequency_hz), 1, 2).astype(np.int64)
     takeover = p.takeover * p.threshold_a / (rated_current_a(batch) or p.threshold_a)
-    swing = Swing(swing_course(p.grading), takeover, p.yielding)
+    swing = Swing(swing_lines(p.grading), takeover, p.yielding)
     courses = (doubles(batch.v_ab), _without_noise(batch), volts, batch.starts)
     carrier = (_inductance(batch), doubles(1.0 / batch.pwm_frequency_hz), cycles)
     return np.asarray(lost_at_edges(*courses, legs, 1.0 / p.threshold_a, *carrier, swing))

@@ -9,13 +9,14 @@ from typing import ClassVar
 import numpy as np
 from numba import njit
 
-from orchestrator.numerics.kernels import dq_of
+from orchestrator.numerics.kernels import dq_of, unit_vectors
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import NOTHING, BatchEffect, DoubtfulBatchEffect, axes, per_segment
+from plugins.effects._batches import BatchEffect, DoubtfulBatchEffect, per_segment
 from plugins.effects._filters import lagged_steps
+from plugins.effects._flux import flux_of, magnet_wb, typical_inductance, ways_here
 from plugins.effects._losses import along_losses
 from plugins.effects._stops import Course, stops, yields_of
-from plugins.effects._vectors import Starts, doubles, plus_along
+from plugins.effects._vectors import Starts, doubles, plus_along_d
 from protocols import (
     Contrast,
     Correction,
@@ -64,10 +65,10 @@ class EddyCurrents(BatchEffect):
         i_m_ab, v_ab = _without_eddies(
             doubles(batch.i_m_ab),
             doubles(batch.v_ab),
-            NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab),
+            np.zeros((0, 2)) if batch.v_late_ab is None else doubles(batch.v_late_ab),
             doubles(batch.i_ab),
             doubles(batch.resistance_ohm),
-            axes(batch) if p.saliency != 0.0 else NOTHING,
+            doubles(batch.theta_rad) if p.saliency != 0.0 else np.zeros(0),
             batch.starts,
             np.array([1.0 + p.saliency, 1.0 - p.saliency]) / p.core_loss_ohm,
             per_segment(p.lag_s * batch.sampling_frequency_hz, lambda late: _paths(late, p.diffused)),
@@ -110,7 +111,7 @@ def _without_eddies(
     late_ab: Array,
     i_ab: Array,
     ohm: Array,
-    axis: Array,
+    theta_rad: Array,
     starts: Starts,
     siemens: Array,
     paths: Array,
@@ -121,8 +122,8 @@ def _without_eddies(
     ----------
     late_ab : array, shape (N, 2) or (0, 2)
         What an interval's end has beside the mean voltage; empty where nothing.
-    axis : array, shape (N, 2) or (0, 2)
-        Cosine and sine of the d axis' angle; empty where both axes are alike.
+    theta_rad : array, shape (N,) or (0,)
+        The d axis' angle; empty where both axes are alike.
     siemens : array, shape (2,)
         Conductance on d and on q.
     paths : array, shape (segments, m, 4)
@@ -131,9 +132,10 @@ def _without_eddies(
         what its mean over an interval is beside the mean of both samples; what it feels of an interval's end.
     """
     i_out, v_out = i_m_ab.copy(), v_ab.copy()
-    salient = axis.shape[0] > 0
+    salient = theta_rad.shape[0] > 0
     for s in range(starts.shape[0] - 1):
         first = starts[s]
+        axis = unit_vectors(theta_rad[first : starts[s + 1]]) if salient else np.zeros((0, 2))
         for m in range(paths.shape[1]):
             part, decay, bend, felt = paths[s, m]
             if part == 0.0:
@@ -152,7 +154,7 @@ def _without_eddies(
                 felt_b = kept * felt_b + (1.0 - kept) * (v_ab[before, 1] + late_b - drop_b)
                 step_a = ohm[k] * (bend * (v_ab[k, 0] - drop_a - felt_a) - 0.5 * (1.0 - decay) * next_a)
                 step_b = ohm[k] * (bend * (v_ab[k, 1] - drop_b - felt_b) - 0.5 * (1.0 - decay) * next_b)
-                cos, sin = (axis[k, 0], axis[k, 1]) if salient else (1.0, 0.0)
+                cos, sin = (axis[k - first, 0], axis[k - first, 1]) if salient else (1.0, 0.0)
                 d, q = dq_of(part * felt_a, part * felt_b, cos, sin)
                 i_out[k, 0] -= siemens[0] * d * cos - siemens[1] * q * sin
                 i_out[k, 1] -= siemens[0] * d * sin + siemens[1] * q * cos
@@ -209,8 +211,10 @@ class Hysteresis(DoubtfulBatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Take what the stops hold from the magnetising current."""
-        held = self._held(batch, p)(np.zeros((3, 2)))
-        return Correction(i_m_ab=batch.i_m_ab - p.half_width_a * held)
+        i_m_ab = self._held(batch, p)(np.zeros((3, 2)))
+        i_m_ab *= -p.half_width_a
+        i_m_ab += batch.i_m_ab
+        return Correction(i_m_ab=i_m_ab)
 
     def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What iron may remember of before a segment, beside the way that is known: the outer stops along each axis."""
@@ -230,8 +234,8 @@ class Hysteresis(DoubtfulBatchEffect):
         limits = shares * np.exp([-apart, 0.0, apart])
         there = shares > 0.0
         stiffness, parts = shares[there] / p.yield_wb, limits[there] / limits.sum()
-        psi = _flux(batch)
-        course = Course(psi, batch.starts, *_ways_here(batch, psi, p.overshoot))
+        psi = flux_of(batch)
+        course = Course(psi, batch.starts, *ways_here(batch, psi, p.overshoot))
 
         def stopped(course: Course, off: Array) -> Array:
             if p.stiffening_per_wb2 > 0.0:
@@ -293,122 +297,9 @@ def _turned(x: Array, starts: Starts, turns: Array) -> Array:
 
 def _width(batch: SignalBatch, psi: Array, widening_per_wb2: float) -> Array:
     """By how much a loop is wider, (N,), or narrower, where the current has made a flux psi (N, 2), magnet included."""
-    by_current = psi - _magnet_wb(batch) * axes(batch)
+    by_current = plus_along_d(psi, batch.starts, np.full(batch.samples, -magnet_wb(batch)), batch.theta_rad)
     wider = 1.0 + abs(widening_per_wb2) * np.einsum("ij,ij->i", by_current, by_current)
     return np.asarray(wider if widening_per_wb2 > 0.0 else 1.0 / wider)
-
-
-WAY_STEPS = 8
-"""From corner to corner of a way."""
-
-
-def _ways_here(batch: SignalBatch, psi: Array, overshoot: float) -> tuple[Array, Starts]:
-    """The flux (M, 2) on each segment's way to where it begins, of psi (N, 2): from where the current was; and bounds.
-
-    Straight from point to point; last it goes beyond, by a part of the way from there, and back. Where the way is not
-    known, the end of a periodic record is what came before its start.
-    """
-    came_from = [NOTHING if s.came_from_ab is None else s.came_from_ab for s in batch.segments]
-    points = np.array([len(one) for one in came_from])
-    lengths = np.where(points > 0, WAY_STEPS * (points + 1) + 1, np.diff(batch.starts) // 4)
-    way_starts = np.append(0, np.cumsum(lengths)).astype(np.int64)
-    motor, theta_rad = batch.motor, batch.theta_rad[batch.starts[:-1]]
-    inductance = np.repeat(_inductance(batch)[:, None], 2, axis=1)
-    if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        inductance[:] = motor.d_inductance_h, motor.q_inductance_h
-    axis = doubles(np.stack([np.cos(theta_rad), np.sin(theta_rad)], axis=1))
-    began = doubles(batch.i_ab[batch.starts[:-1]])
-    corners = (doubles(np.concatenate(came_from)), points.astype(np.int64), began, inductance, axis)
-    return _ways(psi, batch.starts, way_starts, *corners, overshoot), way_starts
-
-
-@njit(cache=True, nogil=True)
-def _ways(
-    psi: Array,
-    starts: Starts,
-    way_starts: Starts,
-    came_from_ab: Array,
-    points: Starts,
-    i_ab: Array,
-    inductance: Array,
-    axis: Array,
-    overshoot: float,
-) -> Array:
-    """The flux (M, 2) of `_ways_here`.
-
-    Parameters
-    ----------
-    came_from_ab : array, shape (sum of points, 2)
-        Where the current was; `points` (segments,) of each segment, none where its way is not known.
-    i_ab, inductance, axis : array, shape (segments, 2)
-        The current where a segment begins, L_d and L_q there, cosine and sine of the d axis' angle.
-    """
-    out = np.empty((way_starts[-1], 2))
-    point = 0
-    for s in range(starts.shape[0] - 1):
-        first, end, way = starts[s], starts[s + 1], way_starts[s]
-        if points[s] == 0:
-            length = way_starts[s + 1] - way
-            for k in range(length):
-                for x in range(2):
-                    out[way + k, x] = psi[end - length + k, x] + (psi[first, x] - psi[end - 1, x])
-            continue
-        corners = np.zeros((points[s] + 2, 2))
-        cos, sin = axis[s, 0], axis[s, 1]
-        for k in range(points[s]):
-            d, q = dq_of(came_from_ab[point, 0] - i_ab[s, 0], came_from_ab[point, 1] - i_ab[s, 1], cos, sin)
-            d, q = inductance[s, 0] * d, inductance[s, 1] * q
-            corners[k, 0], corners[k, 1] = cos * d - sin * q, sin * d + cos * q
-            point += 1
-        for x in range(2):
-            corners[-2, x] = -overshoot * corners[-3, x]
-            for k in range(points[s] + 1):
-                for part in range(WAY_STEPS):
-                    on = (corners[k + 1, x] - corners[k, x]) * (part / WAY_STEPS) + corners[k, x]
-                    out[way + k * WAY_STEPS + part, x] = psi[first, x] + on
-            out[way_starts[s + 1] - 1, x] = psi[first, x]
-    return out
-
-
-def _flux(batch: SignalBatch) -> Array:
-    """Flux linkage (N, 2), up to a constant of each segment."""
-    if batch.psi_smooth_ab is not None:
-        return doubles(batch.psi_smooth_ab)
-    drops = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm))
-    return np.asarray(_summed(*drops, batch.starts, doubles(batch.sampling_frequency_hz)))
-
-
-@njit(cache=True, nogil=True)
-def _summed(v_ab: Array, i_ab: Array, ohm: Array, starts: Starts, rates_hz: Array) -> Array:
-    """The volt-seconds of v - R i from each segment's beginning, shape (N, 2)."""
-    out = np.empty_like(v_ab)
-    for s in range(starts.shape[0] - 1):
-        sum_a, sum_b = 0.0, 0.0
-        for k in range(starts[s], starts[s + 1]):
-            sum_a += v_ab[k, 0] - ohm[k] * i_ab[k, 0]
-            sum_b += v_ab[k, 1] - ohm[k] * i_ab[k, 1]
-            out[k, 0], out[k, 1] = sum_a / rates_hz[s], sum_b / rates_hz[s]
-    return out
-
-
-def _magnet_wb(batch: SignalBatch) -> float:
-    """The nameplate's flux of the magnet; 0 where it has none."""
-    return (batch.motor.pm_flux_wb if batch.motor is not None else None) or 0.0
-
-
-def _inductance(batch: SignalBatch) -> Array:
-    """A typical one of each segment: the nameplate's, or else the swing of flux over that of current [H]."""
-    motor = batch.motor
-    if motor is not None and motor.d_inductance_h is not None and motor.q_inductance_h is not None:
-        return np.full(len(batch.segments), math.sqrt(motor.d_inductance_h * motor.q_inductance_h))
-    current, flux = _swing(batch.i_m_ab, batch.starts), _swing(_flux(batch), batch.starts)
-    return np.divide(flux, current, out=np.ones_like(flux), where=current > 0.0)
-
-
-def _swing(x: RealArray, starts: Starts) -> Array:
-    """Between the largest and the smallest of each segment, on the axis where that is more, shape (segments,)."""
-    span = np.maximum.reduceat(x, starts[:-1]) - np.minimum.reduceat(x, starts[:-1])
-    return np.asarray(span.max(axis=1), dtype=np.float64)
 
 
 class MagnetHeating(BatchEffect):
@@ -443,9 +334,9 @@ class MagnetHeating(BatchEffect):
 
         part = along_losses(batch, warm, lambda: _part_of_heat(batch))
         nameplate = batch.motor.d_inductance_h if batch.motor is not None else None
-        inductance = np.array([nameplate]) if nameplate else _inductance(batch)
-        slide = batch.per_sample(p.flux_change_wb / inductance) * part
-        return Correction(i_m_ab=plus_along(batch.i_m_ab, slide, axes(batch)))
+        inductance = np.array([nameplate]) if nameplate else typical_inductance(batch)
+        part *= batch.per_sample(p.flux_change_wb / inductance)
+        return Correction(i_m_ab=plus_along_d(batch.i_m_ab, batch.starts, part, batch.theta_rad))
 
 
 def _part_of_heat(batch: SignalBatch) -> Array:
@@ -491,34 +382,37 @@ class SlotHarmonics(BatchEffect):
         there = 2.0 * np.sin(3.0 * batch.turned_rad)
         mere = np.full_like(there, p.relative)
         parts = np.stack([there * p.along_d, mere + there * p.across, there * p.along_q], axis=1)
-        inductance, axis = _inductance(batch), axes(batch)
+        inductance, theta_rad = typical_inductance(batch), doubles(batch.theta_rad)
         strengths = (1.0 - p.by_flux) * parts * (inductance * batch.sampling_frequency_hz)[:, None]
         v_ab, i_m_ab = doubles(batch.v_ab), doubles(batch.i_m_ab)
-        less = _without_slots(v_ab, i_m_ab, axis, batch.starts, strengths, p.fading_per_a2)
+        less = _without_slots(v_ab, i_m_ab, theta_rad, batch.starts, strengths, p.fading_per_a2)
         if p.by_flux == 0.0:
             return Correction(v_ab=less)
         asked = p.by_flux * parts / inductance[:, None]
-        more = _with_slots(i_m_ab, _flux(batch), axis, batch.starts, asked, _magnet_wb(batch))
+        more = _with_slots(i_m_ab, flux_of(batch), theta_rad, batch.starts, asked, magnet_wb(batch))
         return Correction(v_ab=less, i_m_ab=more)
 
 
 @njit(cache=True, nogil=True)
-def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, strengths: Array, fading: float) -> Array:
+def _without_slots(
+    v_ab: Array, i_ab: Array, theta_rad: Array, starts: Starts, strengths: Array, fading: float
+) -> Array:
     """The voltage without the steps of the gradient of (a i_d^2 / 2 + r i_d i_q + b i_q^2 / 2) / (1 + f |i|^2), (N, 2).
 
     Parameters
     ----------
-    axis : array, shape (N, 2)
-        Cosine and sine of the d axis' angle.
+    theta_rad : array, shape (N,)
+        Of the d axis.
     strengths : array, shape (segments, 3)
         a, r and b.
     """
     out = v_ab.copy()
     for s in range(starts.shape[0] - 1):
-        along_d, across, along_q = strengths[s]
+        first, (along_d, across, along_q) = starts[s], strengths[s]
+        axis = unit_vectors(theta_rad[first : starts[s + 1]])
         old_alpha, old_beta = 0.0, 0.0
-        for k in range(starts[s], starts[s + 1]):
-            cos, sin = axis[k, 0], axis[k, 1]
+        for k in range(first, starts[s + 1]):
+            cos, sin = axis[k - first, 0], axis[k - first, 1]
             d, q = dq_of(i_ab[k, 0], i_ab[k, 1], cos, sin)
             left = 1.0 / max(1.0 + fading * (d * d + q * q), 0.1)
             mere_d, mere_q = along_d * d + across * q, across * d + along_q * q
@@ -526,7 +420,7 @@ def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, streng
             bend = fading * (mere_d * d + mere_q * q) * left * left
             psi_d, psi_q = mere_d * left - bend * d, mere_q * left - bend * q
             alpha, beta = cos * psi_d - sin * psi_q, sin * psi_d + cos * psi_q
-            if k > starts[s]:
+            if k > first:
                 out[k - 1, 0] -= alpha - old_alpha
                 out[k - 1, 1] -= beta - old_beta
             old_alpha, old_beta = alpha, beta
@@ -534,13 +428,14 @@ def _without_slots(v_ab: Array, i_ab: Array, axis: Array, starts: Starts, streng
 
 
 @njit(cache=True, nogil=True)
-def _with_slots(i_ab: Array, psi_ab: Array, axis: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
+def _with_slots(i_ab: Array, psi_ab: Array, theta_rad: Array, starts: Starts, asked: Array, magnet_wb: float) -> Array:
     """The current (N, 2) with what an uneven gap asks for the flux without the magnet's; `asked` as `strengths`."""
     out = np.empty_like(i_ab)
     for s in range(starts.shape[0] - 1):
-        along_d, across, along_q = asked[s]
-        for k in range(starts[s], starts[s + 1]):
-            cos, sin = axis[k, 0], axis[k, 1]
+        first, (along_d, across, along_q) = starts[s], asked[s]
+        axis = unit_vectors(theta_rad[first : starts[s + 1]])
+        for k in range(first, starts[s + 1]):
+            cos, sin = axis[k - first, 0], axis[k - first, 1]
             d, q = dq_of(psi_ab[k, 0], psi_ab[k, 1], cos, sin)
             d -= magnet_wb
             more_d, more_q = along_d * d + across * q, across * d + along_q * q

@@ -56,7 +56,10 @@ class PhaseResistanceImbalance(BatchEffect):
         ohm = from_phases(to_phases(np.eye(2)) * np.array([p.extra_a_ohm, p.extra_b_ohm, 0.0]))
         i_ab = batch.i_ab
         if p.rise_per_watt > 0.0:
-            i_ab = i_ab * (1.0 + p.rise_per_watt * _warm(batch, 0.0, np.full(2, p.rise_s), 0.0))[:, None]
+            risen = _warm(batch, 0.0, np.full(2, p.rise_s), 0.0)
+            risen *= p.rise_per_watt
+            risen += 1.0
+            i_ab = i_ab * risen[:, None]
         return Correction(v_ab=less_of_means(batch.v_ab, batch.starts, i_ab, ohm))
 
 
@@ -86,7 +89,10 @@ class WindingHeating(BatchEffect):
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Raise the resistance by what the loss so far has warmed."""
         warm = _warm(batch, p.rise_per_watt, p.time_constant_s * np.array([1.0, p.slow_ratio]), p.slow_share)
-        return Correction(resistance_ohm=batch.resistance_ohm * (1.0 + p.rise_per_watt * warm))
+        warm *= p.rise_per_watt
+        warm += 1.0
+        warm *= batch.resistance_ohm
+        return Correction(resistance_ohm=warm)
 
 
 def _warm(batch: SignalBatch, rise: float, constants_s: Array, slow_share: float) -> Array:
@@ -179,5 +185,9 @@ class SkinEffect(BatchEffect):
         fast = high_pass_means(i, batch.starts, rates * math.exp(-spread))
         if spread > 0.0:
             faster = high_pass_means(i, batch.starts, rates * math.exp(spread))
-            fast = p.low_share * fast + (1.0 - p.low_share) * faster
-        return Correction(v_ab=batch.v_ab - p.extra_ohm * fast)
+            fast *= p.low_share
+            faster *= 1.0 - p.low_share
+            fast += faster
+        fast *= -p.extra_ohm
+        fast += batch.v_ab
+        return Correction(v_ab=fast)

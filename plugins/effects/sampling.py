@@ -49,81 +49,101 @@ class SamplingOffset(DoubtfulBatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The mean voltage from each reading to the next, less what R_s takes beside the readings' mean."""
-        given, beside = _beside_readings(batch, p.offset_s)
-        v_ab, ohm = doubles(batch.v_ab), doubles(batch.resistance_ohm)
-        return Correction(
-            v_ab=_between_readings(v_ab, given, beside, ohm, batch.starts, doubles(batch.sampling_frequency_hz))
-        )
+        return Correction(v_ab=_between_readings(*_facts(batch), p.offset_s, doubles(batch.sampling_frequency_hz)))
 
     def doubts_batch(self, batch: SignalBatch, p: Parameters) -> list[Correction]:
         """What R_s takes beside the readings' mean follows the map's own L, which is not that sure in its corners."""
-        _, beside = _beside_readings(batch, p.offset_s)
-        taken = batch.resistance_ohm[:, None] * beside
-        return [Correction(v_ab=batch.v_ab + MAP_DOUBT * taken)]
+        return [Correction(v_ab=_with_doubt(*_facts(batch), p.offset_s))]
 
 
-def _beside_readings(batch: SignalBatch, offset_s: float) -> tuple[Array, Array]:
-    """Volt-seconds that the winding was given from each row's turning point to its reading, and the current of these.
-
-    Both of shape (N, 2).
-    """
-    v_ab, i_ab, ohm = doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm)
-    given = _given(v_ab, i_ab, ohm, doubles(batch.v_dc), offset_s, batch.starts, doubles(1.0 / batch.pwm_frequency_hz))
-    if batch.inductance_ab is None:
-        return given, np.zeros_like(i_ab)
-    return given, _moved(doubles(batch.inductance_ab), given)
+def _facts(batch: SignalBatch) -> tuple[Array, Array, Array, Array, Array, Starts, Array]:
+    """What `_given` asks for, the model's inductance, empty without one, bounds and carrier periods of the segments."""
+    inductance = np.zeros((0, 3)) if batch.inductance_ab is None else doubles(batch.inductance_ab)
+    courses = (doubles(batch.v_ab), doubles(batch.i_ab), doubles(batch.resistance_ohm), doubles(batch.v_dc))
+    return *courses, inductance, batch.starts, doubles(1.0 / batch.pwm_frequency_hz)
 
 
 @njit(cache=True, nogil=True)
-def _between_readings(v_ab: Array, given: Array, beside: Array, ohm: Array, starts: Starts, rates_hz: Array) -> Array:
+def _between_readings(
+    v_ab: Array,
+    i_ab: Array,
+    ohm: Array,
+    v_dc: Array,
+    inductance_ab: Array,
+    starts: Starts,
+    periods_s: Array,
+    offset_s: float,
+    rates_hz: Array,
+) -> Array:
     """The mean voltage (N, 2) from each reading to the next: with what was given before it, less what R_s takes."""
     out = np.empty_like(v_ab)
     for s in range(starts.shape[0] - 1):
-        last, rate_hz = starts[s + 1] - 1, rates_hz[s]
-        for k in range(starts[s], last + 1):
-            after = min(k + 1, last)
-            for x in range(2):
-                lost = 0.5 * ohm[k] * (beside[k, x] + beside[after, x])
-                out[k, x] = v_ab[k, x] + rate_hz * (given[after, x] - given[k, x]) + lost
+        first, last, rate_hz = starts[s], starts[s + 1] - 1, rates_hz[s]
+        given = _given(v_ab, i_ab, ohm, v_dc, first, first, offset_s, periods_s[s])
+        beside = _moved(inductance_ab, first, given)
+        for k in range(first, last + 1):
+            now, was = given, beside
+            if k < last:
+                given = _given(v_ab, i_ab, ohm, v_dc, k + 1, first, offset_s, periods_s[s])
+                beside = _moved(inductance_ab, k + 1, given)
+            out[k, 0] = v_ab[k, 0] + rate_hz * (given[0] - now[0]) + 0.5 * ohm[k] * (was[0] + beside[0])
+            out[k, 1] = v_ab[k, 1] + rate_hz * (given[1] - now[1]) + 0.5 * ohm[k] * (was[1] + beside[1])
     return out
 
 
 @njit(cache=True, nogil=True)
-def _given(
-    v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, offset_s: float, starts: Starts, periods_s: Array
+def _with_doubt(
+    v_ab: Array,
+    i_ab: Array,
+    ohm: Array,
+    v_dc: Array,
+    inductance_ab: Array,
+    starts: Starts,
+    periods_s: Array,
+    offset_s: float,
 ) -> Array:
-    """Volt-seconds F - tau R i (N, 2) that the winding was given from each row's turning point to its reading."""
+    """The voltage (N, 2) with so much of what R_s takes beside a reading as the map leaves open."""
     out = np.empty_like(v_ab)
-    sign = 1.0 if offset_s > 0.0 else -1.0
     for s in range(starts.shape[0] - 1):
-        beyond = abs(offset_s) - 0.25 * periods_s[s]
         for k in range(starts[s], starts[s + 1]):
-            out[k, 0] = -offset_s * ohm[k] * i_ab[k, 0]
-            out[k, 1] = -offset_s * ohm[k] * i_ab[k, 1]
-            row = k if offset_s > 0.0 else max(k - 1, starts[s])
-            a, b, c = phases_of(v_ab[row, 0], v_ab[row, 1])
-            centre = 0.5 * (max(a, b, c) + min(a, b, c))
-            # A leg of more voltage rises earlier, by half the period for all of the bus.
-            early = 0.5 * periods_s[s] / v_dc[row]
-            if beyond + early * (max(a, b, c) - centre) <= 0.0:
-                continue
-            alpha, beta = vector_of(
-                max(0.0, beyond + early * (a - centre)),
-                max(0.0, beyond + early * (b - centre)),
-                max(0.0, beyond + early * (c - centre)),
-            )
-            out[k, 0] += sign * v_dc[row] * alpha
-            out[k, 1] += sign * v_dc[row] * beta
+            given = _given(v_ab, i_ab, ohm, v_dc, k, starts[s], offset_s, periods_s[s])
+            beside = _moved(inductance_ab, k, given)
+            out[k, 0] = v_ab[k, 0] + MAP_DOUBT * (ohm[k] * beside[0])
+            out[k, 1] = v_ab[k, 1] + MAP_DOUBT * (ohm[k] * beside[1])
     return out
 
 
-@njit(cache=True, nogil=True)
-def _moved(inductance_ab: Array, flux_ab: Array) -> Array:
-    """The current (N, 2) that goes with a flux, by the model's inductance at every sample."""
-    out = np.empty_like(flux_ab)
-    for k in range(flux_ab.shape[0]):
-        aa, ab, bb = inductance_ab[k, 0], inductance_ab[k, 1], inductance_ab[k, 2]
-        det = aa * bb - ab * ab
-        out[k, 0] = (bb * flux_ab[k, 0] - ab * flux_ab[k, 1]) / det
-        out[k, 1] = (aa * flux_ab[k, 1] - ab * flux_ab[k, 0]) / det
-    return out
+@njit(cache=True, nogil=True, inline="always")
+def _given(
+    v_ab: Array, i_ab: Array, ohm: Array, v_dc: Array, k: int, first: int, offset_s: float, period_s: float
+) -> tuple[float, float]:
+    """Volt-seconds F - tau R i that the winding was given from row k's turning point to its reading.
+
+    `first` is the segment's first row.
+    """
+    given_a, given_b = -offset_s * ohm[k] * i_ab[k, 0], -offset_s * ohm[k] * i_ab[k, 1]
+    beyond = abs(offset_s) - 0.25 * period_s
+    row = k if offset_s > 0.0 else max(k - 1, first)
+    a, b, c = phases_of(v_ab[row, 0], v_ab[row, 1])
+    centre = 0.5 * (max(a, b, c) + min(a, b, c))
+    # A leg of more voltage rises earlier, by half the period for all of the bus.
+    early = 0.5 * period_s / v_dc[row]
+    if beyond + early * (max(a, b, c) - centre) <= 0.0:
+        return given_a, given_b
+    alpha, beta = vector_of(
+        max(0.0, beyond + early * (a - centre)),
+        max(0.0, beyond + early * (b - centre)),
+        max(0.0, beyond + early * (c - centre)),
+    )
+    volts = v_dc[row] if offset_s > 0.0 else -v_dc[row]
+    return given_a + volts * alpha, given_b + volts * beta
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _moved(inductance_ab: Array, k: int, flux: tuple[float, float]) -> tuple[float, float]:
+    """The current that goes with a flux, by the model's inductance at row k; none without a model."""
+    if inductance_ab.shape[0] == 0:
+        return 0.0, 0.0
+    aa, ab, bb = inductance_ab[k, 0], inductance_ab[k, 1], inductance_ab[k, 2]
+    det = aa * bb - ab * ab
+    return (bb * flux[0] - ab * flux[1]) / det, (aa * flux[1] - ab * flux[0]) / det

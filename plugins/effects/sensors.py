@@ -207,7 +207,7 @@ class CurrentNonlinearity(BatchEffect):
 
 @njit(cache=True, nogil=True)
 def _straightened(i_ab: Array, starts: Starts, square: float, cubic: float, clarke: Array) -> Array:
-    """Vectors (N, 2) without the phase currents' squares and cubes; `clarke` (segments, 3, 2) makes vectors of them."""
+    """Vectors (N, 2) without squares and cubes of the phase currents, by each segment's own Clarke matrix (3, 2)."""
     out = i_ab.copy()
     for s in range(starts.shape[0] - 1):
         for k in range(starts[s], starts[s + 1]):

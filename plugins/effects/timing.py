@@ -9,7 +9,7 @@ import numpy as np
 from numba import njit
 
 from orchestrator.numerics.types import Array
-from plugins.effects._batches import NOTHING, BatchEffect
+from plugins.effects._batches import BatchEffect
 from plugins.effects._vectors import Starts, doubles
 from protocols import Contrast, Correction, EffectLayer, EffectParameters, SignalBatch, amplitude
 
@@ -61,7 +61,7 @@ class VoltageDelay(BatchEffect):
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """The mean voltage of each interval, and what its end has beside it."""
-        late_ab = NOTHING if batch.v_late_ab is None else doubles(batch.v_late_ab)
+        late_ab = np.zeros((0, 2)) if batch.v_late_ab is None else doubles(batch.v_late_ab)
         late = doubles(p.delay_s * batch.sampling_frequency_hz)
         acting, beside = _acting(doubles(batch.v_ab), late_ab, batch.starts, late)
         return Correction(v_ab=acting, v_late_ab=beside)

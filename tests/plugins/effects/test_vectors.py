@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from orchestrator.numerics.types import Array
-from plugins.effects._vectors import less_constant, less_of_means, plus_along, stretched
+from plugins.effects._vectors import less_constant, less_of_means, plus_along_d, stretched
 from protocols import RealArray
 
 RNG = np.random.default_rng(5)
-X, Y, SIZES, ALONG = RNG.normal(size=(9, 2)), RNG.normal(size=(9, 2)), RNG.normal(size=9), RNG.normal(size=(9, 2))
+X, Y, SIZES, THETA = RNG.normal(size=(9, 2)), RNG.normal(size=(9, 2)), RNG.normal(size=9), RNG.normal(size=9)
+ALONG = np.stack([np.cos(THETA), np.sin(THETA)], axis=1)
 MATRIX = RNG.normal(size=(2, 2))
 STARTS = np.array([0, 4, 5, 9], dtype=np.int64)
 SEGMENT = np.repeat([0, 1, 2], np.diff(STARTS))
@@ -24,11 +25,11 @@ NEXT = Y[[1, 2, 3, 3, 4, 6, 7, 8, 8]]
     ("work", "expected"),
     [
         (lambda x: less_constant(x, STARTS, CONSTANTS), X - CONSTANTS[SEGMENT]),
-        (lambda x: plus_along(x, SIZES, ALONG), X + SIZES[:, None] * ALONG),
+        (lambda x: plus_along_d(x, STARTS, SIZES, THETA), X + SIZES[:, None] * ALONG),
         (lambda x: stretched(x, STARTS, MATRICES), np.einsum("ki,kij->kj", X, MATRICES[SEGMENT])),
         (lambda x: less_of_means(x, STARTS, Y, MATRIX), X - 0.5 * (Y + NEXT) @ MATRIX),
     ],
-    ids=["less_constant", "plus_along", "stretched", "less_of_means"],
+    ids=["less_constant", "plus_along_d", "stretched", "less_of_means"],
 )
 def test_it_is_what_numpy_makes_of_it(work: Callable[[RealArray], Array], expected: Array) -> None:
     given = X.copy()
