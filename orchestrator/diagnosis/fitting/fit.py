@@ -62,7 +62,7 @@ class RecordingBatches:
         return (*self.probes, *self.others)
 
 
-BATCH_SAMPLES = 40_000
+BATCH_SAMPLES = 20_000
 """Of a batch at most: its arrays stay in a processor's cache, and a call's own cost does not count."""
 
 
