@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -123,7 +124,8 @@ def _powers(terms: Sequence[Term], psi: Array, order: int) -> Array:
 def _powers_of(psi: Array, highest: int) -> tuple[Array, Array]:
     """x^m and y^n for all exponents up to the highest, shape (highest + 1, n) each."""
     powers = np.ones((highest + 1, *psi.T.shape))
-    np.cumprod(np.broadcast_to(psi.T, powers[1:].shape), axis=0, out=powers[1:])
+    for k in range(highest):
+        np.multiply(powers[k], psi.T, out=powers[k + 1])
     return powers[:, 0], powers[:, 1]
 
 
@@ -198,14 +200,17 @@ def _inverted(
 def _model(terms: Sequence[Term], coefficients: Array, current: Array) -> _Model:
     """Everything at given currents; d psi/d alpha = -L d(grad H)/d alpha with the current held."""
     psi = _inverted(terms, coefficients, current)
-    hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
+    second = _powers(terms, psi, 2)
+    hessian = (second @ coefficients)[:, _PAIRS]
     matrix = np.full_like(hessian, np.nan)
     there = np.isfinite(psi).all(axis=1)
     matrix[there] = np.linalg.inv(hessian[there])
     psi_by = -matrix @ _powers(terms, psi, 1)
     third = (_powers(terms, psi, 3) @ coefficients)[:, _TRIPLES]
-    hessian_by = _powers(terms, psi, 2)[:, _PAIRS] + np.einsum("nabc,nck->nabk", third, psi_by)
-    return _Model(psi, matrix, psi_by, -np.einsum("nxa,nabk,nby->nxyk", matrix, hessian_by, matrix))
+    hessian_by = second[:, _PAIRS] + third @ psi_by[:, None]
+    # L (d Hess H) L, the coefficients before the rows and columns
+    inductance_by = matrix[:, None] @ np.moveaxis(hessian_by, 3, 1) @ matrix[:, None]
+    return _Model(psi, matrix, psi_by, -np.moveaxis(inductance_by, 1, 3))
 
 
 def fit_polynomial(
@@ -272,6 +277,22 @@ class _Data:
         white = np.linalg.inv(root) * np.sqrt(energy.trust)[:, None, None]
         return _Data(points.current @ turn, _entries(matrix), white, own, region)
 
+    @cached_property
+    def _waves(self) -> list[Array]:
+        return [waves(len(path.psi)) for path in self.paths]
+
+    @cached_property
+    def _ways(self) -> Array:
+        return directions(self.paths)
+
+    @cached_property
+    def _size(self) -> Array:
+        return sizes(self.paths)
+
+    @cached_property
+    def _apart(self) -> Array:
+        return told_apart(self.paths)
+
     def residual(self, terms: Sequence[Term], coefficients: Array) -> _State | None:
         """Residuals and their rows of inductances (n, 3) and flux (p, 2 waves); None where H cannot be inverted."""
         model = _model(terms, coefficients, np.concatenate([self.current, *(p.current for p in self.paths)]))
@@ -282,15 +303,12 @@ class _Data:
         rows = self.white @ _entries(model.inductance_by[:n])
         if not self.paths:
             return off, rows, np.zeros((0, 1)), np.zeros((0, 1, k))
-        size, ways, start = sizes(self.paths), directions(self.paths), n
-        left, by = [], []
-        for path, way in zip(self.paths, ways, strict=True):
-            here = slice(start, start + len(path.psi))
-            start += len(path.psi)
-            take = waves(len(path.psi))
+        size, apart = self._size, self._apart
+        left, by, start = [], [], n
+        for path, take, way in zip(self.paths, self._waves, self._ways, strict=True):
+            here = slice(start, start := start + len(path.psi))
             left.append(way @ (take @ (path.psi - model.psi[here])).T)
-            by.append(np.einsum("wm,mck,xc->xwk", take, model.psi_by[here], way))
-        apart = told_apart(self.paths)
+            by.append(np.tensordot(way, np.tensordot(take, model.psi_by[here], (1, 0)), (1, 1)))
         flux = np.stack(left) / size
         effect = np.stack(by) / size[..., None]
         for told in (flux, effect):
