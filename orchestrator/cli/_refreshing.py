@@ -8,8 +8,8 @@ from orchestrator.cli._output import complain
 from protocols import FluxbenchError, StreamSetup
 
 REPORT, PAGE = "report", "report.html"
-SOURCES = ("run.json", "journal.jsonl", "recording.json", "model.json", "results/*")
-"""What the page is made from."""
+SOURCES = ("run.json", "journal.jsonl", "model.json", "results/*")
+"""What the page is made from; a recording.json that says something else is in all results."""
 
 
 def has_report(directory: Path) -> bool:
