@@ -21,7 +21,7 @@ def say(*lines: str) -> None:
 def announce(path: Path, as_json: bool) -> None:
     """Print at once what is read, before anything that takes its time, as an import does.
 
-    On standard error where standard output is one JSON object; nothing of what is not there, which is an error's to say.
+    On standard error where standard output is one JSON object. Of what is not there an error tells.
     """
     if path.exists():
         where = sys.stderr if as_json else sys.stdout
