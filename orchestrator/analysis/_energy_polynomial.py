@@ -13,6 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -111,15 +112,48 @@ def _spread(rows: Array, covariance: Array) -> Array:
 def _powers(terms: Sequence[Term], psi: Array, order: int) -> Array:
     """Derivatives of one order of all terms, those of more x first, shape (n, order + 1, k)."""
     out = np.zeros((len(psi), order + 1, len(terms)))
-    powers = np.ones((max(map(max, terms)) + 1, *psi.T.shape))
-    np.cumprod(np.broadcast_to(psi.T, powers[1:].shape), axis=0, out=powers[1:])
-    x, y = powers[:, 0], powers[:, 1]
+    x, y = _powers_of(psi, max(map(max, terms)))
     for t, (m, n) in enumerate(terms):
         for b in range(order + 1):
             a = order - b
             if a <= m and b <= n:
                 out[:, b, t] = math.perm(m, a) * math.perm(n, b) * x[m - a] * y[n - b]
     return out
+
+
+def _powers_of(psi: Array, highest: int) -> tuple[Array, Array]:
+    """x^m and y^n for all exponents up to the highest, shape (highest + 1, n) each."""
+    powers = np.ones((highest + 1, *psi.T.shape))
+    for k in range(highest):
+        np.multiply(powers[k], psi.T, out=powers[k + 1])
+    return powers[:, 0], powers[:, 1]
+
+
+class _Derivatives:
+    """grad H and Hess H of one polynomial at many fluxes: what Newton's method asks for at each of its steps."""
+
+    def __init__(self, terms: Sequence[Term], coefficients: Array) -> None:
+        self._highest = max(map(max, terms))
+        side = self._highest + 1
+        # Of x^i y^j in H_x, H_y, H_xx, H_xy, H_yy.
+        self._of_powers = np.zeros((5, side, side))
+        for (m, n), coefficient in zip(terms, coefficients.tolist(), strict=True):
+            for table, (a, b) in zip(self._of_powers, ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2)), strict=True):
+                if a <= m and b <= n:
+                    table[m - a, n - b] += math.perm(m, a) * math.perm(n, b) * coefficient
+
+    def gradient(self, psi: Array) -> Array:
+        """H_x and H_y, shape (n, 2)."""
+        return self._at(psi, slice(0, 2))
+
+    def hessian(self, psi: Array) -> Array:
+        """H_xx, H_xy, H_yy, shape (n, 3)."""
+        return self._at(psi, slice(2, 5))
+
+    def _at(self, psi: Array, which: slice) -> Array:
+        x, y = _powers_of(psi, self._highest)
+        out: Array = ((x.T @ self._of_powers[which]) * y.T).sum(axis=2).T
+        return out
 
 
 _PAIRS = np.array([[0, 1], [1, 2]])
@@ -135,28 +169,30 @@ def _inverted(
     It ends where all currents are met to `close` times the largest, near what doubles resolve.
     """
     size = float(np.abs(current).max())
-    psi = current / (2.0 * coefficients[:2])
+    unsaturated = 2.0 * coefficients[:2]
+    of = _Derivatives(terms, coefficients)
+    psi = current / unsaturated
+    off = current - of.gradient(psi)
     for _ in range(most_steps):
-        off = current - _powers(terms, psi, 1) @ coefficients
         if np.abs(off).max() < close * size:
             break
-        hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
+        xx, xy, yy = of.hessian(psi).T
         # Away from the answer H need not be convex: the step is then that of the unsaturated motor.
-        convex = (hessian[:, 0, 0] > 0.0) & (np.linalg.det(hessian) > 0.0)
-        hessian[~convex] = np.diag(2.0 * coefficients[:2])
-        step = np.linalg.solve(hessian, off[:, :, None])[:, :, 0]
-        share = np.ones((len(psi), 1))
+        convex = (xx > 0.0) & (xx * yy > xy * xy)
+        xx, xy, yy = np.where(convex, (xx, xy, yy), np.array([unsaturated[0], 0.0, unsaturated[1]])[:, None])
+        step = np.stack([yy * off[:, 0] - xy * off[:, 1], xx * off[:, 1] - xy * off[:, 0]], axis=1)
+        step /= (xx * yy - xy * xy)[:, None]
+        share, far = np.ones((len(psi), 1)), np.linalg.norm(off, axis=1)
+        left = current - of.gradient(psi + step)
         for _ in range(8):
-            worse = np.linalg.norm(
-                current - _powers(terms, psi + share * step, 1) @ coefficients, axis=1
-            ) > np.linalg.norm(off, axis=1)
+            worse = np.linalg.norm(left, axis=1) > far
             if not worse.any():
                 break
             share[worse] *= 0.5
-        psi = psi + share * step
-    hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
-    lost = ~(np.linalg.norm(current - _powers(terms, psi, 1) @ coefficients, axis=1) <= 1e-6 * size)
-    lost |= (np.linalg.det(hessian) <= 0.0) | (hessian[:, 0, 0] <= 0.0)
+            left = current - of.gradient(psi + share * step)
+        psi, off = psi + share * step, left
+    xx, xy, yy = of.hessian(psi).T
+    lost = ~(np.linalg.norm(off, axis=1) <= 1e-6 * size) | (xx * yy <= xy * xy) | (xx <= 0.0)
     psi[lost] = np.nan
     return psi
 
@@ -164,14 +200,17 @@ def _inverted(
 def _model(terms: Sequence[Term], coefficients: Array, current: Array) -> _Model:
     """Everything at given currents; d psi/d alpha = -L d(grad H)/d alpha with the current held."""
     psi = _inverted(terms, coefficients, current)
-    hessian = (_powers(terms, psi, 2) @ coefficients)[:, _PAIRS]
+    second = _powers(terms, psi, 2)
+    hessian = (second @ coefficients)[:, _PAIRS]
     matrix = np.full_like(hessian, np.nan)
     there = np.isfinite(psi).all(axis=1)
     matrix[there] = np.linalg.inv(hessian[there])
     psi_by = -matrix @ _powers(terms, psi, 1)
     third = (_powers(terms, psi, 3) @ coefficients)[:, _TRIPLES]
-    hessian_by = _powers(terms, psi, 2)[:, _PAIRS] + np.einsum("nabc,nck->nabk", third, psi_by)
-    return _Model(psi, matrix, psi_by, -np.einsum("nxa,nabk,nby->nxyk", matrix, hessian_by, matrix))
+    hessian_by = second[:, _PAIRS] + third @ psi_by[:, None]
+    # L (d Hess H) L, the coefficients before the rows and columns
+    inductance_by = matrix[:, None] @ np.moveaxis(hessian_by, 3, 1) @ matrix[:, None]
+    return _Model(psi, matrix, psi_by, -np.moveaxis(inductance_by, 1, 3))
 
 
 def fit_polynomial(
@@ -238,6 +277,22 @@ class _Data:
         white = np.linalg.inv(root) * np.sqrt(energy.trust)[:, None, None]
         return _Data(points.current @ turn, _entries(matrix), white, own, region)
 
+    @cached_property
+    def _waves(self) -> list[Array]:
+        return [waves(len(path.psi)) for path in self.paths]
+
+    @cached_property
+    def _ways(self) -> Array:
+        return directions(self.paths)
+
+    @cached_property
+    def _size(self) -> Array:
+        return sizes(self.paths)
+
+    @cached_property
+    def _apart(self) -> Array:
+        return told_apart(self.paths)
+
     def residual(self, terms: Sequence[Term], coefficients: Array) -> _State | None:
         """Residuals and their rows of inductances (n, 3) and flux (p, 2 waves); None where H cannot be inverted."""
         model = _model(terms, coefficients, np.concatenate([self.current, *(p.current for p in self.paths)]))
@@ -248,15 +303,12 @@ class _Data:
         rows = self.white @ _entries(model.inductance_by[:n])
         if not self.paths:
             return off, rows, np.zeros((0, 1)), np.zeros((0, 1, k))
-        size, ways, start = sizes(self.paths), directions(self.paths), n
-        left, by = [], []
-        for path, way in zip(self.paths, ways, strict=True):
-            here = slice(start, start + len(path.psi))
-            start += len(path.psi)
-            take = waves(len(path.psi))
+        size, apart = self._size, self._apart
+        left, by, start = [], [], n
+        for path, take, way in zip(self.paths, self._waves, self._ways, strict=True):
+            here = slice(start, start := start + len(path.psi))
             left.append(way @ (take @ (path.psi - model.psi[here])).T)
-            by.append(np.einsum("wm,mck,xc->xwk", take, model.psi_by[here], way))
-        apart = told_apart(self.paths)
+            by.append(np.tensordot(way, np.tensordot(take, model.psi_by[here], (1, 0)), (1, 1)))
         flux = np.stack(left) / size
         effect = np.stack(by) / size[..., None]
         for told in (flux, effect):

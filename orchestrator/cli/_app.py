@@ -283,6 +283,9 @@ def estimate_command(
 
     Stator resistance, flux and inductance maps, and how far they agree with themselves.
     """
+    from orchestrator.cli._output import announce
+
+    announce(recording, as_json)
     from orchestrator.cli._results import estimate
 
     return estimate(recording, out, estimators or [], as_json)
@@ -309,9 +312,13 @@ def compare_command(
     the saturated map alone. Of several: R_s, inductances, flux, effects and verdicts of each, and what changed beyond
     noise from the first to the others; `report` and `view` take the same runs.
     """
+    if len(recordings) > 1 and any(given is not None for given in (model, effects, out)):
+        raise typer.BadParameter("go with one recording only", param_hint="--model, --effects and --out")
+    from orchestrator.cli._output import announce
+
+    for recording in recordings:
+        announce(recording, as_json)
     if len(recordings) > 1:
-        if any(given is not None for given in (model, effects, out)):
-            raise typer.BadParameter("go with one recording only", param_hint="--model, --effects and --out")
         from orchestrator.cli._side_by_side import compare_runs
 
         return compare_runs(recordings, as_json)
@@ -342,6 +349,9 @@ def diagnose_command(
 
     How sure that is, what else it could be, and what to measure next.
     """
+    from orchestrator.cli._output import announce
+
+    announce(recording, as_json)
     from orchestrator.cli._diagnosis import diagnose
 
     return diagnose(recording, model, effects, without or [], (material_flux, material_voltage), out, as_json, priors)

@@ -7,6 +7,7 @@ import shutil
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 from orchestrator.presentation.sentences import can_print, cut, for_output, text_table, visible
@@ -19,6 +20,16 @@ def say(*lines: str) -> None:
     """Print lines, one each."""
     for line in lines:
         print(for_output(cut(line), sys.stdout))
+
+
+def announce(path: Path, as_json: bool) -> None:
+    """Print at once what is read, before anything that takes its time, as an import does.
+
+    On standard error where standard output is one JSON object. Of what is not there an error tells.
+    """
+    if path.exists():
+        where = sys.stderr if as_json else sys.stdout
+        print(for_output(cut(f"reading {path}"), where), file=where, flush=True)
 
 
 def say_document(text: str) -> None:

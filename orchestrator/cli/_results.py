@@ -7,7 +7,7 @@ from pathlib import Path
 
 from orchestrator import workbench
 from orchestrator.cli._output import say, say_document, say_notes, say_table
-from orchestrator.cli._refreshing import refresh_report
+from orchestrator.cli._refreshing import has_report, refresh_report
 from orchestrator.presentation.names import PAPER_CROSSINGS
 from orchestrator.presentation.quantities import UNKNOWN, axes_percent
 from orchestrator.presentation.results import check_rows, coefficient_rows, resistance, resistance_course
@@ -22,6 +22,8 @@ def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) 
         say_document(report.model_dump_json(indent=2))
     else:
         _print_report(report, (out or path) / "results")
+        if out is None and not has_report(path):
+            say(f"as a page with pictures: fluxbench report {path}")
     return 0
 
 

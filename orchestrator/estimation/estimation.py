@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from orchestrator.analysis._held_captures import HeldCaptures
 from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.order import in_order
@@ -61,6 +62,7 @@ def estimate_recording(
     StorageError
         Where a result cannot be written.
     """
+    recording = HeldCaptures(recording)  # estimators read the same segments
     against = _conventions(recording)
     made: list[tuple[Estimator, Estimate]] = []
     missing: list[Remark] = []

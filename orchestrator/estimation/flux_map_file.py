@@ -1,9 +1,14 @@
-"""Flux maps as NetCDF files: dimensions (i_d, i_q), units and conventions in attributes. Computes nothing."""
+"""Flux maps as NetCDF files: dimensions (i_d, i_q), units and conventions in attributes. Computes nothing.
+
+Files are written and read by h5netcdf itself: to import xarray takes longer than all estimators together.
+"""
 
 from __future__ import annotations
 
+import io
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,6 +21,8 @@ if TYPE_CHECKING:
     import xarray as xr
 
 
+_AXES = ("i_d", "i_q")
+_PACKING = (("scale_factor", 1.0), ("add_offset", 0.0))
 _UNITS = {"psi_d": "Wb", "psi_q": "Wb", "l_dd": "H", "l_dq": "H", "l_qq": "H"}
 _NAMES = {
     "psi_d": "d-axis flux linkage",
@@ -46,24 +53,40 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     StorageError
         Where it cannot be written.
     """
+    import h5netcdf
+
     # Made in memory: on a full disk the HDF5 library takes the whole process with it.
-    replace_file(path, bytes(flux_dataset(flux_map, motor=motor, recording=recording).to_netcdf(engine="h5netcdf")))
+    buffer = io.BytesIO()
+    with h5netcdf.File(buffer, "w") as file:
+        file.attrs.update(_attributes(flux_map, motor, recording))
+        file.dimensions = {name: len(getattr(flux_map, name)) for name in _AXES}
+        for name, dimensions, values, described in _variables(flux_map):
+            variable = file.create_variable(name, dimensions, data=values, fillvalue=np.nan)
+            variable.attrs.update(described)
+    replace_file(path, buffer.getvalue())
 
 
 def flux_dataset(flux_map: FluxMap, *, motor: str = "", recording: str = "") -> xr.Dataset:
     """A map with named dimensions, units and conventions: what `save_flux_map` writes."""
     import xarray as xr
 
-    fields = {}
+    variables = {name: tuple(parts) for name, *parts in _variables(flux_map)}
+    axes = {name: variables.pop(name) for name in _AXES}
+    return xr.Dataset(variables, axes, _attributes(flux_map, motor, recording))
+
+
+def _variables(flux_map: FluxMap) -> Iterator[tuple[str, tuple[str, ...], Array, dict[str, str]]]:
+    """Name, dimensions, values and attributes of each."""
+    for name in _AXES:
+        yield name, (name,), getattr(flux_map, name), {"units": "A", "long_name": f"{name[-1]}-axis current"}
     for name, unit in _UNITS.items():
-        fields[name] = (("i_d", "i_q"), getattr(flux_map, name), {"units": unit, "long_name": _NAMES[name]})
+        yield name, _AXES, getattr(flux_map, name), {"units": unit, "long_name": _NAMES[name]}
         std = {"units": unit, "long_name": f"standard deviation of {name}"}
-        fields[f"{name}_std"] = (("i_d", "i_q"), getattr(flux_map, f"{name}_std"), std)
-    axes = {
-        name: ((name,), getattr(flux_map, name), {"units": "A", "long_name": f"{name[-1]}-axis current"})
-        for name in ("i_d", "i_q")
-    }
-    attributes = {
+        yield f"{name}_std", _AXES, getattr(flux_map, f"{name}_std"), std
+
+
+def _attributes(flux_map: FluxMap, motor: str, recording: str) -> dict[str, str]:
+    return {
         "title": "current-flux relations of a permanent-magnet synchronous motor, rotor locked",
         "method": flux_map.method,
         "basis": flux_map.basis.value if flux_map.basis else "",
@@ -71,7 +94,6 @@ def flux_dataset(flux_map: FluxMap, *, motor: str = "", recording: str = "") -> 
         "recording": recording,
         "conventions": _CONVENTIONS,
     }
-    return xr.Dataset(fields, axes, attributes)
 
 
 def load_flux_map(path: Path) -> FluxMap:
@@ -85,52 +107,75 @@ def load_flux_map(path: Path) -> FluxMap:
     RecordingError
         Where the file is missing, not NetCDF, lacks i_d, i_q, psi_d or psi_q, or an axis does not increase.
     """
-    import xarray as xr
+    import h5netcdf
 
     if not path.is_file():
         raise RecordingError(str(path), "", "no such file")
     names = [name for quantity in _UNITS for name in (quantity, f"{quantity}_std")]
     try:
-        with xr.open_dataset(path, engine="h5netcdf") as dataset:
-            present = ", ".join(map(str, dataset.variables)) or "none"
-            found = dataset[[name for name in ("i_d", "i_q", *names) if name in dataset.variables]]
-            require_memory(path, found.nbytes, "its tables")
-            held = found.load()
+        with h5netcdf.File(path, "r") as file:
+            present = ", ".join(file.variables) or "none"
+            found = {name: file.variables[name] for name in (*_AXES, *names) if name in file.variables}
+            require_memory(path, sum(v.dtype.itemsize * int(np.prod(v.shape)) for v in found.values()), "its tables")
+            attributes = dict(file.attrs)
+            held = {name: (variable.dimensions, _decoded(variable)) for name, variable in found.items()}
     # The HDF5 library says RuntimeError of a file that is cut off, and more of one that is something else.
     except (OSError, ValueError, KeyError, RuntimeError, TypeError, AttributeError, EOFError) as error:
         problem = f"not a readable NetCDF file: {str(error).splitlines()[0] if str(error) else error!r}"
         raise RecordingError(str(path), "", problem) from None
-    for name in ("i_d", "i_q", "psi_d", "psi_q"):
-        if name not in held.variables:
+    for name in (*_AXES, "psi_d", "psi_q"):
+        if name not in held:
             raise RecordingError(str(path), name, f"variable missing; the file has {present}")
-    axes = {name: _axis(path, held, name) for name in ("i_d", "i_q")}
-    grids = {name: _grid(path, held, name) for name in names if name in held.variables}
+    axes = {name: _axis(path, held, name) for name in _AXES}
+    grids = {name: _grid(path, held, name) for name in names if name in held}
     shape = (len(axes["i_d"]), len(axes["i_q"]))
     slopes = _slopes(axes["i_d"], axes["i_q"], grids["psi_d"], grids["psi_q"])
     grids.update({name: slope for name, slope in slopes.items() if name not in grids})
     grids.update({name: np.full(shape, np.nan) for name in names if name not in grids})
-    basis = next((one for one in Basis if one.value == held.attrs.get("basis")), None)
-    return FluxMap(method=str(held.attrs.get("method", "")), basis=basis, **axes, **grids)
+    basis = next((one for one in Basis if one.value == attributes.get("basis")), None)
+    return FluxMap(method=str(attributes.get("method", "")), basis=basis, **axes, **grids)
 
 
-def _axis(path: Path, held: xr.Dataset, name: str) -> Array:
-    values = _numbers(path, held, name)
-    if held[name].dims != (name,) or len(values) < 2 or not (np.diff(values) > 0.0).all():
+_Held = Mapping[str, tuple[tuple[str, ...], Any]]
+"""Dimensions and values by the variable's name."""
+
+
+def _decoded(variable: Any) -> Any:
+    """The values of a variable as the CF conventions mean them: fill values as NaN, scale and offset applied."""
+    values, attributes = variable[...], variable.attrs
+    if np.asarray(values).dtype.kind not in "iuf":
+        return values
+    fills = [np.atleast_1d(attributes[name]) for name in ("_FillValue", "missing_value") if name in attributes]
+    packed = "scale_factor" in attributes or "add_offset" in attributes
+    if not packed and not fills:
+        return values
+    numbers = np.asarray(values, dtype=np.float64)
+    if fills:
+        numbers = np.where(np.isin(values, np.concatenate(fills)), np.nan, numbers)
+    scale, offset = (float(np.squeeze(attributes.get(name, one))) for name, one in _PACKING)
+    return numbers * scale + offset if packed else numbers
+
+
+def _axis(path: Path, held: _Held, name: str) -> Array:
+    values = _numbers(path, name, held[name][1])
+    if held[name][0] != (name,) or len(values) < 2 or not (np.diff(values) > 0.0).all():
         raise RecordingError(str(path), name, "expected a coordinate of at least two increasing currents")
     return values
 
 
-def _grid(path: Path, held: xr.Dataset, name: str) -> Array:
-    if set(held[name].dims) != {"i_d", "i_q"}:
-        raise RecordingError(str(path), name, f"expected dimensions (i_d, i_q), got {held[name].dims}")
-    return _numbers(path, held.transpose("i_d", "i_q", ...), name)
+def _grid(path: Path, held: _Held, name: str) -> Array:
+    dimensions, values = held[name]
+    if set(dimensions) != set(_AXES):
+        raise RecordingError(str(path), name, f"expected dimensions (i_d, i_q), got {dimensions}")
+    numbers = _numbers(path, name, values)
+    return numbers if dimensions == _AXES else np.ascontiguousarray(numbers.T)
 
 
-def _numbers(path: Path, held: xr.Dataset, name: str) -> Array:
+def _numbers(path: Path, name: str, values: Any) -> Array:
     try:
-        return held[name].to_numpy().astype(np.float64)
+        return np.asarray(values).astype(np.float64)
     except (TypeError, ValueError):
-        raise RecordingError(str(path), name, f"expected numbers, got {held[name].dtype}") from None
+        raise RecordingError(str(path), name, f"expected numbers, got {np.asarray(values).dtype}") from None
 
 
 def _slopes(i_d: Array, i_q: Array, psi_d: Array, psi_q: Array) -> dict[str, Array]:

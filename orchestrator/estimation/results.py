@@ -46,6 +46,8 @@ def write_results(
 ) -> EstimationReport:
     """Replace the maps and the report in `folder`; the report with the files that it has.
 
+    Files of an earlier pass that found the same stay as they are, and as old.
+
     Parameters
     ----------
     maps : mapping of FluxMap
@@ -61,11 +63,14 @@ def write_results(
     named = {"flux_map" if m == report.method else f"flux_map_{m}": found for m, found in maps.items()}
     files = {**{name: f"{name}.nc" for name in named}, "estimates": REPORT_NAME}
     report = report.model_copy(update={"files": files})
+    text = (visible(report.model_dump_json(indent=2)) + "\n").encode()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".estimating-", dir=folder) as staging:
             for name, flux_map in named.items():
                 save_flux_map(Path(staging) / f"{name}.nc", flux_map, motor=motor, recording=recording)
+            if _is_same(folder, Path(staging), text):
+                return report
             # The report goes first and comes last: where it is, all maps are those that it speaks of.
             (folder / REPORT_NAME).unlink(missing_ok=True)
             for old in folder.glob("flux_map*.nc"):
@@ -74,5 +79,12 @@ def write_results(
                 new.replace(folder / new.name)
     except OSError as error:
         raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error
-    replace_file(folder / REPORT_NAME, (visible(report.model_dump_json(indent=2)) + "\n").encode())
+    replace_file(folder / REPORT_NAME, text)
     return report
+
+
+def _is_same(folder: Path, staging: Path, report: bytes) -> bool:
+    """Whether the folder has this report and the staging's maps already, and no other map."""
+    old, new = ({path.name: path.read_bytes() for path in one.glob("flux_map*.nc")} for one in (folder, staging))
+    file = folder / REPORT_NAME
+    return old == new and file.is_file() and file.read_bytes() == report

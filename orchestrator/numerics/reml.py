@@ -70,7 +70,7 @@ class RestrictedLikelihood:
         self._level = right[:free] / self._size
         left = normal[free:, free:] - self._across.T @ cho_solve(self._factor, self._across)
         along = right[free:] - self._across.T @ cho_solve(self._factor, self._level)
-        information, self._turn = eigh(0.5 * (left + left.T))
+        information, self._turn = eigh(0.5 * (left + left.T), driver="evd")
         self._information = np.maximum(information, 0.0)
         self._along = self._turn.T @ along
         self._squares = float(target @ target - self._level @ cho_solve(self._factor, self._level))
@@ -87,14 +87,18 @@ class RestrictedLikelihood:
 
     def cost(self, precision: float) -> float:
         """Minus twice the logarithm of the restricted likelihood at a 1/t, but for constants of the data."""
-        variance = 1.0 / (precision + self._information)
-        explained = float((variance * self._along**2).sum())
+        return float(self._costs(np.array([precision]))[0])
+
+    def _costs(self, precision: Array) -> Array:
+        """`cost` at several, shape (n,)."""
+        variance = 1.0 / (precision[:, None] + self._information)
+        explained = variance @ self._along**2
         # log(1 + t g) as a sum of what neither overflows nor cancels
-        grown = float(np.log(precision * variance).sum())
+        grown = np.log(precision[:, None] * variance).sum(axis=1)
         if self._freedom is None:
-            return self._squares - explained + self._determinant - grown
-        left = max(self._squares - explained, 1e-300)
-        return self._freedom * float(np.log(left)) + self._determinant - grown
+            return np.asarray(self._squares - explained + self._determinant - grown)
+        left = np.maximum(self._squares - explained, 1e-300)
+        return np.asarray(self._freedom * np.log(left) + self._determinant - grown)
 
     def likeliest(self, decades: tuple[float, float], unit: float, tolerance: float) -> float:
         """The 1/t of the largest likelihood.
@@ -113,7 +117,8 @@ class RestrictedLikelihood:
         def cost(decade: float) -> float:
             return self.cost(10.0**-decade * unit)
 
-        near = min(np.arange(decades[0], decades[1] + 0.5).tolist(), key=cost)
+        places = np.arange(decades[0], decades[1] + 0.5)
+        near = float(places[np.argmin(self._costs(10.0**-places * unit))])
         best = minimize_scalar(cost, bounds=(near - 1.0, near + 1.0), method="bounded", options={"xatol": tolerance})
         return float(10.0 ** -float(best.x) * unit)
 

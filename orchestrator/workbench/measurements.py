@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from orchestrator.numerics.frames import to_dq
 from orchestrator.recording import Recording, read_model
 from orchestrator.runs import open_any
 from protocols import Capture, EstimationReport, InputError, Manifest, MotorModel, RealArray, Segment
@@ -87,6 +86,8 @@ class Measurements:
             As `capture`.
         """
         import pandas as pd
+
+        from orchestrator.numerics.frames import to_dq
 
         capture = self.capture(segment)
         angle = next(s.rotor_angle_rad for s in self.segments if s.id == segment)

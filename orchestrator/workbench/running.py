@@ -9,14 +9,15 @@ from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from orchestrator.config import load_procedure
-from orchestrator.engine import AbsentOperator, Crew, Interrupts, Operator, handling_signals, start_run
 from orchestrator.runs import refuse_file
 from orchestrator.workbench.measurements import Measurements, open
 from orchestrator.workbench.threads import one_thread
 from protocols import InputError, Procedure
+
+if TYPE_CHECKING:
+    from orchestrator.engine import Operator
 
 
 @one_thread()
@@ -56,6 +57,10 @@ def run(
         Something that was handed in is wrong (nothing was energised, no directory is left), or the run ended in a
         fault (its directory is kept, and named in the error's notes).
     """
+    # Who only reads a recording has no need of the engine.
+    from orchestrator.config import load_procedure
+    from orchestrator.engine import AbsentOperator, Crew, Interrupts, handling_signals, start_run
+
     if not isinstance(procedure, Procedure):
         overrides, motor_file = as_overrides(settings or {}), None if motor is None else Path(motor)
         procedure = load_procedure(str(procedure), overrides=overrides, drive=drive, motor=motor_file)

@@ -8,6 +8,8 @@ from pathlib import Path
 
 def main() -> None:
     for file in sorted(Path(__file__).parent.glob("[a-z]*.py")):
+        if file.stem.startswith("test_"):
+            continue
         print(f"-- {file.stem}")
         importlib.import_module(f"tests.benchmarks.{file.stem}").main()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.estimation import load_flux_map, save_flux_map
+from orchestrator.estimation import flux_dataset, load_flux_map, save_flux_map
 from protocols import Basis, FluxMap, RecordingError, StorageError
 from tests.orchestrator.analysis.test_checks import exact_map
 
@@ -27,6 +27,28 @@ def test_a_map_survives_the_file(tmp_path: Path) -> None:
         assert dataset["l_dq_std"].dims == ("i_d", "i_q")
         assert float(dataset["psi_d"].interp(i_d=0.0, i_q=0.0)) == pytest.approx(0.3)
     assert [path.name for path in tmp_path.iterdir()] == ["flux_map.nc"]
+
+
+def test_a_written_map_is_the_dataset_of_the_map(tmp_path: Path) -> None:
+    import xarray as xr
+
+    flux_map = exact_map("injection").model_copy(update={"basis": Basis.INJECTION})
+    save_flux_map(tmp_path / "flux_map.nc", flux_map, motor="m", recording="r")
+    with xr.open_dataset(tmp_path / "flux_map.nc", engine="h5netcdf") as dataset:
+        xr.testing.assert_identical(dataset.load(), flux_dataset(flux_map, motor="m", recording="r"))
+
+
+def test_packed_and_transposed_tables_are_read_as_they_are_meant(tmp_path: Path) -> None:
+    flux_map = exact_map()
+    psi_d = np.array(flux_map.psi_d)
+    psi_d[0, 0] = np.nan
+    dataset = flux_dataset(flux_map.model_copy(update={"psi_d": psi_d}))
+    packing = {"dtype": "int32", "scale_factor": 1e-9, "add_offset": 0.25, "_FillValue": -(2**31)}
+    dataset["psi_q"] = dataset["psi_q"].transpose("i_q", "i_d")
+    dataset.to_netcdf(tmp_path / "packed.nc", engine="h5netcdf", encoding={"psi_d": packing})
+    back = load_flux_map(tmp_path / "packed.nc")
+    np.testing.assert_allclose(back.psi_d, psi_d, rtol=0.0, atol=1e-9)
+    np.testing.assert_array_equal(back.psi_q, flux_map.psi_q)
 
 
 def test_bad_map_files_are_named(tmp_path: Path) -> None:

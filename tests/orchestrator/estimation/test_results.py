@@ -33,6 +33,24 @@ def test_a_second_pass_replaces_the_first_as_a_whole(tmp_path: Path) -> None:
     assert left == {"flux_map.nc", "estimates.json", "diagnosis.json"}
 
 
+def test_a_pass_that_finds_the_same_leaves_the_files_as_old_as_they_are(tmp_path: Path) -> None:
+    results = tmp_path / "results"
+
+    def ages() -> dict[str, int]:
+        return {path.name: path.stat().st_mtime_ns for path in results.iterdir()}
+
+    first = estimate_recording(named("first"), [Sweeps(), Ripples()], tmp_path)
+    before = ages()
+    assert estimate_recording(named("first"), [Sweeps(), Ripples()], tmp_path) == first
+    assert ages() == before
+    estimate_recording(named("first"), [Sweeps(), Ripples(factor=0.9)], tmp_path)
+    assert all(age > before[name] for name, age in ages().items())
+    changed = ages()
+    (results / "flux_map_stray.nc").write_bytes(b"of another pass")
+    estimate_recording(named("first"), [Sweeps(), Ripples(factor=0.9)], tmp_path)
+    assert set(ages()) == set(changed)
+
+
 @few("step", range(7), fast=3)
 def test_a_kill_leaves_no_report_beside_maps_of_another_pass(
     step: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
