@@ -77,7 +77,7 @@ def test_a_segment_does_not_feel_its_neighbours(name: str) -> None:
 @pytest.mark.parametrize("name", BUILT_IN)
 def test_a_batch_is_not_written_to(name: str) -> None:
     one, batch = effect(name), SignalBatch.of(segments_with_a_model())
-    arrays = {key: array for key in SignalBatch.__slots__ if isinstance(array := getattr(batch, key), np.ndarray)}
+    arrays = {key: array for key, array in vars(batch).items() if isinstance(array, np.ndarray)}
     before = {key: array.tobytes() for key, array in arrays.items()}
     for _, p in settings(parameters_of(one)):
         one.correct_batch(batch, p)
