@@ -193,22 +193,22 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
 
 
 def _taken(fitter: Fitter, search: Search, step: Step, candidates: Sequence[Candidate], inflation: float) -> None:
-    """Let an effect into the model, and bend it unless an absent one explains more of what it leaves."""
+    """Let an effect into the model, and extend forms unless an absent effect explains more of what it leaves."""
     fit = in_simple_form(fitter, step.fit)
     search.view = linear_view(fitter, fit, candidates, rigid_in(fit.model.active[-1:]))
     search.unbent = _stands_before_a_form(search.view)
     if not search.unbent:
-        fit = flexible(fitter, fit, inflation)
-    search.steps.append(replace(step, fit=repolished(fitter, fit)))
+        fit = repolished(fitter, flexible(fitter, fit, inflation))
+    search.steps.append(replace(step, fit=fit))
     fitter.tell(f"+ {plain(step.added or '')}: chi2 {number(search.fit.chi2_per_dof)}")
 
 
 def _bent_after_all(fitter: Fitter, search: Search) -> bool:
-    """Bend the newest effect where it waited for another one that did not come; False where it did not wait."""
+    """Extend the forms that waited for another effect, which did not come; False where none waited."""
     if not search.unbent:
         return False
     search.unbent = False
-    search.steps[-1] = replace(search.steps[-1], fit=flexible(fitter, search.fit, 1.0))
+    search.steps[-1] = replace(search.steps[-1], fit=repolished(fitter, flexible(fitter, search.fit, 1.0)))
     return True
 
 

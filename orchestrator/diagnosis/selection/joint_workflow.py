@@ -122,7 +122,14 @@ def without_needless_scatter(
     if not doubting.fitter.noise.of_model.scatters:
         return setup, doubting, fit
     plain = setup.with_noise(ModelNoise()) if setup.fitter.noise.of_model.scatters else setup
-    alone = in_own_forms(plain.coarse_fitter, plain.coarse_fitter.renewed(model or fit.model))
+    start = plain.coarse_fitter.renewed(model or fit.model)
+    if start.objective - plain.coarse_fitter.promise(start) >= fit.objective:
+        # Not even if all that it promises were to come.
+        plain.coarse_fitter.trace.record(
+            "noise", before=fit, after=start, taken=False, note="variance components are needed, to first order"
+        )
+        return setup, doubting, fit
+    alone = in_own_forms(plain.coarse_fitter, start)
     near = plain.prepared.criteria.selection.near_enough * fit.chi2_per_dof
     if alone.objective >= fit.objective and alone.chi2_per_dof < near:
         # From far off a descent may end on its way: its steps have become short.
