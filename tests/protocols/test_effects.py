@@ -118,7 +118,7 @@ def test_what_a_correction_leaves_out_stays_as_it_is() -> None:
 
 def test_what_magnetises_moves_along_with_the_current_unless_it_is_given_too() -> None:
     signals = exciting_signals()
-    iron = signals.model_copy(update={"i_m_ab": signals.i_ab - 0.1})
+    iron = dataclasses.replace(signals, i_m_ab=signals.i_ab - 0.1)
     np.testing.assert_allclose(iron.corrected(Correction(i_ab=iron.i_ab + 1.0)).i_m_ab, iron.i_m_ab + 1.0)
     both = iron.corrected(Correction(i_ab=iron.i_ab + 1.0, i_m_ab=iron.i_ab))
     np.testing.assert_array_equal(both.i_m_ab, iron.i_ab)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -205,7 +206,7 @@ def test_a_correction_of_a_batch_and_doubts_are_copies_that_can_be_written_to() 
 
 def test_segments_that_share_their_losses_share_them_behind_the_guard() -> None:
     one, other = _batch().segments
-    together = SignalBatch.of([one, other.model_copy(update={"losses": one.losses})])
+    together = SignalBatch.of([one, replace(other, losses=one.losses)])
     seen: list[SignalBatch] = []
 
     def look(batch: SignalBatch) -> Correction:

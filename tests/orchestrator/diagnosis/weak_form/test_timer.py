@@ -97,9 +97,7 @@ def test_it_is_the_single_commands_that_are_rounded_not_their_means() -> None:
 
 def _averaged(piece: SegmentSignals, command: Array, width: int) -> SegmentSignals:
     rows = len(command) // width
-    signals = piece.signals.model_copy(
-        update={"v_ab": mean_between(command, width, 0.0), "i_ab": piece.signals.i_ab[:rows]}
-    )
+    signals = replace(piece.signals, v_ab=mean_between(command, width, 0.0), i_ab=piece.signals.i_ab[:rows])
     return replace(piece, signals=signals, averaged=width, command_ab=command)
 
 
