@@ -6,7 +6,7 @@ a model that holds arrays describes them by dtype and shape.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Self, cast, get_args, get_type_hints
 
@@ -140,14 +140,14 @@ def shapes_of(holder: type) -> dict[str, Shape]:
     return {name: shape for name, shape in found.items() if shape is not None}
 
 
-def arrays_problem(shapes: Mapping[str, Shape], holder: object) -> tuple[str, str] | None:
+def arrays_problem(shapes: Mapping[str, Shape], optional: Collection[str], holder: object) -> tuple[str, str] | None:
     """The first field of `holder` whose array is not of its dtype, shape or length, and what was expected of it.
 
-    What is None is passed over, and no array is copied.
+    Those that are `optional` may be None. No array is copied.
     """
     for name, shape in shapes.items():
         array = getattr(holder, name)
-        problem = None if array is None else shape.problem(array)
+        problem = None if array is None and name in optional else shape.problem(array)
         if problem is not None:
             return name, problem
     return lengths_problem(shapes, holder)

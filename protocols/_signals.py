@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Annotated
 
 import numpy as np
@@ -154,11 +155,12 @@ class Signals:
 
 
 _SIGNAL_NAMES = tuple(field.name for field in dataclasses.fields(Signals))
-_SHAPES: Mapping[type, Mapping[str, Shape]] = {holder: shapes_of(holder) for holder in (LossHistory, Signals)}
+_SHAPES = MappingProxyType({holder: shapes_of(holder) for holder in (LossHistory, Signals)})
+_OPTIONAL = frozenset(f.name for holder in _SHAPES for f in dataclasses.fields(holder) if f.default is None)
 
 
 def _require_arrays(holder: LossHistory | Signals) -> None:
     """Raise `InputError` where an array is not what its field is declared as."""
-    problem = arrays_problem(_SHAPES[type(holder)], holder)
+    problem = arrays_problem(_SHAPES[type(holder)], _OPTIONAL, holder)
     if problem is not None:
         raise InputError(type(holder).__name__, *problem)
