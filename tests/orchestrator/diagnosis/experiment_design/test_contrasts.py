@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -65,7 +66,12 @@ def test_what_its_stages_measure_brings_a_contrast_about(setup: DiagnosisSetup, 
         elif contrast is Contrast.LONG_HOLD:
             # A plan stands for a hold by a part of it.
             n = round(30.0 * pieces[0].signals.sampling_frequency_hz)
-            signals = replace(pieces[0].signals, v_dc=np.full(n, 540.0), i_ab=np.resize(pieces[0].signals.i_ab, (n, 2)))
+            part = pieces[0].signals
+            names = ("i_ab", "v_ab", "i_m_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
+            whole: dict[str, Any] = {
+                name: np.resize(getattr(part, name), (n, *getattr(part, name).shape[1:])) for name in names
+            }
+            signals = replace(part, **whole)
             assert holds(only(before, *before.pieces, replace(pieces[0], signals=signals)), contrast)
         else:
             assert holds(only(before, *before.pieces, *pieces), contrast)
