@@ -21,6 +21,7 @@ from typing import Any, ClassVar, Literal, get_args, get_origin
 from pydantic import BaseModel, ValidationError
 
 from orchestrator._entry_points import entries_of
+from orchestrator._plugin_methods import hook_problem, method_problem
 from orchestrator._validation import first_problem, suggestion
 from protocols import Drive, Effect, Estimator, FluxbenchError, NoOptions, PluginError, Stage, Stream, Strict
 
@@ -232,9 +233,13 @@ def _check_contract(info: PluginInfo, plugin: type[Any]) -> None:
             raise PluginError(info.kind.value, str(info), f"attribute {attribute!r} {problem}")
     for method, definition in vars(contract).items():
         if inspect.isfunction(definition) and not method.startswith("_"):
-            problem = _method_problem(plugin, method, definition)
+            problem = method_problem(plugin, method, contract)
             if problem:
                 raise PluginError(info.kind.value, str(info), f"method {method!r} {problem}")
+    if info.kind is PluginKind.EFFECTS:
+        problem = hook_problem(plugin)
+        if problem:
+            raise PluginError(info.kind.value, str(info), problem)
 
 
 def _attribute_problem(plugin: type[Any], attribute: str, wanted: Any) -> str | None:
@@ -266,15 +271,3 @@ def _example(attribute: str, wanted: Any) -> str:
         return f"{attribute} = {wanted.__name__}.{first.name} (or {', '.join(other.name for other in others)})"
     examples = {str: '"..."', bool: "True", int: "0", float: "0.0", tuple: "()"}
     return f"{attribute} = {examples.get(origin or wanted, '...')}"
-
-
-def _method_problem(plugin: type[Any], method: str, definition: Any) -> str | None:
-    found = getattr(plugin, method, None)
-    arguments = inspect.signature(definition).parameters
-    if not callable(found):
-        return f"is missing: write def {method}({', '.join(arguments)})"
-    try:
-        inspect.signature(found).bind(*arguments)
-    except TypeError:
-        return f"cannot be called as {method}({', '.join(list(arguments)[1:])})"
-    return None

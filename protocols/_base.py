@@ -6,8 +6,9 @@ a model that holds arrays describes them by dtype and shape.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any, Self, cast
+from typing import Annotated, Any, Self, cast, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from pydantic import BaseModel, ConfigDict, GetCoreSchemaHandler, GetJsonSchemaH
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
 RealArray = NDArray[np.floating[Any]]
+_FLOATS = (np.dtype(np.float32), np.dtype(np.float64))
 
 
 def _number_as_such(value: Any) -> Any:
@@ -77,18 +79,10 @@ class Shape:
 
     def __get_pydantic_core_schema__(self, source: object, handler: GetCoreSchemaHandler) -> CoreSchema:
         def check(value: object) -> RealArray:
-            if not isinstance(value, np.ndarray):
-                raise PydanticCustomError("array", "expected a numpy array, got {got}", {"got": type(value).__name__})
-            if value.dtype not in (np.float32, np.float64):
-                raise PydanticCustomError("array", "expected float32 or float64, got {got}", {"got": str(value.dtype)})
-            fits = value.ndim == len(self.dims) and all(
-                isinstance(want, str) or want == have for want, have in zip(self.dims, value.shape, strict=True)
-            )
-            if not fits:
-                raise PydanticCustomError(
-                    "array", "expected shape {want}, got {got}", {"want": str(self), "got": str(value.shape)}
-                )
-            return value
+            problem = self.problem(value)
+            if problem is not None:
+                raise PydanticCustomError("array", "{problem}", {"problem": problem})
+            return cast(RealArray, value)
 
         return core_schema.no_info_plain_validator_function(
             check,
@@ -99,6 +93,17 @@ class Shape:
 
     def __get_pydantic_json_schema__(self, schema: CoreSchema, handler: GetJsonSchemaHandler) -> dict[str, Any]:
         return {"type": "object", "description": f"array of shape {self}, held outside JSON"}
+
+    def problem(self, value: object) -> str | None:
+        """What was expected instead of `value`; None where it is such an array."""
+        if not isinstance(value, np.ndarray):
+            return f"expected a numpy array, got {type(value).__name__}"
+        if value.dtype not in _FLOATS:
+            return f"expected float32 or float64, got {value.dtype}"
+        fits = value.ndim == len(self.dims) and all(
+            isinstance(want, str) or want == have for want, have in zip(self.dims, value.shape, strict=True)
+        )
+        return None if fits else f"expected shape {self}, got {value.shape}"
 
     def __str__(self) -> str:
         return "(" + ", ".join(map(str, self.dims)) + ("," if len(self.dims) == 1 else "") + ")"
@@ -121,20 +126,48 @@ class ArrayModel(BaseModel):
 
     @model_validator(mode="after")
     def _dimensions_agree(self) -> Self:
-        sizes: dict[str, tuple[str, int]] = {}
-        for name, field in type(self).model_fields.items():
-            array = getattr(self, name)
-            shape = next((m for m in field.metadata if isinstance(m, Shape)), None)
-            if shape is None or array is None:
-                continue
-            for dim, size in zip(shape.dims, array.shape, strict=True):
-                if not isinstance(dim, str):
-                    continue
-                first, expected = sizes.setdefault(dim, (name, size))
-                if size != expected:
-                    raise PydanticCustomError(
-                        "array",
-                        "{name} has length {size}, but {first} has {expected}",
-                        {"name": name, "size": size, "first": first, "expected": expected},
-                    )
+        shapes = {name: m for name, f in type(self).model_fields.items() for m in f.metadata if isinstance(m, Shape)}
+        problem = lengths_problem(shapes, self)
+        if problem is not None:
+            raise PydanticCustomError("array", "{name} {problem}", {"name": problem[0], "problem": problem[1]})
         return self
+
+
+def shapes_of(holder: type) -> dict[str, Shape]:
+    """The shape of each field of a class that is annotated with one, also of those that may be None."""
+    hints = get_type_hints(holder, include_extras=True)
+    found = {name: _shape_in(hint) for name, hint in hints.items()}
+    return {name: shape for name, shape in found.items() if shape is not None}
+
+
+def arrays_problem(shapes: Mapping[str, Shape], optional: Collection[str], holder: object) -> tuple[str, str] | None:
+    """The first field of `holder` whose array is not of its dtype, shape or length, and what was expected of it.
+
+    Those that are `optional` may be None. No array is copied.
+    """
+    for name, shape in shapes.items():
+        array = getattr(holder, name)
+        problem = None if array is None and name in optional else shape.problem(array)
+        if problem is not None:
+            return name, problem
+    return lengths_problem(shapes, holder)
+
+
+def lengths_problem(shapes: Mapping[str, Shape], holder: object) -> tuple[str, str] | None:
+    """The first field of `holder` whose array differs in a named dimension from those before it, and how."""
+    sizes: dict[str, tuple[str, int]] = {}
+    for name, shape in shapes.items():
+        array = getattr(holder, name)
+        if array is None:
+            continue
+        for dim, size in zip(shape.dims, array.shape, strict=True):
+            first, expected = sizes.setdefault(dim, (name, size)) if isinstance(dim, str) else (name, size)
+            if size != expected:
+                return name, f"has length {size}, but {first} has {expected}"
+    return None
+
+
+def _shape_in(hint: Any) -> Shape | None:
+    found = (m for m in getattr(hint, "__metadata__", ()) if isinstance(m, Shape))
+    inner = (_shape_in(part) for part in get_args(hint))
+    return next(found, None) or next((shape for shape in inner if shape is not None), None)

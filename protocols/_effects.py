@@ -10,17 +10,16 @@ from __future__ import annotations
 import dataclasses
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from typing import Annotated, Any, ClassVar, Protocol, dataclass_transform, runtime_checkable
+from types import MappingProxyType
+from typing import Any, ClassVar, Literal, Protocol, dataclass_transform, runtime_checkable
 
-import numpy as np
-
-from protocols._base import ArrayModel, Phases, RealArray, Samples, Shape, Vectors
 from protocols._errors import PluginError
-from protocols._motor import Motor
-from protocols._recording import DriveRecord
+from protocols._remarks import Remark
+from protocols._signal_batch import SignalBatch
+from protocols._signals import Correction, Signals
 
 
 class EffectLayer(IntEnum):
@@ -226,140 +225,13 @@ class EffectParameters:
 
 _ROLES = "declared without a role: expected amplitude(...), shape(...) or refinement(...)"
 
-Curve = Annotated[np.ndarray[Any, np.dtype[np.floating[Any]]], Shape(("m",))]
-
-
-class LossHistory(ArrayModel):
-    """Copper loss over the whole experiment, coarsely sampled; what was not captured is estimated."""
-
-    time_s: Curve
-    """Since the start of the experiment, increasing, shape (m,)."""
-    power_w: Curve
-    """Mean loss from this instant to the next, shape (m,)."""
-    captured: Curve | None = None
-    """1 where it was measured, 0 where it is assumed, shape (m,); None: measured throughout."""
-
-
-@dataclass(frozen=True)
-class Correction:
-    """What an effect changes of the signals, as new arrays of the same shape; None: unchanged."""
-
-    i_ab: RealArray | None = None
-    v_ab: RealArray | None = None
-    v_late_ab: RealArray | None = None
-    v_dc: RealArray | None = None
-    theta_rad: RealArray | None = None
-    resistance_ohm: RealArray | None = None
-    i_m_ab: RealArray | None = None
-    """None where `i_ab` is given: what magnetises moves along with it."""
-
-    @property
-    def arrays(self) -> dict[str, RealArray]:
-        """What is changed, by its name."""
-        return {name: array for name, array in vars(self).items() if array is not None}
-
-
-class Signals(ArrayModel):
-    """One segment as an effect sees it, each quantity at its current best; time first.
-
-    Starts as what was measured and commanded; what effects return is put in its place.
-    """
-
-    start_s: float
-    sampling_frequency_hz: float
-    pwm_frequency_hz: float
-    i_ab: Vectors
-    """Stator current [A]."""
-    v_ab: Vectors
-    """Voltage at the terminals [V], its mean over each interval."""
-    v_dc: Samples
-    theta_rad: Samples
-    """Electrical angle of the d axis."""
-    turned_rad: float = 0.0
-    """How far the rotor is believed to lie from where most of the recording has it."""
-    resistance_ohm: Samples
-    i_m_ab: Vectors
-    """The part of the stator current that magnetises [A]."""
-    heat_j: Samples
-    """Copper loss since the start of the experiment."""
-    v_late_ab: Vectors | None = None
-    """What an interval's end has beside its mean [V], where the voltage changes within it; None: nothing."""
-    psi_ab: Vectors | None = None
-    """Flux linkage at the measured current by the model as it stands, magnet included [Wb]; None without a model."""
-    inductance_ab: Phases | None = None
-    """L_aa, L_ab, L_bb of the model there, in the stator frame [H]; None without a model."""
-    psi_smooth_ab: Vectors | None = None
-    """The same without the current's noise: fast changes from the voltage, slow ones from the model [Wb]."""
-    i_smooth_ab: Vectors | None = None
-    """The stator current that belongs to the smooth flux [A]."""
-    i_quiet_ab: Vectors | None = None
-    """The stator current as a hold's readings tell it without their noise [A], for what bends within it; else None."""
-    i_abc: Phases | None = None
-    """Phase currents as the sensors read them [A], where the recording holds them; no effect changes them."""
-    clarke_of_three: bool | None = None
-    """Whether the vector was made of three readings (else of a and b); None where the recording does not tell."""
-    temperature_c: Samples | None = None
-    """As logged, where the drive has a thermometer."""
-    start_temperature_c: float | None = None
-    """The first one that was logged in the experiment."""
-    came_from_ab: Vectors | None = None
-    """Where the stator current was on its way to where the segment begins, oldest first, (points, 2) [A]; None: not
-    known."""
-    losses: LossHistory | None = None
-    motor: Motor | None = None
-    """The nameplate."""
-    drive: DriveRecord | None = None
-    bridge_on: bool = True
-    """False while all gates are off: then no voltage is commanded and none is impressed."""
-
-    @property
-    def time_s(self) -> RealArray:
-        """When each sample was, since the start of the experiment, shape (n,) [s]."""
-        return self.start_s + np.arange(len(self.v_dc)) / self.sampling_frequency_hz
-
-    def corrected(self, correction: Correction) -> Signals:
-        """These signals with what an effect changed of them."""
-        changed = self.changed_along(correction.arrays)
-        return self.replaced(changed) if changed else self
-
-    def changed_along(self, arrays: Mapping[str, RealArray]) -> Mapping[str, RealArray]:
-        """All that changes where some arrays do, by their names: what magnetises moves along with the current."""
-        if "i_ab" not in arrays:
-            return arrays
-        moved = arrays["i_ab"] - self.i_ab
-        changed = {"i_m_ab": self.i_m_ab + moved, **arrays}
-        if self.i_quiet_ab is not None:
-            changed["i_quiet_ab"] = self.i_quiet_ab + moved
-        return changed
-
-    def replaced(self, arrays: Mapping[str, RealArray]) -> Signals:
-        """These signals with other arrays of the same shapes in the place of some, by their names.
-
-        Nothing is checked: a diagnosis does it half a million times, and pydantic's own copy takes ten times as long.
-        """
-        other = object.__new__(type(self))
-        object.__setattr__(other, "__dict__", {**self.__dict__, **arrays})
-        for name in ("__pydantic_fields_set__", "__pydantic_extra__", "__pydantic_private__"):
-            object.__setattr__(other, name, getattr(self, name))
-        return other
-
 
 @runtime_checkable
 class Effect(Protocol):
     """A candidate for what the model lacks.
 
-    One that shows only in some recordings says so by a method ``shows_in(signals) -> bool``: where it is true of no
-    segment, a diagnosis does not look for the effect, which then costs nothing. One that readings prove, whatever the
-    motor is, says it by ``measured(segments) -> EffectParameters | None``: a diagnosis then begins with it. One whose
-    parameters say more than a size says that by ``remarks(parameters) -> Sequence[Remark]`` where it is named. One that
-    cannot know all of what it does, such as what iron remembers of before a segment, says it by
-    ``doubts(signals, parameters) -> Sequence[Correction]``: each is what a standard deviation of that would change, and
-    noise of that form is expected in the segment.
-
-    A diagnosis evaluates an effect on many segments at once. One that can do that in a single call says so by
-    ``correct_batch(batch, parameters) -> Correction`` of a `SignalBatch`, and for what it cannot know by
-    ``doubts_batch(batch, parameters) -> Sequence[Correction]``, each of which changes every segment by its own; any
-    other is asked segment by segment.
+    What is below is required. An effect may have any of the methods in `EFFECT_HOOKS` besides; a public method that is
+    neither is refused when the effect is loaded, for it would never be called.
     """
 
     name: ClassVar[str]
@@ -391,3 +263,146 @@ class Effect(Protocol):
             Of the effect's own class.
         """
         ...
+
+
+class SegmentDependentEffect(Protocol):
+    """An effect that only some recordings can show, such as one that needs a thermometer's readings."""
+
+    def shows_in(self, signals: Signals, /) -> bool:
+        """Whether a segment can show the effect.
+
+        Called once for each segment before the search. Where it is true of no segment, a diagnosis leaves the effect
+        out, which then costs nothing.
+
+        Parameters
+        ----------
+        signals : Signals
+            As measured, without any effect accounted for.
+        """
+        ...
+
+
+class MeasurableEffect(Protocol):
+    """An effect that the readings alone establish, whatever the motor is, such as unequal sensor gains."""
+
+    def measured(self, segments: Sequence[Signals], /) -> EffectParameters | None:
+        """The parameters that the readings give, or None where they do not tell.
+
+        Called once, before the search, which then includes the effect from the start if that improves the fit.
+
+        Parameters
+        ----------
+        segments : sequence of Signals
+            All segments of the recording, as measured.
+
+        Returns
+        -------
+        EffectParameters or None
+            Of the effect's own class, in SI; only the amplitudes are read.
+        """
+        ...
+
+
+class RemarkingEffect(Protocol):
+    """An effect whose parameters tell an engineer more than a size, such as which leg of the inverter it is."""
+
+    def remarks(self, parameters: Any, /) -> Sequence[Remark]:
+        """Remarks that are shown where the effect is reported as a cause.
+
+        Parameters
+        ----------
+        parameters : EffectParameters
+            Of the effect's own class, as they were fitted.
+        """
+        ...
+
+
+class RandomDirectionsEffect(Protocol):
+    """An effect that cannot know all of what it does, such as what iron remembers of before a segment."""
+
+    def doubts(self, signals: Signals, parameters: Any, /) -> Sequence[Correction]:
+        """Random directions: what one standard deviation of each unknown quantity would change of a segment.
+
+        Called wherever `Effect.correct` is, with the bridge on. The segment is expected to have noise of these forms;
+        the unknown quantities are independent of each other, and of those of other segments.
+
+        Parameters
+        ----------
+        signals : Signals
+        parameters : EffectParameters
+            Of the effect's own class.
+
+        Returns
+        -------
+        sequence of Correction
+            One for each unknown quantity, with arrays of the same shapes and units as in `signals`.
+        """
+        ...
+
+
+class BatchEffect(Protocol):
+    """An effect that is evaluated on many segments in a single call; any other is called segment by segment."""
+
+    def correct_batch(self, batch: SignalBatch, parameters: Any, /) -> Correction:
+        """What `Effect.correct` returns of each segment, laid end to end.
+
+        Called in its place in every iteration of a fit. No segment may depend on its neighbours in the batch.
+
+        Parameters
+        ----------
+        batch : SignalBatch
+            N samples in all; those of segment k are `batch.slice_of(k)`.
+        parameters : EffectParameters
+            Of the effect's own class.
+
+        Returns
+        -------
+        Correction
+            With arrays of the batch's shapes, (N,) or (N, 2), and units.
+        """
+        ...
+
+
+class RandomDirectionsBatchEffect(Protocol):
+    """A `RandomDirectionsEffect` that is evaluated on many segments in a single call."""
+
+    def doubts_batch(self, batch: SignalBatch, parameters: Any, /) -> Sequence[Correction]:
+        """What `RandomDirectionsEffect.doubts` returns of each segment, laid end to end.
+
+        Called in its place. Each correction changes every segment by that segment's own standard deviation.
+
+        Parameters
+        ----------
+        batch : SignalBatch
+            N samples in all; those of segment k are `batch.slice_of(k)`.
+        parameters : EffectParameters
+            Of the effect's own class.
+
+        Returns
+        -------
+        sequence of Correction
+            One for each unknown quantity of a segment, with arrays of the batch's shapes, (N,) or (N, 2), and units.
+        """
+        ...
+
+
+EffectHook = Literal["shows_in", "measured", "remarks", "doubts", "correct_batch", "doubts_batch"]
+"""The name of a method that an effect may have."""
+
+EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
+    {
+        "shows_in": SegmentDependentEffect,
+        "measured": MeasurableEffect,
+        "remarks": RemarkingEffect,
+        "doubts": RandomDirectionsEffect,
+        "correct_batch": BatchEffect,
+        "doubts_batch": RandomDirectionsBatchEffect,
+    }
+)
+"""Every method that an effect may have, and the protocol that declares it."""
+
+
+def hook_of(effect: Effect, hook: EffectHook) -> Callable[..., Any] | None:
+    """The effect's own method of this name, or None where it has none."""
+    found: Callable[..., Any] | None = getattr(effect, hook, None)
+    return found

@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from protocols._base import RealArray
-from protocols._effects import Correction, Signals
 from protocols._motor import Motor
 from protocols._recording import DriveRecord
+from protocols._signals import Correction, Signals
 
 
 @dataclass(frozen=True)

@@ -7,11 +7,12 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from orchestrator._plugin_methods import hook_problem
 from orchestrator.testing._effect_batches import EffectBatchChecks
 from orchestrator.testing._effect_physics import EffectPhysicsChecks
 from orchestrator.testing._kit import PLUGIN_NAME, Kit
 from orchestrator.testing._signals import SIGNAL_ARRAYS, exciting_signals, largest_change
-from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, Signals
+from protocols import Contrast, Correction, Effect, EffectLayer, ParameterRole, Signals, hook_of
 
 
 class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
@@ -47,6 +48,8 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
         assert isinstance(effect.layer, EffectLayer), f"layer is {effect.layer!r}; expected an EffectLayer"
         for text in ("summary", "signature"):
             assert getattr(effect, text).strip(), f"{text} is empty"
+        problem = hook_problem(type(effect))
+        assert problem is None, problem
         unknown = [need for need in effect.needs if not isinstance(need, Contrast)]
         assert not unknown, f"needs holds {unknown}; expected members of protocols.Contrast"
 
@@ -107,7 +110,7 @@ class EffectConformance(EffectPhysicsChecks, EffectBatchChecks, Kit, ABC):
     def test_doubts_are_corrections_of_finite_signals(self) -> None:
         """Of an effect that says what it cannot know."""
         effect, signals = self.make_effect(), self.signals()
-        doubts = getattr(effect, "doubts", None)
+        doubts = hook_of(effect, "doubts")
         for doubt in () if doubts is None else doubts(signals, effect.Parameters(**self._values("typical"))):
             assert isinstance(doubt, Correction), f"doubts returned {type(doubt).__name__} instead of a Correction"
             after = signals.corrected(doubt)

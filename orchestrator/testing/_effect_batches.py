@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from dataclasses import fields, replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 
-from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals
+from protocols import Correction, Effect, EffectParameters, SignalBatch, Signals, hook_of
 
 SAME = 1e-9
 """Of the largest value of an array, a difference that is rounding."""
@@ -27,7 +29,7 @@ class EffectBatchChecks(ABC):
 
     def test_a_batch_is_corrected_as_its_segments_alone(self) -> None:
         effect = self.make_effect()
-        correct_batch = getattr(effect, "correct_batch", None)
+        correct_batch = hook_of(effect, "correct_batch")
         if correct_batch is None:
             return
         batch = SignalBatch.of(_segments(self.signals()))
@@ -37,7 +39,7 @@ class EffectBatchChecks(ABC):
 
     def test_doubts_of_a_batch_are_those_of_its_segments(self) -> None:
         effect = self.make_effect()
-        doubts, doubts_batch = getattr(effect, "doubts", None), getattr(effect, "doubts_batch", None)
+        doubts, doubts_batch = hook_of(effect, "doubts"), hook_of(effect, "doubts_batch")
         if doubts is None or doubts_batch is None:
             assert doubts_batch is None, "it has doubts_batch, but no doubts: a single segment is asked for the latter"
             return
@@ -56,12 +58,10 @@ class EffectBatchChecks(ABC):
         before = {name: array.tobytes() for name, array in arrays.items()}
         for array in arrays.values():
             array.flags.writeable = False
-        asked: list[Callable[[SignalBatch, EffectParameters], object]] = [
-            getattr(effect, name) for name in ("correct_batch", "doubts_batch") if hasattr(effect, name)
-        ]
-        for ask in asked:
+        hooks = (hook_of(effect, "correct_batch"), hook_of(effect, "doubts_batch"))
+        for hook in (hook for hook in hooks if hook is not None):
             for parameters in _settings(effect):
-                ask(batch, parameters)
+                hook(batch, parameters)
         changed = [name for name, array in arrays.items() if array.tobytes() != before[name]]
         assert not changed, f"modified in place: {changed}"
 
@@ -80,19 +80,19 @@ def _segments(signals: Signals) -> list[Signals]:
     ends = [round(part * n) for part in BOUNDS]
     pieces = []
     for k, (first, end) in enumerate(pairwise(ends)):
-        update: dict[str, object] = {
+        update: dict[str, Any] = {
             "start_s": signals.start_s + first / signals.sampling_frequency_hz,
             "sampling_frequency_hz": signals.sampling_frequency_hz * (1.0, 2.0, 1.0, 1.0)[k],
             "pwm_frequency_hz": signals.pwm_frequency_hz * (1.0, 2.0, 2.0, 1.0)[k],
             "turned_rad": signals.turned_rad * (1.0, 0.0, 0.5, 1.0)[k],
         }
-        for name in type(signals).model_fields:
+        for name in (field.name for field in fields(signals)):
             array = getattr(signals, name)
             if isinstance(array, np.ndarray) and len(array) == n and name != "came_from_ab":
                 update[name] = array[first:end]
         if k == 3:
             update |= {"came_from_ab": None, "losses": None, "v_late_ab": None}
-        pieces.append(signals.model_copy(update=update))
+        pieces.append(replace(signals, **update))
     # Backwards, so that none goes on where the one beside it ends.
     return pieces[::-1]
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -61,7 +63,7 @@ class EffectPhysicsChecks(ABC):
         effect = self.make_effect()
         if effect.layer is not EffectLayer.CURRENT_SENSORS:
             return  # not asked then
-        off = self.signals().model_copy(update={"v_ab": np.zeros_like(self.signals().v_ab), "bridge_on": False})
+        off = replace(self.signals(), v_ab=np.zeros_like(self.signals().v_ab), bridge_on=False)
         changed = sorted(set(self._asked(off, self._typical()).arrays) - {"i_ab"})
         assert not changed, f"with all gates off it changes {', '.join(changed)}, but there only sensors are at work"
 
@@ -171,15 +173,15 @@ def _scaled(signals: Signals) -> Signals:
         "heat_j": "W",
     }
     found = {name: getattr(signals, name) for name in units}
-    update = {name: x * _factor(units[name]) for name, x in found.items() if x is not None}
+    update: dict[str, Any] = {name: x * _factor(units[name]) for name, x in found.items() if x is not None}
     if signals.losses is not None:
-        update["losses"] = signals.losses.model_copy(update={"power_w": signals.losses.power_w * _factor("W")})
+        update["losses"] = replace(signals.losses, power_w=signals.losses.power_w * _factor("W"))
     if signals.motor is not None:
         update["motor"] = signals.motor.model_copy(update=_nameplate(signals.motor.model_dump()))
     if signals.drive is not None:
         bus_v = signals.drive.dc_bus_voltage_v * _factor("V")
         update["drive"] = signals.drive.model_copy(update={"dc_bus_voltage_v": bus_v})
-    return signals.model_copy(update=update)
+    return replace(signals, **update)
 
 
 def _nameplate(values: Mapping[str, float | str | None]) -> dict[str, float]:
@@ -193,10 +195,10 @@ def _nameplate(values: Mapping[str, float | str | None]) -> dict[str, float]:
 
 
 def _later(signals: Signals, by_s: float = 1000.0) -> Signals:
-    update: dict[str, object] = {"start_s": signals.start_s + by_s}
+    update: dict[str, Any] = {"start_s": signals.start_s + by_s}
     if signals.losses is not None:
-        update["losses"] = signals.losses.model_copy(update={"time_s": signals.losses.time_s + by_s})
-    return signals.model_copy(update=update)
+        update["losses"] = replace(signals.losses, time_s=signals.losses.time_s + by_s)
+    return replace(signals, **update)
 
 
 def _at(p: EffectParameter, size: float) -> float:

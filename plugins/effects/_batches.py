@@ -8,11 +8,19 @@ from typing import Any
 
 import numpy as np
 
+import protocols
 from orchestrator.numerics.types import Array, Indices
-from protocols import Correction, RealArray, SignalBatch, Signals
+from protocols import (
+    Correction,
+    RandomDirectionsBatchEffect,
+    RandomDirectionsEffect,
+    RealArray,
+    SignalBatch,
+    Signals,
+)
 
 
-class BatchEffect(ABC):
+class BatchEffect(protocols.BatchEffect, ABC):
     """Base of an effect that is evaluated on many segments in one call."""
 
     @abstractmethod
@@ -24,7 +32,7 @@ class BatchEffect(ABC):
         return self.correct_batch(SignalBatch.of([signals]), p)
 
 
-class DoubtfulBatchEffect(BatchEffect):
+class DoubtfulBatchEffect(BatchEffect, RandomDirectionsEffect, RandomDirectionsBatchEffect):
     """Base of one that, besides, cannot know all of what it does."""
 
     @abstractmethod

@@ -25,6 +25,7 @@ from protocols import (
     LossHistory,
     RealArray,
     Remark,
+    RemarkingEffect,
     SignalBatch,
     amplitude,
     refinement,
@@ -156,7 +157,7 @@ def _less_step(
     return np.asarray(_without_sign(*courses, volts, legs, steps, tables, growth))
 
 
-class DeadTime(BatchEffect):
+class DeadTime(BatchEffect, RemarkingEffect):
     """Blanking time between the switches of a leg.
 
     e = T V_dt s(i_abc / i_th), V_dt = t_d f_pwm V_dc [V]; the impressed voltage is v* - e. `voltage_v`

@@ -20,6 +20,7 @@ from protocols import (
     EffectLayer,
     EffectParameters,
     LossHistory,
+    SegmentDependentEffect,
     SignalBatch,
     Signals,
     amplitude,
@@ -119,7 +120,7 @@ def _warmth(time_s: Array, power_w: Array, rise: float, constants_s: Array, slow
     return out
 
 
-class ResistanceWithTemperature(BatchEffect):
+class ResistanceWithTemperature(BatchEffect, SegmentDependentEffect):
     """Resistance that follows the logged temperature: R = R_0 (1 + alpha (T - T_0)), T_0 the first that was logged.
 
     alpha [1/K] is 0.39 %/K where the thermometer is in a winding of copper, less where it tells of a part of the

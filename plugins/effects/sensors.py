@@ -25,6 +25,8 @@ from protocols import (
     Correction,
     EffectLayer,
     EffectParameters,
+    MeasurableEffect,
+    SegmentDependentEffect,
     SignalBatch,
     Signals,
     amplitude,
@@ -43,7 +45,7 @@ def _ungaining(gains: tuple[float, float, float], three: bool) -> Array:
     return np.asarray(np.linalg.inv(_vectors(to_phases(np.eye(2)) * np.array(gains), three)))
 
 
-class CurrentGainMismatch(BatchEffect):
+class CurrentGainMismatch(BatchEffect, MeasurableEffect):
     """Gains 1 + g/2 of sensor a and 1 - g/2 of sensor b, g dimensionless; i_c = -i_a - i_b, or as a third one reads."""
 
     name: ClassVar[str] = "current_gain_mismatch"
@@ -70,7 +72,7 @@ class CurrentGainMismatch(BatchEffect):
         return None if value is None else self.Parameters(gain_a_minus_b=value)
 
 
-class ThirdCurrentSensor(BatchEffect):
+class ThirdCurrentSensor(BatchEffect, SegmentDependentEffect, MeasurableEffect):
     """Gain 1 + g of sensor c where three sensors make the vector: it is stretched along phase c by 2/3 g.
 
     Its offset moves the vector as those of a and b do, and is told as theirs.

@@ -226,6 +226,30 @@ def test_what_a_new_effect_lacks_is_said_with_what_to_write(change: tuple[str, s
     assert "mine.py" in text
 
 
+@pytest.mark.parametrize(
+    ("method", "told"),
+    [
+        (
+            "def doubt(self, signals, parameters): ...",
+            "method 'doubt' is never called: an effect has correct",
+        ),
+        ("def doubts(self, signals): ...", "method 'doubts' cannot be called as doubts(signals, parameters)"),
+    ],
+)
+def test_an_effect_s_method_that_would_never_be_called_is_refused_when_it_is_loaded(
+    method: str, told: str, tmp_path: Path, install: Install
+) -> None:
+    source = f"{EFFECT}\n    {method}\n"
+    mine = tmp_path / "mine.py"
+    mine.write_text(source)
+    text = complaint(lambda: load_effects_file(mine))
+    assert told in text
+    assert "plugin 'mine'" in text
+    assert "mine.py" in text
+    install("acme_effect", source, "acme_effect:Mine", group="effects", name="mine")
+    assert told in complaint(lambda: load_plugin(PluginKind.EFFECTS, "mine"))
+
+
 def test_a_method_that_is_missing_is_said_with_its_arguments(install: Install) -> None:
     install("acme_broken", GOOD_STREAM.replace("def close", "def klose"), "acme_broken:Good")
     assert "write def close(self)" in complaint(lambda: load_plugin(PluginKind.STREAMS, "third"))

@@ -5,12 +5,9 @@ from __future__ import annotations
 import dataclasses
 from typing import Any
 
-import numpy as np
 import pytest
 
-from orchestrator.testing._signals import exciting_signals
 from protocols import (
-    Correction,
     EffectParameters,
     ParameterRole,
     PluginError,
@@ -106,19 +103,3 @@ def test_a_unit_is_a_product_or_a_quotient_of_known_ones(unit: str, powers: dict
 def test_another_unit_is_refused(unit: str) -> None:
     with pytest.raises(ValueError, match="cannot be scaled"):
         unit_powers(unit)
-
-
-def test_what_a_correction_leaves_out_stays_as_it_is() -> None:
-    signals = exciting_signals()
-    assert signals.corrected(Correction()) is signals
-    after = signals.corrected(Correction(v_ab=signals.v_ab + 1.0))
-    np.testing.assert_array_equal(after.v_ab, signals.v_ab + 1.0)
-    assert after.i_ab is signals.i_ab
-
-
-def test_what_magnetises_moves_along_with_the_current_unless_it_is_given_too() -> None:
-    signals = exciting_signals()
-    iron = signals.model_copy(update={"i_m_ab": signals.i_ab - 0.1})
-    np.testing.assert_allclose(iron.corrected(Correction(i_ab=iron.i_ab + 1.0)).i_m_ab, iron.i_m_ab + 1.0)
-    both = iron.corrected(Correction(i_ab=iron.i_ab + 1.0, i_m_ab=iron.i_ab))
-    np.testing.assert_array_equal(both.i_m_ab, iron.i_ab)

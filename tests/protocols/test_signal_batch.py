@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -17,8 +18,8 @@ OF_MODEL = ("psi_ab", "psi_smooth_ab", "i_smooth_ab")
 
 def signals(n: int, rate_hz: float = 10_000.0, seed: int = 1, **more: Any) -> Signals:
     rng = np.random.default_rng(seed)
-    vectors = {name: rng.normal(size=(n, 2)) for name in ("i_ab", "v_ab", "i_m_ab")}
-    scalars = {name: rng.normal(size=n) for name in ("v_dc", "theta_rad", "resistance_ohm", "heat_j")}
+    vectors: dict[str, Any] = {name: rng.normal(size=(n, 2)) for name in ("i_ab", "v_ab", "i_m_ab")}
+    scalars: dict[str, Any] = {name: rng.normal(size=n) for name in ("v_dc", "theta_rad", "resistance_ohm", "heat_j")}
     return Signals(
         start_s=100.0 * seed,
         sampling_frequency_hz=rate_hz,
@@ -51,7 +52,7 @@ def test_each_segment_comes_back_as_it_was_laid() -> None:
     batch = SignalBatch.of(SEGMENTS)
     for k, one in enumerate(SEGMENTS):
         back = batch.segment(k)
-        for name in type(one).model_fields:
+        for name in (field.name for field in fields(one)):
             np.testing.assert_array_equal(getattr(back, name), getattr(one, name), err_msg=name)
 
 
@@ -95,7 +96,7 @@ def test_what_no_segment_has_the_batch_has_not(name: str) -> None:
 @pytest.mark.parametrize("name", ["v_late_ab", "i_quiet_ab"])
 def test_what_only_some_segments_have_changes_nothing_in_the_others(name: str) -> None:
     own = np.full((LENGTHS[1], 2), 0.5)
-    some = [SEGMENTS[0], SEGMENTS[1].model_copy(update={name: own}), SEGMENTS[2]]
+    some = [SEGMENTS[0], SEGMENTS[1].replaced({name: own}), SEGMENTS[2]]
     batch = SignalBatch.of(some)
     np.testing.assert_array_equal(getattr(batch.segment(1), name), own)
     for k in (0, 2):
@@ -106,13 +107,13 @@ def test_what_only_some_segments_have_changes_nothing_in_the_others(name: str) -
 @pytest.mark.parametrize(("name", "width"), [*((name, 2) for name in OF_MODEL), ("inductance_ab", 3)])
 def test_what_the_model_makes_of_every_segment_is_laid_end_to_end(name: str, width: int) -> None:
     parts = [np.random.default_rng(k).normal(size=(n, width)) for k, n in enumerate(LENGTHS)]
-    batch = SignalBatch.of([s.model_copy(update={name: part}) for s, part in zip(SEGMENTS, parts, strict=True)])
+    batch = SignalBatch.of([s.replaced({name: part}) for s, part in zip(SEGMENTS, parts, strict=True)])
     np.testing.assert_array_equal(getattr(batch, name), np.concatenate(parts))
     np.testing.assert_array_equal(getattr(batch.segment(2), name), parts[2])
 
 
 def test_what_magnetises_moves_along_with_the_current() -> None:
-    quiet = [s.model_copy(update={"i_quiet_ab": s.i_ab + 1.0}) for s in SEGMENTS]
+    quiet = [replace(s, i_quiet_ab=s.i_ab + 1.0) for s in SEGMENTS]
     batch = SignalBatch.of(quiet)
     moved = np.random.default_rng(9).normal(size=batch.i_ab.shape)
     along = batch.changed_along({"i_ab": batch.i_ab + moved})
@@ -143,7 +144,7 @@ def test_a_batch_is_corrected_as_each_of_its_segments_is() -> None:
 def test_other_facts_of_its_segments_leave_the_arrays_alone() -> None:
     batch = SignalBatch.of(SEGMENTS)
     came = np.array([[0.1, 0.2]])
-    other = batch.with_segments([s.model_copy(update={"came_from_ab": came}) for s in SEGMENTS])
+    other = batch.with_segments([replace(s, came_from_ab=came) for s in SEGMENTS])
     assert other.v_ab is batch.v_ab
     assert other.segment(1).came_from_ab is came
     assert batch.segment(1).came_from_ab is None

@@ -13,7 +13,7 @@ from orchestrator._validation import suggestion
 from orchestrator.diagnosis.fitting.guarded import require_effect
 from orchestrator.diagnosis.fitting.machine_scale import MachineScale
 from orchestrator.numerics.types import Array
-from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError, Signals
+from protocols import Effect, EffectParameter, EffectParameters, Manifest, ParameterRole, PluginError, Signals, hook_of
 
 SATURATION = "saturation"
 CROSS_SATURATION = "cross_saturation"
@@ -162,7 +162,7 @@ def those_that_can_show(library: Sequence[Candidate], signals: Sequence[Signals]
 
 
 def _can_show(effect: Effect, signals: Signals) -> bool:
-    shows_in = getattr(effect, "shows_in", None)
+    shows_in = hook_of(effect, "shows_in")
     try:
         return shows_in is None or bool(shows_in(signals))
     except Exception as error:  # somebody else's code may raise anything

@@ -3,14 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active
-from protocols import Correction, EffectLayer, FluxbenchError, PluginError, RealArray, SignalBatch
+from protocols import (
+    Correction,
+    EffectHook,
+    EffectLayer,
+    FluxbenchError,
+    PluginError,
+    RealArray,
+    SignalBatch,
+    Signals,
+    hook_of,
+)
 
 
 @dataclass(frozen=True)
@@ -54,13 +63,12 @@ def apply_effect(signals: SignalBatch, item: Active) -> Corrected:
     """
     if item.is_absent or not (_bridge_on(signals) or item.candidate.effect.layer is EffectLayer.CURRENT_SENSORS):
         return Corrected(signals)
-    return _corrected(signals, _evaluate(item, "correct", signals))
+    return _corrected(signals, _evaluate(item, signals))
 
 
 def has_random_directions(item: Active) -> bool:
     """Whether an effect that is there says what it cannot know."""
-    effect = item.candidate.effect
-    return not item.is_absent and (hasattr(effect, "doubts") or hasattr(effect, "doubts_batch"))
+    return not item.is_absent and any(hook_of(item.candidate.effect, hook) is not None for hook in _DOUBTS)
 
 
 def random_directions_of(item: Active, signals: SignalBatch) -> list[Corrected]:
@@ -86,24 +94,31 @@ def _corrected(signals: SignalBatch, arrays: Mapping[str, RealArray]) -> Correct
     return Corrected(signals.replaced(changed), frozenset(changed))
 
 
-def _evaluate(item: Active, method: str, signals: SignalBatch) -> Mapping[str, RealArray]:
+def _evaluate(item: Active, signals: SignalBatch) -> Mapping[str, RealArray]:
     """What an effect changes of a batch, in one call where it can, else segment by segment."""
-    if hasattr(item.candidate.effect, f"{method}_batch"):
-        return _checked(item, method, signals, _call(item, f"{method}_batch", signals))
-    if len(signals.segments) == 1:
-        one = signals.segment(0)
-        return _checked(item, method, signals, _call(item, method, one))
-    parts = [_call(item, method, signals.segment(k)) for k in range(len(signals.segments))]
-    return _checked(item, method, signals, _end_to_end(item, method, signals, parts))
+    effect = item.candidate.effect
+    correct_batch = hook_of(effect, "correct_batch")
+    if correct_batch is not None:
+        return _checked(item, "correct", signals, _call(item, "correct_batch", correct_batch, signals))
+    parts = [_call(item, "correct", effect.correct, signals.segment(k)) for k in range(len(signals.segments))]
+    correction = parts[0] if len(parts) == 1 else _end_to_end(item, "correct", signals, parts)
+    return _checked(item, "correct", signals, correction)
 
 
 def _evaluate_doubts(item: Active, signals: SignalBatch) -> list[Mapping[str, RealArray]]:
-    if hasattr(item.candidate.effect, "doubts_batch"):
-        return [_checked(item, "doubts", signals, one) for one in _sequence(item, _call(item, "doubts_batch", signals))]
-    found = [_sequence(item, _call(item, "doubts", signals.segment(k))) for k in range(len(signals.segments))]
-    most = max(len(doubts) for doubts in found)
-    rows = [[doubts[m] if m < len(doubts) else Correction() for doubts in found] for m in range(most)]
+    doubts_batch, doubts = (hook_of(item.candidate.effect, hook) for hook in _DOUBTS)
+    if doubts_batch is not None:
+        of_batch = _sequence(item, _call(item, "doubts_batch", doubts_batch, signals))
+        return [_checked(item, "doubts", signals, one) for one in of_batch]
+    if doubts is None:
+        return []
+    found = [_sequence(item, _call(item, "doubts", doubts, signals.segment(k))) for k in range(len(signals.segments))]
+    most = max(map(len, found))
+    rows = [[one[m] if m < len(one) else Correction() for one in found] for m in range(most)]
     return [_checked(item, "doubts", signals, _end_to_end(item, "doubts", signals, row)) for row in rows]
+
+
+_DOUBTS: tuple[EffectHook, EffectHook] = ("doubts_batch", "doubts")
 
 
 def _sequence(item: Active, found: object) -> Sequence[object]:
@@ -135,9 +150,9 @@ def _end_to_end(item: Active, method: str, signals: SignalBatch, parts: Sequence
     return Correction(**arrays)
 
 
-def _call(item: Active, method: str, signals: Any) -> Any:
+def _call(item: Active, method: str, function: Callable[..., object], signals: Signals | SignalBatch) -> object:
     try:
-        return getattr(item.candidate.effect, method)(signals, item.parameters)
+        return function(signals, item.parameters)
     except FluxbenchError:
         raise
     except (Exception, SystemExit) as error:  # somebody else's code may raise anything

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import repeat
 
 import numpy as np
@@ -364,8 +364,8 @@ FLUX = ("psi_ab", "psi_smooth_ab", "i_smooth_ab", "inductance_ab")
 def _with_losses(segments: Sequence[Signals], scale: float) -> tuple[Signals, ...]:
     """The same where losses are so many times as large; segments that share their history go on sharing it."""
     histories = {id(s.losses): s.losses for s in segments}
-    scaled = {k: h and h.model_copy(update={"power_w": h.power_w * scale}) for k, h in histories.items()}
-    return tuple(s.model_copy(update={"losses": scaled[id(s.losses)]}) for s in segments)
+    scaled = {k: h and replace(h, power_w=h.power_w * scale) for k, h in histories.items()}
+    return tuple(replace(s, losses=scaled[id(s.losses)]) for s in segments)
 
 
 def _flux_of(signals: SignalBatch) -> dict[str, Array]:

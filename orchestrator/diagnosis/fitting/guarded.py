@@ -6,19 +6,22 @@ views that cannot be written to.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import fields
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
 from functools import partial
 from typing import Any, cast
 
 import numpy as np
 
+from orchestrator._plugin_methods import hook_problem
 from protocols import (
     Contrast,
     Correction,
     Effect,
+    EffectHook,
     EffectLayer,
     EffectParameters,
+    LossHistory,
     ParameterRole,
     PluginError,
     RealArray,
@@ -80,15 +83,14 @@ class _Guarded:
 
 
 _RETURNS_CORRECTION = ("correct", "correct_batch")
-_RETURNS_CORRECTIONS = ("doubts", "doubts_batch")
+_RETURNS_CORRECTIONS: tuple[EffectHook, ...] = ("doubts", "doubts_batch")
 _READS_SIGNALS = (*_RETURNS_CORRECTION, *_RETURNS_CORRECTIONS, "shows_in", "measured")
 
 
 def _sealed(signals: Signals | SignalBatch | Sequence[Signals]) -> Signals | SignalBatch | list[Signals]:
     """The same arrays, not to be written to."""
     if isinstance(signals, SignalBatch):
-        views = _views({field.name: getattr(signals, field.name) for field in fields(signals)})
-        return signals.with_segments(_all_sealed(signals.segments)).replaced(views)
+        return signals.with_segments(_all_sealed(signals.segments)).replaced(_views(signals))
     if isinstance(signals, Signals):
         return _all_sealed([signals])[0]
     return _all_sealed(signals)
@@ -97,12 +99,13 @@ def _sealed(signals: Signals | SignalBatch | Sequence[Signals]) -> Signals | Sig
 def _all_sealed(segments: Sequence[Signals]) -> list[Signals]:
     """Each segment's arrays sealed; segments that share their history of losses go on sharing it."""
     histories = {id(s.losses): s.losses for s in segments}
-    sealed = {k: h and h.model_copy(update=_views(vars(h))) for k, h in histories.items()}
-    return [s.model_copy(update={**_views(vars(s)), "losses": sealed[id(s.losses)]}) for s in segments]
+    sealed = {k: h and replace(h, **_views(h)) for k, h in histories.items()}
+    return [replace(s.replaced(_views(s)), losses=sealed[id(s.losses)]) for s in segments]
 
 
-def _views(values: Mapping[str, object]) -> dict[str, RealArray]:
-    """Of those values that are arrays, views that cannot be written to."""
+def _views(holder: Signals | SignalBatch | LossHistory) -> dict[str, RealArray]:
+    """Of those fields that are arrays, views that cannot be written to."""
+    values = {field.name: getattr(holder, field.name) for field in fields(holder)}
     views = {name: array.view() for name, array in values.items() if isinstance(array, np.ndarray)}
     for view in views.values():
         view.flags.writeable = False
@@ -117,8 +120,11 @@ def _own(array: Any) -> Any:
 
 
 def require_effect(effect: Effect) -> None:
-    """Raise `PluginError` where an effect's metadata would make no sense to a fit."""
+    """Raise `PluginError` where an effect's metadata would make no sense to a fit, or a method would not be called."""
     name = effect.name
+    problem = hook_problem(type(effect))
+    if problem is not None:
+        raise PluginError("effects", name, problem)
     if not isinstance(effect.layer, EffectLayer):
         raise PluginError("effects", name, f"layer: expected an EffectLayer, got {effect.layer!r}"[:120])
     for need in effect.needs:

@@ -15,7 +15,7 @@ from orchestrator.diagnosis.selection.leftover import leftover_shape
 from orchestrator.diagnosis.selection.shares import Share, is_material
 from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together
 from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
-from protocols import FoundEffect, ParameterValue, PluginError, Remark, ShapeShare, Unexplained
+from protocols import FoundEffect, ParameterValue, PluginError, Remark, ShapeShare, Unexplained, hook_of
 
 
 def found_effects(
@@ -70,7 +70,7 @@ def said_by_effects(fit: Fit, causes: Container[str]) -> list[Remark]:
 
 
 def _said_by(active: Active) -> list[Remark]:
-    says = getattr(active.candidate.effect, "remarks", None)
+    says = hook_of(active.candidate.effect, "remarks")
     try:
         return [] if says is None else [remark.by(active.name) for remark in says(active.parameters)]
     except Exception as error:  # somebody else's code may raise anything

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate, coordinate_of
 from orchestrator.diagnosis.selection.forward_search import Step
-from protocols import PluginError, Signals
+from protocols import PluginError, Signals, hook_of
 
 
 def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> list[Step]:
@@ -44,7 +44,7 @@ def with_measured(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
 
 
 def _measured(candidate: Candidate, signals: Sequence[Signals]) -> Active | None:
-    measured = getattr(candidate.effect, "measured", None)
+    measured = hook_of(candidate.effect, "measured")
     try:
         found = None if measured is None else measured(signals)
         values = {} if found is None else {name: float(getattr(found, name)) for name in candidate.amplitudes}

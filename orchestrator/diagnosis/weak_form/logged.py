@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -55,7 +56,7 @@ def clarke_of_three(i_ab: RealArray, i_abc: RealArray) -> bool | None:
 def since_the_start(signals: Sequence[Signals]) -> list[Signals]:
     """Signals in the order of time, each with the first temperature that was logged."""
     first = next((float(s.temperature_c[0]) for s in signals if s.temperature_c is not None), None)
-    return list(signals) if first is None else [s.model_copy(update={"start_temperature_c": first}) for s in signals]
+    return list(signals) if first is None else [replace(s, start_temperature_c=first) for s in signals]
 
 
 def _means(readings: RealArray, rows: int, width: int) -> RealArray:

@@ -76,7 +76,7 @@ class SensorNoise:
         if piece.stage is not SegmentStage.RESISTANCE:
             return piece
         quiet = quieted(np.asarray(piece.signals.i_ab, dtype=np.float64), np.sqrt(np.diag(self.of(piece))))
-        return replace(piece, signals=piece.signals.model_copy(update={"i_quiet_ab": quiet}))
+        return replace(piece, signals=replace(piece.signals, i_quiet_ab=quiet))
 
     def colour(self, piece: SegmentSignals) -> Array:
         """Power of the noise at each carrier's frequency over that of white noise, shape (carriers,)."""

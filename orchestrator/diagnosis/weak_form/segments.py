@@ -213,7 +213,7 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     if stop >= n or count < criteria.coarse_least_samples:
         return piece
     cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
-    signals = s.model_copy(update={**cut, "i_m_ab": cut["i_ab"]})
+    signals = replace(s, **{**cut, "i_m_ab": cut["i_ab"]})
     windows = windows_of(piece.segment, fs, signals.i_ab, signals.v_ab, criteria)
     if windows is None:
         return piece
@@ -435,7 +435,7 @@ def _knowing_their_way(pieces: Sequence[SegmentSignals]) -> list[SegmentSignals]
     for before, piece in pairwise(pieces):
         turned = before.segment.rotor_angle_rad != piece.segment.rotor_angle_rad
         way = np.zeros((1, 2)) if turned else np.concatenate([way, _way_of(before)])[-_MOST_WAY_POINTS:]
-        known.append(replace(piece, signals=piece.signals.model_copy(update={"came_from_ab": way})))
+        known.append(replace(piece, signals=replace(piece.signals, came_from_ab=way)))
     return known
 
 
@@ -447,7 +447,7 @@ def _knowing_how_far_turned(pieces: Sequence[SegmentSignals]) -> list[SegmentSig
         samples[angle] = samples.get(angle, 0) + piece.segment.samples
     usual = max(samples, key=lambda angle: samples[angle], default=0.0)
     turned = ((piece, piece.segment.rotor_angle_rad - usual) for piece in pieces)
-    return [replace(p, signals=p.signals.model_copy(update={"turned_rad": by_rad})) for p, by_rad in turned]
+    return [replace(p, signals=replace(p.signals, turned_rad=by_rad)) for p, by_rad in turned]
 
 
 def _way_of(piece: SegmentSignals) -> Array:
@@ -472,8 +472,7 @@ def _with_heat(
     losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, criteria.settling_s)
     energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])
     return tuple(
-        replace(p, signals=p.signals.model_copy(update={"heat_j": _heat_of(p, losses, energy), "losses": losses}))
-        for p in pieces
+        replace(p, signals=replace(p.signals, heat_j=_heat_of(p, losses, energy), losses=losses)) for p in pieces
     )
 
 

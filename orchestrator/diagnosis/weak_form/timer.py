@@ -98,7 +98,7 @@ def _impressed(piece: SegmentSignals, timer: ModulatorTimer | None, bus_v: float
             return piece
         impressed = impressed + added
     v_ab = mean_between(impressed, piece.averaged, piece.delay_samples)
-    return replace(piece, signals=piece.signals.model_copy(update={"v_ab": v_ab}))
+    return replace(piece, signals=replace(piece.signals, v_ab=v_ab))
 
 
 def added_by(timer: ModulatorTimer, piece: SegmentSignals, bus_v: float) -> Array | None:

@@ -172,6 +172,35 @@ def test_an_effect_in_a_file_of_one_s_own_is_held_against_the_contract(tmp_path:
     assert_one_line(called("compare", data, "--effects", mine, "--out", tmp_path), 2, "mine.py", "boom")
 
 
+@pytest.mark.parametrize("command", ["compare", "diagnose"])
+def test_an_effect_s_method_that_nothing_calls_ends_a_command_in_one_line(command: str, tmp_path: Path) -> None:
+    data = Path(__file__).parents[2] / "data" / "pm400-reduced"
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT_THAT_DOUBTS.format(method="doubt"))
+    told = ("plugin 'mine'", "mine.py", "'doubt' is never called", "did you mean 'doubts'?")
+    assert_one_line(called(command, data, "--effects", mine, "--out", tmp_path), 2, *told)
+
+
+EFFECT_THAT_DOUBTS = """
+from protocols import Correction, EffectLayer, EffectParameters, amplitude
+
+
+class Mine:
+    name = summary = signature = gauge = "mine"
+    layer = EffectLayer.INVERTER
+    needs = ()
+
+    class Parameters(EffectParameters):
+        offset_v: float = amplitude("V", typical=0.15, prior_width=0.3, low=-5.0, high=5.0)
+
+    def correct(self, signals, p):
+        return Correction()
+
+    def {method}(self, signals, p):
+        return [Correction()]
+"""
+
+
 def test_a_comparison_is_the_contract_s_json(tmp_path: Path) -> None:
     data = Path(__file__).parents[2] / "data" / "pm400-reduced"
     done = called("compare", data, "--json", "--out", tmp_path)

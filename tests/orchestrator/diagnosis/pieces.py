@@ -191,7 +191,7 @@ def with_voltage(made: PreparedRecording, change: Mapping[str, Array] | Array) -
     for p in made.pieces:
         extra = change.get(p.segment.id, np.zeros(2)) if isinstance(change, Mapping) else change
         v_ab = p.signals.v_ab + (extra if p.signals.bridge_on else 0.0)
-        pieces.append(replace(p, signals=p.signals.model_copy(update={"v_ab": v_ab})))
+        pieces.append(replace(p, signals=replace(p.signals, v_ab=v_ab)))
     return replace(made, pieces=tuple(pieces))
 
 
@@ -221,7 +221,7 @@ def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan], *, noise_a: f
     made = prepared(let_through, noise_a=noise_a)
     pieces = []
     for piece, asked in zip(made.pieces, plans, strict=True):
-        signals = piece.signals.model_copy(update={"v_ab": asked.v_dq})
+        signals = replace(piece.signals, v_ab=asked.v_dq)
         pieces.append(replace(piece, signals=signals, command_ab=asked.v_dq))
     return replace(made, pieces=tuple(pieces))
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,7 +22,7 @@ def _signals(gains: tuple[float, float, float], *, noise_a: float = 0.004, offse
         read = true * np.array(gains) + rng.normal(0.0, noise_a, true.shape) + offset_a
         a, b, c = read.T
         vector = np.stack([(2.0 * a - b - c) / 3.0, (b - c) / np.sqrt(3.0)], axis=1)
-        found.append(made.model_copy(update={"i_ab": vector, "i_abc": read, "clarke_of_three": True}))
+        found.append(replace(made, i_ab=vector, i_abc=read, clarke_of_three=True))
     return found
 
 
@@ -43,5 +45,5 @@ def test_a_difference_is_one_where_it_is_beyond_its_noise() -> None:
 
 
 def test_two_sensors_say_nothing_by_their_sum() -> None:
-    assert gains_of([s.model_copy(update={"clarke_of_three": False}) for s in _signals((1.0, 1.0, 1.01))]) is None
+    assert gains_of([replace(s, clarke_of_three=False) for s in _signals((1.0, 1.0, 1.01))]) is None
     assert gains_of([piece(Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0))).signals]) is None

@@ -40,9 +40,9 @@ class ExampleEffect:
         bias_a_v: float = amplitude("V", typical=0.15, prior_width=0.3, low=-2.0, high=2.0)
 
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, p.bias_a_v)
+        return self._less(signals, p.bias_a_v)
 
-    def less(self, signals: Signals, bias_v: float) -> Correction:
+    def _less(self, signals: Signals, bias_v: float) -> Correction:
         return Correction(v_ab=signals.v_ab - [bias_v, 0.0])
 
 
@@ -141,7 +141,7 @@ class DoubtsOnlyBatches(ExampleEffect):
 
 class NotNeutralAtNeutral(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, p.bias_a_v + 1e-3)
+        return self._less(signals, p.bias_a_v + 1e-3)
 
 
 class DoesNothing(ExampleEffect):
@@ -168,7 +168,7 @@ class Remembers(ExampleEffect):
 
     def correct(self, signals: Signals, p: Any) -> Correction:
         self.calls += 1
-        return self.less(signals, p.bias_a_v * self.calls)
+        return self._less(signals, p.bias_a_v * self.calls)
 
 
 class DropsASample(ExampleEffect):
@@ -189,12 +189,12 @@ class ReturnsWholeNumbers(ExampleEffect):
 class NotFiniteAtABound(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
         with np.errstate(divide="ignore", invalid="ignore"):
-            return self.less(signals, float(p.bias_a_v / np.float64(2.0 - p.bias_a_v)))
+            return self._less(signals, float(p.bias_a_v / np.float64(2.0 - p.bias_a_v)))
 
 
 class NotFiniteQuietly(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, np.inf if p.bias_a_v == 2.0 else p.bias_a_v)
+        return self._less(signals, np.inf if p.bias_a_v == 2.0 else p.bias_a_v)
 
 
 class NoParameters(ExampleEffect):
@@ -213,7 +213,7 @@ class ShapeActsAlone(ExampleEffect):
         knee_a: float = shape("A", typical=0.15, prior_width=1.0, low=0.05, high=2.0)
 
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, p.bias_a_v + p.knee_a - 0.05)
+        return self._less(signals, p.bias_a_v + p.knee_a - 0.05)
 
 
 class NoSignature(ExampleEffect):
@@ -230,14 +230,14 @@ class NeedsByName(ExampleEffect):
 
 class Staircase(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, 0.05 * round(p.bias_a_v / 0.05))
+        return self._less(signals, 0.05 * round(p.bias_a_v / 0.05))
 
 
 class ZeroSlope(ExampleEffect):
     """Goes with the square: nothing begins at zero."""
 
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, p.bias_a_v * abs(p.bias_a_v) / 0.15)
+        return self._less(signals, p.bias_a_v * abs(p.bias_a_v) / 0.15)
 
 
 class WrongUnit(ExampleEffect):
@@ -259,7 +259,7 @@ class Millivolts(ExampleEffect):
         bias_a_v: float = amplitude("V", typical=150.0, prior_width=300.0, low=-2000.0, high=2000.0)
 
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, 1e-3 * p.bias_a_v)
+        return self._less(signals, 1e-3 * p.bias_a_v)
 
 
 class WrongLayer(ExampleEffect):
@@ -281,7 +281,7 @@ class SensorThatCommands(ExampleEffect):
 
 class GoesWithTheTimeOfDay(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
-        return self.less(signals, p.bias_a_v * (1.0 + 0.1 * np.sin(signals.start_s)))
+        return self._less(signals, p.bias_a_v * (1.0 + 0.1 * np.sin(signals.start_s)))
 
 
 class CarriesOn(ExampleEffect):
@@ -292,7 +292,7 @@ class CarriesOn(ExampleEffect):
     def correct(self, signals: Signals, p: Any) -> Correction:
         before = self.last_a if signals.start_s > self.end_s > 0.0 else 0.0
         self.end_s, self.last_a = signals.start_s + 0.1, float(signals.i_ab[-1, 0])
-        return self.less(signals, p.bias_a_v * (1.0 + 0.1 * np.sign(before)))
+        return self._less(signals, p.bias_a_v * (1.0 + 0.1 * np.sign(before)))
 
 
 class TakesSeconds(ExampleEffect):
@@ -303,6 +303,11 @@ class TakesSeconds(ExampleEffect):
 
 class ATwinThatNobodyKnows(ExampleEffect):
     needs = ("dead_tim",)  # type: ignore[assignment]
+
+
+class MisspeltMethod(ExampleEffect):
+    def doubt(self, signals: Signals, p: Any) -> Sequence[Correction]:
+        return [self.correct(signals, p)]
 
 
 MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
@@ -323,6 +328,7 @@ MUTATIONS: list[tuple[type[ExampleEffect], str]] = [
     (CarriesOn, "no_earlier_segment"),
     (TakesSeconds, "answers_quickly"),
     (ATwinThatNobodyKnows, "class_keeps_the_contract"),
+    (MisspeltMethod, "class_keeps_the_contract"),
     (NotNeutralAtNeutral, "neutral_values"),
     (DoesNothing, "typical_values_show"),
     (WorksInPlace, "input_is_not_modified"),

@@ -9,13 +9,15 @@ import shutil
 import subprocess
 import sys
 import tomllib
+from dataclasses import fields
 from importlib.resources import files
+from inspect import signature
 from pathlib import Path
 
 import pytest
 
 from orchestrator.testing._effect_physics import CHANGES
-from protocols import EffectLayer, ParameterRole, Signals
+from protocols import EFFECT_HOOKS, EffectLayer, ParameterRole, Signals
 
 ROOT = Path(__file__).parents[3]
 PAGES = (ROOT / "docs" / "plugins.md", ROOT / "docs" / "effects.md")
@@ -62,6 +64,7 @@ def test_page_shows_a_plugin_of_each_kind_and_the_kits() -> None:
         "bench_plugins/ohmmeter.py",
         "bench_plugins/voltage_offset.py",
         "bench_plugins/lagging_drop.py",
+        "bench_plugins/blanking_time.py",
         "bench_plugins/points_file.py",
         "tests/test_conformance.py",
         "tests/test_lagging_drop.py",
@@ -100,10 +103,22 @@ def test_a_plugin_that_breaks_its_contract_fails_there_too(package: Path, tmp_pa
 
 def test_effects_page_names_every_field_of_signals_every_layer_and_every_role() -> None:
     page = PAGES[1].read_text(encoding="utf-8")
-    left_out = [name for name in Signals.model_fields if f"`{name}`" not in page]
+    left_out = [name for name in (field.name for field in fields(Signals)) if f"`{name}`" not in page]
     left_out += [layer.name for layer in EffectLayer if f"| `{layer.name}` |" not in page]
     left_out += [role.value for role in ParameterRole if f"`{role.value}(" not in page]
     assert left_out == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.name))
+def test_each_page_has_a_row_for_every_method_that_an_effect_may_have(page: Path) -> None:
+    rows = re.findall(r"^\| `(\w+)\((?:self, )?([\w, ]+)\)` \|", page.read_text(encoding="utf-8"), re.M)
+    declared = {hook: len(signature(getattr(contract, hook)).parameters) for hook, contract in EFFECT_HOOKS.items()}
+    assert {hook: len(arguments.split(", ")) + 1 for hook, arguments in rows if hook in declared} == declared
+
+
+def test_effects_page_names_the_protocol_of_every_method() -> None:
+    page = PAGES[1].read_text(encoding="utf-8")
+    assert [c.__name__ for c in EFFECT_HOOKS.values() if f"(`{c.__name__}`)" not in page] == []
 
 
 def test_effects_page_says_what_an_effect_of_each_layer_may_change() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from orchestrator.numerics.types import Array
@@ -35,4 +37,4 @@ def corrected(effect: Effect, signals: Signals, **values: float) -> Signals:
 
 
 def reads(signals: Signals, i_ab: Array) -> Signals:
-    return signals.model_copy(update={"i_ab": i_ab, "i_m_ab": i_ab})
+    return replace(signals, i_ab=i_ab, i_m_ab=i_ab)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +30,7 @@ def segments_with_a_model() -> list[Signals]:
         i_dq, n, theta = to_dq(bare.i_ab, bare.theta_rad), len(bare.v_dc), bare.theta_rad
         psi = to_ab(i_dq * [0.043, 0.069] + [0.3, 0.0], theta)
         d, q = 0.043 - 0.002 * i_dq[:, 0] ** 2, 0.069 - 0.003 * i_dq[:, 1] ** 2
-        extra: dict[str, object] = {
+        extra: dict[str, Any] = {
             "psi_ab": psi,
             "inductance_ab": inductance_to_ab(np.stack([d, 0.001 * i_dq[:, 0], q], axis=1), theta),
             "psi_smooth_ab": psi + 1e-4 * rng.normal(size=(n, 2)),
@@ -48,12 +50,12 @@ def segments_with_a_model() -> list[Signals]:
             extra |= {"temperature_c": 24.0 + rng.normal(size=n)}
         if k % 2:
             extra |= {"start_temperature_c": 20.0}
-        whole.append(bare.model_copy(update=extra))
+        whole.append(replace(bare, **extra))
     return whole
 
 
 def segments_with_a_nameplate() -> list[Signals]:
-    return [s.model_copy(update={"motor": MOTOR, "drive": DRIVE}) for s in segments_alone()]
+    return [replace(s, motor=MOTOR, drive=DRIVE) for s in segments_alone()]
 
 
 def segments_alone() -> list[Signals]:

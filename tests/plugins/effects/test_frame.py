@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ def test_a_brake_with_play_lies_at_the_end_that_the_torque_points_to() -> None:
     flux = 0.3 * np.array([math.cos(0.2), math.sin(0.2)])
     quarter = np.array([-math.sin(0.2), math.cos(0.2)])
     for q in (2.0, -2.0, 1e-3):
-        at = signals.model_copy(update={"psi_ab": np.tile(flux, (400, 1)), "i_ab": np.tile(q * quarter, (400, 1))})
+        at = replace(signals, psi_ab=np.tile(flux, (400, 1)), i_ab=np.tile(q * quarter, (400, 1)))
         turned = corrected(BrakeBacklash(), at, gap_rad=0.01, friction_nm=0.05, lag_s=1e-3).theta_rad - 0.2
         torque = 1.5 * 2 * 0.3 * q
         expected = 0.005 * torque / math.hypot(torque, 0.05)
@@ -35,7 +36,7 @@ def test_brake_twists_with_the_torque() -> None:
     signals = readings()
     axis = np.array([math.cos(0.2), math.sin(0.2)])
     psi = np.tile(0.3 * axis, (400, 1))
-    out = corrected(BrakeCompliance(), signals.model_copy(update={"psi_ab": psi}), rad_per_nm=0.005)
+    out = corrected(BrakeCompliance(), replace(signals, psi_ab=psi), rad_per_nm=0.005)
     i_q = -math.sin(0.2) * signals.i_ab[0, 0] + math.cos(0.2) * signals.i_ab[0, 1]
     assert out.theta_rad[0] - 0.2 == pytest.approx(0.005 * 1.5 * 2 * 0.3 * i_q)
 
@@ -48,7 +49,7 @@ def test_a_rotor_swings_on_its_brake_as_a_spring_with_inertia_and_friction(hz: f
     time_s = np.arange(n) / FS
     along = np.stack([np.cos(np.full(n, 0.2)), np.sin(np.full(n, 0.2))], axis=1)
     signals = reads(readings(n), np.sin(omega * time_s)[:, None] * np.stack([-along[:, 1], along[:, 0]], axis=1))
-    signals = signals.model_copy(update={"psi_ab": 0.3 * along})
+    signals = replace(signals, psi_ab=0.3 * along)
     out = corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=inertia_s2)
     twist = 0.005 * 1.5 * 2 * 0.3 / (1.0 + 1j * omega * lag_s - omega**2 * inertia_s2)
     expected = np.imag(twist * np.exp(1j * omega * time_s))
@@ -67,6 +68,6 @@ def test_a_rotor_swings_on_its_brake_as_a_spring_with_inertia_and_friction(hz: f
 def test_a_rotor_at_rest_stays_at_rest_whatever_its_inertia(hz: float, lag_s: float, inertia_s2: float) -> None:
     along = np.tile([math.cos(0.2), math.sin(0.2)], (400, 1))
     signals = reads(readings(), 2.0 * np.stack([-along[:, 1], along[:, 0]], axis=1))
-    signals = signals.model_copy(update={"psi_ab": 0.3 * along, "sampling_frequency_hz": hz})
+    signals = replace(signals, psi_ab=0.3 * along, sampling_frequency_hz=hz)
     out = corrected(BrakeCompliance(), signals, rad_per_nm=0.005, lag_s=lag_s, inertia_s2=inertia_s2)
     assert_close(out.theta_rad - 0.2, np.full(400, 0.005 * 1.5 * 2 * 0.3 * 2.0), 1e-6, of=[0.01])

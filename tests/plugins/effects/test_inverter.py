@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -154,7 +156,7 @@ def test_a_drop_that_only_grows_is_shockleys_law() -> None:
 
 
 def test_a_logarithm_alone_needs_no_rated_current() -> None:
-    signals = _signals(np.tile([1.0, 0.5, -1.5], (10, 1))).model_copy(update={"motor": None})
+    signals = replace(_signals(np.tile([1.0, 0.5, -1.5], (10, 1))), motor=None)
     v_ab = DeviceDrop().correct(signals, DeviceDrop.Parameters(voltage_v=0.8, growth=1.0)).v_ab
     assert v_ab is not None
     assert np.isfinite(v_ab).all()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def test_eddy_current_follows_the_voltage_before_the_sample() -> None:
 def test_a_late_eddy_current_bends_between_samples_as_an_exponential(lag_s: float) -> None:
     """Its mean over an interval, beside the mean of both ends, is in the resistive drop that the voltage loses."""
     v = np.random.default_rng(2).normal(size=(400, 2))
-    signals = readings().model_copy(update={"v_ab": v, "i_ab": np.zeros((400, 2)), "i_m_ab": np.zeros((400, 2))})
+    signals = replace(readings(), v_ab=v, i_ab=np.zeros((400, 2)), i_m_ab=np.zeros((400, 2)))
     out = corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s)
     eddy = -out.i_m_ab
     decay = math.exp(-1.0 / (lag_s * FS))
@@ -46,7 +47,7 @@ def test_eddies_behind_a_late_voltage_follow_what_it_was_at_the_reading(
     """Beside an exponential through both voltages of each interval: exact without a lag, and at half of one."""
     v = np.random.default_rng(2).normal(size=(400, 2))
     nil = np.zeros((400, 2))
-    signals = readings().model_copy(update={"v_ab": v, "i_ab": nil, "i_m_ab": nil})
+    signals = replace(readings(), v_ab=v, i_ab=nil, i_m_ab=nil)
     late = corrected(VoltageDelay(), signals, delay_s=part / FS)
     eddy = -1000.0 * corrected(EddyCurrents(), late, core_loss_ohm=1000.0, lag_s=lag_s).i_m_ab
     old, new = (math.exp(-share / (lag_s * FS)) if lag_s > 0.0 else 0.0 for share in (part, 1.0 - part))
@@ -93,7 +94,7 @@ def test_a_damper_may_be_on_one_axis_alone() -> None:
 def test_eddies_that_diffuse_rise_as_a_field_sinks_into_a_sheet(lag_s: float) -> None:
     """A step's answer by the diffusion equation's own series, of many more terms than the ladder has."""
     v = np.where(np.arange(400) < 100, 0.0, 1.0)[:, None] * np.array([1.0, 0.5])
-    signals = readings().model_copy(update={"v_ab": v, "i_ab": np.zeros((400, 2)), "i_m_ab": np.zeros((400, 2))})
+    signals = replace(readings(), v_ab=v, i_ab=np.zeros((400, 2)), i_m_ab=np.zeros((400, 2)))
     eddy = -1000.0 * corrected(EddyCurrents(), signals, core_loss_ohm=1000.0, lag_s=lag_s, diffused=1.0).i_m_ab[100:, 0]
     m, t = np.arange(1.0, 400.0), np.arange(300)[:, None] / FS
     series = 1.0 - np.sum(6.0 / (np.pi * m) ** 2 * np.exp(-(m**2) * t / lag_s), axis=1)
@@ -114,7 +115,7 @@ def test_half_of_eddies_that_diffuse_is_half_way() -> None:
 def _with_flux(signals: Signals) -> Signals:
     """Of a machine whose inductance is the same all around."""
     inductance = math.sqrt(0.043 * 0.069)
-    return signals.model_copy(update={"psi_smooth_ab": inductance * np.asarray(signals.i_ab)})
+    return replace(signals, psi_smooth_ab=inductance * np.asarray(signals.i_ab))
 
 
 def test_slots_that_ask_for_current_are_those_that_give_flux_where_iron_is_linear() -> None:
@@ -132,7 +133,7 @@ def test_slots_that_ask_for_current_are_those_that_give_flux_where_iron_is_linea
 def test_slots_differ_only_where_the_rotor_is_turned(name: str, part: float) -> None:
     signals = _with_flux(readings())
     values = {"relative": 0.02, "by_flux": part}
-    turned = signals.model_copy(update={"turned_rad": 0.3})
+    turned = replace(signals, turned_rad=0.3)
     for there, as_much in ((signals, True), (turned, False)):
         mere, more = (corrected(SlotHarmonics(), there, **values, **other) for other in ({}, {name: 0.05}))
         same = np.allclose(mere.v_ab, more.v_ab) and np.allclose(mere.i_m_ab, more.i_m_ab)
@@ -142,7 +143,7 @@ def test_slots_differ_only_where_the_rotor_is_turned(name: str, part: float) -> 
 def _loop(values: dict[str, float], swing_wb: float, around_wb: float = 0.0) -> tuple[Array, Array]:
     k = np.arange(4000)
     psi = np.stack([around_wb + swing_wb * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
-    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi, "theta_rad": np.zeros(4000)})
+    signals = replace(readings(4000), psi_smooth_ab=psi, theta_rad=np.zeros(4000))
     held = signals.i_m_ab - corrected(Hysteresis(), signals, **values).i_m_ab
     return psi[:, 0], held[:, 0]
 
@@ -194,7 +195,7 @@ def test_jiles_and_atherton_leave_less_of_soft_stops_and_less_again_of_those_tha
     field = np.where(time < 3.0, 0.9, 0.25) * np.sin(2 * np.pi * time) + np.where(time < 3.0, 0.0, 0.5)
     flux = 0.3 * _jiles_and_atherton(field, pinning=0.1, reversible=0.2)
     psi = np.stack([flux, np.zeros(6000)], axis=1)
-    signals = readings(6000).model_copy(update={"psi_smooth_ab": psi, "theta_rad": np.zeros(6000)})
+    signals = replace(readings(6000), psi_smooth_ab=psi, theta_rad=np.zeros(6000))
     without = np.stack([np.arctanh(flux / 0.3), flux, flux**3, flux**5], axis=1)
 
     def left(x: Array, names: tuple[str, ...]) -> Array:
@@ -283,9 +284,7 @@ def test_stops_of_one_axis_do_not_know_of_the_other() -> None:
     """The flux stands still on d and moves to and fro on q: a vector stop forgets what it held on d."""
     k = np.arange(4000)
     psi = np.stack([np.minimum(k * 2e-4, 0.1), 0.1 * np.sin(2 * np.pi * k / 1000) * (k > 1000)], axis=1)
-    signals = readings(4000).model_copy(
-        update={"psi_smooth_ab": psi, "theta_rad": np.zeros(4000), "came_from_ab": readings().i_ab[:1]}
-    )
+    signals = replace(readings(4000), psi_smooth_ab=psi, theta_rad=np.zeros(4000), came_from_ab=readings().i_ab[:1])
     vector, alone, half = (
         signals.i_m_ab - corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, by_axes=part).i_m_ab
         for part in (0.0, 1.0, 0.5)
@@ -311,7 +310,7 @@ def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps()
     held = []
     for every in (1, 10):
         psi = np.ascontiguousarray(fine[::every])
-        signals = readings(len(psi)).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros((1, 2))})
+        signals = replace(readings(len(psi)), psi_smooth_ab=psi, came_from_ab=np.zeros((1, 2)))
         out = corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, softness=0.6)
         held.append((signals.i_m_ab - out.i_m_ab)[:: 10 // every])
     assert_close(held[1][100:], held[0][100:], 0.03, of=held[0])
@@ -321,11 +320,11 @@ def test_a_soft_stop_asks_how_far_the_flux_has_moved_and_not_in_how_many_steps()
 def test_iron_remembers_from_where_the_current_came(side: float) -> None:
     k = np.arange(4000)
     psi = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
-    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi})
+    signals = replace(readings(4000), psi_smooth_ab=psi)
     far = signals.i_ab[0] - side * np.array([3.0, 0.0])
     held = []
     for came_from in (far, signals.i_ab[0]):
-        coming = signals.model_copy(update={"came_from_ab": came_from[None]})
+        coming = replace(signals, came_from_ab=came_from[None])
         out = corrected(Hysteresis(), coming, half_width_a=0.03, yield_wb=0.015)
         held.append((coming.i_m_ab - out.i_m_ab)[:, 0])
     assert held[0][0] == pytest.approx(side * 0.03, rel=0.05)
@@ -337,7 +336,7 @@ def test_iron_remembers_from_where_the_current_came(side: float) -> None:
 def _held_at_first(came_from: Array, **values: float) -> Array:
     """What a sharp stop holds as a segment begins that the current came to on this way, shape (2,) [A]."""
     psi = np.repeat([[0.2, 0.0]], 4000, axis=0)
-    signals = readings(4000).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": came_from})
+    signals = replace(readings(4000), psi_smooth_ab=psi, came_from_ab=came_from)
     out = corrected(Hysteresis(), signals, half_width_a=0.03, yield_wb=0.015, **values)
     return np.asarray((signals.i_m_ab - out.i_m_ab)[0], dtype=np.float64)
 
@@ -362,7 +361,7 @@ def test_what_iron_may_remember_beside_its_way_stays_where_nothing_moves_and_is_
     loop = np.stack([0.2 * np.sin(2 * np.pi * k / 1000), np.zeros(4000)], axis=1)
     p = Hysteresis.Parameters(half_width_a=0.03, yield_wb=0.015, early_share=0.5)
     for psi, stays in ((np.repeat(loop[:1], 4000, axis=0), True), (loop, False)):
-        signals = readings(4000).model_copy(update={"psi_smooth_ab": psi, "came_from_ab": np.zeros((1, 2))})
+        signals = replace(readings(4000), psi_smooth_ab=psi, came_from_ab=np.zeros((1, 2)))
         known = signals.corrected(Hysteresis().correct(signals, p)).i_m_ab
         doubts = [doubt.arrays["i_m_ab"] - signals.i_m_ab for doubt in Hysteresis().doubts(signals, p)]
         assert len(doubts) == 4
@@ -380,7 +379,7 @@ def test_what_iron_may_remember_beside_its_way_stays_where_nothing_moves_and_is_
 def test_magnets_warm_by_the_copper_loss_and_by_what_else_stays_as_it_is() -> None:
     time_s = np.linspace(0.0, 20.0, 201)
     late = LossHistory(time_s=time_s, power_w=np.where(time_s < 10.0, 0.0, 5.0))
-    signals = readings().model_copy(update={"losses": late})
+    signals = replace(readings(), losses=late)
     values = {"flux_change_wb": -0.0043, "time_constant_s": 8.0}
     slid = []
     for steady in (0.0, 1.0, 0.4):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -113,7 +115,7 @@ def test_within_the_zero_vector_readings_show_a_larger_inductance_and_a_resistan
 
 def test_without_a_model_of_the_flux_what_the_edges_gave_is_still_moved(wave: Array) -> None:
     v_dq = wave[1:-1]
-    signals = _signals(_read(wave, 2e-5), v_dq).model_copy(update={"inductance_ab": None})
+    signals = replace(_signals(_read(wave, 2e-5), v_dq), inductance_ab=None)
     v_ab = SamplingOffset().correct(signals, SamplingOffset.Parameters(offset_s=2e-5)).v_ab
     assert v_ab is not None
     assert np.abs(v_ab - signals.v_ab).max() > 0.1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -64,7 +65,7 @@ def test_a_bus_that_lags_has_sagged_by_what_its_capacitor_gave_on_the_mean_over_
     v_ab, i_ab = np.tile([volts, 0.0], (n, 1)), np.zeros((n, 2))
     # The load comes between the first two rows: the first interval has half of it.
     i_ab[1:, 0] = 2.0
-    signals = readings(n).model_copy(update={"v_ab": v_ab, "i_ab": i_ab})
+    signals = replace(readings(n), v_ab=v_ab, i_ab=i_ab)
     values = {"per_watt": 1e-3, "lag_s": tau, "at_once": at_once}
     sag = 1.0 - corrected(BusSag(), signals, **values).v_ab[:, 0] / volts
     power, since = 1.5 * volts * 2.0, np.arange(n - 2) / FS
@@ -77,7 +78,7 @@ def test_what_a_motor_returns_lifts_a_bus_that_takes_nothing_back_by_the_energy_
     volts, tau, n, per_watt = 10.0, 5e-4, 400, 1e-5
     v_ab, i_ab = np.tile([volts, 0.0], (n, 1)), np.zeros((n, 2))
     i_ab[1:, 0] = -2.0
-    signals = readings(n).model_copy(update={"v_ab": v_ab, "i_ab": i_ab})
+    signals = replace(readings(n), v_ab=v_ab, i_ab=i_ab)
     lifted, steady = (
         corrected(BusSag(), signals, per_watt=per_watt, lag_s=tau, one_way=way).v_ab[:, 0] / volts - 1.0
         for way in (1.0, 0.0)
@@ -113,7 +114,7 @@ def _of_three(signals: Signals, i_abc: Array) -> Signals:
     """As a drive of three sensors reads it: the vector is the Clarke transform of all."""
     a, b, c = i_abc.T
     read = reads(signals, np.stack([(2.0 * a - b - c) / 3.0, (b - c) / math.sqrt(3.0)], axis=1))
-    return read.model_copy(update={"i_abc": i_abc, "clarke_of_three": True})
+    return replace(read, i_abc=i_abc, clarke_of_three=True)
 
 
 def test_errors_of_three_sensors_are_undone() -> None:
@@ -131,13 +132,13 @@ def test_errors_of_three_sensors_are_undone() -> None:
 
 
 def test_a_third_sensor_that_is_known_not_to_be_there_has_no_error() -> None:
-    signals = readings().model_copy(update={"clarke_of_three": False})
+    signals = replace(readings(), clarke_of_three=False)
     assert not ThirdCurrentSensor().shows_in(signals)
     assert corrected(ThirdCurrentSensor(), signals, gain_c_minus_1=0.01) is signals
 
 
 def test_resistance_goes_with_the_thermometer_from_its_first_reading() -> None:
-    warm = readings().model_copy(update={"temperature_c": np.full(400, 35.0), "start_temperature_c": 25.0})
+    warm = replace(readings(), temperature_c=np.full(400, 35.0), start_temperature_c=25.0)
     out = corrected(ResistanceWithTemperature(), warm, per_k=0.004)
     np.testing.assert_allclose(out.resistance_ohm, 4.0 * 1.04)
     assert ResistanceWithTemperature().shows_in(warm)
@@ -177,7 +178,7 @@ def test_sensor_lag_of_any_length_is_undone_where_the_true_course_is_known(sampl
         for x in true[k - 1, 0] + (true[k, 0] - true[k - 1, 0]) * (np.arange(fine) + 0.5) / fine:
             reading += (x - reading) / (samples * fine)
         read[k, 0] = reading
-    known = reads(signals, read).model_copy(update={"i_smooth_ab": true})
+    known = replace(reads(signals, read), i_smooth_ab=true)
     out = corrected(CurrentFilter(), known, time_constant_s=samples / FS)
     # By half an explicit step, in which the current moves by so much.
     assert np.abs(out.i_ab - true).max() < np.abs(np.diff(true, axis=0)).max() / fine
@@ -185,7 +186,7 @@ def test_sensor_lag_of_any_length_is_undone_where_the_true_course_is_known(sampl
 
 def test_a_smooth_current_that_ran_away_does_not_take_the_reading_along() -> None:
     signals = readings()
-    away = signals.model_copy(update={"i_smooth_ab": 1e4 * np.random.default_rng(3).normal(size=(400, 2))})
+    away = replace(signals, i_smooth_ab=1e4 * np.random.default_rng(3).normal(size=(400, 2)))
     change = corrected(CurrentFilter(), away, time_constant_s=8e-6).i_ab - signals.i_ab
     assert np.abs(change).max() <= 8e-6 * FS * 3.0 * np.ptp(signals.i_ab, axis=0).max()
 
@@ -199,7 +200,7 @@ def test_extra_resistance_drops_in_its_own_phase() -> None:
 
 def test_heating_reaches_its_steady_rise() -> None:
     losses = LossHistory(time_s=np.linspace(0.0, 5000.0, 2001), power_w=np.full(2001, 20.0), captured=np.ones(2001))
-    signals = readings().model_copy(update={"losses": losses, "start_s": 4900.0})
+    signals = replace(readings(), losses=losses, start_s=4900.0)
     out = corrected(WindingHeating(), signals, rise_per_watt=0.003, time_constant_s=150.0)
     # 20 W warm it by 6 %, and the warmer winding loses more: y = 0.06 (1 + y).
     assert out.resistance_ohm[0] / 4.0 == pytest.approx(1.0 + 0.06 / (1.0 - 0.06), abs=2e-5)
@@ -209,7 +210,7 @@ def test_skin_effect_drops_what_its_two_corners_let_through() -> None:
     n, hertz = 20_000, 50.0
     turn = np.exp(2j * np.pi * hertz * np.arange(n) / FS)
     i_ab = np.stack([turn.real, turn.imag], axis=1)
-    signals = readings(n).model_copy(update={"i_ab": i_ab})
+    signals = replace(readings(n), i_ab=i_ab)
     v_ab = corrected(SkinEffect(), signals, extra_ohm=2.0, corner_hz=60.0, variance=0.25, low_share=0.7).v_ab
     dropped = (signals.v_ab - v_ab) @ np.array([1.0, 1.0j])
     fast = 1.0 - 0.7 / (1.0 + 1j * hertz / (60.0 * math.exp(-0.5))) - 0.3 / (1.0 + 1j * hertz / (60.0 * math.exp(0.5)))
@@ -220,7 +221,7 @@ def test_skin_effect_drops_what_its_two_corners_let_through() -> None:
 def test_a_devices_drop_changes_with_what_its_leg_has_carried() -> None:
     time_s = np.linspace(0.0, 20.0, 401)
     late = LossHistory(time_s=time_s, power_w=np.where(time_s < 4.0, 0.0, 9.0))
-    signals = readings().model_copy(update={"losses": late})
+    signals = replace(readings(), losses=late)
     values = {"voltage_v": 0.8, "threshold_a": 0.03, "warming_s": 2.0}
     cold, warm = (signals.v_ab - corrected(DeviceDrop(), signals, **values, warming=part).v_ab for part in (0.0, -0.1))
     # A second after the current came, of what sixteen make of it.
@@ -234,7 +235,7 @@ def test_a_joint_that_warms_grows_with_the_loss_so_far() -> None:
     """After a loss of 10 W for three time constants a joint of 0.1 /W has (1 - e^-3) of its rise."""
     signals = readings()
     losses = LossHistory(time_s=np.linspace(0.0, 6.0, 601), power_w=np.full(601, 10.0))
-    warm = signals.model_copy(update={"losses": losses, "start_s": 3.0})
+    warm = replace(signals, losses=losses, start_s=3.0)
     cold, hot = (
         (s.v_ab - corrected(PhaseResistanceImbalance(), s, extra_a_ohm=0.5, rise_per_watt=rise, rise_s=1.0).v_ab)[0]
         for s, rise in ((warm, 0.0), (warm, 0.1))

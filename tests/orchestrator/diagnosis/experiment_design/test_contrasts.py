@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -60,14 +61,17 @@ def test_what_its_stages_measure_brings_a_contrast_about(setup: DiagnosisSetup, 
         pieces = planned(number)
         if contrast is Contrast.ANCHOR:
             # Measured at the end of an experiment whose first hold was the same.
-            first = replace(pieces[0], signals=pieces[0].signals.model_copy(update={"start_s": 0.0}))
+            first = replace(pieces[0], signals=replace(pieces[0].signals, start_s=0.0))
             assert holds(only(before, first, *before.pieces, *pieces), contrast)
         elif contrast is Contrast.LONG_HOLD:
             # A plan stands for a hold by a part of it.
             n = round(30.0 * pieces[0].signals.sampling_frequency_hz)
-            signals = pieces[0].signals.model_copy(
-                update={"v_dc": np.full(n, 540.0), "i_ab": np.resize(pieces[0].signals.i_ab, (n, 2))}
-            )
+            part = pieces[0].signals
+            names = ("i_ab", "v_ab", "i_m_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
+            whole: dict[str, Any] = {
+                name: np.resize(getattr(part, name), (n, *getattr(part, name).shape[1:])) for name in names
+            }
+            signals = replace(part, **whole)
             assert holds(only(before, *before.pieces, replace(pieces[0], signals=signals)), contrast)
         else:
             assert holds(only(before, *before.pieces, *pieces), contrast)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any, ClassVar, cast
 
 import numpy as np
@@ -33,8 +34,8 @@ def active(effect: Effect, **values: float) -> Active:
     return Active(absent.candidate, {**absent.values, **values}, ())
 
 
-def one_segment(**changed: object) -> SignalBatch:
-    return SignalBatch.of([exciting_signals().model_copy(update=changed)])
+def one_segment(**changed: Any) -> SignalBatch:
+    return SignalBatch.of([replace(exciting_signals(), **changed)])
 
 
 class Returning:
@@ -148,7 +149,7 @@ def three_segments(*, bridge_on: bool = True) -> SignalBatch:
     for k, (first, last) in enumerate(((0, 3000), (3000, 3700), (5000, 9000))):
         cut = {name: getattr(whole, name)[first:last] for name in (*ARRAYS, "i_abc", "temperature_c")}
         facts = {"start_s": 10.0 + 3.0 * k, "pwm_frequency_hz": 1e4 * (1 + k % 2), "turned_rad": 0.2 * k}
-        parts.append(whole.model_copy(update={**cut, **facts, "bridge_on": bridge_on}))
+        parts.append(replace(whole, **{**cut, **facts, "bridge_on": bridge_on}))
     return SignalBatch.of(parts)
 
 
@@ -219,7 +220,7 @@ def test_what_an_effect_changes_in_some_segments_stays_as_it_is_in_the_others() 
 
 
 def test_a_late_voltage_that_one_segment_gets_is_none_in_the_others() -> None:
-    batch = SignalBatch.of([s.model_copy(update={"v_late_ab": None}) for s in three_segments().segments])
+    batch = SignalBatch.of([replace(s, v_late_ab=None) for s in three_segments().segments])
 
     def second_only(s: Signals) -> Correction:
         return Correction(v_late_ab=np.ones_like(s.v_ab)) if len(s.v_dc) == 700 else Correction()

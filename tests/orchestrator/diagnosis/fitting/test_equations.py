@@ -106,7 +106,7 @@ def test_a_resistance_below_nothing_loses_nothing(biased: Fitter) -> None:
     """On its way to where it fits R_s may be anything; effects take roots of a loss."""
     history = LossHistory(time_s=np.array([0.0, 1.0]), power_w=np.array([0.0, 5.0]))
     bare = biased.prepared.pieces[0]
-    piece = replace(bare, signals=bare.signals.model_copy(update={"losses": history}))
+    piece = replace(bare, signals=replace(bare.signals, losses=history))
     for r_s, power_w in ((-1.0, 0.0), (2.0 * R_S, 10.0)):
         model = replace(free_model(), r_s=r_s)
         (signals,) = biased.equations.renewed(model, SegmentBatch.of([piece]), None).frame.base.segments

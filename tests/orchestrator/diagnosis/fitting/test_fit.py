@@ -33,7 +33,7 @@ def _bent(signals: Signals, square: float) -> Signals:
     """As two sensors read it that bend in one direction."""
     a, b, _ = to_phases(np.asarray(signals.i_ab)).T
     read = from_two_phases(a + square * a**2, b + square * b**2)
-    return signals.model_copy(update={"i_ab": read, "i_m_ab": read})
+    return replace(signals, i_ab=read, i_m_ab=read)
 
 
 def with_free(model: Model, maker: Fitter, effect: Effect, **values: float) -> Model:

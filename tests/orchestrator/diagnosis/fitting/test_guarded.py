@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import numpy as np
@@ -12,6 +13,7 @@ from orchestrator.diagnosis import guarded
 from orchestrator.testing._signals import exciting_signals
 from plugins.effects.inverter import VoltageBias
 from protocols import (
+    EFFECT_HOOKS,
     Contrast,
     Correction,
     EffectLayer,
@@ -20,6 +22,7 @@ from protocols import (
     SignalBatch,
     Signals,
     amplitude,
+    hook_of,
     refinement,
 )
 
@@ -205,7 +208,7 @@ def test_a_correction_of_a_batch_and_doubts_are_copies_that_can_be_written_to() 
 
 def test_segments_that_share_their_losses_share_them_behind_the_guard() -> None:
     one, other = _batch().segments
-    together = SignalBatch.of([one, other.model_copy(update={"losses": one.losses})])
+    together = SignalBatch.of([one, replace(other, losses=one.losses)])
     seen: list[SignalBatch] = []
 
     def look(batch: SignalBatch) -> Correction:
@@ -271,3 +274,24 @@ def test_metadata_that_cannot_be_fitted_is_named(effect: type[Brought], told: st
     with pytest.raises(PluginError) as caught:
         guarded(effect())
     assert str(caught.value) == f"effects: brought: {told}"
+
+
+class Misspelt(Brought):
+    def doubt(self, signals: Signals, p: Brought.Parameters) -> list[Correction]:
+        return [self.correct(signals, p)]
+
+
+def test_a_method_that_nothing_calls_is_refused_before_anything_is_fitted() -> None:
+    with pytest.raises(PluginError, match=r"^effects: brought: method 'doubt' is never called: .* mean 'doubts'\?$"):
+        guarded(Misspelt())
+
+
+def test_every_method_that_is_given_signals_is_given_sealed_ones() -> None:
+    effect = guarded(InOneCall(lambda given: _zero(given[0] if isinstance(given, tuple | list) else given)))
+    for hook in set(EFFECT_HOOKS) - {"remarks"}:
+        method = hook_of(effect, hook)
+        assert method is not None
+        given = {"measured": _batch().segments, "shows_in": exciting_signals(), "doubts": exciting_signals()}
+        parameters = () if hook in ("measured", "shows_in") else (VALUES,)
+        with pytest.raises(PluginError, match=f"brought: {hook}: writes into the signals"):
+            method(given.get(hook, _batch()), *parameters)

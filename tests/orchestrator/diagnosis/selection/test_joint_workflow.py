@@ -76,7 +76,7 @@ def test_an_offset_of_all_segments_is_not_left_to_a_scatter_and_one_of_each_is(
     random, pieces = np.random.default_rng(3), []
     for piece in made.pieces:
         shifted = piece.signals.i_ab + [of_all_a, 0.0] + of_each_a * random.normal(size=2)
-        pieces.append(replace(piece, signals=piece.signals.model_copy(update={"i_ab": shifted})))
+        pieces.append(replace(piece, signals=replace(piece.signals, i_ab=shifted)))
     setup = made_of.setup_of(made_of.fitter(replace(made, pieces=tuple(pieces))))
     (offset,) = scaled_library([CurrentOffset()], made.manifest)
     doubting = setup.with_noise(ModelNoise(offset_scatter_a=0.004))

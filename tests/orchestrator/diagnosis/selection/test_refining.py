@@ -32,7 +32,7 @@ def _error(active: Active, signals: Signals) -> Array:
     """What the command has to have on top, so that the signals' own voltage is what the effect leaves of it."""
     error = np.zeros(signals.v_ab.shape)
     for _ in range(5):
-        commanded = signals.model_copy(update={"v_ab": signals.v_ab + error})
+        commanded = replace(signals, v_ab=signals.v_ab + error)
         left = np.asarray(active.candidate.effect.correct(commanded, active.parameters).v_ab)
         error = np.asarray(error + signals.v_ab - left, dtype=np.float64)
     return error

@@ -24,7 +24,7 @@ def _bumpy(made: PreparedRecording, sigma_v: float) -> PreparedRecording:
     """Holds whose voltage is off, each by its own amount: a form that no effect has."""
     rng = np.random.default_rng(2)
     pieces = [
-        replace(p, signals=p.signals.model_copy(update={"v_ab": p.signals.v_ab + rng.normal(0.0, sigma_v, 2)}))
+        replace(p, signals=replace(p.signals, v_ab=p.signals.v_ab + rng.normal(0.0, sigma_v, 2)))
         if p.stage is SegmentStage.RESISTANCE
         else p
         for p in made.pieces

@@ -33,7 +33,7 @@ def _shifted(made: PreparedRecording, phases: Array) -> PreparedRecording:
     pieces = []
     for p, (a, b) in zip(made.pieces, phases, strict=True):
         i_ab = p.signals.i_ab + from_two_phases(a, b)
-        pieces.append(replace(p, signals=p.signals.model_copy(update={"i_ab": i_ab, "i_m_ab": i_ab})))
+        pieces.append(replace(p, signals=replace(p.signals, i_ab=i_ab, i_m_ab=i_ab)))
     return replace(made, pieces=tuple(pieces))
 
 
@@ -109,7 +109,7 @@ def test_voltages_scatter_as_a_timers_steps_do_or_are_no_noise(sizes_v: tuple[fl
             twice = k % 4 == 0
             steps[p.segment.id] = rng.normal(0.0, 1.0, 2) * sizes_v[twice]
             pwm_hz = (1.0 + twice) * p.signals.pwm_frequency_hz
-            pieces[k] = replace(p, signals=p.signals.model_copy(update={"pwm_frequency_hz": pwm_hz}))
+            pieces[k] = replace(p, signals=replace(p.signals, pwm_frequency_hz=pwm_hz))
     maker = fitter(with_voltage(replace(made, pieces=tuple(pieces)), steps))
     found = scatter_of(maker, maker.fit(free_model()), [])
     assert found.noise.voltage_scatter_v > 0.005
@@ -129,7 +129,7 @@ def test_steps_that_trembling_takes_away_at_one_pwm_frequency_are_a_timers_at_an
             off = twice * step_v * np.round(whole / (twice * step_v)) - whole
             pwm_hz = twice * p.signals.pwm_frequency_hz
             v_ab = p.signals.v_ab + trembling - trembling.mean(axis=0)
-            pieces[k] = replace(p, signals=p.signals.model_copy(update={"pwm_frequency_hz": pwm_hz, "v_ab": v_ab}))
+            pieces[k] = replace(p, signals=replace(p.signals, pwm_frequency_hz=pwm_hz, v_ab=v_ab))
             steps[p.segment.id] = off.mean(axis=0)
     maker = fitter(with_voltage(replace(made, pieces=tuple(pieces)), steps))
     fit = maker.fit(free_model())

@@ -101,7 +101,7 @@ def _with_rests_at_twice_the_frequency(rise: float, fall: float) -> PreparedReco
         replace(
             p,
             segment=p.segment.model_copy(update={"id": f"fast-{k}"}),
-            signals=p.signals.model_copy(update={"pwm_frequency_hz": 2.0 * FS}),
+            signals=replace(p.signals, pwm_frequency_hz=2.0 * FS),
         )
         for k, p in enumerate(later.pieces)
     )

@@ -64,8 +64,8 @@ def _pieces() -> list[SegmentSignals]:
         noise = rng.normal(0.0, 0.004, asked.v_dq.shape)
         one = piece(asked, start_s=10.0 * k, angle=angle, noise=noise)
         resistance = R_S * (1.0 + 0.01 * rng.normal(size=len(asked.v_dq)))
-        arrays = {"sampling_frequency_hz": rate * FS, "resistance_ohm": resistance}
-        made.append(replace(one, signals=one.signals.model_copy(update=arrays)))
+        signals = replace(one.signals, sampling_frequency_hz=rate * FS, resistance_ohm=resistance)
+        made.append(replace(one, signals=signals))
     made[3] = replace(made[3], windows=replace(made[3].windows, unread=1))
     return made
 

@@ -81,7 +81,7 @@ def test_a_part_of_a_segment_has_the_rows_of_the_whole() -> None:
     whole, magnetics = piece(SWEEP), _saturated()
     n = 1501
     cut = {name: getattr(whole.signals, name)[:n] for name in ("i_ab", "v_ab", "v_dc", "theta_rad", "resistance_ohm")}
-    signals = whole.signals.model_copy(update={**cut, "i_m_ab": cut["i_ab"], "heat_j": np.zeros(n)})
+    signals = replace(whole.signals, **{**cut, "i_m_ab": cut["i_ab"], "heat_j": np.zeros(n)})
     windows = plain_windows(n - 1, whole.windows.step)
     assert windows is not None
     part = replace(whole, signals=signals, windows=windows)
@@ -94,8 +94,8 @@ def test_an_unknown_turn_of_the_frame_is_found_in_the_angle() -> None:
     turn = 0.2
     # The motor stands 0.2 rad off: what it felt is what is measured, seen from its own frame.
     i_ab, v_ab = to_ab(one.signals.i_ab, turn), to_ab(one.signals.v_ab, turn)
-    seen = one.signals.model_copy(update={"i_ab": i_ab, "i_m_ab": i_ab, "v_ab": v_ab})
-    right = seen.model_copy(update={"theta_rad": seen.theta_rad + turn})
+    seen = replace(one.signals, i_ab=i_ab, i_m_ab=i_ab, v_ab=v_ab)
+    right = replace(seen, theta_rad=seen.theta_rad + turn)
     assert np.abs(_rows(one, right)).max() < 1e-6 * np.abs(_voltage(one)).max()
     assert np.abs(_rows(one, seen)).max() > 1e-2 * np.abs(_voltage(one)).max()
 
@@ -105,15 +105,15 @@ def test_an_unknown_turn_of_the_frame_is_found_in_the_angle() -> None:
 def test_change_of_rows_is_the_derivative_by_each_quantity(quantity: str, turn: float) -> None:
     one, magnetics, h = piece(SWEEP), _saturated(), 1e-5
     batch = SegmentBatch.of([one])
-    base = one.signals.model_copy(update={"theta_rad": one.signals.theta_rad + turn}) if turn else one.signals
-    base = base.model_copy(update={"resistance_ohm": R_S * base.resistance_ohm})
+    base = replace(one.signals, theta_rad=one.signals.theta_rad + turn) if turn else one.signals
+    base = replace(base, resistance_ohm=R_S * base.resistance_ohm)
     t = np.arange(len(base.v_dc)) / FS
     wave = np.sin(40.0 * t)
     shape = wave if quantity in ("resistance_ohm", "theta_rad") else np.stack([wave, np.cos(25.0 * t)], axis=1)
 
     def moved(x: float) -> Signals:
         changed: dict[str, Any] = {quantity: getattr(base, quantity) + x * shape}
-        return base.model_copy(update=changed)
+        return replace(base, **changed)
 
     def rows(x: float) -> Array:
         signals = SignalBatch.of([moved(x)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -66,6 +68,6 @@ def test_means_are_taken_of_what_is_logged_as_of_the_vectors() -> None:
 
 def test_temperatures_count_from_the_first_that_was_logged() -> None:
     bare = piece(Plan(SegmentStage.RESISTANCE, hold(1.0, 0.0))).signals
-    logged = [bare.model_copy(update={"temperature_c": np.full(600, t)}) for t in (31.0, 40.0)]
+    logged = [replace(bare, temperature_c=np.full(600, t)) for t in (31.0, 40.0)]
     assert [s.start_temperature_c for s in since_the_start([bare, *logged])] == [31.0, 31.0, 31.0]
     assert since_the_start([bare]) == [bare]

@@ -97,9 +97,9 @@ def test_it_is_the_single_commands_that_are_rounded_not_their_means() -> None:
 
 def _averaged(piece: SegmentSignals, command: Array, width: int) -> SegmentSignals:
     rows = len(command) // width
-    signals = piece.signals.model_copy(
-        update={"v_ab": mean_between(command, width, 0.0), "i_ab": piece.signals.i_ab[:rows]}
-    )
+    names = ("i_ab", "i_m_ab", "v_dc", "theta_rad", "resistance_ohm", "heat_j")
+    cut = {name: getattr(piece.signals, name)[:rows] for name in names}
+    signals = replace(piece.signals, v_ab=mean_between(command, width, 0.0), **cut)
     return replace(piece, signals=signals, averaged=width, command_ab=command)
 
 
