@@ -15,8 +15,8 @@ from orchestrator.stages import parse_stages
 from protocols import Capabilities, Drive
 
 if TYPE_CHECKING:
-    from orchestrator.diagnosis.experiment_design.machine import Machine
-    from orchestrator.diagnosis.experiment_design.outlook import IsolabilityReport
+    from orchestrator.experiment_design.machine import Machine
+    from orchestrator.experiment_design.outlook import IsolabilityReport
 
 
 def check(
@@ -87,8 +87,8 @@ class RehearsalOptions:
 
     def machine(self, plan: Plan, drive: Capabilities) -> Machine:
         """The machine that it is rehearsed on."""
-        from orchestrator.diagnosis.experiment_design.machine import Machine
-        from orchestrator.diagnosis.experiment_design.rehearsal import as_measured
+        from orchestrator.experiment_design.machine import Machine
+        from orchestrator.experiment_design.rehearsal import as_measured
         from orchestrator.workbench import chosen_model
 
         nameplate = Machine.of(plan.procedure.motor, plan.procedure.name)
@@ -97,7 +97,7 @@ class RehearsalOptions:
 
     def outlook(self, plan: Plan, drive: Capabilities) -> IsolabilityReport:
         """What the plan would tell."""
-        from orchestrator.diagnosis.experiment_design.outlook import outlook
+        from orchestrator.experiment_design.outlook import outlook
         from orchestrator.workbench import chosen_effects
 
         effects = chosen_effects(self.effects or ())

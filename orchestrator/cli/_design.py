@@ -12,9 +12,9 @@ import yaml
 from orchestrator.cli._check import RehearsalOptions
 from orchestrator.cli._output import say, say_document
 from orchestrator.config import LoadedProcedure, check_plan, make_plan, read_procedure
-from orchestrator.diagnosis.experiment_design.design import Designed, design, kept
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, require_known
 from orchestrator.engine import UsedPlugins, connected_drive
+from orchestrator.experiment_design.design import Designed, design, kept
 from orchestrator.presentation.quantities import duration, number, percent, plural
 from orchestrator.presentation.sentences import columns, listed
 from orchestrator.stages import parse_stages

@@ -6,6 +6,7 @@ from pathlib import Path
 
 from orchestrator.cli._output import say_document, stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
+from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.presentation.names import plain
 from orchestrator.registry import PluginKind, make_plugins
 from orchestrator.runs import RunDirectory, is_run, open_any
@@ -55,7 +56,9 @@ def stages_to_go_on_with(source: Path, rounds: int) -> tuple[Path, tuple[StageEn
 def _newest_report(path: Path) -> DiagnosisReport:
     """The diagnosis of all that was measured: as it was kept, else made now."""
     report = _kept_report(path) or _journalled_report(path)
-    return report or diagnose_recording(open_any(path), make_plugins(PluginKind.EFFECTS)).report
+    if report is not None:
+        return report
+    return diagnose_recording(open_any(path), make_plugins(PluginKind.EFFECTS), propose=next_experiment).report
 
 
 def _kept_report(path: Path) -> DiagnosisReport | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from textwrap import wrap
 
 from orchestrator.cli._output import say, say_table, stage_as_yaml
-from orchestrator.diagnosis.experiment_design.outlook import IsolabilityReport
+from orchestrator.experiment_design.outlook import IsolabilityReport
 from orchestrator.presentation.quantities import quantity
 from orchestrator.presentation.sentences import columns, listed
 

@@ -8,9 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.conventions import convention_report, find_convention
 from orchestrator.diagnosis.criteria import Criteria
-from orchestrator.diagnosis.experiment_design.proposal import next_experiment
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import (
     MAP_RUNGS,
@@ -22,6 +20,7 @@ from orchestrator.diagnosis.fitting.candidates import (
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.priors import require_same_motor, unlike_the_fleet, with_priors
 from orchestrator.diagnosis.fitting.workers import Executor, executor_of
+from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.reporting.delivery import Delivery, delivery_of
 from orchestrator.diagnosis.reporting.findings import (
     beyond_the_rest,
@@ -66,6 +65,7 @@ from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
 from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
 from orchestrator.recording import Recording, write_model
+from orchestrator.recording_checks import find_convention
 from protocols import (
     DiagnosisReport,
     DiagnosisStep,
@@ -85,6 +85,9 @@ from protocols import (
     Verdict,
 )
 from protocols.fleet_priors import FleetPriors
+
+Proposer = Callable[[DiagnosisSetup, Fit, Sequence[Candidate], str, str], NextExperiment | None]
+"""Chooses the experiment that separates two effects of the library, by the fit; None where no stage can."""
 
 
 @dataclass(frozen=True)
@@ -127,6 +130,7 @@ def diagnose_recording(
     tell: Callable[[str], None] = lambda _: None,
     criteria: Criteria | None = None,
     priors: FleetPriors | None = None,
+    propose: Proposer | None = None,
     workers: int = 1,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
@@ -151,6 +155,9 @@ def diagnose_recording(
         Thresholds other than the default ones.
     priors : FleetPriors, optional
         What other motors of its kind let expect. Effects whose size is none of theirs are found without.
+    propose : callable, optional
+        Chooses the next experiment, as `orchestrator.experiment_design.proposal.next_experiment` does. Without it
+        the report proposes none.
     workers : int
         Threads that work on it; the result is the same.
 
@@ -166,7 +173,7 @@ def diagnose_recording(
         Where `without` names an effect that is not in the library.
     """
     with executor_of(workers) as executor:
-        asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria, executor)
+        asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria, propose, executor)
         if priors is None:
             return _diagnosed(recording, asked, on_step)
         return _diagnosed_in_fleet(recording, asked, on_step, priors)
@@ -202,6 +209,7 @@ class _Asked:
     poll: Callable[[], None]
     tell: Callable[[str], None]
     criteria: Criteria | None
+    propose: Proposer | None
     executor: Executor
 
 
@@ -287,7 +295,7 @@ def _diagnosed(
         joint=joint,
         ladder=ladder,
         unexplained=left,
-        next_experiment=_proposal(plain, last, library, found, verdict, [*doubtful, *search.traces]),
+        next_experiment=_proposal(asked.propose, plain, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
             *_remarks(setup, search, verdict, left, doubtful),
             *said_by_effects(sized, {effect.name for effect in found}),
@@ -389,6 +397,7 @@ def _show(
 
 
 def _proposal(
+    propose: Proposer | None,
     setup: DiagnosisSetup,
     fit: Fit,
     library: Sequence[Candidate],
@@ -396,9 +405,11 @@ def _proposal(
     verdict: Verdict,
     suspects: Sequence[str],
 ) -> NextExperiment | None:
+    if propose is None:
+        return None
     for effect in found:
         for twin in effect.twins:
-            return next_experiment(setup, fit, library, effect.name, twin)
+            return propose(setup, fit, library, effect.name, twin)
     if verdict == "unknown_remains" and len(suspects) >= 2:
-        return next_experiment(setup, fit, library, *suspects[:2])
+        return propose(setup, fit, library, *suspects[:2])
     return None

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from orchestrator.diagnosis.conventions import convention_remark, find_convention
 from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.effort import Effort
@@ -22,6 +21,7 @@ from orchestrator.diagnosis.weak_form.rounding import of_rounding
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
+from orchestrator.recording_checks import convention_remark, find_convention
 from protocols import RecordingReader, Remark, Signals
 from protocols.fleet_priors import FleetPriors
 

@@ -1,24 +1,15 @@
 """Every threshold of a diagnosis, in one place: what it is, its unit, why it is what it is, and where it comes from.
 
-Sources: ``theory`` follows from the statement beside it; ``simulated`` was chosen by trial on simulated plants (the
-simulated drive and the blind suite's plant) and has no measured motor behind it; ``budget`` bounds computing time,
-memory or the size of a file; ``practice`` is what is usual at a bench. The report of a diagnosis says which values it
-was made with.
+`orchestrator.thresholds` lists the sources. The thresholds of the recording checks and of the experiment design are
+fields of `Criteria`, too: the report of a diagnosis says which values it was made with.
 """
 
 from __future__ import annotations
 
-from typing import Any, Literal
-
-from pydantic import Field
-
+from orchestrator.experiment_design.criteria import DesignCriteria, RehearsalCriteria
+from orchestrator.recording_checks.criteria import ConventionCriteria
+from orchestrator.thresholds import threshold as _is
 from protocols import Strict
-
-Source = Literal["theory", "simulated", "budget", "practice"]
-
-
-def _is(default: object, unit: str, source: Source) -> Any:
-    return Field(default, json_schema_extra={"unit": unit, "source": source})
 
 
 class WeakFormCriteria(Strict):
@@ -396,167 +387,6 @@ class UncertaintyCriteria(Strict):
     that the ripple shows come out 2 % off (rms, one in twenty by more than 4 %), however little the noise and however
     near chi2 is to one.
     """
-
-
-class ConventionCriteria(Strict):
-    """When something is taken for a wrong convention of manifest or logger, and not for the motor's doing.
-
-    An effect of the catalogue moves a gain by some percent and a delay by half a sample; conventions are off by a
-    third, an axis or a whole sample. The limits lie between, nearer to the conventions: a false one costs more than
-    one that is not found.
-    """
-
-    looked_at_samples: int = _is(240_000, "1", "budget")
-    """Of each kind of stage that are looked at."""
-    looked_at_of_a_segment: int = _is(20_000, "1", "budget")
-    """Of one segment."""
-    looked_at_segments: int = _is(6, "1", "practice")
-    """Of each kind of stage that are looked at in any case."""
-    least_looked_at: int = _is(100, "1", "practice")
-    """Samples of a segment below which it says nothing of conventions."""
-    alike: float = _is(0.04, "1", "practice")
-    """Error, relative to the vectors, within which readings are what a hypothesis makes of their set-points."""
-    unlike: float = _is(0.15, "1", "practice")
-    """Error beyond which they are not what was asked for: no catalogued effect moves a controlled current so far."""
-    lost: float = _is(0.5, "1", "practice")
-    """Part of the largest set-point by which the current misses its own where the drive has lost it."""
-    at_its_limit: float = _is(0.8, "1", "practice")
-    """Part of the largest voltage of a bus, V_dc / sqrt 3, that a drive which has lost its current gives."""
-    least_set_point: float = _is(0.3, "1", "practice")
-    """Part of the largest set-point below which one tells nothing: offsets are as large."""
-    least_turns: float = _is(0.9, "1", "theory")
-    """Turns of an injected direction that show from where and which way it turns."""
-    wrong_way: float = _is(0.5, "1", "theory")
-    """Part of the resistive voltage that goes the wrong way round where phases are exchanged; imbalance makes 0.1."""
-    right_way: float = _is(0.2, "1", "simulated")
-    """Part that may be left of it where a hypothesis is right: dead time and imbalance."""
-    right_angle_rad: float = _is(0.25, "rad", "simulated")
-    """Angle between voltage and current at rest that may be left where a hypothesis is right."""
-    borne_out: float = _is(0.33, "1", "practice")
-    """Part of a scale, as a logarithm, that R_s has to be off the nameplate by to bear it out: less, and the set-points
-    alone are in other units."""
-    turned_rad: float = _is(0.1, "rad", "practice")
-    """Turn of set-points against readings that counts: the drive does not know of a misalignment, and makes none."""
-    flat: float = _is(0.02, "1", "theory")
-    """Width of a line of readings, relative to its length, that one channel alone can draw."""
-    silent: float = _is(0.05, "1", "theory")
-    """Share of a channel's steps that the voltage explains, below which it shows no motor's current."""
-    speaking: float = _is(0.3, "1", "theory")
-    """The same of another channel beside it."""
-    least_piled: float = _is(0.002, "1", "practice")
-    """Part of moving readings that stand at their very limit where they are clipped."""
-    piled_up: float = _is(0.2, "1", "theory")
-    """Readings that stay at their limit, over all in the strip below it: the tail of any noise has next to none."""
-    strip: float = _is(0.02, "1", "practice")
-    """Width of that strip, relative to the limit."""
-    bus_spike: float = _is(0.5, "1", "theory")
-    """Step of single readings of the bus, relative to it, that its capacitors cannot make within a sample."""
-    bridge_limit: float = _is(0.45, "1", "theory")
-    """Voltage, in bus voltages, from which on it may be the bridge that ends it: 1/2 to 2/3, as it is modulated."""
-    edge: float = _is(0.3, "1", "theory")
-    """Step of a voltage, relative to the largest, that is one of an injected square's edges, or half of one."""
-    still: float = _is(0.02, "1", "practice")
-    """And the step that it may have in between, where its direction turns."""
-    irregular: float = _is(0.01, "1", "practice")
-    """Part of an injection's edges that come a row early or late where rows are lost or doubled."""
-    few_early: int = _is(3, "1", "practice")
-    """Edges that come early where rows were lost here and there, none being late: where all rows are, there is none."""
-    repeated: float = _is(0.005, "1", "practice")
-    """Part of rows under a ripple that repeat the row before, or lie in the very middle of their neighbours."""
-    by_chance: float = _is(3.0, "1", "practice")
-    """How many times as many as chance makes, by the same count two rows apart."""
-    many_repeated: float = _is(0.3, "1", "simulated")
-    """Part by which held currents may repeat more often than moving ones: more is a converter's dead band, not rows."""
-    rate_off: float = _is(1.8, "1", "practice")
-    """Ratio of two time bases that is no clock's error."""
-    same_rate: float = _is(0.03, "1", "practice")
-    """Relative difference of a time base to the factor that is named."""
-    delay_lags: int = _is(3, "1", "practice")
-    """Samples before and after the declared delay at which the current's answer to the voltage is looked for."""
-    uneven: float = _is(3.0, "1", "practice")
-    """How many times as uneven in i_q as in i_d iron is where the magnet lies across. Of 33 recordings of six plants
-    with their axes right the most uneven one is a third as much so in i_q as in i_d."""
-    least_uneven: float = _is(0.04, "1", "practice")
-    """Part of an inductance, rms and odd in i_q, from which on it is asked; those had 0.03 at most."""
-    told_apart: float = _is(1e3, "1", "theory")
-    """Condition of the voltages at these lags up to which they are told apart; a square of ten samples has fifty."""
-    no_answer: float = _is(0.12, "1", "simulated")
-    """Part of the whole answer to a step of voltage that is none."""
-    answer: float = _is(0.3, "1", "simulated")
-    """Part of it that is one: half a sample's delay leaves a half in either."""
-    part_of_a_sample: float = _is(0.3, "sample", "practice")
-    """Further off whole samples than this, a sine's phase is turned by something else, iron loss or a filter."""
-    nameplate: float = _is(0.2, "1", "practice")
-    """Relative difference to the nameplate's R and L that tolerance, temperature and saturation make."""
-    least_resistive: float = _is(0.3, "1", "practice")
-    """Part of the voltage at rest that R_s i has to make for R_s to be held against the nameplate's: where an
-    inverter's loss is most of it, what is left is no R_s."""
-    least_scale: float = _is(1.35, "1", "practice")
-    """Ratio to the nameplate, of R and L alike, from which on it is no tolerance's."""
-
-
-class DesignCriteria(Strict):
-    """The stages that are proposed, and how what they would tell is predicted."""
-
-    least_separation: float = _is(25.0, "1", "theory")
-    """chi2 that a stage has to be predicted to separate before it is worth an operator's time: five sigma."""
-    settle_s: float = _is(0.5, "s", "practice")
-    """Before each point of a stage: dozens of L/R."""
-    hold_s: float = _is(0.5, "s", "practice")
-    """Of each held current: its mean is known to a hundredth of a reading's noise."""
-    injection_s: float = _is(1.0, "s", "practice")
-    """At each point: one turn of the injected direction."""
-    gates_off_s: float = _is(2.0, "s", "practice")
-    """Of a reading with all gates off."""
-    anchor_s: float = _is(5.0, "s", "practice")
-    """Of a point that is measured once more."""
-    long_hold_s: float = _is(30.0, "s", "practice")
-    """Of a hold that is to warm the winding: a part of its thermal time constant."""
-    small_currents: tuple[float, ...] = _is((0.01, 0.02, 0.05, 0.1, 0.2), "1", "practice")
-    """Parts of the current, of both signs, at which what happens about zero current is looked at."""
-    pwm_currents: tuple[float, ...] = _is((0.02, 0.05, 0.15, 1.0), "1", "practice")
-    """The same, to be held at two PWM frequencies: within the knee of an inverter's error, and beyond it."""
-    directions: int = _is(12, "1", "practice")
-    """Of held currents all around: twice those of a three-phase winding's axes."""
-    few_points: tuple[tuple[float, float], ...] = _is(((0, 0), (0.5, 0), (0, 0.5), (-0.5, 0)), "1", "practice")
-    """In parts of the current, where ripple of another amplitude or frequency is injected: zero, and off it."""
-    axis_points: tuple[tuple[float, float], ...] = _is(
-        ((-1, 0), (-0.5, 0), (0.5, 0), (0, 0.5), (0, 1)), "1", "practice"
-    )
-    """The same where the ripple is to be seen along both axes."""
-    samples_per_period: float = _is(20.0, "1", "practice")
-    """Of an injected wave, where there was none yet."""
-    most_segments: int = _is(36, "1", "budget")
-    """Of the recording, evenly spread: what is known already need not be known to the last digit."""
-    planned_hold_s: float = _is(0.2, "s", "budget")
-    """Of a hold that is predicted: as long as it is the same all through, a part stands for the whole."""
-    planned_turn_s: float = _is(0.1, "s", "budget")
-    """The same of a turn of an injected direction."""
-
-
-class RehearsalCriteria(Strict):
-    """How a plan is rehearsed before it is measured, and a shortest one found."""
-
-    noise_share: float = _is(0.002, "1", "practice")
-    """Noise of a reading over the rated current, where nobody says: a step of a 12-bit converter of four times it."""
-    rehearsed_samples: int = _is(300_000, "1", "budget")
-    """Of injection that are rehearsed; longer plans are thinned as long recordings are."""
-    rehearsed_hold_s: float = _is(2.0, "s", "budget")
-    """Of a hold: the rest of it is like that."""
-    shapes: tuple[float, ...] = _is((-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0), "1", "theory")
-    """Other shapes in which an effect may stand in for another one, in standard deviations of the prior."""
-    parted_size: float = _is(1.0, "1", "practice")
-    """Part of its typical size at which an effect has to be found, and told from another."""
-    least_weight: float = _is(1e-3, "1", "practice")
-    """Part of the time below which a point of an approximate design is left out."""
-    optimal_within: float = _is(0.005, "1", "theory")
-    """By how much the largest directional derivative may exceed its bound where the weights are taken as optimal."""
-    most_weighings: int = _is(20_000, "1", "budget")
-    """Steps of the multiplicative algorithm."""
-    most_repeats: int = _is(100, "1", "practice")
-    """How often a point may be measured before what it cannot tell is said to be out of reach."""
-    margin: float = _is(1.2, "1", "practice")
-    """By how much a designed plan is to do better than asked, in size: its order is not the one it was chosen in."""
 
 
 class PictureCriteria(Strict):

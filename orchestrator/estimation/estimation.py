@@ -102,8 +102,8 @@ def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:
 
 def _conventions(recording: RecordingReader) -> list[Remark]:
     """What manifest or logging have wrong, as an objection; raises `NotMeasuredError` where it makes no motor."""
-    # Who only reads results has no need of the diagnosis.
-    from orchestrator.diagnosis.conventions import convention_remark, find_convention
+    # Who only reads results does not need the checks.
+    from orchestrator.recording_checks import convention_remark, find_convention
 
     named = find_convention(recording)
     try:

@@ -153,10 +153,11 @@ def _compare(recording: Any) -> dict[str, Any]:
 
 def _diagnose(recording: Any, out: Path) -> dict[str, Any]:
     from orchestrator.diagnosis import diagnose_and_keep
+    from orchestrator.experiment_design.proposal import next_experiment
     from orchestrator.fleet._rows import diagnosed
     from orchestrator.workbench import chosen_effects
 
-    return diagnosed(diagnose_and_keep(recording, chosen_effects(), out=out)[0].report)
+    return diagnosed(diagnose_and_keep(recording, chosen_effects(), propose=next_experiment, out=out)[0].report)
 
 
 def _export(recording: Any, out: Path) -> None:

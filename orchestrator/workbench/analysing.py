@@ -111,6 +111,7 @@ def diagnose(
         Threads that work on it; as many as there are cores, up to four, by default. The result is the same.
     """
     from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
+    from orchestrator.experiment_design.proposal import next_experiment
 
     asked = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
     selection = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
@@ -119,6 +120,7 @@ def diagnose(
     return diagnose_and_keep(
         open_any(Path(place)),
         chosen_effects(effects),
+        propose=next_experiment,
         model=chosen_model(model) or "saturated",
         without=without,
         out=_directory(out),

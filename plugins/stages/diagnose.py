@@ -121,6 +121,7 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
         Where the recording holds too little.
     """
     from orchestrator.diagnosis import diagnose_and_keep, workers_here
+    from orchestrator.experiment_design.proposal import next_experiment
 
     def say(step: DiagnosisStep) -> None:
         run.check()
@@ -129,6 +130,7 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     diagnosis, kept = diagnose_and_keep(
         recording,
         run.plugins("effects"),
+        propose=next_experiment,
         model=stage.model,
         without=stage.without,
         on_step=say,

@@ -204,9 +204,11 @@ def size_of(tree: Path) -> tuple[int, int, int]:
 
 
 def fields_in(source: str) -> int:
-    """Fields of the classes in a module's text; those that are a class of the same module are not counted."""
-    classes = [node for node in ast.parse(source).body if isinstance(node, ast.ClassDef)]
-    names = {node.name for node in classes}
+    """Fields of the classes in a module's text; those that are a class of the module, or imported, are not counted."""
+    body = ast.parse(source).body
+    classes = [node for node in body if isinstance(node, ast.ClassDef)]
+    imported = {alias.name for node in body if isinstance(node, ast.ImportFrom) for alias in node.names}
+    names = imported | {node.name for node in classes}
     fields = [line for node in classes for line in node.body if isinstance(line, ast.AnnAssign)]
     return sum(ast.unparse(field.annotation) not in names for field in fields)
 

@@ -36,7 +36,8 @@ def test_a_row_is_label_value_reference_ratio_and_aim() -> None:
 
 def test_fields_are_counted_without_those_that_hold_other_fields() -> None:
     source = (
-        "class A:\n    x: float = 1.0\n    y: int = 2\n    z = 3\n\nclass B:\n    a: A\n    w: float\n\nn: int = 1\n"
+        "from c import C\n\nclass A:\n    x: float = 1.0\n    y: int = 2\n    z = 3\n\n"
+        "class B:\n    a: A\n    c: C\n    w: float\n\nn: int = 1\n"
     )
     assert fields_in(source) == 3
 

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from orchestrator.diagnosis._diagnose import Diagnosis, diagnose_recording
+from orchestrator.diagnosis._diagnose import Diagnosis, Proposer, diagnose_recording
 from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.reporting.delivery import Delivery
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save_diagnosis
@@ -36,6 +36,7 @@ def diagnose_and_keep(
     recording: Recording,
     effects: Sequence[Effect],
     *,
+    propose: Proposer | None,
     model: ModelChoice = "saturated",
     without: Sequence[str] = (),
     out: Path | None = None,
@@ -52,6 +53,8 @@ def diagnose_and_keep(
 
     Parameters
     ----------
+    propose : callable or None
+        Chooses the next experiment; None keeps a diagnosis that proposes none.
     on_step : callable, optional
         Called with each rung of the ladder; what it raises ends the diagnosis.
     poll : callable
@@ -71,6 +74,7 @@ def diagnose_and_keep(
     diagnosis = diagnose_recording(
         recording,
         effects,
+        propose=propose,
         model=model,
         without=without,
         out=out,

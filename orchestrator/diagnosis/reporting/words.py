@@ -9,9 +9,9 @@ from operator import is_
 import numpy as np
 
 from orchestrator.diagnosis._diagnose import Diagnosis
-from orchestrator.diagnosis.conventions import convention_words
-from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
+from orchestrator.diagnosis.reporting.convention import convention_words
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.identifiability import parted_by
 from orchestrator.numerics.frames import to_dq
 from orchestrator.presentation.names import parameter_words

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.diagnosis.experiment_design.contrasts import holds
+from orchestrator.diagnosis.selection.contrasts import holds
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import Contrast, Effect
 

@@ -9,8 +9,11 @@ from typing import Any
 import pytest
 import yaml
 
-from orchestrator.diagnosis import save_diagnosis
-from protocols import Compared, Diagnosed, PointDone, StagesAppended
+from orchestrator.cli._further import stages_to_go_on_with
+from orchestrator.diagnosis import Diagnosis, save_diagnosis
+from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.experiment_design.proposal import next_experiment
+from protocols import Compared, Diagnosed, InputError, PointDone, StagesAppended
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_comparison, a_diagnosis
 from tests.support.processes import called, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, messages_of, run_tiny, tiny_document, tiny_file
@@ -68,6 +71,17 @@ def test_the_experiment_is_measured_into_the_run_and_diagnosed_again(
     done = called("run", "--from", run)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert "nothing to decide" in done.stderr
+
+
+def test_a_run_without_a_diagnosis_is_diagnosed_with_a_proposal(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def diagnose(recording: object, effects: object, *, propose: object) -> Diagnosis:
+        assert propose is next_experiment
+        return Diagnosis(a_diagnosis(next_experiment=None), None, Search([]), ())
+
+    monkeypatch.setattr("orchestrator.cli._further.diagnose_recording", diagnose)
+    (run / "results" / "diagnosis.json").unlink()
+    with pytest.raises(InputError, match="nothing to decide"):
+        stages_to_go_on_with(run, 1)
 
 
 def test_where_nothing_is_to_be_decided_nothing_is_energised(run: Path) -> None:

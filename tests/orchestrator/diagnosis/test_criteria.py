@@ -8,7 +8,7 @@ import pytest
 from pydantic import BaseModel, ValidationError
 
 from orchestrator.diagnosis import Criteria
-from orchestrator.diagnosis.criteria import Source
+from orchestrator.thresholds import Source
 
 ROOMS: list[type[BaseModel]] = [type(getattr(Criteria(), room)) for room in Criteria.model_fields]
 FIELDS = {f"{room.__name__}.{name}": field for room in ROOMS for name, field in room.model_fields.items()}

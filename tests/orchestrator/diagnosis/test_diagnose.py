@@ -19,6 +19,7 @@ from orchestrator.diagnosis import (
     judge,
     remove_effect,
 )
+from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.recording import Recording, SegmentWriter, open_recording, read_model, write_manifest
 from orchestrator.stages import parse_stage
 from plugins.effects.frame import BrakeCompliance, RotorMisalignment
@@ -94,7 +95,8 @@ def steps() -> list[DiagnosisStep]:
 def diagnosed(
     with_dead_time: Recording, steps: list[DiagnosisStep], tmp_path_factory: pytest.TempPathFactory
 ) -> Diagnosis:
-    return diagnose_recording(with_dead_time, LIBRARY, out=tmp_path_factory.mktemp("dead-time"), on_step=steps.append)
+    out = tmp_path_factory.mktemp("dead-time")
+    return diagnose_recording(with_dead_time, LIBRARY, out=out, on_step=steps.append, propose=next_experiment)
 
 
 @pytest.mark.slow
@@ -175,8 +177,8 @@ def test_error_falls_to_the_noise(diagnosed: Diagnosis) -> None:
 
 
 def test_two_workers_come_to_the_same_report(diagnosed: Diagnosis, with_dead_time: Recording, tmp_path: Path) -> None:
-    report = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, workers=2).report
-    assert _without_times(report) == _without_times(diagnosed.report)
+    found = diagnose_recording(with_dead_time, LIBRARY, out=tmp_path, propose=next_experiment, workers=2)
+    assert _without_times(found.report) == _without_times(diagnosed.report)
 
 
 def test_each_rung_is_shown_in_order(diagnosed: Diagnosis, steps: list[DiagnosisStep]) -> None:

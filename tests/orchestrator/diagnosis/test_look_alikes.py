@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 
 from orchestrator.diagnosis import Diagnosis, diagnose_recording, guarded, in_words
+from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.recording import Recording
 from orchestrator.registry import PluginKind, installed, load_effects_file
 
@@ -18,7 +19,7 @@ BROUGHT = {"lost_at_edges", "lost_in_switches"}
 def diagnosed(recording: Recording, out: Path) -> Diagnosis:
     library = [guarded(effect()) for effect in load_effects_file(Path(__file__).with_name("look_alikes.py"))]
     assert {effect.name for effect in library} == BROUGHT
-    return diagnose_recording(recording, library, out=out)
+    return diagnose_recording(recording, library, out=out, propose=next_experiment)
 
 
 @pytest.fixture(scope="module")

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from orchestrator.experiment_design.proposal import next_experiment
 from orchestrator.workbench import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import FluxMap, InputError, MotorModel, PluginError, RecordingError
@@ -83,6 +85,18 @@ def test_a_diagnosis_brings_report_words_and_steps(tmp_path: Path) -> None:
     assert len(found.steps) == len(found.report.ladder)
     with pytest.raises(PluginError, match="dead_time: not in the model; it has no effects"):
         remove(DATA, "dead_time", out=tmp_path)
+
+
+def test_a_diagnosis_is_asked_to_propose_the_next_experiment(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    seen: dict[str, Any] = {}
+
+    def diagnose_and_keep(recording: object, effects: object, **options: Any) -> tuple[None, str]:
+        seen.update(options)
+        return None, "kept"
+
+    monkeypatch.setattr("orchestrator.diagnosis.diagnose_and_keep", diagnose_and_keep)
+    assert str(diagnose(DATA, out=tmp_path)) == "kept"
+    assert seen["propose"] is next_experiment
 
 
 def test_a_flux_map_is_a_model(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis import Criteria, explanation_of
-from orchestrator.diagnosis.conventions import convention_report
+from orchestrator.diagnosis.reporting.convention import convention_report
 from orchestrator.diagnosis.search_recorder import SearchRecorder
 from protocols import Convention, ManifestCorrection
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis

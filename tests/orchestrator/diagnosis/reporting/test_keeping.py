@@ -41,7 +41,9 @@ def test_report_words_and_every_step_are_kept_where_it_was_said(
     asked: dict[str, Any], clean: Recording, tmp_path: Path
 ) -> None:
     seen: list[DiagnosisStep] = []
-    diagnosis, saved = keeping.diagnose_and_keep(clean, (), model="linear", out=tmp_path, on_step=seen.append)
+    diagnosis, saved = keeping.diagnose_and_keep(
+        clean, (), propose=None, model="linear", out=tmp_path, on_step=seen.append
+    )
     assert (asked["model"], asked["out"]) == ("linear", tmp_path)
     assert tuple(seen) == saved.steps == STEPS
     assert diagnosis.report is saved.report is REPORT
@@ -58,13 +60,13 @@ def test_a_step_that_raises_ends_it_and_nothing_is_kept(
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        keeping.diagnose_and_keep(clean, (), out=tmp_path, on_step=stop)
+        keeping.diagnose_and_keep(clean, (), propose=None, out=tmp_path, on_step=stop)
     assert not list(tmp_path.iterdir())
 
 
 def test_what_cannot_be_written_is_told_all_the_same(asked: dict[str, Any], clean: Recording, tmp_path: Path) -> None:
     (tmp_path / "results").write_text("a file where a folder should be")
-    diagnosis, saved = keeping.diagnose_and_keep(clean, (), out=tmp_path)
+    diagnosis, saved = keeping.diagnose_and_keep(clean, (), propose=None, out=tmp_path)
     (remark,) = (r for r in diagnosis.report.remarks if r.code == "not_written")
     assert str(tmp_path / "results") in remark.text
     assert saved.report == diagnosis.report

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis import Diagnosis, in_words
-from orchestrator.diagnosis.experiment_design.contrasts import CONTRASTS
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.ladder import rung
+from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.forward_search import Search, Step
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.sensors import CurrentOffset

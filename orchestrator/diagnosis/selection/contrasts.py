@@ -1,0 +1,121 @@
+"""How each contrast is recognised in a recording. Fits nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.numerics.frames import to_dq
+from orchestrator.numerics.types import Array
+from protocols import Contrast, SegmentStage
+
+
+@dataclass(frozen=True)
+class Recognition:
+    """Of one contrast.
+
+    Attributes
+    ----------
+    text : str
+        What was measured where a recording holds it.
+    holds : callable
+        Whether a recording holds it.
+    """
+
+    text: str
+    holds: Callable[[PreparedRecording], bool]
+
+
+def holds(prepared: PreparedRecording, contrast: Contrast) -> bool:
+    """Whether a recording holds a contrast."""
+    return CONTRASTS[contrast].holds(prepared)
+
+
+def _of(prepared: PreparedRecording, stage: SegmentStage) -> list[SegmentSignals]:
+    return [p for p in prepared.pieces if p.stage is stage]
+
+
+def _currents(prepared: PreparedRecording, stage: SegmentStage) -> Array:
+    """Mean currents of a stage's segments in dq, in parts of the largest current; shape (segments, 2)."""
+    means = [to_dq(p.signals.i_ab, p.segment.rotor_angle_rad).mean(axis=0) for p in _of(prepared, stage)]
+    low, high, q = prepared.current_range
+    return np.reshape(means, (-1, 2)) / max(-low, high, q)
+
+
+def _gates_off(prepared: PreparedRecording) -> bool:
+    return bool(_of(prepared, SegmentStage.GATES_OFF))
+
+
+def _small_currents(prepared: PreparedRecording) -> bool:
+    shares = prepared.criteria.design.small_currents
+    sizes = np.hypot(*_currents(prepared, SegmentStage.RESISTANCE).T)
+    return int(np.sum(sizes < 1.5 * max(shares))) >= len(shares)
+
+
+def _two_pwm_frequencies(prepared: PreparedRecording) -> bool:
+    return len({p.signals.pwm_frequency_hz for p in _of(prepared, SegmentStage.RESISTANCE)}) > 1
+
+
+def _all_around(prepared: PreparedRecording) -> bool:
+    d, q = _currents(prepared, SegmentStage.RESISTANCE).T
+    step = 2.0 * math.pi / prepared.criteria.design.directions
+    held = {round(float(angle / step)) for angle in np.arctan2(q, d)[np.hypot(d, q) > 0.5]}
+    return len(held) > prepared.criteria.design.directions / 2
+
+
+def _seconds(piece: SegmentSignals) -> float:
+    return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
+
+
+def _measured_again(prepared: PreparedRecording) -> bool:
+    end = prepared.pieces[-1].signals.start_s
+    for stage in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
+        pieces, currents = _of(prepared, stage), _currents(prepared, stage)
+        for k, piece in enumerate(pieces):
+            later = [p.signals.start_s - piece.signals.start_s > 0.5 * end for p in pieces]
+            if np.any(np.hypot(*(currents - currents[k]).T)[later] < prepared.criteria.selection.same_current):
+                return True
+    return False
+
+
+def _long_hold(prepared: PreparedRecording) -> bool:
+    pieces, currents = _of(prepared, SegmentStage.RESISTANCE), _currents(prepared, SegmentStage.RESISTANCE)
+    longest = prepared.criteria.design.long_hold_s
+    return any(_seconds(p) > 0.5 * longest and np.hypot(*i) > 0.5 for p, i in zip(pieces, currents, strict=True))
+
+
+def _two_amplitudes(prepared: PreparedRecording) -> bool:
+    swings = [float(np.linalg.norm(np.std(p.signals.v_ab, axis=0))) for p in _of(prepared, SegmentStage.INJECTION)]
+    return bool(swings) and max(swings) > prepared.criteria.selection.amplitudes_apart * min(swings)
+
+
+def _two_ripple_frequencies(prepared: PreparedRecording) -> bool:
+    ripples = _of(prepared, SegmentStage.INJECTION)
+    return len({round(p.windows.period / p.signals.sampling_frequency_hz, 6) for p in ripples}) > 1
+
+
+def _along_both_axes(prepared: PreparedRecording) -> bool:
+    currents = _currents(prepared, SegmentStage.INJECTION)
+    return len(currents) > 0 and bool((np.ptp(currents, axis=0) > 0.5).all())
+
+
+def _two_angles(prepared: PreparedRecording) -> bool:
+    return len({round(p.segment.rotor_angle_rad, 3) for p in prepared.pieces}) > 1
+
+
+CONTRASTS: Mapping[Contrast, Recognition] = {
+    Contrast.GATES_OFF: Recognition("a reading with all gates off", _gates_off),
+    Contrast.SMALL_CURRENTS: Recognition("direct currents close to zero", _small_currents),
+    Contrast.SECOND_PWM_FREQUENCY: Recognition("direct currents at a second PWM frequency", _two_pwm_frequencies),
+    Contrast.DIRECTIONS: Recognition("direct currents all around", _all_around),
+    Contrast.ANCHOR: Recognition("one point once more at the end", _measured_again),
+    Contrast.LONG_HOLD: Recognition("a direct current for long", _long_hold),
+    Contrast.SECOND_INJECTION_AMPLITUDE: Recognition("ripple of a second amplitude", _two_amplitudes),
+    Contrast.SECOND_INJECTION_FREQUENCY: Recognition("ripple of a second frequency", _two_ripple_frequencies),
+    Contrast.OPERATING_POINTS: Recognition("ripple along both axes", _along_both_axes),
+    Contrast.SECOND_ANGLE: Recognition("the rotor locked at a second angle", _two_angles),
+}

@@ -1,0 +1,121 @@
+"""The catalogue of stages: for each contrast, those that measure it. Fits nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.experiment_design.criteria import DesignCriteria
+from orchestrator.stages import injection_voltage_v
+from protocols import Contrast, SegmentStage
+
+Stage = dict[str, Any]
+"""Of a procedure, as it is written there."""
+
+
+@dataclass(frozen=True)
+class Bench:
+    """What stages are scaled from: the machine, the drive, and the injection that a recording shows.
+
+    Attributes
+    ----------
+    current_a : float
+        Peak.
+    pwm_hz, sampling_hz : float
+    injection_hz, injection_v : float
+        Of the injection there was, else of a likely one.
+    design : DesignCriteria
+    """
+
+    current_a: float
+    pwm_hz: float
+    sampling_hz: float
+    injection_hz: float
+    injection_v: float
+    design: DesignCriteria
+
+    @classmethod
+    def of(cls, setup: DiagnosisSetup) -> Bench:
+        """Of a recording."""
+        prepared, design = setup.prepared, setup.prepared.criteria.design
+        fs = prepared.manifest.drive.sampling_frequency_hz
+        frequency = fs / design.samples_per_period
+        volts = injection_voltage_v(setup.current_a, setup.l_d_h, frequency)
+        for piece in (p for p in prepared.pieces if p.stage is SegmentStage.INJECTION):
+            settings = piece.segment.settings
+            if settings.get("frequency_hz") and settings.get("amplitude_v"):
+                frequency, volts = float(settings["frequency_hz"]), float(settings["amplitude_v"])
+                break
+        pwm = prepared.manifest.drive.pwm_frequency_hz or fs
+        return cls(setup.current_a, pwm, fs, frequency, volts, design)
+
+    def holds(self, points: Iterable[tuple[float, float]], **more: Any) -> Stage:
+        """Direct currents held at points in parts of the current."""
+        asked = {"kind": "resistance", "points_a": self._points(points)}
+        return {**asked, "settle_s": self.design.settle_s, "duration_s": self.design.hold_s, **more}
+
+    def injections(self, points: Iterable[tuple[float, float]], frequency: float, *amplitudes: float) -> Stage:
+        """Ripple at points, a frequency and amplitudes in parts of the current and of the injection there was."""
+        return {
+            "kind": "injection",
+            "points_a": self._points(points),
+            "amplitudes_v": [tidy(amplitude * self.injection_v) for amplitude in amplitudes],
+            "frequency_hz": frequency * self.injection_hz,
+            "settle_s": self.design.settle_s,
+            "duration_s": self.design.injection_s,
+        }
+
+    def _points(self, points: Iterable[tuple[float, float]]) -> list[list[float]]:
+        return [[tidy(d * self.current_a), tidy(q * self.current_a)] for d, q in points]
+
+
+def minutes(stage: Stage) -> float:
+    """How long a stage of the catalogue takes."""
+    points = len(stage.get("points_a", [0]))
+    repeated = len(stage.get("amplitudes_v", [0])) * len(stage.get("pwm_frequencies_hz", [0]))
+    return float(points * repeated * (stage["duration_s"] + stage.get("settle_s", 0.0)) / 60.0)
+
+
+def tidy(value: float) -> float:
+    """Three digits, and no negative zero: a person reads these."""
+    return float(f"{value:.3g}") + 0.0 if abs(value) > 1e-9 else 0.0
+
+
+def _small_holds(bench: Bench) -> list[Stage]:
+    return [bench.holds((side * share, 0.0) for share in bench.design.small_currents for side in (1, -1))]
+
+
+def _pwm_holds(bench: Bench) -> list[Stage]:
+    points = [(side * share, 0.0) for share in bench.design.pwm_currents for side in (1, -1)]
+    return [bench.holds(points, pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])]
+
+
+def _ring(bench: Bench) -> list[Stage]:
+    count = bench.design.directions
+    angles = (2.0 * math.pi * k / count for k in range(count))
+    return [bench.holds((math.cos(angle), math.sin(angle)) for angle in angles)]
+
+
+def _other_frequencies(bench: Bench) -> list[Stage]:
+    # Twice the frequency asks for twice the voltage to swing the flux as far, and for samples to see its edges.
+    few, faster = bench.design.few_points, 8.0 * bench.injection_hz <= bench.sampling_hz
+    return [bench.injections(few, 0.5, 0.5), *([bench.injections(few, 2.0, 1.0)] if faster else [])]
+
+
+STAGES: Mapping[Contrast, Callable[[Bench], list[Stage]]] = {
+    Contrast.GATES_OFF: lambda bench: [{"kind": "gates_off", "duration_s": bench.design.gates_off_s}],
+    Contrast.SMALL_CURRENTS: _small_holds,
+    Contrast.SECOND_PWM_FREQUENCY: _pwm_holds,
+    Contrast.DIRECTIONS: _ring,
+    Contrast.ANCHOR: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=bench.design.anchor_s, anchor=True)],
+    Contrast.LONG_HOLD: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=bench.design.long_hold_s)],
+    Contrast.SECOND_INJECTION_AMPLITUDE: lambda bench: [bench.injections(bench.design.few_points, 1.0, 0.5, 0.25)],
+    Contrast.SECOND_INJECTION_FREQUENCY: _other_frequencies,
+    Contrast.OPERATING_POINTS: lambda bench: [bench.injections(bench.design.axis_points, 1.0, 1.0)],
+    Contrast.SECOND_ANGLE: lambda bench: [],
+}
+"""Stages that measure each contrast, each by itself, those that take little time first; none where an operator has to
+do more than a stage can ask for."""

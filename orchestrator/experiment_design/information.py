@@ -1,0 +1,169 @@
+"""What equations say of every effect of a library, in one normal matrix of all that is unknown; decides nothing.
+
+Unknown are R_s, the map's coefficients, and of each effect its amplitudes (the secant to its typical size, where it is
+not there) and its forms, shapes and refinements (the slope there, where it is as large as is typical). With prior
+precisions P on the diagonal, what is left of some columns when others follow is a Schur complement,
+
+    M_t|f = N_tt - N_tf (N_ff + P_ff)^-1 N_ft
+
+An effect of another shape is another column, too far away for a slope; columns in several shapes span those between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate, typical_coordinate
+from orchestrator.diagnosis.fitting.model import BatchFrame
+from orchestrator.experiment_design.rehearsal import Rehearsal
+from orchestrator.numerics.types import Array
+from protocols import ParameterRole
+
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class EffectColumns:
+    """What the matrix has of an effect, and where.
+
+    Attributes
+    ----------
+    there : Active
+        At its typical size and shape.
+    shapes : tuple of Active
+        Absent, in its typical shape and in others.
+    amplitudes, forms, others : array of int
+        Places of its amplitudes and forms in the typical shape, and of its amplitudes in others.
+    """
+
+    there: Active
+    shapes: tuple[Active, ...]
+    amplitudes: Places
+    forms: Places
+    others: Places
+
+    @classmethod
+    def of(cls, candidate: Candidate, first: int, shapes: Sequence[float]) -> EffectColumns:
+        """With places from the `first` on; shapes at coordinates of their prior."""
+        absent = candidate.absent()
+        sizes = {n: candidate.named(n).typical for n in candidate.amplitudes}
+        shape = candidate.of_role(ParameterRole.SHAPE)[:1]
+        others = [absent.moved(name, x) for name in shape for x in shapes]
+        counts = [len(sizes), len(candidate.of_role(*_FORMS)), len(sizes) * len(others)]
+        places = np.split(np.arange(first, first + sum(counts)), np.cumsum(counts)[:-1])
+        return cls(Active(candidate, {**absent.values, **sizes}, ()), (absent, *others), *places)
+
+    @property
+    def forms_named(self) -> tuple[str, ...]:
+        return self.there.candidate.of_role(*_FORMS)
+
+    @property
+    def in_typical_shape(self) -> Places:
+        return np.concatenate([self.amplitudes, self.forms])
+
+    @property
+    def all(self) -> Places:
+        return np.concatenate([self.amplitudes, self.forms, self.others])
+
+    @property
+    def typical(self) -> Array:
+        """Coordinates of the amplitudes at the typical size."""
+        candidate = self.there.candidate
+        return np.array([typical_coordinate(candidate.named(n)) for n in candidate.amplitudes])
+
+
+_FORMS = (ParameterRole.SHAPE, ParameterRole.REFINEMENT)
+
+
+@dataclass(frozen=True)
+class Information:
+    """What a plan says of its unknowns.
+
+    Attributes
+    ----------
+    machine : int
+        Columns of R_s and the map.
+    effects : dict of str to EffectColumns
+    pieces : array, shape (pieces, n, n)
+        Normal matrix of each piece of a rehearsal, as often as it stands for its like.
+    prior : array, shape (n, n)
+        Precisions: of the map's roughness, and one for each coordinate of an effect.
+    stages : tuple of int
+        Place in the plan of each piece's stage.
+    """
+
+    machine: int
+    effects: dict[str, EffectColumns]
+    pieces: Array
+    prior: Array
+    stages: tuple[int, ...]
+
+    def of_stages(self, wanted: Collection[int]) -> Array:
+        """Normal matrix of some stages, without the prior."""
+        return np.asarray(self.pieces[[stage in wanted for stage in self.stages]].sum(axis=0))
+
+    @property
+    def total(self) -> Array:
+        """Normal matrix of the whole plan, without the prior."""
+        return np.asarray(self.pieces.sum(axis=0))
+
+    def left(self, normal: Array, effect: str, *others: Places) -> Array:
+        """Normal matrix of an effect's amplitudes, its shape typical, when R_s, the map and others follow them."""
+        target = self.effects[effect].amplitudes
+        follow = np.concatenate([np.arange(self.machine), *others])
+        inner = normal[np.ix_(follow, follow)] + self.prior[np.ix_(follow, follow)]
+        across = normal[np.ix_(follow, target)]
+        rest = normal[np.ix_(target, target)] - across.T @ np.linalg.solve(inner, across)
+        return np.asarray(0.5 * (rest + rest.T))
+
+
+def information(
+    rehearsal: Rehearsal, library: Sequence[Candidate], of_stages: Collection[int] | None = None
+) -> Information:
+    """All that a rehearsed plan, or some stages of it, say of a library's effects."""
+    model, whole = rehearsal.model, rehearsal.setup.fitter
+    use = [k for k, stage in enumerate(rehearsal.stages) if of_stages is None or stage in of_stages]
+    prepared = replace(whole.prepared, pieces=tuple(whole.prepared.pieces[k] for k in use))
+    fitter = replace(whole, prepared=prepared)
+    machine = 1 + model.space.directions.shape[1]
+    end, effects = machine, dict[str, EffectColumns]()
+    for candidate in library:
+        effects[candidate.name] = columns = EffectColumns.of(candidate, end, whole.prepared.criteria.rehearsal.shapes)
+        end += len(columns.all)
+    frame = fitter.frame(model)
+    made = {k: one for kept in frame.batches for k, one in batch_information(rehearsal, effects.values(), kept)}
+    pieces = [rehearsal.weights[at] * made[k] for k, at in enumerate(use)]
+    prior = np.eye(pieces[0].shape[0])
+    prior[0, 0] = 0.0
+    prior[1:machine, 1:machine] = model.space.prior.T @ model.space.prior
+    return Information(machine, effects, np.stack(pieces), prior, tuple(rehearsal.stages[k] for k in use))
+
+
+def batch_information(
+    rehearsal: Rehearsal, effects: Collection[EffectColumns], frame: BatchFrame
+) -> Iterator[tuple[int, Array]]:
+    """Normal matrix of each segment of a batch, with its place among the rehearsed ones."""
+    model, equations = rehearsal.model, rehearsal.setup.fitter.equations
+    amplitudes = [(shape, n) for e in effects for shape in e.shapes for n in e.there.candidate.amplitudes]
+    whole = equations.rows(equations.at(model, frame), amplitudes)
+    forms = {}
+    for e in effects:
+        if e.forms_named:
+            there = equations.at(model.with_active([e.there]), frame)
+            forms[e.there.name] = equations.rows(there, [(e.there, n) for n in e.forms_named])
+    for j, (place, kept) in enumerate(zip(frame.batch.places, frame.pieces, strict=True)):
+        white = whole[j].white[:, 1:]
+        columns, start = [white[:, :1], kept.white_basis], 1
+        for e in effects:
+            split, end = start + len(e.amplitudes), start + len(e.amplitudes) + len(e.others)
+            columns.append(white[:, start:split])
+            if e.forms_named:
+                columns.append(forms[e.there.name][j].white[:, 2:])
+            columns.append(white[:, split:end])
+            start = end
+        together = np.column_stack(columns)
+        yield place, np.asarray(together.T @ together)

@@ -1,0 +1,76 @@
+"""Which experiment tells two effects apart, as a stage that a procedure takes as it is; measures nothing.
+
+Every stage of the catalogue of contrasts is judged by what the fitted model predicts that it would separate, in chi2 a
+minute: for any two effects alike, whoever wrote them. Where that is little for all of them, the contrast that both
+effects say they need has the word.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.contrasts import holds
+from orchestrator.diagnosis.selection.identifiability import parted_by
+from orchestrator.diagnosis.selection.scoring import linear_view, score
+from orchestrator.experiment_design.contrasts import STAGES, Bench, Stage, minutes
+from orchestrator.experiment_design.separation import rivals, separation
+from protocols import NextExperiment
+
+
+def next_experiment(
+    setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate], first: str, second: str
+) -> NextExperiment | None:
+    """The experiment for a pair of effects; None where no stage of a procedure can part them.
+
+    Parameters
+    ----------
+    setup : DiagnosisSetup
+    fit : Fit
+        The model, with the first effect in it or not.
+    library : sequence of Candidate
+        Holds both.
+    first, second : str
+        Names of the effects.
+    """
+    named = {candidate.name: candidate for candidate in library}
+    active = next((a for a in fit.model.active if a.name == first), None) or _suspected(setup, fit, named[first])
+    stage = _predicted(setup, fit, active, named[second]) or _needed(setup, named[first], named[second])
+    if stage is None:
+        return None
+    return NextExperiment(stage=stage, separates=(first, second), minutes=round(minutes(stage), 2))
+
+
+def catalogue(setup: DiagnosisSetup) -> list[Stage]:
+    """What can be measured on any drive that has measured the recording, cheap stages first."""
+    bench = Bench.of(setup)
+    return [stage for stages in STAGES.values() for stage in stages(bench)]
+
+
+def _suspected(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Active:
+    """An effect that is not in the model, as large as it would be there to first order."""
+    active = candidate.absent()
+    estimate = score(linear_view(setup.fitter, fit, [candidate]))[0]
+    for name, x in zip(candidate.amplitudes, estimate.coordinates, strict=True):
+        active = active.moved(name, float(x))
+    return active
+
+
+def _predicted(setup: DiagnosisSetup, fit: Fit, first: Active, second: Candidate) -> Stage | None:
+    """The stage of most separation a minute; None where none is predicted to be worth it."""
+    pair = rivals(setup, fit, first, second)
+    if pair is None:
+        return None
+    gains = [(separation(setup, pair, stage), stage) for stage in catalogue(setup)]
+    least = setup.prepared.criteria.design.least_separation
+    worth = [(gain / minutes(stage), stage) for gain, stage in gains if math.isfinite(gain) and gain > least]
+    return max(worth, key=lambda item: item[0])[1] if worth else None
+
+
+def _needed(setup: DiagnosisSetup, first: Candidate, second: Candidate) -> Stage | None:
+    """The first stage of what both effects need and the recording lacks."""
+    lacking = [c for c in parted_by(first.effect, second.effect) if not holds(setup.prepared, c)]
+    return next((stage for contrast in lacking for stage in STAGES[contrast](Bench.of(setup))), None)

@@ -1,0 +1,228 @@
+"""A plan rehearsed: the currents that it asks for, and the voltages that a model of the machine takes for them.
+
+    v_k = R_s (i_k + i_k+1) / 2 + (psi(i_k+1) - psi(i_k)) / Ts
+
+There is no noise in these signals and no effect. They are cut into equations as a recording's are; what the
+sensors' noise would make of them is in their covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from orchestrator.config import Plan, PlannedPoint
+from orchestrator.diagnosis._prepare import setup_of
+from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model, given_model
+from orchestrator.diagnosis.fitting.model import Model
+from orchestrator.diagnosis.reporting.motor_model import flux_map_of
+from orchestrator.diagnosis.weak_form.noise import SensorNoise
+from orchestrator.diagnosis.weak_form.segments import prepare
+from orchestrator.experiment_design.machine import Machine, current_of
+from orchestrator.numerics.frames import from_two_phases, to_ab
+from protocols import (
+    Capabilities,
+    Capture,
+    DriveRecord,
+    Excitation,
+    FluxMap,
+    GatesOff,
+    Injection,
+    Manifest,
+    MotorModel,
+    PluginError,
+    Saturated,
+    Segment,
+    SegmentStage,
+    Trapezoid,
+)
+
+
+@dataclass(frozen=True)
+class RehearsedRecording:
+    """A plan as the recording that it would leave: a `RecordingReader` that makes waveforms when it is asked for them.
+
+    Of what repeats itself, periods, turns and holds, only the beginning is made, and turns are short ones.
+    """
+
+    manifest: Manifest
+    machine: Machine
+    excitations: dict[str, Excitation]
+    criteria: Criteria
+
+    def segments(self, *stages: SegmentStage) -> Sequence[Segment]:
+        return [s for s in self.manifest.segments if not stages or s.stage in stages]
+
+    def load(self, segment: Segment) -> Capture:
+        fs = self.manifest.drive.sampling_frequency_hz
+        excitation = self.excitations[segment.id]
+        samples = self._made(excitation, segment.samples, fs)
+        i_dq = current_of(excitation, self.machine, np.arange(samples + 1) / fs)
+        off = isinstance(excitation, GatesOff)
+        v_dq = np.zeros((samples, 2)) if off else self.machine.voltage(i_dq, fs)
+        angle = segment.rotor_angle_rad
+        return Capture(
+            start_s=segment.start_s,
+            sampling_frequency_hz=fs,
+            i_ab=to_ab(i_dq[:-1], angle),
+            v_ab=to_ab(v_dq, angle),
+            v_dc=np.full(samples, self.manifest.drive.dc_bus_voltage_v),
+        )
+
+    def _made(self, excitation: Excitation, samples: int, fs: float) -> int:
+        if isinstance(excitation, Trapezoid):
+            return min(samples, round(excitation.period_s * fs) + 1)
+        if isinstance(excitation, Injection):
+            turn_s = 1.0 / (excitation.rotation_hz or 1.0)
+            return min(samples, math.ceil(self.criteria.weak_form.thinned_turns * turn_s * fs))
+        return min(samples, round(self.criteria.rehearsal.rehearsed_hold_s * fs))
+
+
+@dataclass(frozen=True)
+class Rehearsal:
+    """A plan's equations before it is measured.
+
+    Attributes
+    ----------
+    plan : Plan
+    setup : DiagnosisSetup
+        As of a recording of it.
+    model : Model
+        The machine, with a free map about it and without effects.
+    weights : tuple of float
+        How often each piece stands for its like; 0 where it is held out of fits.
+    noise_a : float
+        Standard deviation of a phase current's reading.
+    """
+
+    plan: Plan
+    setup: DiagnosisSetup
+    model: Model
+    weights: tuple[float, ...]
+    noise_a: float
+
+    @property
+    def stages(self) -> list[int]:
+        """Place in the plan of each piece's stage."""
+        index = {point.id: point.stage_index for point in self.plan.points}
+        return [index[piece.segment.id] for piece in self.setup.prepared.pieces]
+
+
+def rehearse(
+    plan: Plan, drive: Capabilities, machine: Machine, noise_a: float | None = None, criteria: Criteria | None = None
+) -> Rehearsal:
+    """Make a plan's equations.
+
+    Parameters
+    ----------
+    drive : Capabilities
+        Its sampling, PWM frequency and bus voltage.
+    noise_a : float, optional
+        Standard deviation of a phase current's reading; by default a part of the rated current.
+
+    Raises
+    ------
+    NotMeasuredError
+        Where nothing in the plan can be diagnosed.
+    """
+    criteria = criteria or Criteria()
+    cutting = criteria.weak_form.model_copy(update={"most_samples": criteria.rehearsal.rehearsed_samples})
+    recording = _recording(plan, drive, machine, criteria)
+    prepared = replace(prepare(recording, criteria.model_copy(update={"weak_form": cutting})), remarks=())
+    if noise_a is None:
+        noise_a = criteria.rehearsal.noise_share * (machine.motor.rated_current_a or max(prepared.current_range))
+    # Two phases are read, each with its own noise; the third is computed.
+    readings = from_two_phases([noise_a, 0.0], [0.0, noise_a])
+    covariance = readings.T @ readings
+    setup = setup_of(prepared, SensorNoise(covariance, covariance, 0.0))
+    model = baseline_model(setup, Saturated())
+    if machine.magnetics is not None:
+        model = setup.fitter.fit(model, renewals=1).model
+    return Rehearsal(plan, setup, replace(model, r_s=machine.r_s), _weights(plan, setup), noise_a)
+
+
+def as_measured(nameplate: Machine, plan: Plan, drive: Capabilities, model: FluxMap | MotorModel | str) -> Machine:
+    """A machine whose flux map is known already, and with a whole model R_s too.
+
+    Raises
+    ------
+    PluginError
+        Where the model is neither a map nor a model.
+    NotMeasuredError
+        Where the map does not cover the plan's currents.
+    """
+    if isinstance(model, str):
+        raise PluginError("--model", model, "expected the path of a flux map or model")
+    flux_map = flux_map_of(model) if isinstance(model, MotorModel) else model
+    r_s = model.r_s_ohm if isinstance(model, MotorModel) else nameplate.r_s
+    magnetics = given_model(rehearse(plan, drive, nameplate).setup, flux_map).magnetics
+    return replace(nameplate, r_s=r_s, magnetics=magnetics)
+
+
+def _recording(plan: Plan, drive: Capabilities, machine: Machine, criteria: Criteria) -> RehearsedRecording:
+    segments, excitations, now = [], dict[str, Excitation](), 0.0
+    for point in plan.points:
+        if point.spare:
+            continue
+        now += point.excitation.settling_s
+        excitations[point.id] = excitation = _with_short_turns(point.excitation, criteria)
+        segments.append(_segment(point, excitation, now, drive.sampling_frequency_hz))
+        now += point.captured_s
+    record = DriveRecord(
+        name=drive.name,
+        sampling_frequency_hz=drive.sampling_frequency_hz,
+        pwm_frequency_hz=drive.pwm_frequency_hz,
+        dc_bus_voltage_v=drive.dc_bus_voltage_v,
+    )
+    manifest = Manifest(
+        format="fluxbench-recording",
+        version=1,
+        name=plan.procedure.name,
+        created="",
+        motor=machine.motor,
+        drive=record,
+        segments=tuple(segments),
+    )
+    return RehearsedRecording(manifest, machine, excitations, criteria)
+
+
+def _with_short_turns(excitation: Excitation, criteria: Criteria) -> Excitation:
+    """An injection that turns as fast as its windows allow: in the same time it tells the same, turn by turn."""
+    if not isinstance(excitation, Injection) or not excitation.rotation_hz:
+        return excitation
+    cutting = criteria.weak_form
+    periods = cutting.hats_per_turn * cutting.least_periods_per_hat
+    turn_s = max(criteria.design.planned_turn_s, periods / excitation.frequency_hz)
+    return excitation.model_copy(update={"rotation_hz": max(excitation.rotation_hz, 1.0 / turn_s)})
+
+
+def _segment(point: PlannedPoint, excitation: Excitation, start_s: float, fs: float) -> Segment:
+    turning = {"rotation_hz": excitation.rotation_hz} if isinstance(excitation, Injection) else {}
+    return Segment(
+        id=point.id,
+        stage=point.stage,
+        start_s=start_s,
+        samples=max(excitation.rows(fs), 1),
+        rotor_angle_rad=excitation.rotor_angle_rad,
+        settings={**point.settings, **turning},
+    )
+
+
+def _weights(plan: Plan, setup: DiagnosisSetup) -> tuple[float, ...]:
+    """The time that a stage would capture, over that of its pieces that were rehearsed."""
+    stage_of = {point.id: point.stage_index for point in plan.points}
+    captured, made = defaultdict[int, float](float), defaultdict[int, float](float)
+    for point in plan.points:
+        captured[point.stage_index] += 0.0 if point.spare else point.captured_s
+    for piece in setup.prepared.pieces:
+        s = piece.signals
+        made[stage_of[piece.segment.id]] += len(s.v_dc) / s.sampling_frequency_hz
+    return tuple(
+        0.0 if piece.held_out else captured[stage_of[piece.segment.id]] / made[stage_of[piece.segment.id]]
+        for piece in setup.prepared.pieces
+    )
