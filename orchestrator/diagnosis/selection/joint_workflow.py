@@ -15,6 +15,7 @@ from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
+from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
@@ -56,7 +57,11 @@ TIMED_ANEW = 0.05
 
 
 def all_together(
-    setup: DiagnosisSetup, steps: Sequence[Step], quick: Search, library: Sequence[Candidate]
+    setup: DiagnosisSetup,
+    steps: Sequence[Step],
+    quick: Search,
+    library: Sequence[Candidate],
+    interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, Search] | None:
     """The ladder of what the joint fit found; None where it has no more to say than the search one by one.
 
@@ -69,11 +74,14 @@ def all_together(
     setup, doubting, fit = formed_together(setup, fit, library)
     fit = on_a_sharper_map(doubting, fit)
     setup, doubting, fit = without_needless_scatter(setup, doubting, fit)
+    part_alone, whole_alone = quick.steps[0].fit, steps[0].fit
+    interim.reached_together(setup, steps, (part_alone, fit), quick, {}, is_part=True)
     begin("which of them do the data ask for?", BEGINS_AT["search"])
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     setup, doubting, fit, rivals = timed_anew(setup, doubting, fit, rivals, library)
     if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
         return None
+    interim.reached_together(setup, steps, (part_alone, fit), quick, rivals, is_part=True)
     before, limits = setup.fitter.noise.of_model, fit.criteria.selection
     if doubting is not setup or _formless(fit):
         setup, fit = with_its_noise(setup, fit, library)
@@ -89,6 +97,7 @@ def all_together(
     if whole.model.space.is_free:
         whole = with_finer_map(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
+    interim.reached_together(setup, steps, (whole_alone, whole), quick, rivals, is_part=False)
     if as_much(setup.fitter.noise.of_model, before) and setup.judged(whole).chi2_per_dof > limits.detected_chi2:
         # What a part's wrong forms hid; with it as noise, the forms' error is not as large as it seemed.
         wider = beside_scatter(setup, setup.fitter, whole, library)

@@ -21,6 +21,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
+from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
@@ -110,7 +111,7 @@ def map_steps(
 
 
 def search_effects(
-    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate], interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, Search]:
     """Look for a modulator's timer where the baseline leaves something, then for effects with its rounding known."""
     first = steps[-1].fit
@@ -131,11 +132,11 @@ def search_effects(
             )
             if reached.chi2_per_dof <= NO_TIMER * first.chi2_per_dof:
                 setup, steps = timed, beside
-    return _searched(setup, steps, library)
+    return _searched(setup, steps, library, interim)
 
 
 def _searched(
-    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate], interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, Search]:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small.
 
@@ -143,16 +144,17 @@ def _searched(
     segment: then that is noise to the setup which comes back. Else all are fitted together.
     """
     quick = _quick_search(setup, steps, library)
+    interim.reached(setup, steps, quick, is_part=True)
     if _explains(quick.fit) or (wider := with_its_scatter(setup, quick.fit, library)) is None:
-        return _after(quick, setup, steps, library)
+        return _after(quick, setup, steps, library, interim)
     steps = refitted_steps(wider, steps)
     beside = wider.coarse_fitter.fit(quick.fit.model, renewals=1)
     wider.coarse_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
     if _explains(beside):
-        return with_scatter_as_found(*_searched(wider, steps, library), library)
+        return with_scatter_as_found(*_searched(wider, steps, library, interim), library)
     # A few effects will not do beside what scatters either.
     quick = replace(quick, steps=[*quick.steps[:-1], replace(quick.steps[-1], fit=beside)])
-    return with_scatter_as_found(*_after(quick, wider, steps, library), library)
+    return with_scatter_as_found(*_after(quick, wider, steps, library, interim), library)
 
 
 def _explains(fit: Fit) -> bool:
@@ -160,25 +162,37 @@ def _explains(fit: Fit) -> bool:
 
 
 def _after(
-    quick: Search, setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+    quick: Search,
+    setup: DiagnosisSetup,
+    steps: Sequence[Step],
+    library: Sequence[Candidate],
+    interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, Search]:
     """All effects fitted together where a quick search has not explained its part, else what it found to the whole."""
     if not _explains(quick.fit) and len(library) > 1:
-        together = all_together(setup, steps, quick, library)
+        together = all_together(setup, steps, quick, library, interim)
         if together is not None:
             return together
-    fits, found = list(steps), quick.steps[1:]
+    found = quick.steps[1:]
     if found:
         # What a form does not need costs most on the whole.
         found = [*found[:-1], replace(found[-1], fit=settled(setup.coarse_fitter, found[-1].fit))]
-    for step in found:
-        last = step is found[-1]
-        frame = setup.fitter.frame(step.fit.model, fits[-1].fit.frame)
-        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=2 if last else 0, tolerance=3e-4)
-        fits.append(Step(step.added, fit, step.log_evidence))
+    fits = fitted_to_whole(setup, steps, found)
+    interim.reached(setup, steps, Search(fits, quick.traces, quick.rivals), is_part=False)
     search = forward(setup.fitter, fits, library, rivals=quick.rivals)
     search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
     return setup, search
+
+
+def fitted_to_whole(setup: DiagnosisSetup, first: Sequence[Step], found: Sequence[Step]) -> list[Step]:
+    """The first steps, fitted to the whole recording already, and those that were found in a part of it."""
+    steps = list(first)
+    for step in found:
+        last = step is found[-1]
+        frame = setup.fitter.frame(step.fit.model, steps[-1].fit.frame)
+        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=2 if last else 0, tolerance=3e-4)
+        steps.append(Step(step.added, fit, step.log_evidence))
+    return steps
 
 
 def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:
