@@ -53,6 +53,7 @@ from orchestrator.diagnosis.selection.shares import (
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_record
 from orchestrator.diagnosis.selection.workflow import (
+    LEFT_FROM_REPORT,
     ModelChoice,
     baseline_of,
     converged,
@@ -263,7 +264,7 @@ def _diagnosed(
         tell("ended early: what was found so far is fitted to the whole recording")
         search, doubtful = unfinished_search(interim.checkpoint)
         found = _Found(interim.checkpoint.setup, search, doubtful, is_early=True)
-    tell("how sure is what was found?")
+    found.setup.fitter.begin("how sure is what was found?", LEFT_FROM_REPORT)
     try:
         return _reported(recording, asked, on_step, found, model, library, began)
     except KeyboardInterrupt:
@@ -284,7 +285,10 @@ def _search(
     """Everything that the data ask for, looked for to the end."""
 
     def searched(opened: DiagnosisSetup) -> tuple[DiagnosisSetup, Search]:
-        steps = with_measured(opened, map_steps(opened, model, {c.name: c for c in every}, asked.without), library)
+        opened.fitter.effort.start()
+        steps = map_steps(opened, model, {c.name: c for c in every}, asked.without)
+        opened.fitter.effort.calibrate()
+        steps = with_measured(opened, steps, library)
         return search_effects(opened, with_expected(opened, steps, library), library, interim)
 
     opened = setup

@@ -127,9 +127,15 @@ class Fitter:
             self.batches = RecordingBatches.of(self.prepared)
         self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
 
-    def begin(self, text: str, part: float) -> None:
-        """Tell what begins when so much of a diagnosis is done, and from then on how long it may take."""
-        self.effort.reached(part)
+    def begin(self, text: str, evaluations: float) -> None:
+        """Tell what begins, and from then on how long the diagnosis may take.
+
+        Parameters
+        ----------
+        evaluations : float
+            Of the first model on the whole recording, which take as long as what is left usually does.
+        """
+        self.effort.expect(evaluations * self.trace.samples)
         self.under_way(text)
 
     def under_way(self, text: str) -> None:

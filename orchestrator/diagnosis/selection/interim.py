@@ -17,6 +17,9 @@ from orchestrator.presentation.names import plain
 from orchestrator.presentation.quantities import number
 from protocols import Verdict
 
+MOST_NAMES = 5
+"""Effects that a sentence names."""
+
 
 @dataclass(frozen=True)
 class InterimResult:
@@ -42,14 +45,15 @@ class InterimResult:
     @property
     def sentence(self) -> str:
         """The same in plain English, on one line."""
-        names = ", ".join(plain(name) for name in self.effects) or "no effect found"
+        first, more = self.effects[:MOST_NAMES], len(self.effects) - MOST_NAMES
+        names = ", ".join(plain(name) for name in first) + (f" and {more} more" if more > 0 else "")
         data = "the part of the recording that was searched" if self.is_part else "the recording"
         meaning = {
             "clean": f"the model alone explains {data}",
             "explained": f"explains {data}",
             "mostly_explained": f"explains most of {data}",
         }.get(self.verdict, "something unknown remains")
-        return f"so far: {names}; {meaning} (chi2 {number(self.chi2)})"
+        return f"so far: {names or 'no effect found'}; {meaning} (chi2 {number(self.chi2)})"
 
 
 @dataclass(frozen=True)

@@ -47,10 +47,9 @@ from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
 from protocols import ModelNoise
 
-BEGINS_AT = {"together": 0.22, "forms": 0.34, "search": 0.52, "whole": 0.68, "ladder": 0.87}
-"""Part of a diagnosis' time that is over as its steps begin; medians of six benches of many effects, averaged and
-switched ones. The time left was told within a factor of 2.4 on these; behind a timer that is told again and again, as a
-third of what it was."""
+LEFT_PER_EFFECT = {"together": 25.0, "forms": 23.0, "search": 17.0, "whole": 13.5, "ladder": 5.0}
+"""Evaluations of the first model that take as long as the rest of a diagnosis from where its steps begin, per effect of
+the library; medians of benches of many effects. Where no form explains the error it may be three times that."""
 
 TIMED_ANEW = 0.05
 """Of chi2, by which a modulator's timer changes a fit for which all effects are asked once more."""
@@ -67,16 +66,20 @@ def all_together(
 
     What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
-    given, begin = setup, setup.fitter.begin
-    begin(f"{len(library)} effects together", BEGINS_AT["together"])
+    given = setup
+
+    def begin(text: str, step: str) -> None:
+        setup.fitter.begin(text, LEFT_PER_EFFECT[step] * len(library))
+
+    begin(f"{len(library)} effects together", "together")
     fit = together(setup.coarse_fitter, quick.fit.model, library)
-    begin("each effect's own form", BEGINS_AT["forms"])
+    begin("each effect's own form", "forms")
     setup, doubting, fit = formed_together(setup, fit, library)
     fit = on_a_sharper_map(doubting, fit)
     setup, doubting, fit = without_needless_scatter(setup, doubting, fit)
     part_alone, whole_alone = quick.steps[0].fit, steps[0].fit
     interim.reached_together(setup, steps, (part_alone, fit), quick, {}, is_part=True)
-    begin("which of them do the data ask for?", BEGINS_AT["search"])
+    begin("which of them do the data ask for?", "search")
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     setup, doubting, fit, rivals = timed_anew(setup, doubting, fit, rivals, library)
     if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
@@ -92,7 +95,7 @@ def all_together(
         setup, _, alone = without_needless_scatter(setup, setup, fit, everything)
         if alone is not fit:
             fit, rivals = exchanged(setup.coarse_fitter, downwards(setup.coarse_fitter, alone), library)
-    begin("the same on the whole recording", BEGINS_AT["whole"])
+    begin("the same on the whole recording", "whole")
     whole = setup.fitter.fit(at_rest(fit.model))
     if whole.model.space.is_free:
         whole = with_finer_map(setup, setup.fitter, whole)
@@ -118,6 +121,7 @@ def all_together(
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
         steps = refitted_steps(setup.unweighed, steps)
+    begin("what does each take away?", "ladder")
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
 
 
@@ -332,7 +336,6 @@ def ladder_of(
     model's own error is no noise there: it is what remains.
     """
     plain, judged = setup.unweighed, setup.judged(whole)
-    setup.fitter.begin("what does each take away?", BEGINS_AT["ladder"])
     sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)

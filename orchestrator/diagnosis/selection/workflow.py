@@ -39,6 +39,11 @@ ModelChoice = str | FluxMap | MotorModel
 A whole model's map is held, and its effects are fitted anew to the recording at hand.
 """
 
+LEFT_OF_CLEAN, LEFT_WITH_TIMER, LEFT_FROM_SEARCH, LEFT_FROM_WHOLE, LEFT_FROM_REPORT = 45.0, 105.0, 80.0, 60.0, 22.0
+"""Evaluations of the first model that take as long as a diagnosis from there, where a few effects explain the error:
+where nothing is missing, before a modulator's timer is looked for, before effects are, before they are fitted to the
+whole, and when the search is over. Medians of benches of one and two effects."""
+
 NO_TIMER = 1.2
 """Times the first model's chi2, that no modulator's timer leaves once its rounding is taken out: a false one left
 3.2 times as much on a simulated machine."""
@@ -115,6 +120,8 @@ def search_effects(
 ) -> tuple[DiagnosisSetup, Search]:
     """Look for a modulator's timer where the baseline leaves something, then for effects with its rounding known."""
     first = steps[-1].fit
+    is_clean = first.chi2_per_dof <= first.criteria.selection.detected_chi2
+    setup.fitter.begin("search for a few missing effects", LEFT_OF_CLEAN if is_clean else LEFT_WITH_TIMER)
     if setup.prepared.timer is None and first.chi2_per_dof > first.criteria.selection.detected_chi2:
         timed = with_its_timer(setup, first, library)
         if timed is not setup:
@@ -143,6 +150,8 @@ def _searched(
     Where a few effects, found one by one, do not explain that part, their readings' zero may differ from segment to
     segment: then that is noise to the setup which comes back. Else all are fitted together.
     """
+    if not _explains(steps[-1].fit):
+        setup.fitter.begin("search for a few missing effects", LEFT_FROM_SEARCH)
     quick = _quick_search(setup, steps, library)
     interim.reached(setup, steps, quick, is_part=True)
     if _explains(quick.fit) or (wider := with_its_scatter(setup, quick.fit, library)) is None:
@@ -175,6 +184,7 @@ def _after(
             return together
     found = quick.steps[1:]
     if found:
+        setup.fitter.begin("the same on the whole recording", LEFT_FROM_WHOLE)
         # What a form does not need costs most on the whole.
         found = [*found[:-1], replace(found[-1], fit=settled(setup.coarse_fitter, found[-1].fit))]
     fits = fitted_to_whole(setup, steps, found)
