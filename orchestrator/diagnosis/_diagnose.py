@@ -285,7 +285,6 @@ def _search(
     """Everything that the data ask for, looked for to the end."""
 
     def searched(opened: DiagnosisSetup) -> tuple[DiagnosisSetup, Search]:
-        opened.fitter.effort.start()
         steps = map_steps(opened, model, {c.name: c for c in every}, asked.without)
         opened.fitter.effort.calibrate()
         steps = with_measured(opened, steps, library)

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from statistics import median
 
 
 @dataclass
@@ -20,28 +21,31 @@ class Effort:
     spent: float = 0.0
     clock: Callable[[], float] = time.monotonic
     """Seconds, of any origin; for the words of who waits alone."""
-    _begun: tuple[float, float] = field(init=False)
-    """Time [s] and effort at which the measurement of its cost began."""
+    _calls: list[tuple[float, float]] = field(init=False, default_factory=list)
+    """Time [s] and effort of each evaluation until `calibrate`."""
     _cost_s: float | None = field(init=False, default=None)
     """Of a unit of effort."""
     _ends_s: float = field(init=False, default=-math.inf)
-
-    def __post_init__(self) -> None:
-        self.start()
 
     @property
     def exhausted(self) -> bool:
         return self.spent > self.most
 
-    def start(self) -> None:
-        """What is computed from here to `calibrate` tells what effort costs on this machine."""
-        self._begun = self.clock(), self.spent
+    def spend(self, effort: float) -> None:
+        """An evaluation of so much effort begins."""
+        self.spent += effort
+        if self._cost_s is None and effort > 0.0:
+            self._calls.append((self.clock(), effort))
 
     def calibrate(self) -> None:
-        """Take the time since `start` for what was computed since then."""
-        begun_s, spent = self._begun
-        if self.spent > spent:
-            self._cost_s = (self.clock() - begun_s) / (self.spent - spent)
+        """Take what has been computed so far for what effort costs on this machine: the median of the evaluations.
+
+        The first ones of a process take longer than all others.
+        """
+        ends = [begin for begin, _ in self._calls[1:]]
+        costs = [(end - begin) / effort for (begin, effort), end in zip(self._calls, ends, strict=False)]
+        self._cost_s = median(costs) if costs else None
+        self._calls.clear()
 
     def expect(self, effort: float) -> None:
         """From here on so much of the calibrating work's kind is left to the diagnosis' end."""
