@@ -347,7 +347,8 @@ def diagnose_command(
 ) -> int:
     """Which effect is missing.
 
-    How sure that is, what else it could be, and what to measure next.
+    How sure that is, what else it could be, and what to measure next. Ctrl-C ends the search, and reports what was
+    found so far; a second one ends at once.
     """
     from orchestrator.cli._output import announce
 
@@ -381,6 +382,9 @@ def add_command(
 
     The model is fitted anew, the ladder grows, the error falls.
     """
+    from orchestrator.cli._output import announce
+
+    announce(recording, as_json)
     from orchestrator.cli._diagnosis import add
 
     return add(recording, effect, model, effects, out, as_json)
@@ -395,6 +399,9 @@ def remove_command(
     as_json: JsonOption = False,
 ) -> int:
     """Take an effect out of the model."""
+    from orchestrator.cli._output import announce
+
+    announce(recording, as_json)
     from orchestrator.cli._diagnosis import remove
 
     return remove(recording, effect, effects, out, as_json)

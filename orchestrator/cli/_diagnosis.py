@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from orchestrator import workbench
-from orchestrator.cli._interrupting import prompt_interrupt
+from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
 from orchestrator.presentation.explaining import accuracy_sentences
@@ -16,6 +18,9 @@ from orchestrator.presentation.results import ladder_rows, parameter_rows, resis
 from orchestrator.presentation.sentences import columns, text_table
 from orchestrator.presentation.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis import InterimResult
 
 
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
@@ -39,8 +44,17 @@ def diagnose(
     as_json: bool,
     priors: Path | None = None,
 ) -> int:
-    """Name what the model lacks; `material` as per cent of the rated flux, and of the excitation's voltage."""
-    with prompt_interrupt():
+    """Name what the model lacks; `material` as per cent of the rated flux, and of the excitation's voltage.
+
+    Ctrl-C ends the search: what was found so far is reported, and the exit code is 130.
+    """
+    waiting, interruption = _waiting(as_json), Interruption()
+
+    def show(found: InterimResult) -> None:
+        interruption.has_result = True
+        waiting.keep(found.sentence)
+
+    with prompt_interrupt(interruption):
         kept = workbench.diagnose(
             path,
             model=model or "saturated",
@@ -49,9 +63,11 @@ def diagnose(
             material_flux_percent=material[0],
             material_voltage_percent=material[1],
             out=out,
-            tell=Waiting(),
+            tell=waiting,
             priors=priors,
+            on_interim=show,
         )
+        interruption.has_result = False
         refresh_report(path, out)
     if as_json:
         say_document(kept.report.model_dump_json(indent=2))
@@ -59,7 +75,7 @@ def diagnose(
         _print_diagnosis(kept.report, kept.words)
         if kept.estimates is not None:
             _print_map(kept.estimates, (out or path) / "results")
-    return 0
+    return 130 if interruption.asked else 0
 
 
 def add(
@@ -67,7 +83,8 @@ def add(
 ) -> int:
     """Refit with these effects."""
     with prompt_interrupt():
-        report = workbench.add(path, *names, model=model, effects=effects or (), out=out)
+        tell = _waiting(as_json).keep
+        report = workbench.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
     _say_added(report, as_json)
     return 0
@@ -76,10 +93,15 @@ def add(
 def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Refit without this effect."""
     with prompt_interrupt():
-        report = workbench.remove(path, name, effects=effects or (), out=out)
+        report = workbench.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
         refresh_report(path, out)
     _say_added(report, as_json)
     return 0
+
+
+def _waiting(as_json: bool) -> Waiting:
+    """What is said meanwhile: on standard error at a terminal, and where standard output is one JSON object."""
+    return Waiting(kept=sys.stderr if as_json else sys.stdout)
 
 
 def _print_comparison(report: CompareReport) -> None:

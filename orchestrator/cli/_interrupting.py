@@ -1,4 +1,4 @@
-"""Ctrl-C while something is computed: one line and exit code 130 at once, whatever a plugin's thread is doing."""
+"""Ctrl-C while something is computed: exit code 130, with the result so far where there is one, else at once."""
 
 from __future__ import annotations
 
@@ -6,18 +6,33 @@ import os
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
 from typing import Any, NoReturn
 
 from protocols import RunInterrupted
 
 
+@dataclass
+class Interruption:
+    """Whether somebody pressed Ctrl-C, and whether there is something by then that the block can still report."""
+
+    has_result: bool = False
+    asked: bool = False
+
+
 @contextmanager
-def prompt_interrupt(grace_s: float = 0.6) -> Iterator[None]:
+def prompt_interrupt(interruption: Interruption | None = None, grace_s: float = 0.6) -> Iterator[None]:
     """While the block lasts, SIGINT ends it, and the process where the block does not end soon.
 
     For blocks that leave nothing half written, from the main thread. Where SIGINT is ignored it stays so. The grace is
-    for what is under way to end by itself: an evaluation takes some 20 ms, a plugin's may take for ever.
+    for what is under way to end by itself: an evaluation takes some 20 ms, a plugin's may take for ever. A block that
+    has a result takes its time to report it; SIGINT once more ends the process.
+
+    Parameters
+    ----------
+    interruption : Interruption, optional
+        By which the block says that it has a result, and is told that it was interrupted.
 
     Raises
     ------
@@ -27,14 +42,16 @@ def prompt_interrupt(grace_s: float = 0.6) -> Iterator[None]:
     if signal.getsignal(signal.SIGINT) is not signal.default_int_handler:
         yield
         return
-    asked = False
+    state = interruption or Interruption()
 
     def stop(number: int, frame: FrameType | None) -> None:
-        nonlocal asked
-        if asked:
+        if state.asked:
             _leave()
-        asked = True
-        signal.setitimer(signal.ITIMER_REAL, grace_s)
+        state.asked = True
+        if state.has_result:
+            os.write(2, b"fluxbench: ending early, with what was found so far (Ctrl-C again ends at once)\n")
+        else:
+            signal.setitimer(signal.ITIMER_REAL, grace_s)
         raise KeyboardInterrupt
 
     def overdue(number: int, frame: FrameType | None) -> None:

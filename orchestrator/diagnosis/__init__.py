@@ -18,6 +18,7 @@ from orchestrator.diagnosis.reporting.keeping import diagnose_and_keep
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step
 from orchestrator.diagnosis.reporting.words import in_words
+from orchestrator.diagnosis.selection.interim import InterimResult
 from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics, linear_magnetics
@@ -27,6 +28,7 @@ __all__ = [
     "SATURATION",
     "Criteria",
     "Diagnosis",
+    "InterimResult",
     "Magnetics",
     "ModelChoice",
     "SavedDiagnosis",

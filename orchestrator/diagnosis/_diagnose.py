@@ -32,9 +32,11 @@ from orchestrator.diagnosis.reporting.findings import (
 )
 from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noise_rms_v, rung
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
+from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.expected import with_expected
 from orchestrator.diagnosis.selection.faint import with_faint
 from orchestrator.diagnosis.selection.forward_search import Search
+from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.judge import judge
@@ -50,6 +52,7 @@ from orchestrator.diagnosis.selection.shares import (
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.verdict import left_fraction, verdict_record
 from orchestrator.diagnosis.selection.workflow import (
+    LEFT_FROM_REPORT,
     ModelChoice,
     baseline_of,
     converged,
@@ -77,6 +80,7 @@ from protocols import (
     Nameplate,
     NextExperiment,
     NoiseFloor,
+    Reason,
     Remark,
     Rung,
     ShapeShare,
@@ -88,6 +92,9 @@ from protocols.fleet_priors import FleetPriors
 
 Proposer = Callable[[DiagnosisSetup, Fit, Sequence[Candidate], str, str], NextExperiment | None]
 """Chooses the experiment that separates two effects of the library, by the fit; None where no stage can."""
+
+ENDED_EARLY = Remark.of("ended_early", "ended early by the user: the search was not finished")
+REASON_ENDED_EARLY = Reason(quantity=ENDED_EARLY.code, value=None, limit=None, sentence=ENDED_EARLY.text)
 
 
 @dataclass(frozen=True)
@@ -132,6 +139,8 @@ def diagnose_recording(
     priors: FleetPriors | None = None,
     propose: Proposer | None = None,
     workers: int = 1,
+    on_interim: Callable[[InterimResult], None] = lambda _: None,
+    report_early: bool = False,
 ) -> Diagnosis:
     """Find the effects that a recording asks for, and judge what is left.
 
@@ -160,6 +169,11 @@ def diagnose_recording(
         the report proposes none.
     workers : int
         Threads that work on it; the result is the same.
+    on_interim : callable
+        Called with what the search has found so far, whenever that has changed at the end of one of its steps.
+    report_early : bool
+        `KeyboardInterrupt` ends the search alone: the report is made from what was found so far, and says so. Where
+        nothing was found yet, and the second time, it is raised. What else `poll` raises always is.
 
     Raises
     ------
@@ -173,7 +187,19 @@ def diagnose_recording(
         Where `without` names an effect that is not in the library.
     """
     with executor_of(workers) as executor:
-        asked = _Asked(effects, model, tuple(without), out, poll, tell, criteria, propose, executor)
+        asked = _Asked(
+            effects,
+            model,
+            tuple(without),
+            out,
+            poll,
+            tell,
+            criteria,
+            propose,
+            executor,
+            on_interim,
+            report_early,
+        )
         if priors is None:
             return _diagnosed(recording, asked, on_step)
         return _diagnosed_in_fleet(recording, asked, on_step, priors)
@@ -188,7 +214,7 @@ def _diagnosed_in_fleet(
     if found.setup is None:
         return found
     unlike = unlike_the_fleet(found.search.sized)
-    if unlike:
+    if unlike and ENDED_EARLY not in found.report.remarks:
         asked.tell(f"unlike the fleet, found without it: {', '.join(sorted(unlike))}")
         found = _diagnosed(recording, asked, None, priors.without(unlike))
     if on_step is not None and found.setup is not None:
@@ -211,6 +237,19 @@ class _Asked:
     criteria: Criteria | None
     propose: Proposer | None
     executor: Executor
+    on_interim: Callable[[InterimResult], None]
+    report_early: bool
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What a search came to, and the effects that its end has set aside."""
+
+    setup: DiagnosisSetup
+    search: Search
+    doubtful: Sequence[str]
+    spared: Sequence[str] = ()
+    is_early: bool = False
 
 
 def _diagnosed(
@@ -236,9 +275,40 @@ def _diagnosed(
     if isinstance(model, MotorModel):
         model = reduced(model, without)
 
+    interim = InterimRecorder(asked.on_interim)
+    try:
+        found = _search(setup, asked, model, every, library, interim)
+    except KeyboardInterrupt:
+        if not asked.report_early or interim.checkpoint is None:
+            raise
+        tell("ended early: what was found so far is fitted to the whole recording")
+        search, doubtful = unfinished_search(interim.checkpoint)
+        found = _Found(interim.checkpoint.setup, search, doubtful, is_early=True)
+    found.setup.fitter.begin("how sure is what was found?", LEFT_FROM_REPORT)
+    try:
+        return _reported(recording, asked, on_step, found, model, library, began)
+    except KeyboardInterrupt:
+        if not asked.report_early or found.is_early:
+            raise
+        # The search is over: whoever stops it now gets its report.
+        return _reported(recording, asked, on_step, found, model, library, began)
+
+
+def _search(
+    setup: DiagnosisSetup,
+    asked: _Asked,
+    model: ModelChoice,
+    every: Sequence[Candidate],
+    library: Sequence[Candidate],
+    interim: InterimRecorder,
+) -> _Found:
+    """Everything that the data ask for, looked for to the end."""
+
     def searched(opened: DiagnosisSetup) -> tuple[DiagnosisSetup, Search]:
-        steps = with_measured(opened, map_steps(opened, model, {c.name: c for c in every}, without), library)
-        return search_effects(opened, with_expected(opened, steps, library), library)
+        steps = map_steps(opened, model, {c.name: c for c in every}, asked.without)
+        opened.fitter.effort.calibrate()
+        steps = with_measured(opened, steps, library)
+        return search_effects(opened, with_expected(opened, steps, library), library, interim)
 
     opened = setup
     setup, search = searched(opened)
@@ -247,14 +317,28 @@ def _diagnosed(
         setup, search = searched(opened.with_ripple(ripples=not opened.prepared.ripples))
     if search.shares:
         search, doubtful = without_stand_ins(setup.fitter, search)
-        spared: list[str] = []
-    else:
-        search = on_a_finer_map(setup, search, library)
-        search, spared = pruned(setup, no_sharper_than_asked(setup, converged(setup, search)))
-        search, doubtful = without_doubtful(setup, search)
-        search = with_faint(setup, search, library, {*spared, *search.traces})
-    search = no_worse_than_without(setup, search)
-    tell("how sure is what was found?")
+        return _Found(setup, no_worse_than_without(setup, search), doubtful)
+    first = search.bare_steps
+    search = on_a_finer_map(setup, search, library)
+    interim.reached(setup, first, search, is_part=False)
+    search, spared = pruned(setup, no_sharper_than_asked(setup, converged(setup, search)))
+    interim.reached(setup, first, search, is_part=False)
+    search, doubtful = without_doubtful(setup, search)
+    search = with_faint(setup, search, library, {*spared, *search.traces})
+    return _Found(setup, no_worse_than_without(setup, search), doubtful, spared)
+
+
+def _reported(
+    recording: Recording,
+    asked: _Asked,
+    on_step: Callable[[DiagnosisStep], None] | None,
+    searched: _Found,
+    model: ModelChoice,
+    library: Sequence[Candidate],
+    began: float,
+) -> Diagnosis:
+    """The report of what a search came to, its model written to `model.json`."""
+    setup, search, doubtful, spared = searched.setup, searched.search, searched.doubtful, searched.spared
     first, last, sized, plain = search.steps[0].fit, search.fit, search.sized, setup.unweighed
     evidence = {step.added: step.log_evidence for step in search.steps if step.added is not None}
     freed = {name: gain for name, gain in evidence.items() if name in MAP_RUNGS}
@@ -285,7 +369,7 @@ def _diagnosed(
         recording=recording.manifest.name,
         noise_floor=NoiseFloor(rms_v=noise_rms_v(last), heldout_rms_v=noise_rms_v(last, held_out)),
         verdict=verdict,
-        reasons=judgement.reasons,
+        reasons=(*([REASON_ENDED_EARLY] if searched.is_early else []), *judgement.reasons),
         verdict_record=record,
         effects=found,
         minor=beyond_the_rest(
@@ -297,6 +381,7 @@ def _diagnosed(
         unexplained=left,
         next_experiment=_proposal(asked.propose, plain, last, library, found, verdict, [*doubtful, *search.traces]),
         remarks=(
+            *([ENDED_EARLY] if searched.is_early else []),
             *_remarks(setup, search, verdict, left, doubtful),
             *said_by_effects(sized, {effect.name for effect in found}),
             *said_of_sizes(last),

@@ -68,13 +68,17 @@ def open_for_diagnosis(
     return with_its_ripple(setup_of(prepared, noise, pm_flux_wb=pm_flux_wb, remarks=remarks, poll=poll, tell=tell))
 
 
-def open_for_refit(recording: RecordingReader, model: object) -> DiagnosisSetup:
+def open_for_refit(
+    recording: RecordingReader, model: object, tell: Callable[[str], None] = lambda _: None
+) -> DiagnosisSetup:
     """The setup to hold a model against a recording, with what is noise to a whole model.
 
     A convention that the recording breaks is its first remark: what is fitted then means little.
     """
+    tell("does the recording keep its manifest's conventions?")
     named = find_convention(recording, Criteria().conventions)
-    setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model)), model)
+    tell("the recording's noise")
+    setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model), tell=tell), model)
     return setup if named is None else replace(setup, remarks=(convention_remark(named), *setup.remarks))
 
 

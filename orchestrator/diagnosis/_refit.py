@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,6 +23,8 @@ from orchestrator.diagnosis.selection.shares import rated_flux_wb, visited
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps, with_map_step
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.sentences import listed
 from orchestrator.recording import MODEL_NAME, Recording, has_model, read_model, write_model
 from protocols import (
     AddReport,
@@ -45,6 +47,7 @@ def add_effects(
     *,
     model: ModelChoice | None = None,
     out: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
     """Refit with these effects beside those that the model has already; the ladder grows.
 
@@ -52,6 +55,8 @@ def add_effects(
     ----------
     model : optional
         Where the ladder starts; by default the model of `model.json` as it stands, else ``saturated``.
+    tell : callable
+        Called with what is under way, in a few words.
 
     Raises
     ------
@@ -60,7 +65,7 @@ def add_effects(
     """
     require_known([n for n in names if n not in MAP_RUNGS], effects)
     kept = read_model(out or recording.path) if model is None and has_model(out or recording.path) else None
-    return _added(recording, names, effects, kept, model or "saturated", out)
+    return _added(recording, names, effects, kept, model or "saturated", out, tell)
 
 
 @solvable
@@ -71,10 +76,12 @@ def _added(
     kept: MotorModel | None,
     model: ModelChoice,
     out: Path | None,
+    tell: Callable[[str], None],
 ) -> AddReport:
-    setup = open_for_refit(recording, kept or model)
+    setup = open_for_refit(recording, kept or model, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     baseline = kept.baseline if kept is not None else baseline_of(model)
+    tell("the model without them")
     if kept is None:
         steps = first_steps(setup, model, library)
     else:
@@ -86,14 +93,17 @@ def _added(
         if name in fit.model.names:
             remarks.append(Remark.of("in_model", "{effect}: in the model already", effect=name))
         elif name in library:
+            tell(f"the model with {plain(name)}")
             steps.append(Step(name, setup.fitter.fit(_grown(setup.fitter, fit, library[name]).model)))
         elif isinstance(baseline, Nameplate) and name not in baseline.freed:
             baseline = freed_by(baseline, name)
+            tell(f"the model with {plain(name)}")
             steps.append(Step(name, with_map_step(setup, fit, baseline)))
         else:
             text = "{effect}: in the map {map} already"
             remarks.append(Remark.of("in_map", text, effect=name, map=baseline.title))
     if isinstance(baseline, Saturated) and steps[-1].fit.model.active:
+        tell("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_as_detailed_as_asked(setup, steps[-1].fit))
     ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup.unweighed, steps))
     return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
@@ -129,8 +139,20 @@ def _in_usual_shape(active: Active) -> Active:
     return replace(usual, values={**usual.values, **amplitudes})
 
 
-def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *, out: Path | None = None) -> AddReport:
+def remove_effect(
+    recording: Recording,
+    name: str,
+    effects: Sequence[Effect],
+    *,
+    out: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AddReport:
     """Refit without one of the effects that `model.json` has; what was added before it stays as it was.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with what is under way, in a few words.
 
     Raises
     ------
@@ -142,14 +164,19 @@ def remove_effect(recording: Recording, name: str, effects: Sequence[Effect], *,
     have = [] if kept is None else [*_causes(kept), *_beside(kept)]
     if kept is None or name not in have:
         raise PluginError(MODEL_NAME, name, f"not in the model; it has {', '.join(have) or 'no effects'}")
-    return _removed(recording, name, effects, kept, out)
+    return _removed(recording, name, effects, kept, out, tell)
 
 
 @solvable
 def _removed(
-    recording: Recording, name: str, effects: Sequence[Effect], kept: MotorModel, out: Path | None
+    recording: Recording,
+    name: str,
+    effects: Sequence[Effect],
+    kept: MotorModel,
+    out: Path | None,
+    tell: Callable[[str], None],
 ) -> AddReport:
-    setup = open_for_refit(recording, kept)
+    setup = open_for_refit(recording, kept, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
     left, beside = ([n for n in names if n != name] for names in (_causes(kept), _beside(kept)))
     # What is no cause has no rung of its own: the last one has them all.
@@ -158,6 +185,7 @@ def _removed(
     # From the rung below on, all is fitted anew: what was added later may take over what was taken out.
     for count in range(at - 1, len(left) + 1):
         names = [*left[:count], *(beside if count == len(left) else ())]
+        tell(f"the model with {listed([plain(n) for n in names])}" if names else "the model alone")
         baseline, model = _as_of(setup, reduced(kept, [name]), names, library)
         if not names and isinstance(baseline, Saturated):
             steps += first_steps(setup, "saturated", library)
@@ -201,6 +229,7 @@ def _keep_refit(
     out: Path | None,
 ) -> AddReport:
     """The model written to `model.json`, and what there is to say of it; raises `StorageError`."""
+    setup.fitter.tell("how sure is what was fitted?")
     evidence = {e.name: e.log_evidence for e in before.effects} if before is not None else {}
     twins = {e.name: e.twins for e in before.effects} if before is not None else {}
     found = found_effects(setup.fitter, fit, evidence, twins)

@@ -1,4 +1,4 @@
-"""What is said to who waits at a terminal: a line a second at most, on standard error."""
+"""What is said to who waits: at a terminal what is under way, on standard error; anywhere else what is to be kept."""
 
 from __future__ import annotations
 
@@ -11,18 +11,26 @@ from orchestrator.presentation.sentences import cut, for_output
 
 
 class Waiting:
-    """Says what is under way, and since when; nothing where nobody looks.
+    """Says what is under way, and since when.
 
     Parameters
     ----------
     where : TextIO, optional
-        Standard error by default. A file or pipe gets no line.
+        Standard error by default. A file or pipe gets no line of what is under way.
     clock : callable, optional
         Seconds, of any origin.
+    kept : TextIO, optional
+        Where the lines of `keep` go if `where` is no terminal; by default there too.
     """
 
-    def __init__(self, where: TextIO | None = None, clock: Callable[[], float] = time.monotonic) -> None:
+    def __init__(
+        self,
+        where: TextIO | None = None,
+        clock: Callable[[], float] = time.monotonic,
+        kept: TextIO | None = None,
+    ) -> None:
         self._where = sys.stderr if where is None else where
+        self._kept = self._where if kept is None else kept
         self._clock, self._began = clock, clock()
         self._next = self._began
 
@@ -32,4 +40,15 @@ class Waiting:
         if not self._where.isatty() or (now < self._next and not text.startswith("+ ")):
             return
         self._next = now + 1.0
-        print(for_output(cut(f"{now - self._began:5.0f} s  {text}"), self._where), file=self._where, flush=True)
+        self._print(f"{now - self._began:5.0f} s  {text}", self._where)
+
+    def keep(self, text: str) -> None:
+        """Say what is to be read by everybody: at a terminal at once, in a file or pipe as a plain line."""
+        if self._where.isatty():
+            self._print(f"{self._clock() - self._began:5.0f} s  {text}", self._where)
+        else:
+            self._print(text, self._kept)
+
+    @staticmethod
+    def _print(line: str, where: TextIO) -> None:
+        print(for_output(cut(line), where), file=where, flush=True)

@@ -26,7 +26,7 @@ from protocols import (
 if TYPE_CHECKING:
     import xarray as xr
 
-    from orchestrator.diagnosis import ModelChoice, SavedDiagnosis
+    from orchestrator.diagnosis import InterimResult, ModelChoice, SavedDiagnosis
     from orchestrator.side_by_side import SideBySide
     from protocols.fleet_priors import FleetPriors
 
@@ -96,8 +96,12 @@ def diagnose(
     tell: Callable[[str], None] = lambda _: None,
     priors: FleetPriors | Place | None = None,
     workers: int | None = None,
+    on_interim: Callable[[InterimResult], None] = lambda _: None,
 ) -> SavedDiagnosis:
     """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
+
+    `KeyboardInterrupt` (Ctrl-C) ends the search: the report is made from what was found so far, and its first remark
+    has the code ``ended_early``. Where nothing was found yet, and the second time, it is raised.
 
     Parameters
     ----------
@@ -109,6 +113,8 @@ def diagnose(
         What other motors of its kind let expect, or the file that `fluxbench fleet priors` wrote it to.
     workers : int
         Threads that work on it; as many as there are cores, up to four, by default. The result is the same.
+    on_interim : callable
+        Called with what the search has found so far, whenever that has changed; its `sentence` says it.
     """
     from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
     from orchestrator.experiment_design.proposal import next_experiment
@@ -128,6 +134,8 @@ def diagnose(
         criteria=criteria,
         priors=_chosen_priors(priors),
         workers=workers or workers_here(),
+        on_interim=on_interim,
+        report_early=True,
     )[1]
 
 
@@ -155,22 +163,46 @@ def explain(place: Place) -> Explanation:
 
 @one_thread()
 def add(
-    place: Place, *names: str, model: Model | None = None, effects: Effects = (), out: Place | None = None
+    place: Place,
+    *names: str,
+    model: Model | None = None,
+    effects: Effects = (),
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
 ) -> AddReport:
-    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Kept in `model.json`."""
+    """Refit the model with these effects; see `orchestrator.diagnosis.add_effects`. Kept in `model.json`.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with what is under way, in a few words.
+    """
     from orchestrator.diagnosis import add_effects
 
     return add_effects(
-        open_any(Path(place)), names, chosen_effects(effects), model=chosen_model(model), out=_directory(out)
+        open_any(Path(place)), names, chosen_effects(effects), model=chosen_model(model), out=_directory(out), tell=tell
     )
 
 
 @one_thread()
-def remove(place: Place, name: str, *, effects: Effects = (), out: Place | None = None) -> AddReport:
-    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Kept in `model.json`."""
+def remove(
+    place: Place,
+    name: str,
+    *,
+    effects: Effects = (),
+    out: Place | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> AddReport:
+    """Refit the model without this effect; see `orchestrator.diagnosis.remove_effect`. Kept in `model.json`.
+
+    Parameters
+    ----------
+    tell : callable
+        Called with what is under way, in a few words.
+    """
     from orchestrator.diagnosis import remove_effect
 
-    return remove_effect(open_any(Path(place)), name, chosen_effects(effects), out=_directory(out))
+    return remove_effect(open_any(Path(place)), name, chosen_effects(effects), out=_directory(out), tell=tell)
 
 
 def map_of(model: MotorModel | Place) -> xr.Dataset:

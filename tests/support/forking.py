@@ -80,6 +80,12 @@ class ForkedCommand:
         self.wait(timeout)
         return self._printed
 
+    def printed_so_far(self) -> str:
+        """What it has printed by now, while it runs."""
+        output = self._outputs[0]
+        # The command writes where the descriptor's offset is: it has to stay there.
+        return os.pread(output, os.fstat(output).st_size, 0).decode()
+
     def send_signal(self, number: int) -> None:
         """A signal to it alone, where it still runs."""
         if self.poll() is None:

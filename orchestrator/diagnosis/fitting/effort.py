@@ -6,30 +6,51 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from statistics import median
 
 
 @dataclass
 class Effort:
-    """How much was computed, in samples times columns: the same on every machine, unlike time."""
+    """How much was computed, in samples times columns: the same on every machine, unlike time.
+
+    How long it may take still is what such work usually comes to, in the time that the first model's fit took for its
+    own.
+    """
 
     most: float = math.inf
     spent: float = 0.0
     clock: Callable[[], float] = time.monotonic
     """Seconds, of any origin; for the words of who waits alone."""
-    _begun_s: float = field(init=False)
+    _calls: list[tuple[float, float]] = field(init=False, default_factory=list)
+    """Time [s] and effort of each evaluation until `calibrate`."""
+    _cost_s: float | None = field(init=False, default=None)
+    """Of a unit of effort."""
     _ends_s: float = field(init=False, default=-math.inf)
-
-    def __post_init__(self) -> None:
-        self._begun_s = self.clock()
 
     @property
     def exhausted(self) -> bool:
         return self.spent > self.most
 
-    def reached(self, part: float) -> None:
-        """So much of the whole is done: what is left takes as long in proportion."""
-        now = self.clock()
-        self._ends_s = now + (now - self._begun_s) * (1.0 - part) / part
+    def spend(self, effort: float) -> None:
+        """An evaluation of so much effort begins."""
+        self.spent += effort
+        if self._cost_s is None and effort > 0.0:
+            self._calls.append((self.clock(), effort))
+
+    def calibrate(self) -> None:
+        """Take what has been computed so far for what effort costs on this machine: the median of the evaluations.
+
+        The first ones of a process take longer than all others.
+        """
+        ends = [begin for begin, _ in self._calls[1:]]
+        costs = [(end - begin) / effort for (begin, effort), end in zip(self._calls, ends, strict=False)]
+        self._cost_s = median(costs) if costs else None
+        self._calls.clear()
+
+    def expect(self, effort: float) -> None:
+        """From here on so much of the calibrating work's kind is left to the diagnosis' end."""
+        if self._cost_s is not None:
+            self._ends_s = self.clock() + self._cost_s * effort
 
     @property
     def left(self) -> str:

@@ -127,9 +127,15 @@ class Fitter:
             self.batches = RecordingBatches.of(self.prepared)
         self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
 
-    def begin(self, text: str, part: float) -> None:
-        """Tell what begins when so much of a diagnosis is done, and from then on how long it may take."""
-        self.effort.reached(part)
+    def begin(self, text: str, evaluations: float) -> None:
+        """Tell what begins, and from then on how long the diagnosis may take.
+
+        Parameters
+        ----------
+        evaluations : float
+            Of the first model on the whole recording, which take as long as what is left usually does.
+        """
+        self.effort.expect(evaluations * self.trace.samples)
         self.under_way(text)
 
     def under_way(self, text: str) -> None:
@@ -331,11 +337,11 @@ class Fitter:
     ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
         """Every batch's frame, every segment's equations with columns where it is not held out, and what answers."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
-        self.effort.spent += samples * self.criteria.evaluation_columns
+        self.effort.spend(samples * self.criteria.evaluation_columns)
         ours = self._with_frames(frame)
         if len(wanted) > self.criteria.few_columns:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
-        self.effort.spent += samples * len(wanted)
+        self.effort.spend(samples * len(wanted))
         made = self._made(model, [_Task(batch, before, renew, wanted) for batch, before in ours])
         rows = {k: row for one in made for k, row in zip(one.frame.batch.places, one.rows, strict=True)}
         answers = Answers() if known is None else known.answers
@@ -360,7 +366,7 @@ class Fitter:
         probes = {k: p for one in probed for k, p in zip(one.frame.batch.places, one.probes, strict=True)}
         plan = column_plan(names, probes, known, self.criteria, asked.of)
         anew, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
-        self.effort.spent += samples * (len(anew) + len(wanted) / self.criteria.probe_every)
+        self.effort.spend(samples * (len(anew) + len(wanted) / self.criteria.probe_every))
         others = self._made(model, [_Task(b, before, renew, anew, inner) for b, before in later])
         rows = {k: row for one in probed for k, row in zip(one.frame.batch.places, one.rows, strict=True)}
         for one in others:

@@ -11,6 +11,7 @@ from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.reporting.delivery import Delivery
 from orchestrator.diagnosis.reporting.diagnosis_file import SavedDiagnosis, save_diagnosis
 from orchestrator.diagnosis.reporting.words import in_words
+from orchestrator.diagnosis.selection.interim import InterimResult
 from orchestrator.diagnosis.selection.workflow import ModelChoice
 from orchestrator.recording import Recording
 from protocols import DiagnosisStep, Effect, EstimationReport, Remark, StorageError
@@ -46,6 +47,8 @@ def diagnose_and_keep(
     criteria: Criteria | None = None,
     priors: FleetPriors | None = None,
     workers: int = 1,
+    on_interim: Callable[[InterimResult], None] = lambda _: None,
+    report_early: bool = False,
 ) -> tuple[Diagnosis, SavedDiagnosis]:
     """`diagnose_recording`, and what it found written to ``results/``: ``diagnosis.json``, ``.npz``, the model's map.
 
@@ -61,12 +64,18 @@ def diagnose_and_keep(
         Called several times a second; what it raises ends the diagnosis.
     tell : callable
         Called with what is under way, in a few words.
+    on_interim : callable
+        Called with what the search has found so far, whenever that has changed.
+    report_early : bool
+        `KeyboardInterrupt` ends the search alone, where it has found something: see `diagnose_recording`.
     out : Path, optional
         Directory that gets `model.json` and the folder ``results``; the recording's own by default.
     """
     steps: list[DiagnosisStep] = []
 
     def keep(step: DiagnosisStep) -> None:
+        # A ladder that is shown again takes the place of the one before.
+        del steps[step.index :]
         steps.append(step)
         if on_step is not None:
             on_step(step)
@@ -84,6 +93,8 @@ def diagnose_and_keep(
         criteria=criteria,
         priors=priors,
         workers=workers,
+        on_interim=on_interim,
+        report_early=report_early,
     )
     words = in_words(diagnosis)
     try:

@@ -15,6 +15,7 @@ from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.selection.forward_search import Search, Step, refitted_steps
+from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
@@ -46,34 +47,44 @@ from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
 from protocols import ModelNoise
 
-BEGINS_AT = {"together": 0.22, "forms": 0.34, "search": 0.52, "whole": 0.68, "ladder": 0.87}
-"""Part of a diagnosis' time that is over as its steps begin; medians of six benches of many effects, averaged and
-switched ones. The time left was told within a factor of 2.4 on these; behind a timer that is told again and again, as a
-third of what it was."""
+LEFT_PER_EFFECT = {"together": 25.0, "forms": 23.0, "search": 17.0, "whole": 13.5, "ladder": 5.0}
+"""Evaluations of the first model that take as long as the rest of a diagnosis from where its steps begin, per effect of
+the library; medians of benches of many effects. Where no form explains the error it may be three times that."""
 
 TIMED_ANEW = 0.05
 """Of chi2, by which a modulator's timer changes a fit for which all effects are asked once more."""
 
 
 def all_together(
-    setup: DiagnosisSetup, steps: Sequence[Step], quick: Search, library: Sequence[Candidate]
+    setup: DiagnosisSetup,
+    steps: Sequence[Step],
+    quick: Search,
+    library: Sequence[Candidate],
+    interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, Search] | None:
     """The ladder of what the joint fit found; None where it has no more to say than the search one by one.
 
     What scatters beside all effects, or is their forms' error, is noise to the setup which comes back.
     """
-    given, begin = setup, setup.fitter.begin
-    begin(f"{len(library)} effects together", BEGINS_AT["together"])
+    given = setup
+
+    def begin(text: str, step: str) -> None:
+        setup.fitter.begin(text, LEFT_PER_EFFECT[step] * len(library))
+
+    begin(f"{len(library)} effects together", "together")
     fit = together(setup.coarse_fitter, quick.fit.model, library)
-    begin("each effect's own form", BEGINS_AT["forms"])
+    begin("each effect's own form", "forms")
     setup, doubting, fit = formed_together(setup, fit, library)
     fit = on_a_sharper_map(doubting, fit)
     setup, doubting, fit = without_needless_scatter(setup, doubting, fit)
-    begin("which of them do the data ask for?", BEGINS_AT["search"])
+    part_alone, whole_alone = quick.steps[0].fit, steps[0].fit
+    interim.reached_together(setup, steps, (part_alone, fit), quick, {}, is_part=True)
+    begin("which of them do the data ask for?", "search")
     fit, rivals = joint_search(doubting.coarse_fitter, fit, library)
     setup, doubting, fit, rivals = timed_anew(setup, doubting, fit, rivals, library)
     if doubting is given and set(fit.model.names) <= set(quick.fit.model.names):
         return None
+    interim.reached_together(setup, steps, (part_alone, fit), quick, rivals, is_part=True)
     before, limits = setup.fitter.noise.of_model, fit.criteria.selection
     if doubting is not setup or _formless(fit):
         setup, fit = with_its_noise(setup, fit, library)
@@ -84,11 +95,12 @@ def all_together(
         setup, _, alone = without_needless_scatter(setup, setup, fit, everything)
         if alone is not fit:
             fit, rivals = exchanged(setup.coarse_fitter, downwards(setup.coarse_fitter, alone), library)
-    begin("the same on the whole recording", BEGINS_AT["whole"])
+    begin("the same on the whole recording", "whole")
     whole = setup.fitter.fit(at_rest(fit.model))
     if whole.model.space.is_free:
         whole = with_finer_map(setup, setup.fitter, whole)
     whole = downwards(setup.fitter, refitted(setup.fitter, whole.model.with_active(fit.model.active)))
+    interim.reached_together(setup, steps, (whole_alone, whole), quick, rivals, is_part=False)
     if as_much(setup.fitter.noise.of_model, before) and setup.judged(whole).chi2_per_dof > limits.detected_chi2:
         # What a part's wrong forms hid; with it as noise, the forms' error is not as large as it seemed.
         wider = beside_scatter(setup, setup.fitter, whole, library)
@@ -109,6 +121,7 @@ def all_together(
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
         steps = refitted_steps(setup.unweighed, steps)
+    begin("what does each take away?", "ladder")
     return setup, ladder_of(setup, steps, whole, rivals, quick.traces)
 
 
@@ -330,7 +343,6 @@ def ladder_of(
     model's own error is no noise there: it is what remains.
     """
     plain, judged = setup.unweighed, setup.judged(whole)
-    setup.fitter.begin("what does each take away?", BEGINS_AT["ladder"])
     sizes, factors = shares(setup, steps[0].fit, whole), log_bayes_factors(whole)
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)

@@ -21,6 +21,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
 from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
+from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
@@ -37,6 +38,11 @@ ModelChoice = str | FluxMap | MotorModel
 
 A whole model's map is held, and its effects are fitted anew to the recording at hand.
 """
+
+LEFT_OF_CLEAN, LEFT_WITH_TIMER, LEFT_FROM_SEARCH, LEFT_FROM_WHOLE, LEFT_FROM_REPORT = 45.0, 105.0, 80.0, 60.0, 22.0
+"""Evaluations of the first model that take as long as a diagnosis from there, where a few effects explain the error:
+where nothing is missing, before a modulator's timer is looked for, before effects are, before they are fitted to the
+whole, and when the search is over. Medians of benches of one and two effects."""
 
 NO_TIMER = 1.2
 """Times the first model's chi2, that no modulator's timer leaves once its rounding is taken out: a false one left
@@ -110,10 +116,12 @@ def map_steps(
 
 
 def search_effects(
-    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate], interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, Search]:
     """Look for a modulator's timer where the baseline leaves something, then for effects with its rounding known."""
     first = steps[-1].fit
+    is_clean = first.chi2_per_dof <= first.criteria.selection.detected_chi2
+    setup.fitter.begin("search for a few missing effects", LEFT_OF_CLEAN if is_clean else LEFT_WITH_TIMER)
     if setup.prepared.timer is None and first.chi2_per_dof > first.criteria.selection.detected_chi2:
         timed = with_its_timer(setup, first, library)
         if timed is not setup:
@@ -131,28 +139,31 @@ def search_effects(
             )
             if reached.chi2_per_dof <= NO_TIMER * first.chi2_per_dof:
                 setup, steps = timed, beside
-    return _searched(setup, steps, library)
+    return _searched(setup, steps, library, interim)
 
 
 def _searched(
-    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+    setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate], interim: InterimRecorder
 ) -> tuple[DiagnosisSetup, Search]:
     """Search in a part of the recording, fit what was found to the whole, and look there for what is small.
 
     Where a few effects, found one by one, do not explain that part, their readings' zero may differ from segment to
     segment: then that is noise to the setup which comes back. Else all are fitted together.
     """
+    if not _explains(steps[-1].fit):
+        setup.fitter.begin("search for a few missing effects", LEFT_FROM_SEARCH)
     quick = _quick_search(setup, steps, library)
+    interim.reached(setup, steps, quick, is_part=True)
     if _explains(quick.fit) or (wider := with_its_scatter(setup, quick.fit, library)) is None:
-        return _after(quick, setup, steps, library)
+        return _after(quick, setup, steps, library, interim)
     steps = refitted_steps(wider, steps)
     beside = wider.coarse_fitter.fit(quick.fit.model, renewals=1)
     wider.coarse_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
     if _explains(beside):
-        return with_scatter_as_found(*_searched(wider, steps, library), library)
+        return with_scatter_as_found(*_searched(wider, steps, library, interim), library)
     # A few effects will not do beside what scatters either.
     quick = replace(quick, steps=[*quick.steps[:-1], replace(quick.steps[-1], fit=beside)])
-    return with_scatter_as_found(*_after(quick, wider, steps, library), library)
+    return with_scatter_as_found(*_after(quick, wider, steps, library, interim), library)
 
 
 def _explains(fit: Fit) -> bool:
@@ -160,25 +171,38 @@ def _explains(fit: Fit) -> bool:
 
 
 def _after(
-    quick: Search, setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]
+    quick: Search,
+    setup: DiagnosisSetup,
+    steps: Sequence[Step],
+    library: Sequence[Candidate],
+    interim: InterimRecorder,
 ) -> tuple[DiagnosisSetup, Search]:
     """All effects fitted together where a quick search has not explained its part, else what it found to the whole."""
     if not _explains(quick.fit) and len(library) > 1:
-        together = all_together(setup, steps, quick, library)
+        together = all_together(setup, steps, quick, library, interim)
         if together is not None:
             return together
-    fits, found = list(steps), quick.steps[1:]
+    found = quick.steps[1:]
     if found:
+        setup.fitter.begin("the same on the whole recording", LEFT_FROM_WHOLE)
         # What a form does not need costs most on the whole.
         found = [*found[:-1], replace(found[-1], fit=settled(setup.coarse_fitter, found[-1].fit))]
-    for step in found:
-        last = step is found[-1]
-        frame = setup.fitter.frame(step.fit.model, fits[-1].fit.frame)
-        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=2 if last else 0, tolerance=3e-4)
-        fits.append(Step(step.added, fit, step.log_evidence))
+    fits = fitted_to_whole(setup, steps, found)
+    interim.reached(setup, steps, Search(fits, quick.traces, quick.rivals), is_part=False)
     search = forward(setup.fitter, fits, library, rivals=quick.rivals)
     search.traces = [n for n in dict.fromkeys([*quick.traces, *search.traces]) if n not in search.fit.model.names]
     return setup, search
+
+
+def fitted_to_whole(setup: DiagnosisSetup, first: Sequence[Step], found: Sequence[Step]) -> list[Step]:
+    """The first steps, fitted to the whole recording already, and those that were found in a part of it."""
+    steps = list(first)
+    for step in found:
+        last = step is found[-1]
+        frame = setup.fitter.frame(step.fit.model, steps[-1].fit.frame)
+        fit = setup.fitter.fit(step.fit.model, frame, steps=4 if last else 2, renewals=2 if last else 0, tolerance=3e-4)
+        steps.append(Step(step.added, fit, step.log_evidence))
+    return steps
 
 
 def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> DiagnosisSetup | None:

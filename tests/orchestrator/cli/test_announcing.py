@@ -10,17 +10,18 @@ from typer.testing import CliRunner
 
 from orchestrator.cli._app import app
 
+MORE = {"add": ["dead_time"], "remove": ["dead_time"]}
 HEAVY = ("orchestrator.cli._results", "orchestrator.cli._diagnosis", "orchestrator.cli._side_by_side")
 
 
 @pytest.mark.parametrize("json", [False, True])
-@pytest.mark.parametrize("command", ["estimate", "diagnose", "compare"])
+@pytest.mark.parametrize("command", ["estimate", "diagnose", "compare", "add", "remove"])
 def test_a_line_is_out_before_anything_heavy_is_imported(
     command: str, json: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for name in HEAVY:
         monkeypatch.setitem(sys.modules, name, None)  # to import it now is an ImportError
-    done = CliRunner().invoke(app, [command, str(tmp_path), *(["--json"] if json else [])])
+    done = CliRunner().invoke(app, [command, str(tmp_path), *MORE.get(command, []), *(["--json"] if json else [])])
     assert isinstance(done.exception, ImportError)
     line = f"reading {tmp_path}\n"
     assert (done.stdout, done.stderr) == (("", line) if json else (line, ""))

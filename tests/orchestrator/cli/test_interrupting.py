@@ -1,7 +1,8 @@
-"""Ctrl-C in the middle of a diagnosis: one line, exit code 130, at once, whatever an effect's thread is doing."""
+"""Ctrl-C in the middle of a diagnosis: exit code 130, with a report of what was found, else at once."""
 
 from __future__ import annotations
 
+import json
 import signal
 import subprocess
 import sys
@@ -10,11 +11,12 @@ from pathlib import Path
 
 import pytest
 
+from orchestrator.diagnosis import load_diagnosis
 from orchestrator.recording import open_recording
 from protocols import StateChanged
 from tests.support.cases import few
 from tests.support.forking import ForkedCommand
-from tests.support.processes import called, start_fluxbench, wait_until
+from tests.support.processes import called, start_afresh, start_fluxbench, wait_until
 from tests.support.tiny import STAGES, all_effects_but, messages_of, tiny_file
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"
@@ -36,8 +38,11 @@ class Mine:
     def correct(self, signals, p):
         Path({marker!r}).touch()
         time.sleep({seconds})
+        while Path({marker!r}).with_name("hold").exists():
+            time.sleep(0.01)
         return Correction()
 """
+ENDING = "fluxbench: ending early, with what was found so far (Ctrl-C again ends at once)\n"
 
 
 def interrupted(words: list[str | Path], marker: Path, times: int = 1) -> tuple[ForkedCommand, str, float]:
@@ -65,6 +70,50 @@ def test_ctrl_c_ends_a_search_at_once(seconds: float, times: int, tmp_path: Path
     process, told, took = interrupted(words, marker, times)
     assert (process.returncode, told) == (130, "fluxbench: interrupted\n")
     assert took < 1.5
+    assert not (tmp_path / "out").exists()
+
+
+def test_ctrl_c_after_a_first_answer_ends_with_a_report(tmp_path: Path) -> None:
+    mine, _ = effect_that_takes(0.003, tmp_path)
+    out = tmp_path / "out"
+    process = start_fluxbench("diagnose", DATA, "--effects", mine, "--out", out)
+    wait_until(lambda: "so far: " in process.printed_so_far() or process.poll() is not None)
+    process.send_signal(signal.SIGINT)
+    printed, told = process.communicate(timeout=120)
+    assert (process.returncode, told) == (130, ENDING)
+    assert "so far: no effect found; the model alone explains the part of the recording" in printed
+    assert "  ended early by the user: the search was not finished\n" in printed
+    kept = load_diagnosis(out)
+    assert kept is not None
+    assert kept.report.remarks[0].code == "ended_early"
+    assert (out / "model.json").exists()
+
+
+@pytest.mark.slow
+def test_so_it_does_with_json_where_the_first_answer_is_on_standard_error(tmp_path: Path) -> None:
+    mine, _ = effect_that_takes(0.003, tmp_path)
+    process = start_afresh("diagnose", DATA, "--effects", mine, "--out", tmp_path / "out", "--json")
+    assert process.stderr is not None
+    assert any(line.startswith("so far: ") for line in iter(process.stderr.readline, ""))
+    process.send_signal(signal.SIGINT)
+    printed, told = process.communicate(timeout=120)
+    assert (process.returncode, told) == (130, ENDING)
+    assert json.loads(printed)["reasons"][0]["quantity"] == "ended_early"
+
+
+def test_a_second_ctrl_c_ends_at_once_without_a_report(tmp_path: Path) -> None:
+    mine, _ = effect_that_takes(0.003, tmp_path)
+    process = start_fluxbench("diagnose", DATA, "--effects", mine, "--out", tmp_path / "out")
+    wait_until(lambda: "so far: " in process.printed_so_far() or process.poll() is not None)
+    (tmp_path / "hold").touch()
+    process.send_signal(signal.SIGINT)
+    time.sleep(0.2)
+    assert process.poll() is None
+    began = time.monotonic()
+    process.send_signal(signal.SIGINT)
+    _, told = process.communicate(timeout=20)
+    assert (process.returncode, told) == (130, f"{ENDING}fluxbench: interrupted\n")
+    assert time.monotonic() - began < 1.5
     assert not (tmp_path / "out").exists()
 
 

@@ -13,14 +13,38 @@ def test_effort_is_exhausted_beyond_its_most() -> None:
 
 
 @pytest.mark.parametrize(
-    ("part", "later_s", "left"),
-    [(0.2, 0.0, " (some 80 s more)"), (0.2, 33.0, " (some 45 s more)"), (0.8, 0.0, " (some 5 s more)"), (0.8, 9.0, "")],
+    ("expected", "later_s", "left"),
+    [
+        (40.0, 0.0, " (some 80 s more)"),
+        (40.0, 33.0, " (some 45 s more)"),
+        (2.6, 0.0, " (some 5 s more)"),
+        (2.6, 5.0, ""),
+    ],
 )
-def test_what_is_left_takes_as_long_in_proportion(part: float, later_s: float, left: str) -> None:
+def test_what_is_left_takes_as_long_as_most_evaluations_in_proportion(
+    expected: float, later_s: float, left: str
+) -> None:
     now = [100.0]
     effort = Effort(clock=lambda: now[0])
+    # The first one loads libraries, and one of them waits for another process.
+    for took_s in (70.0, 20.0, 20.0, 90.0, 18.0):
+        effort.spend(10.0)
+        now[0] += took_s
+    effort.spend(10.0)
+    effort.calibrate()
     assert effort.left == ""
-    now[0] += 20.0
-    effort.reached(part)
+    effort.expect(expected)
     now[0] += later_s
     assert effort.left == left
+
+
+def test_nothing_is_told_before_anything_was_computed() -> None:
+    now = [100.0]
+    effort = Effort(clock=lambda: now[0])
+    effort.expect(50.0)
+    assert effort.left == ""
+    now[0] += 5.0
+    effort.spend(0.0)
+    effort.calibrate()
+    effort.expect(50.0)
+    assert effort.left == ""

@@ -15,6 +15,7 @@ from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection import joint_workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import log_bayes_factors
 from orchestrator.diagnosis.weak_form.noise import sensor_noise
 from plugins.effects.inverter import VoltageBias
@@ -34,7 +35,8 @@ def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkey
     bare = setup.fitter.fit(free_model())
     of_a_part = setup.coarse_fitter.fit(free_model().with_active([library[0].absent()]))
     monkeypatch.setattr(joint_workflow, "joint_search", lambda *_: (of_a_part, {}))
-    assert joint_workflow.all_together(setup, [Step(None, bare)], Search([Step(None, bare)]), library) is None
+    steps = [Step(None, bare)]
+    assert joint_workflow.all_together(setup, steps, Search(steps), library, InterimRecorder()) is None
 
 
 def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup, Fit, Fit]:

@@ -11,6 +11,7 @@ from orchestrator.diagnosis.fitting.baseline import is_sharp
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.selection import workflow
 from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.workflow import (
     no_sharper_than_asked,
     no_worse_than_without,
@@ -135,8 +136,8 @@ def test_a_timer_that_leaves_more_than_none_is_none(monkeypatch: pytest.MonkeyPa
     steps = [Step(None, setup.fitter.fit(free_model()))]
     assert steps[0].fit.chi2_per_dof > 1.08
     monkeypatch.setattr(workflow, "with_its_timer", lambda given, *_: given.with_timer(timer(2e-6, 0.3, 0.6)))
-    timed, _ = search_effects(setup, steps, [])
+    timed, _ = search_effects(setup, steps, [], InterimRecorder())
     assert timed.prepared.timer is None
     monkeypatch.setattr(workflow, "with_its_timer", lambda given, *_: given.with_timer(timer(1e-12, 0.3, 0.6)))
-    timed, _ = search_effects(setup, steps, [])
+    timed, _ = search_effects(setup, steps, [], InterimRecorder())
     assert timed.prepared.timer is not None

@@ -1,0 +1,61 @@
+"""A search that nobody waits for any longer: its best fit so far, fitted briefly to the whole recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.forward_search import Search, refitted_steps
+from orchestrator.diagnosis.selection.interim import Checkpoint
+from orchestrator.diagnosis.selection.joint_search import briefly_refitted, dispensable
+from orchestrator.diagnosis.selection.joint_workflow import at_rest, ladder_of, without_stand_ins
+from orchestrator.diagnosis.selection.workflow import fitted_to_whole, no_worse_than_without, without_doubtful
+
+
+def unfinished_search(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
+    """The search as a report takes it, from where it stood at the end of its last step.
+
+    Returns
+    -------
+    search : Search
+        All of its fits are of the whole recording, with the noise of the checkpoint's setup.
+    doubtful : list of str
+        Effects that cannot be told from what remains unknown.
+    """
+    checkpoint = _with_own_noise(checkpoint)
+    if checkpoint.is_joint:
+        return _of_joint_fit(checkpoint)
+    setup, search = checkpoint.setup, checkpoint.search
+    if checkpoint.is_part:
+        steps = fitted_to_whole(setup, checkpoint.first, search.steps[1:])
+        search = Search(steps, search.traces, search.rivals)
+    search, doubtful = without_doubtful(setup, search)
+    return no_worse_than_without(setup, search), doubtful
+
+
+def _with_own_noise(checkpoint: Checkpoint) -> Checkpoint:
+    """The same, its first steps fitted with what has come to be taken for noise since."""
+    plain = checkpoint.setup.unweighed
+    if checkpoint.first[-1].fit.frame.noise is plain.fitter.noise:
+        return checkpoint
+    return replace(checkpoint, first=tuple(refitted_steps(plain, checkpoint.first)))
+
+
+def _of_joint_fit(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
+    setup, search = checkpoint.setup, checkpoint.search
+    whole = _on_whole(setup, search.fit) if checkpoint.is_part else search.fit
+    if not whole.model.active:
+        return Search(list(checkpoint.first), search.traces), []
+    ladder = ladder_of(setup, checkpoint.first, whole, search.rivals, search.traces)
+    ladder, doubtful = without_stand_ins(setup.fitter, ladder)
+    return no_worse_than_without(setup, ladder), doubtful
+
+
+def _on_whole(setup: DiagnosisSetup, part: Fit) -> Fit:
+    """A part's joint fit on the whole recording, without the effects that linearly can go."""
+    out = dispensable(part)
+    model = part.model.with_active([active for active in part.model.active if active.name not in out])
+    # The map first: there is more of the current plane in the whole.
+    rested = setup.fitter.fit(at_rest(model), renewals=0)
+    return briefly_refitted(setup.fitter, rested.model.with_active(model.active))

@@ -1,0 +1,102 @@
+"""What a search has found so far is told once, in a sentence, and remembered as it was then."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.selection.forward_search import Search, Step
+from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
+from plugins.effects.inverter import VoltageBias
+from plugins.effects.timing import VoltageDelay
+from protocols import Verdict
+from tests.orchestrator.diagnosis.fitting.test_fit import with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, setup_of, with_voltage
+
+
+@pytest.mark.parametrize(
+    ("effects", "verdict", "chi2", "is_part", "sentence"),
+    [
+        (
+            ("dead_time", "winding_heating"),
+            "explained",
+            1.03,
+            True,
+            "so far: dead time, winding heating; explains the part of the recording that was searched (chi2 1.03)",
+        ),
+        (("dead_time",), "unknown_remains", 791.0, True, "so far: dead time; something unknown remains (chi2 791)"),
+        (
+            ("dead_time",),
+            "mostly_explained",
+            1.5,
+            False,
+            "so far: dead time; explains most of the recording (chi2 1.5)",
+        ),
+        ((), "clean", 0.99, False, "so far: no effect found; the model alone explains the recording (chi2 0.99)"),
+        (
+            tuple("abcdefgh"),
+            "explained",
+            1.0,
+            False,
+            "so far: a, b, c, d, e and 3 more; explains the recording (chi2 1)",
+        ),
+    ],
+)
+def test_the_sentence_is_plain(
+    effects: tuple[str, ...], verdict: Verdict, chi2: float, is_part: bool, sentence: str
+) -> None:
+    assert InterimResult(effects, verdict, chi2, is_part).sentence == sentence
+
+
+@pytest.fixture(scope="module")
+def fits() -> tuple[Fit, Fit]:
+    """Of a biased voltage: without the effect, and with it."""
+    maker = fitter(with_voltage(prepared(plan(sparse=True)), np.array([0.3, 0.0])))
+    bare = maker.fit(free_model())
+    return bare, maker.fit(with_free(bare.model, maker, VoltageBias()))
+
+
+def test_an_answer_is_told_when_it_changes_and_not_again(fits: tuple[Fit, Fit]) -> None:
+    bare, biased = fits
+    setup = setup_of(fitter(bare.prepared))
+    told: list[InterimResult] = []
+    recorder = InterimRecorder(told.append)
+    first = [Step(None, bare)]
+    search = Search([Step(None, bare), Step("voltage_bias", biased, 100.0)])
+    recorder.reached(setup, first, Search(list(first)), is_part=True)
+    for _ in range(2):
+        recorder.reached(setup, first, search, is_part=True)
+    recorder.reached(setup, first, search, is_part=False)
+    assert [(one.effects, one.is_part) for one in told] == [
+        ((), True),
+        (("voltage_bias",), True),
+        (("voltage_bias",), False),
+    ]
+    assert told[0].verdict == "unknown_remains"
+    assert told[1].verdict == "explained"
+    assert told[1].chi2 == biased.chi2_per_dof
+
+
+def test_what_is_remembered_does_not_change_as_the_search_goes_on(fits: tuple[Fit, Fit]) -> None:
+    bare, biased = fits
+    recorder = InterimRecorder()
+    search = Search([Step(None, bare)])
+    recorder.reached(setup_of(fitter(bare.prepared)), search.steps, search, is_part=True)
+    search.steps.append(Step("voltage_bias", biased, 100.0))
+    search.traces.append("voltage_delay")
+    assert recorder.checkpoint is not None
+    assert recorder.checkpoint.search.fit is bare
+    assert recorder.checkpoint.search.traces == []
+
+
+def test_of_effects_that_are_fitted_together_those_are_named_that_the_data_ask_for(fits: tuple[Fit, Fit]) -> None:
+    bare, _ = fits
+    maker = fitter(bare.prepared)
+    library = scaled_library([VoltageBias(), VoltageDelay()], bare.prepared.manifest)
+    both = maker.fit(bare.model.with_active([c.absent() for c in library]))
+    told: list[InterimResult] = []
+    quick = Search([Step(None, bare)])
+    InterimRecorder(told.append).reached_together(setup_of(maker), quick.steps, (bare, both), quick, {}, is_part=True)
+    assert [one.effects for one in told] == [("voltage_bias",)]
