@@ -87,6 +87,6 @@ def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> t
         timed = doubting.with_timer(timer)
         doubting = doubting_zeros(timed, likelihood_of(timed.coarse_fitter, fit, library))
         fit = briefly_refitted(doubting.coarse_fitter, fit.model, fit)
-        if as_much(doubting.fitter.noise.of_model, before):
+        if as_much(doubting.fitter.noise.of_model, before) and gain < fit.criteria.fitting.least_joint_gain:
             break
     return doubting, fit, gains[0]
