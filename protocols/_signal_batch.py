@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from protocols._base import RealArray
 from protocols._motor import Motor
 from protocols._recording import DriveRecord
-from protocols._signals import Correction, Signals
+from protocols._signals import Correction, Signals, with_magnetising
 
 
 @dataclass(frozen=True)
@@ -105,13 +105,7 @@ class SignalBatch:
 
     def changed_along(self, arrays: Mapping[str, RealArray]) -> Mapping[str, RealArray]:
         """All that changes where some arrays do, by their names: what magnetises moves along with the current."""
-        if "i_ab" not in arrays:
-            return arrays
-        moved = arrays["i_ab"] - self.i_ab
-        changed = {"i_m_ab": self.i_m_ab + moved, **arrays}
-        if self.i_quiet_ab is not None:
-            changed["i_quiet_ab"] = self.i_quiet_ab + moved
-        return changed
+        return with_magnetising(arrays, self.i_ab, self.i_m_ab, self.i_quiet_ab)
 
     def replaced(self, arrays: Mapping[str, RealArray]) -> SignalBatch:
         """The same with other arrays of the same shapes in the place of some, by their names; nothing is checked."""

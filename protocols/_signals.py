@@ -134,13 +134,7 @@ class Signals:
 
     def changed_along(self, arrays: Mapping[str, RealArray]) -> Mapping[str, RealArray]:
         """All that changes where some arrays do, by their names: what magnetises moves along with the current."""
-        if "i_ab" not in arrays:
-            return arrays
-        moved = arrays["i_ab"] - self.i_ab
-        changed = {"i_m_ab": self.i_m_ab + moved, **arrays}
-        if self.i_quiet_ab is not None:
-            changed["i_quiet_ab"] = self.i_quiet_ab + moved
-        return changed
+        return with_magnetising(arrays, self.i_ab, self.i_m_ab, self.i_quiet_ab)
 
     def replaced(self, arrays: Mapping[str, RealArray]) -> Signals:
         """These signals with other arrays of the same shapes in the place of some, by their names.
@@ -152,6 +146,19 @@ class Signals:
         for name in _SIGNAL_NAMES:
             put(other, name, arrays[name] if name in arrays else getattr(self, name))
         return other
+
+
+def with_magnetising(
+    arrays: Mapping[str, RealArray], i_ab: RealArray, i_m_ab: RealArray, i_quiet_ab: RealArray | None
+) -> Mapping[str, RealArray]:
+    """Changed arrays by their names, and what moves along with a current that changes from `i_ab`, each (n, 2) [A]."""
+    if "i_ab" not in arrays:
+        return arrays
+    shift = arrays["i_ab"] - i_ab
+    changed = {"i_m_ab": i_m_ab + shift, **arrays}
+    if i_quiet_ab is not None:
+        changed["i_quiet_ab"] = i_quiet_ab + shift
+    return changed
 
 
 _SIGNAL_NAMES = tuple(field.name for field in dataclasses.fields(Signals))

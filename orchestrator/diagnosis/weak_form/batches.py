@@ -36,9 +36,10 @@ class WindowLayout(NamedTuple):
     bins : array of int32, shape (samples,)
         Of the interval after each sample.
     before : array of int32, shape (samples,)
-        The test function before the middle of that interval, 0 for the first, ...
+        The test function that peaks before the middle of that interval: 1 for a segment's first, 0 and what is beyond
+        the last for none, ...
     weights : array, shape (samples, 2)
-        ... its value there and that of the next one; zero where there is none.
+        ... its value there, and that of the next one.
     mode_starts : array of int64, shape (segments,)
         Where a segment's modes begin in `modes`.
     modes : array
@@ -133,28 +134,12 @@ class SegmentBatch:
 
 
 def _test_functions(windows: Windows) -> tuple[NDArray[np.int32], Array]:
-    """Which test functions an interval counts for after each sample of a segment, and by how much."""
+    """Which test functions lie on either side of each interval of a segment, and what they are in its middle."""
     place = (np.arange(len(windows.bins) + 1) + 0.5) / windows.step
-    after = place - np.floor(place)
-    before = np.floor(place).astype(np.int64) - 1
-    weights = np.column_stack([1.0 - after, after])
-    for side in range(2):
-        weights[(before + side < 0) | (before + side >= windows.hats), side] = 0.0
+    whole = np.floor(place)
+    weights = np.column_stack([1.0 - (place - whole), place - whole])
     weights[-1] = 0.0
-    # Where there is none before the first or after the last, what counts for nothing is written to one that is there.
-    return np.clip(before, 0, max(windows.hats - 2, 0)).astype(np.int32), _aligned(weights, before, windows.hats)
-
-
-def _aligned(weights: Array, before: NDArray[np.int64], hats: int) -> Array:
-    """Weights (n, 2) of the test functions at `clip(before)` and after it; `before` runs from -1 to `hats` - 1."""
-    aligned = weights.copy()
-    early, late = before < 0, before > hats - 2
-    aligned[early, 0], aligned[early, 1] = weights[early, 1], 0.0
-    if hats > 1:
-        aligned[late, 1], aligned[late, 0] = weights[late, 0], 0.0
-    else:
-        aligned[late & ~early, 1] = 0.0
-    return aligned
+    return np.minimum(whole, windows.hats + 1).astype(np.int32), weights
 
 
 def _bounds(sizes: Sequence[int]) -> NDArray[np.int64]:

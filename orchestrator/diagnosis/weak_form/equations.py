@@ -179,16 +179,16 @@ def _add(sums: Array, layout: WindowLayout, k: int, x_d: float, x_q: float) -> N
 
 @njit(cache=True, nogil=True, inline="always")
 def _sums(layout: WindowLayout, s: int) -> Array:
-    """Nothing yet of a segment's test functions, bins and axes; of a single function there is one more, for nothing."""
-    return np.zeros((max(layout.hats[s], 2), layout.n_bins[s], 2))
+    """Nothing yet of a segment's test functions, bins and axes, with room before the first and beyond the last."""
+    return np.zeros((layout.hats[s] + 3, layout.n_bins[s], 2))
 
 
 @njit(cache=True, nogil=True)
 def _combine(sums: Array, layout: WindowLayout, s: int, out: Array) -> None:
-    """A segment's rows from its sums (hats, bins, 2): each times the modes."""
+    """A segment's rows from its `_sums`: each times the modes."""
     n_bins, n_modes, first = layout.n_bins[s], layout.n_modes[s], layout.mode_starts[s]
     row = layout.rows[s]
-    for j in range(layout.hats[s]):
+    for j in range(1, layout.hats[s] + 1):
         for m in range(n_modes):
             d = 0.0
             q = 0.0
@@ -277,7 +277,7 @@ def _sum_voltages(dv: Array, layout: WindowLayout, out: Array) -> None:
             _add(sums, layout, k, dv[k, 0], dv[k, 1])
         c = layout.interval_s[s] * layout.cos[s]
         sn = layout.interval_s[s] * layout.sin[s]
-        for j in range(layout.hats[s]):
+        for j in range(1, layout.hats[s] + 1):
             for b in range(layout.n_bins[s]):
                 alpha, beta = sums[j, b, 0], sums[j, b, 1]
                 sums[j, b, 0] = c * alpha + sn * beta
