@@ -66,6 +66,7 @@ def diagnose(
             tell=waiting,
             priors=priors,
             on_interim=show,
+            report_early=True,
         )
         interruption.has_result = False
         refresh_report(path, out)

@@ -21,7 +21,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
-from orchestrator.diagnosis.fitting.fit import BATCH_SAMPLES, Fitter
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import ColumnName, Fit, Model
 from orchestrator.diagnosis.weak_form.batches import in_batches
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals, windows_of
@@ -118,7 +118,7 @@ def _normal(
     equations = WeakFormEquations(fitter.noise, fitter.pm_flux_wb, fitter.prepared.criteria)
     width = 1 + space.directions.shape[1]
     total = np.zeros((width + len(wanted), width + len(wanted)))
-    for batch in in_batches(pieces, (), BATCH_SAMPLES)[1]:
+    for batch in in_batches(pieces)[1]:
         state = equations.renewed(model, batch, None)
         for made, kept in zip(equations.rows(state, wanted, asked), state.frame.pieces, strict=True):
             rows = np.column_stack([made.white[:, 1], kept.white_basis, made.white[:, 2:]])

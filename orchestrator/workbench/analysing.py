@@ -97,11 +97,9 @@ def diagnose(
     priors: FleetPriors | Place | None = None,
     workers: int | None = None,
     on_interim: Callable[[InterimResult], None] = lambda _: None,
+    report_early: bool = False,
 ) -> SavedDiagnosis:
     """Which effect is missing; see `orchestrator.diagnosis.diagnose_recording`. Kept with its model.
-
-    `KeyboardInterrupt` (Ctrl-C) ends the search: the report is made from what was found so far, and its first remark
-    has the code ``ended_early``. Where nothing was found yet, and the second time, it is raised.
 
     Parameters
     ----------
@@ -115,6 +113,9 @@ def diagnose(
         Threads that work on it; as many as there are cores, up to four, by default. The result is the same.
     on_interim : callable
         Called with what the search has found so far, whenever that has changed; its `sentence` says it.
+    report_early : bool
+        Whether `KeyboardInterrupt` (Ctrl-C) ends the search with a report of what was found so far, whose first remark
+        has the code ``ended_early``. Where nothing was found yet, and the second time, it is raised as without this.
     """
     from orchestrator.diagnosis import Criteria, diagnose_and_keep, workers_here
     from orchestrator.experiment_design.proposal import next_experiment
@@ -135,7 +136,7 @@ def diagnose(
         priors=_chosen_priors(priors),
         workers=workers or workers_here(),
         on_interim=on_interim,
-        report_early=True,
+        report_early=report_early,
     )[1]
 
 

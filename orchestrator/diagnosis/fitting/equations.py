@@ -289,9 +289,9 @@ class WeakFormEquations:
         answering : sequence of frozenset of str, optional
             Of every column the inner effects that answer to it; all by default.
         """
-        asked = answering if answering is not None else repeat(None)
+        inner_effects = answering if answering is not None else repeat(None)
         columns = _Columns.of(at.batch, len(parameters))
-        for k, ((active, name), inner) in enumerate(zip(parameters, asked, strict=False)):
+        for k, ((active, name), inner) in enumerate(zip(parameters, inner_effects, strict=False)):
             self._column(at, active, name, columns.of_parameter(k), inner)
         return self._white(at, columns)
 
@@ -300,13 +300,13 @@ class WeakFormEquations:
     ) -> tuple[list[SegmentRows], list[ColumnProbe]]:
         """The same, and what each inner effect has to do with each column of which that is not known."""
         columns = _Columns.of(at.batch, len(parameters))
-        keys, heard = [], []
+        keys, additions = [], []
         for k, ((active, name), inner) in enumerate(zip(parameters, answering, strict=True)):
             for effect, added in self._column(at, active, name, columns.of_parameter(k), inner).items():
                 keys.append((k, effect))
-                heard.append(added)
+                additions.append(added)
         rows = self._white(at, columns)
-        together = np.stack(heard, axis=-1) if heard else np.zeros((int(at.batch.layout.rows[-1]), 0))
+        together = np.stack(additions, axis=-1) if additions else np.zeros((int(at.batch.layout.rows[-1]), 0))
         probes = []
         for j, kept in enumerate(at.frame.pieces):
             power = np.sum(kept.whitener(together[at.batch.rows_of(j)]) ** 2, axis=0)

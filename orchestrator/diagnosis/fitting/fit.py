@@ -10,12 +10,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
 
 from orchestrator.diagnosis.criteria import FittingCriteria
+from orchestrator.diagnosis.fitting.batch_evaluation import (
+    NO_BATCHES,
+    BatchResult,
+    BatchTask,
+    Columns,
+    RecordingBatches,
+    evaluate_batch,
+)
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import ColumnPlan, answers_so_far, column_plan
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
@@ -23,68 +32,10 @@ from orchestrator.diagnosis.fitting.model import Answers, BatchFrame, Fit, Frame
 from orchestrator.diagnosis.fitting.solution import solved
 from orchestrator.diagnosis.fitting.workers import Executor, SerialExecutor
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from orchestrator.diagnosis.weak_form.batches import SegmentBatch, in_batches
+from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
-from orchestrator.numerics.types import Array
+from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise
-
-Columns = Sequence[tuple[Active, str]]
-"""Effects' parameters that derivatives are asked by."""
-
-
-@dataclass(frozen=True)
-class RecordingBatches:
-    """How a recording's segments are dealt out for their equations to be made.
-
-    Attributes
-    ----------
-    pieces : tuple of SegmentSignals
-        The recording's.
-    probes : tuple of SegmentBatch
-        A few segments of each stage, which are asked first what has changed.
-    others : tuple of SegmentBatch
-    """
-
-    pieces: tuple[SegmentSignals, ...]
-    probes: tuple[SegmentBatch, ...]
-    others: tuple[SegmentBatch, ...]
-
-    @classmethod
-    def of(cls, prepared: PreparedRecording) -> RecordingBatches:
-        """All segments of a recording."""
-        limits = prepared.criteria.fitting
-        probes = probed_segments(prepared.pieces, limits)
-        return cls(prepared.pieces, *in_batches(prepared.pieces, probes, BATCH_SAMPLES))
-
-    @property
-    def all(self) -> tuple[SegmentBatch, ...]:
-        return (*self.probes, *self.others)
-
-
-BATCH_SAMPLES = 20_000
-"""Of a batch at most: its arrays stay in a processor's cache, and a call's own cost does not count."""
-
-
-@dataclass(frozen=True)
-class _Task:
-    """What is to be made of one batch: a new frame where `renew` is set, rows where columns are given."""
-
-    batch: SegmentBatch
-    frame: BatchFrame | None
-    renew: bool
-    columns: Columns | None
-    answering: Sequence[frozenset[str] | None] | None = None
-    probing: bool = False
-
-
-@dataclass(frozen=True)
-class _Made:
-    """What was made of one batch."""
-
-    frame: BatchFrame
-    rows: Sequence[SegmentRows] = ()
-    probes: Sequence[ColumnProbe] = ()
 
 
 @dataclass
@@ -106,8 +57,8 @@ class Fitter:
         Who makes the batches' equations.
     trace : SearchRecorder
         Of what is tried with it.
-    batches : RecordingBatches, optional
-        Of the same segments, where they have been dealt out before.
+    batches : RecordingBatches
+        The same segments, dealt out for evaluation; made anew where they are others'.
     equations : WeakFormEquations
     """
 
@@ -119,11 +70,11 @@ class Fitter:
     tell: Callable[[str], None] = lambda _: None
     executor: Executor = field(default_factory=SerialExecutor)
     trace: SearchRecorder = field(default_factory=SearchRecorder)
-    batches: RecordingBatches | None = None
+    batches: RecordingBatches = NO_BATCHES
     equations: WeakFormEquations = field(init=False)
 
     def __post_init__(self) -> None:
-        if self.batches is None or self.batches.pieces is not self.prepared.pieces:
+        if self.batches.pieces is not self.prepared.pieces:
             self.batches = RecordingBatches.of(self.prepared)
         self.equations = WeakFormEquations(self.noise, self.pm_flux_wb, self.prepared.criteria, self.prepared.ripples)
 
@@ -231,8 +182,10 @@ class Fitter:
     def frame(self, model: Model, old: Frame | None = None) -> Frame:
         """All that is kept between steps, made anew where the model stands, as far as it changed since `old`."""
         old = self._kept_of(model, old)
-        made = self._made(model, [_Task(batch, before, True, None) for batch, before in self._with_frames(old)])
-        return self._framed(model, [one.frame for one in made], old)
+        results = self._evaluate(
+            model, [BatchTask(batch, before, True, None) for batch, before in self._with_frames(old)]
+        )
+        return self._framed(model, [result.frame for result in results], old)
 
     def renewed(
         self,
@@ -291,12 +244,10 @@ class Fitter:
         return old if self._is_of(old) else None
 
     def _is_of(self, frame: Frame) -> bool:
-        assert self.batches is not None
         ours = self.batches.all
         return len(ours) == len(frame.batches) and all(b.batch is a for a, b in zip(ours, frame.batches, strict=True))
 
     def _with_frames(self, frame: Frame | None) -> list[tuple[SegmentBatch, BatchFrame | None]]:
-        assert self.batches is not None
         ours = self.batches.all
         return list(zip(ours, frame.batches if frame is not None else [None] * len(ours), strict=True))
 
@@ -313,24 +264,8 @@ class Fitter:
                 gram += segment_frame.white_basis.T @ segment_frame.white_basis
         return replace(frame, gram=gram)
 
-    def _made(self, model: Model, tasks: Sequence[_Task]) -> list[_Made]:
-        """What tasks ask for, in their order, by the executor's threads."""
-        equations = self.equations
-
-        def make(task: _Task) -> _Made:
-            if task.renew:
-                state = equations.renewed(model, task.batch, task.frame)
-            else:
-                assert task.frame is not None
-                state = equations.at(model, task.frame)
-            if task.columns is None:
-                return _Made(state.frame)
-            if task.probing:
-                return _Made(state.frame, *equations.probed(state, task.columns, task.answering or ()))
-            columns = () if task.batch.pieces[0].held_out else task.columns
-            return _Made(state.frame, equations.rows(state, columns, task.answering))
-
-        return self.executor.map(make, tasks)
+    def _evaluate(self, model: Model, tasks: Sequence[BatchTask]) -> list[BatchResult]:
+        return self.executor.map(partial(evaluate_batch, self.equations, model), tasks)
 
     def _rows(
         self, model: Model, frame: Frame | None, renew: bool, wanted: Columns, known: Fit | None
@@ -342,10 +277,10 @@ class Fitter:
         if len(wanted) > self.criteria.few_columns:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
         self.effort.spend(samples * len(wanted))
-        made = self._made(model, [_Task(batch, before, renew, wanted) for batch, before in ours])
-        rows = {k: row for one in made for k, row in zip(one.frame.batch.places, one.rows, strict=True)}
+        results = self._evaluate(model, [BatchTask(batch, before, renew, wanted) for batch, before in ours])
+        rows = {k: row for result in results for k, row in result.rows_by_place.items()}
         answers = Answers() if known is None else known.answers
-        return [one.frame for one in made], [rows[k] for k in sorted(rows)], answers
+        return [result.frame for result in results], [rows[k] for k in sorted(rows)], answers
 
     def _rows_by_plan(
         self,
@@ -356,28 +291,23 @@ class Fitter:
         known: Fit | None,
         samples: int,
     ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
-        """The same, with those columns alone made anew that have moved on a few segments, which are asked first."""
-        assert self.batches is not None
+        """The same; columns that have not moved on a few segments, which are evaluated first, are the known fit's."""
         names = [(a.name, n) for a, n in wanted]
-        asked = answers_so_far(model, known, self.criteria)
-        answering = [asked.of.get(n) for n in names]
+        before = answers_so_far(model, known, self.criteria)
+        answering = [before.of.get(n) for n in names]
         first, later = ours[: len(self.batches.probes)], ours[len(self.batches.probes) :]
-        probed = self._made(model, [_Task(b, before, renew, wanted, answering, probing=True) for b, before in first])
-        probes = {k: p for one in probed for k, p in zip(one.frame.batch.places, one.probes, strict=True)}
-        plan = column_plan(names, probes, known, self.criteria, asked.of)
-        anew, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
-        self.effort.spend(samples * (len(anew) + len(wanted) / self.criteria.probe_every))
-        others = self._made(model, [_Task(b, before, renew, anew, inner) for b, before in later])
-        rows = {k: row for one in probed for k, row in zip(one.frame.batch.places, one.rows, strict=True)}
-        for one in others:
-            for k, row in zip(one.frame.batch.places, one.rows, strict=True):
-                if self.prepared.pieces[k].held_out:
-                    rows[k] = row
-                    continue
-                columns: Array = plan.whole(row.columns, None if known is None else known.columns[k])
-                rows[k] = replace(row, white=np.column_stack([row.white[:, :2], columns]))
-        answers = Answers({**asked.of, **dict(zip(names, plan.answering, strict=True))}, asked.sizes)
-        return [one.frame for one in (*probed, *others)], [rows[k] for k in sorted(rows)], answers
+        probed = self._evaluate(model, [BatchTask(b, f, renew, wanted, answering, probing=True) for b, f in first])
+        probes = {k: p for result in probed for k, p in result.probes_by_place.items()}
+        plan = column_plan(names, probes, known, self.criteria, before.of)
+        moved, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
+        self.effort.spend(samples * (len(moved) + len(wanted) / self.criteria.probe_every))
+        others = self._evaluate(model, [BatchTask(b, f, renew, moved, inner) for b, f in later])
+        rows = {k: row for result in probed for k, row in result.rows_by_place.items()}
+        for result in others:
+            for k, row in result.rows_by_place.items():
+                rows[k] = row if self.prepared.pieces[k].held_out else _with_columns(row, plan, known, k)
+        answers = Answers({**before.of, **dict(zip(names, plan.answering, strict=True))}, before.sizes)
+        return [result.frame for result in (*probed, *others)], [rows[k] for k in sorted(rows)], answers
 
     def hold(self, model: Model) -> Fit:
         """The recording held against a model as it stands: nothing is fitted, the noise is what it makes of it.
@@ -385,6 +315,12 @@ class Fitter:
         chi2 is per degree of freedom as in a fit of the same freedom.
         """
         return self.renewed(model, held=True)
+
+
+def _with_columns(row: SegmentRows, plan: ColumnPlan, known: Fit | None, k: int) -> SegmentRows:
+    """Segment k's equations with all columns: those evaluated now, and the known fit's."""
+    columns = plan.whole(row.columns, None if known is None else known.columns[k])
+    return replace(row, white=np.column_stack([row.white[:, :2], columns]))
 
 
 def _as_free(one: MapSpace, other: MapSpace) -> bool:

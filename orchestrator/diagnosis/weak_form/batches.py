@@ -146,8 +146,12 @@ def _bounds(sizes: Sequence[int]) -> NDArray[np.int64]:
     return np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
 
 
+MAX_BATCH_SAMPLES = 20_000
+"""Samples of a batch beyond which its arrays leave a processor's cache; far below, a call's own cost shows."""
+
+
 def in_batches(
-    pieces: Sequence[SegmentSignals], first: Iterable[int], samples: int
+    pieces: Sequence[SegmentSignals], first: Iterable[int] = (), samples: int = MAX_BATCH_SAMPLES
 ) -> tuple[tuple[SegmentBatch, ...], tuple[SegmentBatch, ...]]:
     """A recording's segments in batches of at most so many samples, those that come first apart from the others.
 

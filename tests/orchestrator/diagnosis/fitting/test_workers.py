@@ -13,10 +13,11 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
+from orchestrator.diagnosis.fitting.batch_evaluation import RecordingBatches
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.chords import fit_along_chords
 from orchestrator.diagnosis.fitting.columns import probed_segments
-from orchestrator.diagnosis.fitting.fit import Fitter, RecordingBatches
+from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.fitting.workers import MAX_WORKERS, Executor, executor_of, workers_here
 from orchestrator.diagnosis.weak_form.batches import in_batches
