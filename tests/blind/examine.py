@@ -78,7 +78,7 @@ def examine(case: Case, recordings: Path | None = None, *, held_against_others: 
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         if delivered is not None and held_against_others:
             named = baselines(recording, [effect for effect in library if effect.name not in case.without])
-    done = {name: asdict(one) for name, one in removals(case).items()} if case.kind in MANY else None
+    done = stored_removals(case, recordings) if case.kind in MANY else None
     return Answer(case, report, error, samples, seconds, cpu, peak, delivered, named, done)
 
 
@@ -91,6 +91,21 @@ def stored_recording(case: Case, folder: Path) -> Path:
         record(case.bench, case.campaign, unfinished)
         unfinished.rename(path)
     return path
+
+
+def stored_removals(case: Case, folder: Path | None) -> dict[str, dict[str, float]]:
+    """Fields of `Removal` by hidden effect, kept in a folder of recordings where there is one.
+
+    The plant is simulated once more for each effect, which takes several times as long as the diagnosis.
+    """
+    file = None if folder is None else folder / f".{case.kind}-{case.index}-removal.json"
+    if file is not None and file.exists():
+        stored: dict[str, dict[str, float]] = json.loads(file.read_text(encoding="utf-8"))
+        return stored
+    found = {name: asdict(one) for name, one in removals(case).items()}
+    if file is not None:
+        file.write_text(json.dumps(found), encoding="utf-8")
+    return found
 
 
 def forget_peak() -> None:
