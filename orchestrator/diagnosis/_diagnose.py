@@ -34,14 +34,12 @@ from orchestrator.diagnosis.reporting.ladder import current_error, held_out, noi
 from orchestrator.diagnosis.reporting.motor_model import flux_of, kept_model, reduced
 from orchestrator.diagnosis.selection.ending_early import unfinished_search
 from orchestrator.diagnosis.selection.expected import with_expected
-from orchestrator.diagnosis.selection.faint import with_faint
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
 from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
 from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.measured import with_measured
-from orchestrator.diagnosis.selection.rippling import is_of_the_other_kind
 from orchestrator.diagnosis.selection.shares import (
     left_of_excitation,
     rated_flux_wb,
@@ -58,11 +56,8 @@ from orchestrator.diagnosis.selection.workflow import (
     converged,
     map_steps,
     no_sharper_than_asked,
-    no_worse_than_without,
-    on_a_finer_map,
     pruned,
     search_effects,
-    without_doubtful,
 )
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
@@ -304,28 +299,17 @@ def _search(
 ) -> _Found:
     """Everything that the data ask for, looked for to the end."""
 
-    def searched(opened: DiagnosisSetup) -> tuple[DiagnosisSetup, Search]:
-        steps = map_steps(opened, model, {c.name: c for c in every}, asked.without)
-        opened.fitter.effort.calibrate()
-        steps = with_measured(opened, steps, library)
-        return search_effects(opened, with_expected(opened, steps, library), library, interim)
-
-    opened = setup
-    setup, search = searched(opened)
-    if is_of_the_other_kind(setup, search.fit):
-        setup.fitter.trace.record("switching_ripple", before=search.fit, taken=True, note="the search begins again")
-        setup, search = searched(opened.with_ripple(ripples=not opened.prepared.ripples))
+    steps = map_steps(setup, model, {c.name: c for c in every}, asked.without)
+    setup.fitter.effort.calibrate()
+    steps = with_measured(setup, steps, library)
+    setup, search = search_effects(setup, with_expected(setup, steps, library), library, interim)
     if search.shares:
         search, doubtful = without_stand_ins(setup.fitter, search)
-        return _Found(setup, no_worse_than_without(setup, search), doubtful)
+        return _Found(setup, search, doubtful)
     first = search.bare_steps
-    search = on_a_finer_map(setup, search, library)
-    interim.reached(setup, first, search, is_part=False)
     search, spared = pruned(setup, no_sharper_than_asked(setup, converged(setup, search)))
     interim.reached(setup, first, search, is_part=False)
-    search, doubtful = without_doubtful(setup, search)
-    search = with_faint(setup, search, library, {*spared, *search.traces})
-    return _Found(setup, no_worse_than_without(setup, search), doubtful, spared)
+    return _Found(setup, search, [], spared)
 
 
 def _reported(

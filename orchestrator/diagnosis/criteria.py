@@ -59,9 +59,9 @@ class WeakFormCriteria(Strict):
     """Largest step of the current from one averaged sample to the next, as a part of the segment's largest current."""
     averaged_noise: float = _is(0.2, "1", "theory")
     """The same as a part of the noise's standard deviation: what is moved less is lost in it."""
-    most_averaged_at_rest: int = _is(10, "1", "budget")
+    most_averaged_at_rest: int = _is(25, "1", "budget")
     """Readings of a hold or with gates off in one averaged sample."""
-    most_averaged_in_sweeps: int = _is(2, "1", "simulated")
+    most_averaged_in_sweeps: int = _is(5, "1", "simulated")
     """The same of a sweep, whose plateaus and corners are short."""
     least_averaged_samples: int = _is(200, "1", "practice")
     """Averaged samples that a segment keeps at least."""

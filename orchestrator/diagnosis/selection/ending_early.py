@@ -10,7 +10,7 @@ from orchestrator.diagnosis.selection.forward_search import Search, refitted_ste
 from orchestrator.diagnosis.selection.interim import Checkpoint
 from orchestrator.diagnosis.selection.joint_search import briefly_refitted, dispensable
 from orchestrator.diagnosis.selection.joint_workflow import at_rest, ladder_of, without_stand_ins
-from orchestrator.diagnosis.selection.workflow import fitted_to_whole, no_worse_than_without, without_doubtful
+from orchestrator.diagnosis.selection.workflow import fitted_to_whole
 
 
 def unfinished_search(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
@@ -30,8 +30,7 @@ def unfinished_search(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
     if checkpoint.is_part:
         steps = fitted_to_whole(setup, checkpoint.first, search.steps[1:])
         search = Search(steps, search.traces, search.rivals)
-    search, doubtful = without_doubtful(setup, search)
-    return no_worse_than_without(setup, search), doubtful
+    return search, []
 
 
 def _with_own_noise(checkpoint: Checkpoint) -> Checkpoint:
@@ -48,8 +47,7 @@ def _of_joint_fit(checkpoint: Checkpoint) -> tuple[Search, list[str]]:
     if not whole.model.active:
         return Search(list(checkpoint.first), search.traces), []
     ladder = ladder_of(setup, checkpoint.first, whole, search.rivals, search.traces)
-    ladder, doubtful = without_stand_ins(setup.fitter, ladder)
-    return no_worse_than_without(setup, ladder), doubtful
+    return without_stand_ins(setup.fitter, ladder)
 
 
 def _on_whole(setup: DiagnosisSetup, part: Fit) -> Fit:

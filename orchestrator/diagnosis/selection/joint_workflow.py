@@ -19,7 +19,6 @@ from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
-    in_better_form,
     in_own_forms,
     joint_search,
     log_bayes_factors,
@@ -27,7 +26,6 @@ from orchestrator.diagnosis.selection.joint_search import (
     together,
     with_everything,
     with_overlooked,
-    without_doubles,
 )
 from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer, with_timer_of_fit
@@ -114,9 +112,6 @@ def all_together(
         whole = downwards(setup.fitter, whole)
         rivals = {**rivals, **others}
     whole = no_sharper_than_asked(setup, whole)
-    # All that scatters, and the map, were told since doubles were asked last.
-    whole, doubles = without_doubles(setup.fitter, with_the_map_instead(setup, whole))
-    rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
     if not whole.model.active:
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:
@@ -193,35 +188,6 @@ def no_sharper_than_asked(setup: DiagnosisSetup, fit: Fit) -> Fit:
     keeps = earns_its_sharpness(fit, usual)
     setup.fitter.trace.record("coarser_map", before=fit, after=usual, taken=not keeps)
     return fit if keeps else downwards(setup.fitter, usual)
-
-
-def with_the_map_instead(setup: DiagnosisSetup, fit: Fit) -> Fit:
-    """The fit without those effects in whose place a sharper map does better; only on maps that are sharp already.
-
-    Of two ways to take away the same error a search finds one: on sharp iron, detail that a map is too coarse for has
-    been taken for a backlash.
-    """
-    factors, limits = log_bayes_factors(fit), setup.criteria
-    for name in sorted(fit.model.names, key=lambda name: factors[name])[: fit.criteria.selection.most_trials]:
-        if not is_sharp(fit) or fit.chi2_per_dof <= limits.finer_above_chi2 or len(fit.model.active) < 2:
-            break
-        rest = fit.model.with_active([a for a in fit.model.active if a.name != name])
-        trial = with_finer_map(setup, setup.fitter, refitted(setup.fitter, rest, fit))
-        replaced = trial.model.space is not fit.model.space and trial.chi2_per_dof < fit.chi2_per_dof
-        setup.fitter.trace.record(
-            "swap",
-            [name],
-            before=fit,
-            after=trial,
-            measure="chi2_per_dof",
-            score=trial.chi2_per_dof,
-            threshold=fit.chi2_per_dof,
-            taken=replaced,
-            note="a finer map in its place",
-        )
-        if replaced:
-            fit = downwards(setup.fitter, refitted(setup.fitter, trial.model))
-    return fit
 
 
 def timed_anew(
@@ -306,7 +272,7 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     if fit.frame.noise is not setup.coarse_fitter.noise:
         if wider is None:
             # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
-            fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
+            fit = in_own_forms(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
             # And that form had a say in the timer's phases.
             setup, fit = with_timer_without_scatter(setup, fit, library)
             everything = with_everything(fit.model, library)

@@ -19,14 +19,6 @@ def with_its_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
     return setup if _does_better(plain, other) else rippling
 
 
-def is_of_the_other_kind(setup: DiagnosisSetup, fit: Fit) -> bool:
-    """Whether a finished model does better where it is the other way round: beside large effects a bare map errs."""
-    if not _matters(setup):
-        return False
-    other = setup.with_ripple(ripples=not setup.prepared.ripples)
-    return _does_better(_fitted(other, fit.model), _fitted(setup, fit.model))
-
-
 def _matters(setup: DiagnosisSetup) -> bool:
     drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
     period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)

@@ -27,11 +27,9 @@ from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_its_timer
 from orchestrator.diagnosis.selection.refining import polished, repolished, settled
 from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence, loss_without
-from orchestrator.diagnosis.selection.verdict import fitted_verdict
-from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio, certainty
-from orchestrator.diagnosis.uncertainty.intervals import perhaps_absent
-from orchestrator.diagnosis.uncertainty.scatter import beside_scatter, explained_by_scatter, likelihood_of
-from protocols import Baseline, FluxMap, GivenMap, ModelNoise, MotorModel, Nameplate, PluginError, Saturated
+from orchestrator.diagnosis.uncertainty.block_scatter import certainty
+from orchestrator.diagnosis.uncertainty.scatter import explained_by_scatter, likelihood_of
+from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
 
 ModelChoice = str | FluxMap | MotorModel
 """``saturated`` (the free energy map), ``linear`` (the nameplate), a map of one's own, or a whole model.
@@ -160,10 +158,10 @@ def _searched(
     beside = wider.coarse_fitter.fit(quick.fit.model, renewals=1)
     wider.coarse_fitter.trace.record("noise", before=quick.fit, after=beside, taken=True)
     if _explains(beside):
-        return with_scatter_as_found(*_searched(wider, steps, library, interim), library)
+        return _searched(wider, steps, library, interim)
     # A few effects will not do beside what scatters either.
     quick = replace(quick, steps=[*quick.steps[:-1], replace(quick.steps[-1], fit=beside)])
-    return with_scatter_as_found(*_after(quick, wider, steps, library, interim), library)
+    return _after(quick, wider, steps, library, interim)
 
 
 def _explains(fit: Fit) -> bool:
@@ -212,26 +210,6 @@ def with_its_scatter(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidat
     return explained_by_scatter(setup, likelihood_of(setup.coarse_fitter, fit, library))
 
 
-def with_scatter_as_found(
-    setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]
-) -> tuple[DiagnosisSetup, Search]:
-    """The search one by one, with the scatter of the readings' zero that is left in the end; a part may show another.
-
-    None where what was found explains the error without.
-    """
-    if search.shares:
-        return setup, search
-    plain = setup.with_noise(ModelNoise())
-    steps = refitted_steps(plain, search.steps)
-    if steps[-1].fit.chi2_per_dof <= steps[-1].fit.criteria.selection.detected_chi2:
-        note = "the effects explain the error without it"
-        plain.fitter.trace.record("noise", before=search.fit, after=steps[-1].fit, taken=False, note=note)
-        return plain, replace(search, steps=steps, view=None)
-    found = beside_scatter(plain, plain.fitter, search.fit, library) or plain
-    plain.fitter.trace.record("noise", before=steps[-1].fit, taken=found is not plain)
-    return found, replace(search, steps=refitted_steps(found, search.steps), view=None)
-
-
 def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequence[Candidate]) -> Search:
     """The first few effects of a part of the recording, on a finer map where that is what is missing.
 
@@ -252,20 +230,6 @@ def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
     return with_finer_map(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
 
 
-def on_a_finer_map(setup: DiagnosisSetup, search: Search, library: Sequence[Candidate]) -> Search:
-    """Whether what is left is the map's own detail, which big effects hid at first, or all that was found is."""
-    first, fit = search.steps[0].fit, search.fit
-    detected = fit.criteria.selection.detected_chi2
-    if not fit.model.active or not fit.model.space.is_free:
-        return search
-    if first.chi2_per_dof <= detected and first.model.space is fit.model.space:
-        detailed = with_finer_map(setup, setup.fitter, first)
-        return search if detailed is first else forward(setup.fitter, [Step(None, detailed)], library)
-    if fit.chi2_per_dof < detected:
-        return search
-    return _finer(search, with_finer_map(setup, setup.fitter, fit), setup.fitter, library)
-
-
 def _finer(search: Search, fit: Fit, fitter: Fitter, library: Sequence[Candidate], most: int | None = None) -> Search:
     """The search gone on from its last step on a finer map; as it was where the map is the same."""
     if fit is search.fit:
@@ -283,78 +247,6 @@ def _gone_on(search: Search, fitter: Fitter, library: Sequence[Candidate], most:
 def _with_last(search: Search, fit: Fit) -> Search:
     """The search with this fit at its last step."""
     return replace(search, steps=[*search.steps[:-1], replace(search.steps[-1], fit=fit)])
-
-
-def no_worse_than_without(setup: DiagnosisSetup, search: Search) -> Search:
-    """The search without any effect where all of them leave more than the first model does; they are traces.
-
-    Each was worth it where the model stood then: by the noise that it lets pass, or by columns that did not hold.
-    """
-    first, last = search.steps[0].fit, search.fit
-    if not last.model.active or first.chi2_per_dof > first.criteria.selection.detected_chi2:
-        return search
-    judge = setup.unweighed.fitter
-    if judge.hold(last.model).chi2_per_dof <= judge.hold(first.model).chi2_per_dof:
-        return search
-    note = "together they leave more than the first model"
-    setup.fitter.trace.record("remove", last.model.names, before=last, after=first, taken=True, note=note)
-    return Search(search.bare_steps, [*search.traces, *last.model.names])
-
-
-def without_doubtful(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
-    """While something unknown remains, an effect whose size drifts is a stand-in for it and is not named.
-
-    Nor is one that takes away less than remains; nor, whatever remains, one whose interval holds nothing at all.
-    """
-    search, doubtful = _without_absent(setup, search)
-    first, steady = search.steps[0].fit, setup.prepared.criteria.selection.least_constancy
-    while search.fit.model.active and fitted_verdict(first, search.fit) != "explained":
-        drift = block_scatter_ratio(search.fit)
-        if fitted_verdict(first, search.fit) == "unknown_remains":
-            drift = {name: max(size, steady * _left_over_own(search, name)) for name, size in drift.items()}
-        worst = max(drift, key=lambda name: drift[name])
-        full, goes = search.fit, drift[worst] > steady
-        if goes:
-            doubtful.append(worst)
-            search = without(setup, search, worst)
-        setup.fitter.trace.record(
-            "remove",
-            [worst],
-            before=full,
-            after=search.fit,
-            measure="block_scatter",
-            score=drift[worst],
-            threshold=steady,
-            taken=goes,
-        )
-        if not goes:
-            break
-    return search, doubtful
-
-
-def _without_absent(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
-    """The search without effects that might as well be none: a form bent out of all proportion, held by another term.
-
-    One after the other, the one that brought least first: of two that balance each other, one may be there.
-    """
-    gone: list[str] = []
-    brought = {step.added: step.log_evidence for step in search.steps}
-    expected = {a.name for a in search.fit.model.active if a.candidate.is_expected}
-    while absent := [n for n in perhaps_absent(setup.fitter, search.fit, as_shaped=True) if n not in expected]:
-        least = min(absent, key=lambda name: brought[name])
-        gone.append(least)
-        full, search = search.fit, without(setup, search, least)
-        note = "its 95 % interval contains no effect at all"
-        setup.fitter.trace.record("remove", [least], before=full, after=search.fit, taken=True, note=note)
-    return search, gone
-
-
-def _left_over_own(search: Search, name: str) -> float:
-    """What is left of chi2 over what one effect took away of it when it was added, as amplitudes."""
-    at = next(k for k, step in enumerate(search.steps) if step.added == name)
-    taken_away = search.steps[at - 1].fit.chi2_per_dof - search.steps[at].fit.chi2_per_dof
-    left = search.fit.chi2_per_dof - 1.0
-    return math.sqrt(max(left, 0.0) / taken_away) if taken_away > 0.0 else math.inf
 
 
 def without(setup: DiagnosisSetup, search: Search, name: str, *, last: Fit | None = None) -> Search:

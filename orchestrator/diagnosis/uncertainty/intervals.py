@@ -44,32 +44,17 @@ def _coordinate_covariance(fitter: Fitter, fit: Fit) -> Array:
     return np.asarray(inverse[:count, :count] * np.outer(wide / narrow, wide / narrow))
 
 
-def perhaps_absent(fitter: Fitter, fit: Fit, *, as_shaped: bool = False) -> list[str]:
-    """Active effects of which each amplitude's 95 % interval holds nothing at all.
-
-    Parameters
-    ----------
-    fitter : Fitter
-    fit : Fit
-    as_shaped : bool
-        With each effect's shapes held: how fast a winding warms may leave open by how much, and not that it does.
-    """
+def perhaps_absent(fitter: Fitter, fit: Fit) -> list[str]:
+    """Active effects of which each amplitude's 95 % interval holds nothing at all."""
     if not fit.model.free:
         return []
-    covariance, width, sure = _coordinate_covariance(fitter, fit), fit.criteria.uncertainty.interval, set[str]()
-    for k, (a, n) in enumerate(fit.model.free):
-        held = _shapes_of(fit, a.name) if as_shaped else []
-        follow = np.linalg.lstsq(covariance[np.ix_(held, held)], covariance[held, k], rcond=None)[0]
-        variance = float(covariance[k, k] - covariance[k, held] @ follow)
-        if n in a.candidate.amplitudes and a.coordinate(n) ** 2 > width**2 * variance:
-            sure.add(a.name)
+    variances, width = np.diag(_coordinate_covariance(fitter, fit)), fit.criteria.uncertainty.interval
+    sure = {
+        a.name
+        for (a, n), variance in zip(fit.model.free, variances, strict=True)
+        if n in a.candidate.amplitudes and a.coordinate(n) ** 2 > width**2 * variance
+    }
     return [name for name in fit.model.names if name not in sure]
-
-
-def _shapes_of(fit: Fit, name: str) -> list[int]:
-    """Which of the free coordinates are shapes of an effect."""
-    free = enumerate(fit.model.free)
-    return [k for k, (a, n) in free if a.name == name and a.candidate.named(n).role is ParameterRole.SHAPE]
 
 
 def nothing_is_sure(fitter: Fitter, fit: Fit) -> bool:

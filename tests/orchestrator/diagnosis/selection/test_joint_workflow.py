@@ -211,30 +211,3 @@ def test_a_map_that_was_made_sharp_for_what_others_took_away_later_is_a_usual_on
 def test_a_usual_map_is_asked_nothing() -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
     assert joint_workflow.no_sharper_than_asked(setup, whole) is whole
-
-
-@pytest.mark.parametrize(
-    ("roughness", "chi2", "better", "stays"),
-    [(3.0, 1.5, True, False), (3.0, 1.5, False, True), (3.0, 1.01, True, True), (1.0, 1.5, True, True)],
-)
-def test_an_effect_in_whose_place_a_sharper_map_does_better_is_gone(
-    roughness: float, chi2: float, better: bool, stays: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Where the map is sharp already, and something is left; the effect that the data ask for least is tried first."""
-    setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
-    factors = log_bayes_factors(whole)
-    least = min(factors, key=lambda name: factors[name])
-    space = replace(whole.model.space, roughness=roughness)
-    fit = replace(whole, model=replace(whole.model, space=space), chi2=chi2 * whole.dof)
-
-    def on_another(_: DiagnosisSetup, __: Fitter, trial: Fit) -> Fit:
-        left = 0.99 if better and least not in trial.model.names else 1.01
-        sharper = replace(trial.model, space=replace(trial.model.space, roughness=9.0))
-        return replace(trial, model=sharper, chi2=left * fit.chi2)
-
-    monkeypatch.setattr(joint_workflow, "with_finer_map", on_another)
-    monkeypatch.setattr(joint_workflow, "refitted", lambda maker, model, known=None: replace(fit, model=model))
-    monkeypatch.setattr(joint_workflow, "downwards", lambda _, fit: replace(fit, chi2=fit.dof))
-    after = joint_workflow.with_the_map_instead(setup, fit)
-    assert (least in after.model.names) == stays
-    assert (after is fit) == stays

@@ -14,12 +14,9 @@ from orchestrator.diagnosis.selection.forward_search import Search, Step
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.workflow import (
     no_sharper_than_asked,
-    no_worse_than_without,
-    on_a_finer_map,
     pruned,
     search_effects,
     with_its_scatter,
-    without_doubtful,
 )
 from plugins.effects.inverter import VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
@@ -61,16 +58,6 @@ def test_what_takes_the_rest_to_the_noise_is_named_however_large_the_first_error
     assert pruned(setup, Search(steps))[1] == spared
 
 
-@pytest.mark.parametrize(("of_resistance", "named"), [(4e-3, True), (0.0, False)])
-def test_what_might_as_well_be_none_is_not_named_whatever_is_left(of_resistance: float, named: bool) -> None:
-    """However little a fit leaves: an imbalance whose interval holds nothing, beside a bias that is sure."""
-    maker, steps = _biased(of_resistance)
-    after, doubtful = without_doubtful(setup_of(maker), Search(steps))
-    assert doubtful == ([] if named else ["phase_resistance_imbalance"])
-    assert ("phase_resistance_imbalance" in after.fit.model.names) is named
-    assert "voltage_bias" in after.fit.model.names
-
-
 def test_voltages_that_differ_by_chance_are_noise() -> None:
     made, rng = prepared(many_holds()), np.random.default_rng(6)
     by_chance = {p.segment.id: rng.normal(0.0, 0.01, 2) for p in made.pieces if p.stage is SegmentStage.RESISTANCE}
@@ -80,21 +67,6 @@ def test_voltages_that_differ_by_chance_are_noise() -> None:
     assert noisy is not None
     assert noisy.fitter.noise.of_model.scatters
     assert noisy.fitter.fit(free_model()).chi2_per_dof < 1.2
-
-
-def test_a_name_within_the_noise_has_to_do_more_than_a_finer_map(monkeypatch: pytest.MonkeyPatch) -> None:
-    """What is worth its evidence beside a coarse map, and nothing beside a fine one, is the map's own detail."""
-    maker = fitter(prepared(plan()))
-    first = maker.fit(free_model())
-    named = maker.evaluate(with_free(first.model, maker, VoltageBias()), first.frame)
-    search = Search([Step(None, first), Step("voltage_bias", named, 20.0)])
-    setup = setup_of(maker)
-    monkeypatch.setattr(workflow, "with_finer_map", lambda *_: first)
-    assert on_a_finer_map(setup, search, []) is search
-    finer = maker.fit(free_model())
-    monkeypatch.setattr(workflow, "with_finer_map", lambda *_: finer)
-    library = [a.candidate for a in named.model.active]
-    assert [(step.added, step.fit) for step in on_a_finer_map(setup, search, library).steps] == [(None, finer)]
 
 
 @pytest.mark.parametrize("earned", [False, True])
@@ -115,20 +87,6 @@ def test_a_map_that_was_made_sharp_for_an_effect_s_form_is_a_usual_one(
     assert after.fit.model.names == ("voltage_bias",)
     asked_nothing = Search([Step(None, first), Step("voltage_bias", usual, 20.0)])
     assert no_sharper_than_asked(setup_of(maker), asked_nothing) is asked_nothing
-
-
-def test_effects_that_leave_more_than_none_of_them_are_traces() -> None:
-    maker = fitter(prepared(plan(), noise_a=0.002))
-    steps = [Step(None, maker.fit(free_model()))]
-    with_bias = with_free(steps[0].fit.model, maker, VoltageBias())
-    (bias,) = with_bias.active
-    wrong = maker.hold(with_bias.with_active([bias.moved(bias.candidate.amplitudes[0], 1.0)]))
-    search = Search([*steps, Step(bias.name, wrong, 100.0)])
-    kept = no_worse_than_without(setup_of(maker), search)
-    assert kept.fit is steps[0].fit
-    assert kept.traces == [bias.name]
-    right = Search([*steps, Step(bias.name, maker.fit(with_bias), 100.0)])
-    assert no_worse_than_without(setup_of(maker), right) is right
 
 
 def test_a_timer_that_leaves_more_than_none_is_none(monkeypatch: pytest.MonkeyPatch) -> None:

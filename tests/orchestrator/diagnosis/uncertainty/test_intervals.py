@@ -24,7 +24,6 @@ from orchestrator.diagnosis.uncertainty.intervals import (
 from orchestrator.recording import Recording, open_recording, write_manifest
 from plugins.effects.inverter import DeadTime
 from plugins.effects.iron import EddyCurrents
-from plugins.effects.resistance import WindingHeating
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from plugins.effects.timing import VoltageDelay
 from protocols import Effect
@@ -119,15 +118,3 @@ def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Rec
     spread = float(coordinate_spread(fitter, fit)[0])
     assert DOUBT.form_doubt * active.coordinate(name) < spread < 0.2 * DOUBT.ripple_doubt * active.coordinate(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread
-
-
-def test_a_shape_that_is_not_told_makes_no_effect_absent(clean: Recording) -> None:
-    """How fast a winding warms leaves open by how much, where the recording is short, and not that it does."""
-    setup = open_for_diagnosis(clean)
-    base = fitted_baseline(setup)
-    (candidate,) = scaled_library([WindingHeating()], clean.manifest)
-    for size, absent in ((0.03, []), (0.003, ["winding_heating"])):
-        warming = candidate.absent().moved("rise_per_watt", size).freeing("time_constant_s")
-        fit = setup.fitter.evaluate(base.model.with_active([warming]), base.frame)
-        assert perhaps_absent(setup.fitter, fit) == ["winding_heating"]
-        assert perhaps_absent(setup.fitter, fit, as_shaped=True) == absent
