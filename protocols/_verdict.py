@@ -50,6 +50,8 @@ class VerdictLimits(Lenient):
     """Largest noise voltage, as a part of the excitation's."""
     current_error: float
     """Largest rms error of the simulated current, as a part of the current's range."""
+    material_flux: float = 0.002
+    """Part of the rated flux by which an error of the map is material."""
     chance_probability: float
     """Probability below which a reading is not attributed to chance."""
 
@@ -88,6 +90,8 @@ class VerdictRecord(Lenient):
     """rms that noise alone would make [V]."""
     excitation_v: Number = None
     """rms of the applied voltage [V]."""
+    map_error: Number = None
+    """Half width of the map's 95 % band, as a part of the rated flux; null where none was computed."""
     current_error: Number = None
     """rms error of the simulated current over the current's range; null where none was simulated."""
     limits: VerdictLimits

@@ -334,8 +334,16 @@ def _reported(
     error = current_error(last)
     # As whoever reads the model back will find it, not as the search left it.
     held = plain.fitter.hold(last.model)
+    uncertainty = MapUncertainty.of(setup.fitter, sized, library)
+    map_error = uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
     record = verdict_record(
-        first, held, len(found), periodic_lines=periodic, noise_v=noise_rms_v(last), current_error=error
+        first,
+        held,
+        len(found),
+        periodic_lines=periodic,
+        noise_v=noise_rms_v(last),
+        current_error=error,
+        map_error=map_error,
     )
     judgement = judge(record)
     verdict = judgement.verdict
@@ -344,8 +352,6 @@ def _reported(
         left = Unexplained(fraction=left.fraction, shape=(ShapeShare(group="periodic", share=1.0),))
     rest = left_fraction(first.chi2_per_dof, last) if verdict == "unknown_remains" else 0.0
     joint = joint_fit(setup.fitter, search, library)
-    uncertainty = MapUncertainty.of(setup.fitter, sized, library)
-    band_percent = 100.0 * uncertainty.band_wb(visited(last)) / rated_flux_wb(setup)
     ladder = tuple(rung(step) for step in [*search.steps[:-1], replace(search.steps[-1], fit=held)])
     if on_step is not None:
         _show(plain, search, ladder, on_step)
@@ -372,7 +378,7 @@ def _reported(
             *other_opinion(joint, active, last.criteria.selection),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
-        map_error_percent=band_percent,
+        map_error_percent=100.0 * map_error,
         materiality=Materiality(
             flux_percent=100.0 * last.criteria.selection.material_flux,
             voltage_percent=100.0 * last.criteria.selection.material_voltage,
@@ -390,7 +396,7 @@ def _reported(
     except StorageError as error:
         report = report.with_remark(Remark.of("not_written", "{problem}", problem=str(error)))
     moved = {name: share.of_flux for name, share in sizes.items()}
-    delivery = delivery_of(uncertainty, last, kept, verdict, band_percent, moved)
+    delivery = delivery_of(uncertainty, last, kept, verdict, 100.0 * map_error, moved)
     return Diagnosis(report, setup, search, library, delivery)
 
 

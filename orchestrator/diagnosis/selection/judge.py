@@ -7,7 +7,8 @@ With excess e = chi2/dof - 1, of the fitted stages, and l the larger one of thos
 - with effects, u = sqrt(e_after / e_before) and l decide between ``explained``, ``mostly_explained`` and unknown.
 
 A periodic disturbance, or a reading with the gates off that contradicts the model, is unknown whatever the fit. A good
-fit under large noise, with a wrong current, or of implausibly many large effects is ``cannot_tell``.
+fit under large noise, with a wrong current, of implausibly many large effects, or ``clean`` with a map too uncertain
+to have shown an effect that matters, is ``cannot_tell``.
 """
 
 from __future__ import annotations
@@ -38,6 +39,8 @@ def judge(record: VerdictRecord, limits: VerdictLimits | None = None) -> Judgeme
         more = reasons if verdict == "unknown_remains" else []
         return Judgement(verdict="unknown_remains", reasons=(*contradictions, *more))
     doubts = [] if verdict == "unknown_remains" else _doubts(record, limits)
+    if verdict == "clean":
+        doubts += _hidden_by_band(record, limits)
     return Judgement(verdict="cannot_tell" if doubts else verdict, reasons=(*doubts, *reasons))
 
 
@@ -174,6 +177,19 @@ def _doubts(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
         )
         doubts.append(_percentage("current_error", error, limits.current_error, text))
     return doubts
+
+
+def _hidden_by_band(record: VerdictRecord, limits: VerdictLimits) -> list[Reason]:
+    """Nothing was found, and so little was told that an effect that matters would not have shown."""
+    band = record.map_error
+    if band is None or band <= limits.material_flux:
+        return []
+    value, most = _apart(100.0 * band, 100.0 * limits.material_flux)
+    text = (
+        f"The map is uncertain by {value} % of the rated flux. Above {most} % an effect that matters may not show. "
+        "More or longer stages narrow it."
+    )
+    return [_percentage("map_error", band, limits.material_flux, text)]
 
 
 def _within_noise(record: VerdictRecord, limit: float, held_out_limit: float) -> list[Reason]:

@@ -33,6 +33,7 @@ def verdict_limits(criteria: SelectionCriteria) -> VerdictLimits:
         shape_widths=criteria.strained,
         large_effect_widths=criteria.rare_size,
         large_effects=criteria.rare_count,
+        material_flux=criteria.material_flux,
         noise_of_excitation=criteria.most_floor,
         current_error=criteria.most_current_error,
         chance_probability=criteria.no_chance,
@@ -47,6 +48,7 @@ def verdict_record(
     periodic_lines: int = 0,
     noise_v: float | None = None,
     current_error: float | None = None,
+    map_error: float | None = None,
 ) -> VerdictRecord:
     """The record of a finished search.
 
@@ -62,6 +64,8 @@ def verdict_record(
         rms that noise alone would make [V].
     current_error : float, optional
         rms error of the simulated current over its range.
+    map_error : float, optional
+        Half width of the map's 95 % band over the rated flux.
     """
     gates_off = gates_off_error(after)
     return VerdictRecord(
@@ -75,6 +79,7 @@ def verdict_record(
         noise_v=noise_v,
         excitation_v=excitation_v(after),
         current_error=current_error,
+        map_error=map_error,
         limits=verdict_limits(after.criteria.selection),
     )
 

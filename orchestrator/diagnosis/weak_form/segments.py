@@ -21,7 +21,13 @@ from orchestrator.diagnosis.weak_form.loss_history import (
     step_of,
 )
 from orchestrator.diagnosis.weak_form.reach import lies_among
-from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter, scatter_between, scatter_of
+from orchestrator.diagnosis.weak_form.sensor_scatter import (
+    Scatter,
+    repeats,
+    scatter_beside_answer,
+    scatter_between,
+    scatter_of,
+)
 from orchestrator.diagnosis.weak_form.windows import Windows, periodic_windows, plain_windows
 from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
@@ -270,11 +276,7 @@ def _piece(
     if len(i_ab) < criteria.least_samples:
         return None
     ripple = segment.stage is SegmentStage.INJECTION
-    if segment.stage is SegmentStage.STEPS:
-        scatter = scatter_between(i_ab, v_ab)
-    else:
-        period = injection_period(segment, fs, v_ab, criteria) if ripple else None
-        scatter = scatter_of(i_ab, period, rests=segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE))
+    scatter = _scatter(segment, fs, i_ab, v_ab, criteria)
     # An injected ripple moves the current at once; its mean is what the drive had settled to.
     before, start = (i_ab if ripple else i_ab[: criteria.first_readings]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
@@ -309,6 +311,16 @@ def _piece(
     return SegmentSignals(
         segment, held_out or diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay
     )
+
+
+def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array, criteria: WeakFormCriteria) -> Scatter:
+    """Scatter of a segment's readings, by differences that its voltage does not cause."""
+    if segment.stage is SegmentStage.STEPS:
+        return scatter_between(i_ab, v_ab)
+    period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
+    if period is not None and not repeats(v_ab, period):
+        return scatter_beside_answer(i_ab, v_ab)
+    return scatter_of(i_ab, period, rests=segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE))
 
 
 def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormCriteria) -> int:

@@ -8,12 +8,18 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from orchestrator.diagnosis.weak_form.sensor_scatter import scatter_between, scatter_of
+from orchestrator.diagnosis.weak_form.sensor_scatter import (
+    repeats,
+    scatter_beside_answer,
+    scatter_between,
+    scatter_of,
+)
+from orchestrator.numerics.types import Array
 
 COVARIANCE = 1e-5 * np.array([[1.0, -0.3], [-0.3, 0.5]])
 
 
-def _noise(n: int) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+def _noise(n: int) -> Array:
     drawn = np.random.default_rng(1).normal(size=(n, 2)) @ np.linalg.cholesky(COVARIANCE).T
     return np.asarray(drawn, dtype=np.float64).reshape(n, 2)
 
@@ -89,3 +95,38 @@ def test_a_current_that_decays_all_along_makes_no_readings_alike() -> None:
     scatter = scatter_of(decaying, None, rests=True)
     assert scatter.correlation == pytest.approx(0.0, abs=0.1)
     np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.15, atol=1e-7)
+
+
+def _answer(
+    v_ab: np.ndarray[tuple[int, int], np.dtype[np.float64]],
+) -> np.ndarray[tuple[int, int], np.dtype[np.float64]]:
+    """Current of two inductances, a resistance and an eddy current that dies away in three samples, without noise."""
+    step = np.array([0.02, 0.01])
+    driven = lfilter([1.0], [1.0, -math.exp(-1.0 / 3.0)], v_ab, axis=0)
+    answer = lfilter([0.0, 1.0], [1.0, -0.995], (v_ab + 0.1 * driven) * step, axis=0)
+    return np.asarray(answer, dtype=np.float64).reshape(v_ab.shape)
+
+
+def test_the_answer_to_random_steps_of_voltage_is_no_noise() -> None:
+    n, rng = 10_000, np.random.default_rng(3)
+    held = rng.integers(2, 9, n)
+    v_ab = np.repeat(rng.choice([-20.0, 20.0], (n, 2)), held, axis=0)[:n]
+    answer = _answer(v_ab)
+    scatter = scatter_beside_answer(answer + _noise(n), v_ab)
+    assert np.ptp(answer) > 1000.0 * math.sqrt(COVARIANCE[0, 0])
+    np.testing.assert_allclose(scatter.covariance, COVARIANCE, rtol=0.15, atol=1e-7)
+
+
+def test_a_segment_of_few_readings_tells_no_scatter() -> None:
+    assert np.isnan(scatter_beside_answer(_noise(100), np.zeros((100, 2))).covariance).all()
+
+
+@pytest.mark.parametrize("turns", [0.0, 2.0, 50.0])
+def test_a_wave_whose_direction_turns_slowly_repeats_and_a_random_one_does_not(turns: float) -> None:
+    n, period = 6000, 20
+    square = 40.0 * np.where(np.arange(n) // (period // 2) % 2, 1.0, -1.0)
+    angle = 2.0 * np.pi * turns * np.arange(n) / n
+    wave = np.stack([square * np.cos(angle), square * np.sin(angle)], axis=1)
+    assert repeats(wave, period) == (turns < 50.0)
+    assert not repeats(np.random.default_rng(4).choice([-40.0, 40.0], (n, 2)), period)
+    assert not repeats(wave[:30], period)
