@@ -7,47 +7,28 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.estimation import RECOMMENDED_MAP, load_flux_map
 from orchestrator.flux_maps._arrays import first_line, mat_arrays, npz_arrays
+from orchestrator.flux_maps._gridding import CSV_UNITS, TORQUE, MapFile, gridded
 from orchestrator.flux_maps._mapped import read_mapped
-from orchestrator.flux_maps._surface import MapSurface, require_usable
+from orchestrator.flux_maps._surface import require_usable
 from orchestrator.numerics.types import Array
 from orchestrator.plain_files import LARGEST, read_text
 from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
-CSV_UNITS = {
-    "psi_d": "wb",
-    "psi_q": "wb",
-    "l_dd": "h",
-    "l_dq": "h",
-    "l_qq": "h",
-    "psi_d_std": "wb",
-    "psi_q_std": "wb",
-    "l_dd_std": "h",
-    "l_dq_std": "h",
-    "l_qq_std": "h",
-}
-"""Fields of a flux map, and the unit that ends their column's name."""
-_COMPUTED = {"l_dd", "l_dq", "l_qq"}
 _OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]
-TORQUE = "torque_nm"
+_TABLES = (".txt", ".tsv", ".parquet", ".pq")
+"""Kinds of files that a mapping reads, and nothing else does."""
 
 
-@dataclass(frozen=True)
-class MapFile:
-    """A flux map, and what its file says beside it."""
-
-    flux_map: FluxMap
-    torque_nm: Array | None = None
-    """Of the file's own, shape (d, q); NaN where it says none."""
+class UnknownLayoutError(InputError):
+    """A file that may hold a flux map, under names of its own: a mapping has to say which is which."""
 
 
 def load_map(path: Path) -> FluxMap:
@@ -92,7 +73,7 @@ def read_map(path: Path) -> MapFile:
         method, columns = readers[path.suffix](path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), "", f"cannot be read: {error}") from None
-    return _gridded(str(path), method, columns)
+    return gridded(str(path), method, columns)
 
 
 def _read_netcdf(path: Path) -> FluxMap:
@@ -188,52 +169,3 @@ def _from_simulink(path: Path, content: Mapping[str, Any]) -> tuple[str, dict[st
 def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:
     found = content.get(name)
     return found if isinstance(found, dict) else {}
-
-
-def _gridded(where: str, method: str, columns: dict[str, Array]) -> MapFile:
-    """A flux map from points in any order."""
-    flat = {name: np.asarray(values, dtype=np.float64).ravel() for name, values in columns.items()}
-    sizes = {name: len(values) for name, values in flat.items()}
-    if len(set(sizes.values())) != 1:
-        raise InputError(where, "", f"arrays of different sizes: {', '.join(f'{n} {k}' for n, k in sizes.items())}")
-    if not (np.isfinite(flat["i_d"]).all() and np.isfinite(flat["i_q"]).all()):
-        raise InputError(where, "i_d, i_q", "a current is not finite")
-    points = sizes["i_d"]
-    if points < 4:
-        raise InputError(where, "i_d, i_q", f"{points} points: too few for a flux map")
-    i_d, rows = _nodes(flat["i_d"])
-    i_q, places = _nodes(flat["i_q"])
-    if min(len(i_d), len(i_q)) < 2 or len(i_d) * len(i_q) > 4 * points:
-        raise InputError(where, "i_d, i_q", f"{points} points that do not lie on a rectangular grid of currents")
-    if len(np.unique(rows * len(i_q) + places)) < points:
-        raise InputError(where, "i_d, i_q", "a current occurs twice")
-    tables = {name: np.full((len(i_d), len(i_q)), np.nan) for name in (*CSV_UNITS, TORQUE)}
-    for name, values in flat.items():
-        if name in tables:
-            tables[name][rows, places] = values
-    torque_nm = tables.pop(TORQUE)
-    flux_map = FluxMap(method=method, i_d=i_d, i_q=i_q, **tables)
-    require_usable(flux_map, where)
-    if not flat.keys() >= _COMPUTED:
-        flux_map = flux_map.model_copy(update=_derivatives(flux_map))
-    return MapFile(flux_map, torque_nm if np.isfinite(torque_nm).any() else None)
-
-
-def _nodes(values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Distinct values within a millionth of their span, increasing, and which of them each value is."""
-    order = np.argsort(values, kind="stable")
-    new = np.diff(values[order]) > 1e-6 * np.ptp(values)
-    index = np.empty(len(values), dtype=np.intp)
-    index[order] = np.concatenate(([0], np.cumsum(new)))
-    return values[order][np.concatenate(([True], new))], index
-
-
-def _derivatives(flux_map: FluxMap) -> dict[str, Array]:
-    """Incremental inductances where the flux is known, from the smooth surface; l_dq is the mean of both crosses."""
-    surface = MapSurface(flux_map)
-    slopes = surface.jacobian(surface.currents)
-    values = {"l_dd": slopes[:, 0, 0], "l_dq": 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]), "l_qq": slopes[:, 1, 1]}
-    tables = {name: np.full(surface.known.shape, np.nan) for name in values}
-    for name, found in values.items():
-        tables[name][surface.known] = found
-    return tables
