@@ -1,4 +1,4 @@
-"""A flux map from points: put on the rectangular grid that they lie on, or interpolated onto one where they lie on none.
+"""A flux map from points: on the rectangular grid that they lie on, or interpolated onto one.
 
 Inductances that are missing are derivatives of the flux; standard deviations that are missing are NaN.
 """

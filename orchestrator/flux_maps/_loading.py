@@ -27,6 +27,9 @@ _TABLES = (".txt", ".tsv", ".parquet", ".pq")
 """Kinds of files that a mapping reads, and nothing else does."""
 
 
+_HINT = "; `fluxbench audit` of it prints a mapping that says which is which"
+
+
 class UnknownLayoutError(InputError):
     """A file that may hold a flux map, under names of its own: a mapping has to say which is which."""
 
@@ -44,7 +47,7 @@ def read_map(path: Path) -> MapFile:
     CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
     motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
     axes turned to PM axes, or as Simulink's Flux-Based PM Controller takes it (`id_index, iq_index, lambda_d,
-    lambda_q`). Points may come in any order but must lie on a rectangular grid, of which some may be missing. A
+    lambda_q`). Points may come in any order; where they lie on no rectangular grid they are interpolated onto one. A
     model's map is without its effects.
 
     Inductances that a file lacks are derivatives of its flux; standard deviations that it lacks are NaN.
@@ -52,7 +55,7 @@ def read_map(path: Path) -> MapFile:
     Raises
     ------
     InputError
-        Where the file is missing, of another kind, or does not hold a flux map on a grid.
+        Where the file is missing, of another kind, or holds no flux map; `UnknownLayoutError` where a mapping may help.
     """
     if path.is_dir():
         if not (path / RECOMMENDED_MAP).is_file():
@@ -62,14 +65,18 @@ def read_map(path: Path) -> MapFile:
         from orchestrator.diagnosis import flux_map_of  # not before it is needed: it compiles
 
         return MapFile(flux_map_of(read_model(path)))
-    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat, ".yaml": read_mapped, ".yml": read_mapped}
-    if path.suffix not in readers and path.suffix != ".nc":
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
+    if path.suffix not in (*readers, *_TABLES, ".nc", ".yaml", ".yml"):
         raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file")
     if not path.is_file():
         raise InputError(str(path), "", "no such file")
     if path.suffix == ".nc":
         return MapFile(_read_netcdf(path))
+    if path.suffix in _TABLES:
+        raise UnknownLayoutError(str(path), "", f"a table whose columns nothing names{_HINT}")
     try:
+        if path.suffix in (".yaml", ".yml"):
+            return read_mapped(path)
         method, columns = readers[path.suffix](path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), "", f"cannot be read: {error}") from None
@@ -93,7 +100,8 @@ def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
     wanted[TORQUE] = TORQUE
     for name in ("i_d", "i_q", "psi_d", "psi_q"):
         if wanted[name] not in header:
-            raise InputError(str(path), wanted[name], f"no such column; the file has {', '.join(header) or 'none'}")
+            said = f"no such column; the file has {', '.join(header) or 'none'}{_HINT}"
+            raise UnknownLayoutError(str(path), wanted[name], said)
     columns: dict[str, Array] = {}
     for name, column in wanted.items():
         if column in header:
@@ -114,7 +122,8 @@ def _read_npz(path: Path) -> tuple[str, dict[str, Array]]:
     content = npz_arrays(path)
     for name in ("i_s_dq", "psi_s_dq"):
         if name not in content or not np.iscomplexobj(content[name]):
-            raise InputError(str(path), name, f"expected a complex array; the file has {', '.join(content) or 'none'}")
+            said = f"expected a complex array; the file has {', '.join(content) or 'none'}{_HINT}"
+            raise UnknownLayoutError(str(path), name, said)
     i, psi = content["i_s_dq"], content["psi_s_dq"]
     columns = {"i_d": i.real, "i_q": i.imag, "psi_d": psi.real, "psi_q": psi.imag}
     columns |= {name: content[name] for name in _OPTIONAL if name in content}
@@ -131,9 +140,8 @@ def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
     layout = _struct(model, "FluxMap_dq") if model else content
     for name in ("Id", "Iq", "Fd", "Fq"):
         if not isinstance(layout.get(name), np.ndarray):
-            raise InputError(
-                str(path), name, "no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ..."
-            )
+            said = f"no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ...{_HINT}"
+            raise UnknownLayoutError(str(path), name, said)
     axes = _struct(model, "data").get("axisType", _struct(content, "dataSet").get("axisType", "PM"))
     i_d, i_q, psi_d, psi_q = (np.asarray(layout[name], dtype=np.float64) for name in ("Id", "Iq", "Fd", "Fq"))
     if axes == "SR":  # SyR-e's reluctance axes: the magnet lies on -q

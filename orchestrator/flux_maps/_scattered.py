@@ -1,7 +1,7 @@
 """Points of a flux map that lie on no rectangular grid, interpolated onto one; judges no flux.
 
-A cubic radial basis function passes through every point (Wendland, Scattered Data Approximation, 2005, ch. 2). Nodes are
-the set-points that the currents gather about, or evenly spaced ones inside the convex hull of the points.
+A cubic radial basis function passes through every point (Wendland, Scattered Data Approximation, 2005). Nodes are the
+set-points that the currents scatter about, or evenly spaced ones inside the convex hull of the points.
 """
 
 from __future__ import annotations
@@ -76,16 +76,16 @@ def on_rectangular_grid(where: str, points: Mapping[str, Array]) -> tuple[dict[s
     setpoints = _setpoints(merged)
     if setpoints is None:
         nodes = _between_points(where, merged["i_d"], merged["i_q"])
-        how = f"{len(merged['i_d'])} points that lie on no rectangular grid, interpolated at {len(nodes)} nodes"
+        how = f"{len(merged['i_d'])} points, not on a rectangular grid, are interpolated at {len(nodes)} nodes"
     else:
         merged, nodes = setpoints
-        how = f"currents that gather about {len(nodes)} set-points, interpolated there"
+        how = f"currents scatter about {len(nodes)} set-points, and fluxes are interpolated there"
     names = [name for name in merged if name not in ("i_d", "i_q")]
     surface = _Surface(merged, names)
     columns = {"i_d": nodes[:, 0], "i_q": nodes[:, 1]} | dict(zip(names, surface.at(nodes).T, strict=True))
     return columns, Remark.of(
         "regridded",
-        "{how}; points left out are predicted to within {error_percent:.2g} % of the swing, rms",
+        "{how}; cross-validation error {error_percent:.2g} % of the swing, rms",
         how=how,
         points=len(merged["i_d"]),
         nodes=len(nodes),

@@ -72,7 +72,7 @@ def test_reluctance_axes_are_turned(tmp_path: Path) -> None:
         ("t.csv", {"d": "Id"}, "Id: no such column; valid: FD, FQ, ID, IQ"),
         ("t.csv", {"ampere": "amps"}, "map.yaml:4: current.unit"),
         ("t.csv", {"more": "torqe: 1\n"}, "torqe"),
-        ("square.npz", {}, "axes of one length do not tell the rows from the columns"),
+        ("square.npz", {}, "axes: neither lengths nor values tell the tables' dimensions: say axes: [d, q] or [q, d]"),
     ],
 )
 def test_a_wrong_mapping_is_one_line(tmp_path: Path, file: str, changes: dict[str, str], message: str) -> None:
