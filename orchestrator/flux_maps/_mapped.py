@@ -187,6 +187,10 @@ def _mapping(path: Path) -> MapMapping:
         document: Document = parse_document(read_text(path), str(path))
     except ProcedureError as error:
         raise InputError(error.where, error.field, error.problem) from None
+    if document.data.get("format") == "fluxbench-import":
+        raise InputError(
+            str(path), "format", "the mapping of waveforms, not of a flux map: `fluxbench import` reads it"
+        )
     try:
         return MapMapping.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:

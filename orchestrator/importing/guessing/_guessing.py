@@ -17,7 +17,8 @@ from orchestrator.importing._source import Numbers, Wanted, whole
 from orchestrator.importing._stamps import Stamps
 from orchestrator.importing._units import FACTORS
 from orchestrator.importing._vectors import angle_rad, vectors
-from orchestrator.importing.guessing._columns import Columns, columns_of
+from orchestrator.importing.guessing._columns import Columns, columns_of, variables_of
+from orchestrator.importing.guessing._map_names import roles_of_map
 from orchestrator.importing.guessing._roles import Roles, Signal, roles_of
 from orchestrator.importing.guessing._rules import MAX_RULES, rules_by_label, rules_by_time
 from orchestrator.importing.guessing._stages import Stretch, stretches_of
@@ -110,8 +111,12 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
 def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
     for what, found in (("currents", roles.current), ("voltages", roles.voltage)):
         if found is None:
+            variables = variables_of(columns.names)
+            if roles_of_map(variables).is_map:
+                said = f"looks like a flux map, not like waveforms: `fluxbench audit {path.name}` reads and judges it"
+                raise InputError(str(path), "", said)
             said = f"cannot tell which columns are the {what} by their names; the file has {len(columns.names)}:"
-            named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in columns.names]
+            named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in variables]
             if columns.names == ["Time", "Ampl"]:
                 said = "a file a channel (LeCroy): lay the others beside it by an entry of files with beside; it has"
             raise InputError(str(path), "", said, named)
@@ -156,6 +161,12 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
         why = f"the file gives the unit; {1.0 / (step * FACTORS[given]):.6g} Hz"
         lines.say("time", {"column": name, "unit": given}, why)
         return
+    if fitting[:1] == ["s"] and len(fitting) > 1:
+        rate = f"{1.0 / step:.6g} Hz"
+        lines.say(
+            "time", {"column": name, "unit": "s"}, f"steps of {step:.6g}: {rate} in s; not in the file", doubt=True
+        )
+        return
     if step == 1.0 or len(fitting) != 1:
         said = f"steps of {step:g} may be {' or '.join(fitting)}" if fitting else f"steps of {step:g} are no time"
         raise InputError(str(path), name, f"{said}; the unit of time cannot be told")
@@ -177,7 +188,9 @@ def _say_bus(
     if voltage.is_duty:
         raise InputError(str(path), "", "duties without a column of the bus voltage: their volts cannot be told")
     unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
-    largest = max(float(np.nanmax(np.abs(raw[x]))) for x in voltage.columns.values()) * unit_v
+    values = np.stack([raw[name] for name in voltage.columns.values()])
+    is_vector = voltage.frame in ("alpha_beta", "dq")
+    largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
     why = "not in the file: twice the largest voltage stands here; give the true one"
     lines.say("drive", {"name": "unknown", "dc_bus_voltage_v": float(f"{2.0 * largest:.2g}") or 1.0}, why, doubt=True)
 
