@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any
@@ -21,10 +22,15 @@ def rules_by_time(found: Sequence[Stretch]) -> list[Rule]:
     """A rule for each stretch, from one's begin to the next one's."""
     rules = []
     for k, one in enumerate(found):
-        span = {} if k == 0 else {"from_s": round(one.start_s, 6)}
-        span |= {} if k == len(found) - 1 else {"to_s": round(found[k + 1].start_s, 6)}
+        span = {} if k == 0 else {"from_s": _just_before(one.start_s)}
+        span |= {} if k == len(found) - 1 else {"to_s": _just_before(found[k + 1].start_s)}
         rules.append(({"stage": one.stage.value, **span}, _why(one)))
     return rules
+
+
+def _just_before(time_s: float) -> float:
+    """The last whole microsecond, so that a stamp is not cut off by the rounding of its own digits."""
+    return math.floor(time_s * 1e6) / 1e6
 
 
 def rules_by_label(found: Mapping[str, Stretch | None]) -> list[Rule]:

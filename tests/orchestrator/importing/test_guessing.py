@@ -252,9 +252,11 @@ def test_labels_of_each_point_make_a_rule_for_each_kind(tmp_path: Path) -> None:
     points = np.repeat(np.arange(60), 300)
     names = [f"hold-{k:02d}" if k < 50 else f"ripple-{k:02d}" for k in points]
     n = np.arange(points.size)
-    held = np.where(points < 50, (points - 25) / 25.0, 0.5)
+    held = np.where(points < 50, (points - 25.5) / 25.0, 0.5)
     wave = np.where((points >= 50) & (n // 10 % 2 == 0), 40.0, np.where(points >= 50, -40.0, 0.0))
-    log = {"t": n / 1e4, "i_alpha": held, "i_beta": 0.0 * held, "u_alpha": 4.0 * held + wave, "u_beta": 0.0 * held}
+    noise = 1e-3 * np.random.default_rng(7).normal(size=(2, n.size))
+    log = {"t": n / 1e4, "i_alpha": held + noise[0], "i_beta": noise[1]}
+    log |= {"u_alpha": 4.0 * held + wave, "u_beta": 0.0 * held}
     pq.write_table(pa.table(log | {"point": names}), tmp_path / "log.parquet")
     guessed = guess_mapping(tmp_path / "log.parquet")
     assert "{label: hold-*, stage: resistance}  # 50 labels: currents that stand still" in guessed.text
@@ -265,17 +267,17 @@ def test_labels_of_each_point_make_a_rule_for_each_kind(tmp_path: Path) -> None:
 
 
 def holds(count: int, pause_s: float) -> dict[str, Numbers]:
-    """Holds of 0.3 s at currents that step up, and then down."""
+    """Holds of 0.3 s at currents that go down and up again."""
     points = np.repeat(np.arange(count), 600)
     held = 0.1 + np.abs(points - count // 2) / count
     t = np.arange(points.size) / 2e3 + pause_s * points
-    return {"t": t, "i_alpha": held, "i_beta": 0.0 * held, "u_alpha": 4.0 * held, "u_beta": 0.0 * held}
+    noise = 1e-3 * np.random.default_rng(8).normal(size=(2, t.size))
+    return {"t": t, "i_alpha": held + noise[0], "i_beta": noise[1], "u_alpha": 4.0 * held, "u_beta": 0.0 * held}
 
 
 @pytest.mark.parametrize("pause_s", [0.0, 1.0])
 def test_many_holds_without_labels_are_found_one_by_one(tmp_path: Path, pause_s: float) -> None:
     log = holds(25, pause_s)
-    log["i_alpha"][:6000], log["u_alpha"][:6000] = log["i_alpha"][:6000] + 1.0, log["u_alpha"][:6000] + 4.0
     many = {name: np.concatenate([x, x]) for name, x in log.items()}
     many["t"][log["t"].size :] += log["t"][-1] + pause_s + 1.0
     pq.write_table(pa.table(many), tmp_path / "log.parquet")
