@@ -31,6 +31,8 @@ TorqueUnit = Literal["Nm", "mNm", "kNm"]
 AngleUnit = Literal["rad", "deg", "turn"]
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "k": 1e3}
 _ARRAYS = {".npz": npz_arrays, ".mat": mat_arrays}
+_LARGEST = 1e12
+"""In any unit: microamperes of a megaampere."""
 _QUARTER_RAD = 0.5 * np.pi
 
 
@@ -155,6 +157,7 @@ def read_table_by(table: Path, mapping: MapMapping) -> MapFile:
 
 def map_of(where: str, mapping: MapMapping, found: Mapping[str, Array]) -> MapFile:
     """The map that columns make, by a mapping; raises `InputError`."""
+    _require_bounds(where, found)
     current, flux = mapping.current.columns, mapping.flux.columns
     tables = [mapping.torque.column] if mapping.torque else []
     inverse = all(_is_line(found[name]) for name in flux.values()) and not any(
@@ -176,6 +179,8 @@ def map_of(where: str, mapping: MapMapping, found: Mapping[str, Array]) -> MapFi
     if mapping.rotor_angle is not None:
         angle = mapping.rotor_angle
         pole_pairs = mapping.motor.pole_pairs if angle.mechanical and mapping.motor is not None else 1
+        if not np.isfinite(points[angle.column]).all():
+            raise InputError(where, angle.column, "an angle is not finite")
         turned_rad = points[angle.column] * FACTORS[angle.unit] * pole_pairs
         columns, ripple = mean_over_angle(where, columns, turned_rad)
         remarks.append(ripple)
@@ -196,6 +201,12 @@ def _mapping(path: Path) -> MapMapping:
     except ValidationError as error:
         problem = first_problem(error, MapMapping, document.data)
     raise InputError(document.place(problem.path), ".".join(map(str, problem.path)), problem.text)
+
+
+def _require_bounds(where: str, found: Mapping[str, Array]) -> None:
+    for name, values in found.items():
+        if np.isinf(values).any() or not np.all(np.abs(values[np.isfinite(values)]) < _LARGEST):
+            raise InputError(where, name, "beyond what can be a motor's")
 
 
 def chosen_arrays(path: Path, content: Mapping[str, Any], names: Sequence[str]) -> dict[str, Array]:

@@ -44,7 +44,9 @@ def mean_over_angle(where: str, columns: Mapping[str, Array], angle_rad: Array) 
     currents, point = np.unique(rows * i_q.size + places, return_inverse=True)
     cell, shape = point * angles.size + which, (currents.size, angles.size)
     count = np.bincount(cell, minlength=currents.size * angles.size).reshape(shape)
-    if angles.size < 2 or not count.all():
+    if angles.size < 2:
+        raise InputError(where, "rotor_angle", "fewer than two rotor angles")
+    if not count.all():
         lacking = int(np.count_nonzero((count == 0).any(axis=1)))
         said = f"{lacking} of {currents.size} currents have not each of the {angles.size} rotor angles"
         raise InputError(where, "rotor_angle", said)
@@ -54,7 +56,10 @@ def mean_over_angle(where: str, columns: Mapping[str, Array], angle_rad: Array) 
     sums = {name: np.bincount(cell, weights=values, minlength=count.size) for name, values in columns.items()}
     table = {name: total.reshape(shape) / count for name, total in sums.items()}
     step_rad = float(steps.mean())
-    fluxes = [table["psi_d"], table["psi_q"]]
+    complete = np.isfinite(table["psi_d"] + table["psi_q"]).all(axis=1)
+    if not complete.any():
+        raise InputError(where, "rotor_angle", "no current has a flux linkage at each rotor angle")
+    fluxes = [table["psi_d"][complete], table["psi_q"][complete]]
     used = angles.size - int(_is_closed(step_rad * (angles.size - 1), step_rad, fluxes))
     means = {name: values[:, :used].mean(axis=1) for name, values in table.items()}
     return means, _described(step_rad * used, [flux[:, :used] for flux in fluxes])

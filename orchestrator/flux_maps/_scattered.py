@@ -209,8 +209,9 @@ def _between_points(where: str, i_d: Array, i_q: Array) -> Array:
     tree: Any = cKDTree(scaled)
     spacing = float(np.median(tree.query(scaled, k=2)[0][:, 1]))
     near = tree.query(inside / spans)[0] <= _MAX_GAP_SPACINGS * spacing
-    if np.mean(near) < _LEAST_COVERED_SHARE:
-        said = f"{i_d.size} points that leave {100.0 * (1.0 - np.mean(near)):.0f} % of the area between them unmeasured"
+    covered = np.count_nonzero(near) / max(near.size, 1)
+    if covered < _LEAST_COVERED_SHARE:
+        said = f"{i_d.size} points that leave {100.0 * (1.0 - covered):.0f} % of the area between them unmeasured"
         raise InputError(where, "i_d, i_q", said)
     found: Array = inside[near]
     return found

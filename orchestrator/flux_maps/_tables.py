@@ -120,7 +120,7 @@ def _with_least_variation(where: str, orders: list[tuple[str, ...]], tables: Seq
     """The orders whose rotor angle is the dimension along which the flux changes least: slots against saturation."""
     variation = {}
     for k in {order.index(ANGLE) for order in orders}:
-        variation[k] = sum(float(np.nanmean((t - t.mean(axis=k, keepdims=True)) ** 2)) ** 0.5 for t in tables)
+        variation[k] = sum(float(np.ma.filled(np.ma.masked_invalid(t).var(axis=k).mean(), 0.0)) ** 0.5 for t in tables)
     least = min(variation, key=lambda k: variation[k])
     if any(variation[least] > _CLEARLY_LESS * other for k, other in variation.items() if k != least):
         raise _undecided(where, orders)

@@ -159,6 +159,9 @@ def test_a_third_dimension_is_a_rotor_angle_only_by_its_name() -> None:
     [
         (lambda i, th: (i[:-1], th[:-1]), "1 of 81 currents have not each of the 8 rotor angles"),
         (lambda i, th: (i, np.where(th > 50.0, 59.0, th)), "angles are not evenly spaced"),
+        (lambda i, th: (i, 0.0 * th), "fewer than two rotor angles"),
+        (lambda i, th: (i, np.where(th > 50.0, np.nan, th)), "an angle is not finite"),
+        (lambda i, th: (1e30 * i, th), "beyond what can be a motor's"),
     ],
 )
 def test_rotor_angles_that_make_no_mean_are_refused(spoil: object, said: str) -> None:
