@@ -435,7 +435,8 @@ def audit_command(
 ) -> int:
     """A flux map judged: can a motor be like that?
 
-    Reciprocity, parity, the magnet's axis, convexity, holes, scatter, torque; and which uses each fault spoils.
+    Reciprocity, parity, the magnet's axis, convexity, holes, scatter, torque; and which uses each fault spoils. For a
+    table with names of its own it prints a mapping that reads it, to be saved and looked at.
     """
     from orchestrator.cli._audit import audit
 

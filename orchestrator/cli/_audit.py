@@ -3,13 +3,24 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
-from orchestrator.cli._output import say, say_document, say_notes
+from orchestrator.cli._output import complain, say, say_document, say_notes
 from orchestrator.config import load_motor
 from orchestrator.estimation import save_flux_map
-from orchestrator.flux_maps import USES, MapAudit, Repair, audit_map, draw_audit, read_map, repair_map
+from orchestrator.flux_maps import (
+    USES,
+    MapAudit,
+    Repair,
+    UnknownLayoutError,
+    audit_map,
+    draw_audit,
+    read_map,
+    repair_map,
+    suggest_mapping,
+)
 from orchestrator.plain_files import read_text
 from orchestrator.presentation.quantities import UNKNOWN, number, percent, plural, quantity
 from orchestrator.presentation.sentences import columns
@@ -24,7 +35,11 @@ def audit(path: Path, motor_file: Path | None, repair: Path | None, picture: Pat
         raise InputError(
             str(repair), "--repair", "expected a file that ends in .nc; `fluxbench export` makes others of it"
         )
-    read, motor = read_map(path), motor_of(path, motor_file)
+    try:
+        read = read_map(path)
+    except UnknownLayoutError:
+        return _suggest(path, as_json)
+    motor = motor_of(path, motor_file)
     found = audit_map(read.flux_map, motor, read.torque_nm)
     repaired = None
     if repair is not None:
@@ -39,10 +54,26 @@ def audit(path: Path, motor_file: Path | None, repair: Path | None, picture: Pat
         say_document(json.dumps(document, indent=2))
         return 0
     _print(path, found)
+    say_notes(remark.text for remark in read.remarks)
     if repaired is not None:
         _print_repair(repaired, found)
     say(*(f"written: {file}" for file in (repair, picture) if file is not None))
     return 0
+
+
+def _suggest(path: Path, as_json: bool) -> int:
+    """Print a mapping that reads the file; the exit code says that the map was not judged."""
+    suggestion = suggest_mapping(path)
+    if as_json:
+        say_document(json.dumps({"mapping": suggestion.text, "doubts": suggestion.doubts}, indent=2))
+    else:
+        say_document(suggestion.text.rstrip())
+    target = path.with_suffix(".yaml").name
+    said = f"{path}: its names are no known layout; the mapping printed here reads it: save it beside the file, look at"
+    complain(
+        f"{said} each line (fluxbench audit {path.name} > {target}), then: fluxbench audit {target}", suggestion.doubts
+    )
+    return 2
 
 
 def motor_of(path: Path, motor: Path | None) -> Motor | None:
@@ -52,7 +83,7 @@ def motor_of(path: Path, motor: Path | None) -> Motor | None:
     if path.suffix == ".json":
         return read_model(path).motor
     if path.suffix in (".yaml", ".yml"):
-        return load_motor(path) if "motor:" in read_text(path) else None
+        return load_motor(path) if re.search(r"^motor:", read_text(path), re.MULTILINE) else None
     return open_any(path).manifest.motor if path.is_dir() else None
 
 

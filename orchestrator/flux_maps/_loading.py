@@ -7,47 +7,31 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from orchestrator.estimation import RECOMMENDED_MAP, load_flux_map
 from orchestrator.flux_maps._arrays import first_line, mat_arrays, npz_arrays
+from orchestrator.flux_maps._gridding import CSV_UNITS, TORQUE, MapFile, gridded
 from orchestrator.flux_maps._mapped import read_mapped
-from orchestrator.flux_maps._surface import MapSurface, require_usable
+from orchestrator.flux_maps._surface import require_usable
 from orchestrator.numerics.types import Array
 from orchestrator.plain_files import LARGEST, read_text
 from orchestrator.recording import read_model
 from protocols import FluxMap, InputError
 
-CSV_UNITS = {
-    "psi_d": "wb",
-    "psi_q": "wb",
-    "l_dd": "h",
-    "l_dq": "h",
-    "l_qq": "h",
-    "psi_d_std": "wb",
-    "psi_q_std": "wb",
-    "l_dd_std": "h",
-    "l_dq_std": "h",
-    "l_qq_std": "h",
-}
-"""Fields of a flux map, and the unit that ends their column's name."""
-_COMPUTED = {"l_dd", "l_dq", "l_qq"}
 _OPTIONAL = [name for name in CSV_UNITS if name not in ("psi_d", "psi_q")]
-TORQUE = "torque_nm"
+_TABLES = (".txt", ".tsv", ".parquet", ".pq")
+"""Kinds of files that a mapping reads, and nothing else does."""
 
 
-@dataclass(frozen=True)
-class MapFile:
-    """A flux map, and what its file says beside it."""
+_HINT = "; `fluxbench audit` of it prints a mapping that says which is which"
 
-    flux_map: FluxMap
-    torque_nm: Array | None = None
-    """Of the file's own, shape (d, q); NaN where it says none."""
+
+class UnknownLayoutError(InputError):
+    """A file that may hold a flux map, under names of its own: a mapping has to say which is which."""
 
 
 def load_map(path: Path) -> FluxMap:
@@ -63,7 +47,7 @@ def read_map(path: Path) -> MapFile:
     CSV and NPZ as `export_map` writes them (CSV columns may also end in `_Vs` for `_wb`, in any case); NPZ as
     motulator has it (complex `i_s_dq`, `psi_s_dq`); .mat in the SyR-e layout, bare or as `motorModel.FluxMap_dq`, SR
     axes turned to PM axes, or as Simulink's Flux-Based PM Controller takes it (`id_index, iq_index, lambda_d,
-    lambda_q`). Points may come in any order but must lie on a rectangular grid, of which some may be missing. A
+    lambda_q`). Points may come in any order; where they lie on no rectangular grid they are interpolated onto one. A
     model's map is without its effects.
 
     Inductances that a file lacks are derivatives of its flux; standard deviations that it lacks are NaN.
@@ -71,7 +55,7 @@ def read_map(path: Path) -> MapFile:
     Raises
     ------
     InputError
-        Where the file is missing, of another kind, or does not hold a flux map on a grid.
+        Where the file is missing, of another kind, or holds no flux map; `UnknownLayoutError` where a mapping may help.
     """
     if path.is_dir():
         if not (path / RECOMMENDED_MAP).is_file():
@@ -81,18 +65,22 @@ def read_map(path: Path) -> MapFile:
         from orchestrator.diagnosis import flux_map_of  # not before it is needed: it compiles
 
         return MapFile(flux_map_of(read_model(path)))
-    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat, ".yaml": read_mapped, ".yml": read_mapped}
-    if path.suffix not in readers and path.suffix != ".nc":
+    readers = {".csv": _read_csv, ".npz": _read_npz, ".mat": _read_mat}
+    if path.suffix not in (*readers, *_TABLES, ".nc", ".yaml", ".yml"):
         raise InputError(str(path), "", "expected a run, a recording, or a .nc, .csv, .npz, .mat, .json or .yaml file")
     if not path.is_file():
         raise InputError(str(path), "", "no such file")
     if path.suffix == ".nc":
         return MapFile(_read_netcdf(path))
+    if path.suffix in _TABLES:
+        raise UnknownLayoutError(str(path), "", f"a table whose columns nothing names{_HINT}")
     try:
+        if path.suffix in (".yaml", ".yml"):
+            return read_mapped(path)
         method, columns = readers[path.suffix](path)
     except (OSError, UnicodeDecodeError) as error:
         raise InputError(str(path), "", f"cannot be read: {error}") from None
-    return _gridded(str(path), method, columns)
+    return gridded(str(path), method, columns)
 
 
 def _read_netcdf(path: Path) -> FluxMap:
@@ -112,7 +100,8 @@ def _read_csv(path: Path) -> tuple[str, dict[str, Array]]:
     wanted[TORQUE] = TORQUE
     for name in ("i_d", "i_q", "psi_d", "psi_q"):
         if wanted[name] not in header:
-            raise InputError(str(path), wanted[name], f"no such column; the file has {', '.join(header) or 'none'}")
+            said = f"no such column; the file has {', '.join(header) or 'none'}{_HINT}"
+            raise UnknownLayoutError(str(path), wanted[name], said)
     columns: dict[str, Array] = {}
     for name, column in wanted.items():
         if column in header:
@@ -133,7 +122,8 @@ def _read_npz(path: Path) -> tuple[str, dict[str, Array]]:
     content = npz_arrays(path)
     for name in ("i_s_dq", "psi_s_dq"):
         if name not in content or not np.iscomplexobj(content[name]):
-            raise InputError(str(path), name, f"expected a complex array; the file has {', '.join(content) or 'none'}")
+            said = f"expected a complex array; the file has {', '.join(content) or 'none'}{_HINT}"
+            raise UnknownLayoutError(str(path), name, said)
     i, psi = content["i_s_dq"], content["psi_s_dq"]
     columns = {"i_d": i.real, "i_q": i.imag, "psi_d": psi.real, "psi_q": psi.imag}
     columns |= {name: content[name] for name in _OPTIONAL if name in content}
@@ -150,9 +140,8 @@ def _read_mat(path: Path) -> tuple[str, dict[str, Array]]:
     layout = _struct(model, "FluxMap_dq") if model else content
     for name in ("Id", "Iq", "Fd", "Fq"):
         if not isinstance(layout.get(name), np.ndarray):
-            raise InputError(
-                str(path), name, "no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ..."
-            )
+            said = f"no such array; expected SyR-e's Id, Iq, Fd, Fq, or id_index, lambda_d, ...{_HINT}"
+            raise UnknownLayoutError(str(path), name, said)
     axes = _struct(model, "data").get("axisType", _struct(content, "dataSet").get("axisType", "PM"))
     i_d, i_q, psi_d, psi_q = (np.asarray(layout[name], dtype=np.float64) for name in ("Id", "Iq", "Fd", "Fq"))
     if axes == "SR":  # SyR-e's reluctance axes: the magnet lies on -q
@@ -188,52 +177,3 @@ def _from_simulink(path: Path, content: Mapping[str, Any]) -> tuple[str, dict[st
 def _struct(content: Mapping[str, Any], name: str) -> dict[str, Any]:
     found = content.get(name)
     return found if isinstance(found, dict) else {}
-
-
-def _gridded(where: str, method: str, columns: dict[str, Array]) -> MapFile:
-    """A flux map from points in any order."""
-    flat = {name: np.asarray(values, dtype=np.float64).ravel() for name, values in columns.items()}
-    sizes = {name: len(values) for name, values in flat.items()}
-    if len(set(sizes.values())) != 1:
-        raise InputError(where, "", f"arrays of different sizes: {', '.join(f'{n} {k}' for n, k in sizes.items())}")
-    if not (np.isfinite(flat["i_d"]).all() and np.isfinite(flat["i_q"]).all()):
-        raise InputError(where, "i_d, i_q", "a current is not finite")
-    points = sizes["i_d"]
-    if points < 4:
-        raise InputError(where, "i_d, i_q", f"{points} points: too few for a flux map")
-    i_d, rows = _nodes(flat["i_d"])
-    i_q, places = _nodes(flat["i_q"])
-    if min(len(i_d), len(i_q)) < 2 or len(i_d) * len(i_q) > 4 * points:
-        raise InputError(where, "i_d, i_q", f"{points} points that do not lie on a rectangular grid of currents")
-    if len(np.unique(rows * len(i_q) + places)) < points:
-        raise InputError(where, "i_d, i_q", "a current occurs twice")
-    tables = {name: np.full((len(i_d), len(i_q)), np.nan) for name in (*CSV_UNITS, TORQUE)}
-    for name, values in flat.items():
-        if name in tables:
-            tables[name][rows, places] = values
-    torque_nm = tables.pop(TORQUE)
-    flux_map = FluxMap(method=method, i_d=i_d, i_q=i_q, **tables)
-    require_usable(flux_map, where)
-    if not flat.keys() >= _COMPUTED:
-        flux_map = flux_map.model_copy(update=_derivatives(flux_map))
-    return MapFile(flux_map, torque_nm if np.isfinite(torque_nm).any() else None)
-
-
-def _nodes(values: Array) -> tuple[Array, NDArray[np.intp]]:
-    """Distinct values within a millionth of their span, increasing, and which of them each value is."""
-    order = np.argsort(values, kind="stable")
-    new = np.diff(values[order]) > 1e-6 * np.ptp(values)
-    index = np.empty(len(values), dtype=np.intp)
-    index[order] = np.concatenate(([0], np.cumsum(new)))
-    return values[order][np.concatenate(([True], new))], index
-
-
-def _derivatives(flux_map: FluxMap) -> dict[str, Array]:
-    """Incremental inductances where the flux is known, from the smooth surface; l_dq is the mean of both crosses."""
-    surface = MapSurface(flux_map)
-    slopes = surface.jacobian(surface.currents)
-    values = {"l_dd": slopes[:, 0, 0], "l_dq": 0.5 * (slopes[:, 0, 1] + slopes[:, 1, 0]), "l_qq": slopes[:, 1, 1]}
-    tables = {name: np.full(surface.known.shape, np.nan) for name in values}
-    for name, found in values.items():
-        tables[name][surface.known] = found
-    return tables

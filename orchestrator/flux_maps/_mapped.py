@@ -1,7 +1,7 @@
 """Any table of a flux map by a mapping: a YAML file that names it, and says which column is what. Judges nothing.
 
 The words are those of a recording's mapping (docs/import.md). Columns are columns of CSV and Parquet files; in .npz and
-.mat files they are arrays: all of one shape, or the currents as axes and the fluxes as tables over them.
+.mat files they are arrays: all of one shape, or axes and tables over them (`_tables`).
 """
 
 from __future__ import annotations
@@ -17,22 +17,63 @@ from pydantic import ValidationError, model_validator
 from orchestrator._document import Document, parse_document
 from orchestrator._validation import first_problem
 from orchestrator.flux_maps._arrays import mat_arrays, npz_arrays
+from orchestrator.flux_maps._gridding import TORQUE, MapFile, gridded
+from orchestrator.flux_maps._ripple import mean_over_angle
+from orchestrator.flux_maps._tables import as_points
 from orchestrator.importing import FACTORS, TO_PEAK, Column, CsvLayout, CurrentUnit, NotZero, Scaling, read_table
+from orchestrator.importing.guessing import roles_of_map
 from orchestrator.numerics.types import Array
 from orchestrator.plain_files import read_text
 from protocols import InputError, ProcedureError, ProcedureMotor, Strict
 
 FluxUnit = Literal["Wb", "mWb", "uWb", "Vs", "mVs", "uVs"]
 TorqueUnit = Literal["Nm", "mNm", "kNm"]
+AngleUnit = Literal["rad", "deg", "turn"]
 _PREFIXES = {"m": 1e-3, "u": 1e-6, "k": 1e3}
 _ARRAYS = {".npz": npz_arrays, ".mat": mat_arrays}
+_LARGEST = 1e12
+"""In any unit: microamperes of a megaampere."""
+_QUARTER_RAD = 0.5 * np.pi
 
 
 class _Vector(Strict):
-    columns: dict[Literal["d", "q"], Column]
     scaling: Scaling = "amplitude_invariant"
     factor: NotZero = 1.0
     """What the columns are multiplied by to be in `unit`."""
+
+
+class CurrentAngle(Strict):
+    """The direction of a current that is given by its amplitude and angle."""
+
+    unit: AngleUnit
+    zero: Literal["d", "q"] = "d"
+    """The axis at angle zero. It counts from d to q, and on to -d: from q it is the phase advance."""
+    factor: NotZero = 1.0
+    """-1 where the angle counts the other way."""
+
+
+class MappedCurrent(_Vector):
+    """Currents, on the axes or as a vector's amplitude and angle."""
+
+    columns: dict[Literal["d", "q", "amplitude", "angle"], Column]
+    unit: CurrentUnit
+    angle: CurrentAngle | None = None
+
+    @model_validator(mode="after")
+    def _both(self) -> Self:
+        if set(self.columns) not in ({"d", "q"}, {"amplitude", "angle"}):
+            said = ", ".join(self.columns) or "none"
+            raise ValueError(f"expected columns for d and q, or for amplitude and angle, got {said}")
+        if ("angle" in self.columns) != (self.angle is not None):
+            raise ValueError("columns amplitude and angle go with angle, such as {unit: deg, zero: q}")
+        return self
+
+
+class MappedFlux(_Vector):
+    """Flux linkages."""
+
+    columns: dict[Literal["d", "q"], Column]
+    unit: FluxUnit
 
     @model_validator(mode="after")
     def _both(self) -> Self:
@@ -41,24 +82,21 @@ class _Vector(Strict):
         return self
 
 
-class MappedCurrent(_Vector):
-    """Currents."""
-
-    unit: CurrentUnit
-
-
-class MappedFlux(_Vector):
-    """Flux linkages."""
-
-    unit: FluxUnit
-
-
 class MappedTorque(Strict):
     """Torque that was measured, or computed otherwise than from the flux linkages."""
 
     column: Column
     unit: TorqueUnit
     factor: NotZero = 1.0
+
+
+class MappedRotorAngle(Strict):
+    """The rotor angle over which the tables go: the map is their mean."""
+
+    column: Column
+    unit: AngleUnit
+    mechanical: bool = False
+    """Whether it is the shaft's: the motor's pole pairs times it is the electrical one."""
 
 
 class MapMapping(Strict):
@@ -71,15 +109,29 @@ class MapMapping(Strict):
     current: MappedCurrent
     flux: MappedFlux
     torque: MappedTorque | None = None
+    rotor_angle: MappedRotorAngle | None = None
+    axes: tuple[Literal["d", "q", "amplitude", "angle", "theta"], ...] | None = None
+    """What the dimensions of the tables are, rows first, where their lengths do not tell; theta is the rotor angle."""
     magnet_axis: Literal["d", "-q"] = "d"
     """Where the file's axes have the magnet; -q are the axes of reluctance machines."""
     motor: ProcedureMotor | None = None
     """For whoever needs the pole pairs; a section of its own, as in a procedure."""
     csv: CsvLayout = CsvLayout()
 
+    @model_validator(mode="after")
+    def _poles_for_the_shaft(self) -> Self:
+        if self.rotor_angle is not None and self.rotor_angle.mechanical and self.motor is None:
+            raise ValueError("rotor_angle: mechanical needs motor, with its pole_pairs")
+        return self
 
-def read_mapped(path: Path) -> tuple[str, dict[str, Array]]:
-    """The columns of the table that a mapping names, in SI units, peak values, magnet on d, by our own names.
+    def names(self) -> list[str]:
+        """The columns, each once."""
+        further = [one.column for one in (self.torque, self.rotor_angle) if one is not None]
+        return list(dict.fromkeys((*self.current.columns.values(), *self.flux.columns.values(), *further)))
+
+
+def read_mapped(path: Path) -> MapFile:
+    """The map in the table that a mapping names, peak values in SI units, magnet on d.
 
     Raises
     ------
@@ -87,22 +139,52 @@ def read_mapped(path: Path) -> tuple[str, dict[str, Array]]:
         One line: file and line, key, what is wrong.
     """
     mapping = _mapping(path)
-    names = [*mapping.current.columns.values(), *mapping.flux.columns.values()]
-    names += [mapping.torque.column] if mapping.torque else []
     table = path.parent / mapping.file
     if not table.is_file():
         raise InputError(str(path), "file", f"no such file: {table}")
+    return read_table_by(table, mapping)
+
+
+def read_table_by(table: Path, mapping: MapMapping) -> MapFile:
+    """The map in a table; raises `InputError`."""
     arrays = _ARRAYS.get(table.suffix.lower())
-    found = read_table(table, names, mapping.csv) if arrays is None else _chosen(table, arrays(table), names)
-    found = _over_axes(str(table), mapping, found)
-    i_d, i_q = _vector(mapping.current, found, FACTORS[mapping.current.unit])
-    psi_d, psi_q = _vector(mapping.flux, found, _factor(mapping.flux.unit))
-    if mapping.magnet_axis == "-q":
-        i_d, i_q, psi_d, psi_q = -i_q, i_d, -psi_q, psi_d
-    columns = {"i_d": i_d, "i_q": i_q, "psi_d": psi_d, "psi_q": psi_q}
+    if arrays is None:
+        return map_of(str(table), mapping, read_table(table, mapping.names(), mapping.csv))
+    content = arrays(table)
+    mapping = mapping if mapping.rotor_angle is not None else _with_rotor_angle(mapping, content)
+    return map_of(str(table), mapping, chosen_arrays(table, content, mapping.names()))
+
+
+def map_of(where: str, mapping: MapMapping, found: Mapping[str, Array]) -> MapFile:
+    """The map that columns make, by a mapping; raises `InputError`."""
+    _require_bounds(where, found)
+    current, flux = mapping.current.columns, mapping.flux.columns
+    tables = [mapping.torque.column] if mapping.torque else []
+    inverse = all(_is_line(found[name]) for name in flux.values()) and not any(
+        found[name].size in {found[other].size for other in flux.values()} for name in current.values()
+    )
+    axes: dict[str, str] = {str(axis): name for axis, name in (flux if inverse else current).items()}
+    tables += (current if inverse else flux).values()
+    if mapping.rotor_angle is not None:
+        axes["theta"] = mapping.rotor_angle.column
+    points, remark = as_points(where, found, axes, tables, lambda columns: _vectors(mapping, columns), mapping.axes)
+    i_dq, psi_dq = _vectors(mapping, points)
+    columns = {"i_d": i_dq[:, 0], "i_q": i_dq[:, 1], "psi_d": psi_dq[:, 0], "psi_q": psi_dq[:, 1]}
     if mapping.torque is not None:
-        columns["torque_nm"] = found[mapping.torque.column] * mapping.torque.factor * _factor(mapping.torque.unit)
-    return "mapped", columns
+        columns[TORQUE] = points[mapping.torque.column] * mapping.torque.factor * _factor(mapping.torque.unit)
+    if inverse:  # where the map does not reach, an inverse table has no current
+        known = np.isfinite(i_dq).all(axis=1)
+        columns = {name: values[known] for name, values in columns.items()}
+    remarks = [] if remark is None else [remark]
+    if mapping.rotor_angle is not None:
+        angle = mapping.rotor_angle
+        pole_pairs = mapping.motor.pole_pairs if angle.mechanical and mapping.motor is not None else 1
+        if not np.isfinite(points[angle.column]).all():
+            raise InputError(where, angle.column, "an angle is not finite")
+        turned_rad = points[angle.column] * FACTORS[angle.unit] * pole_pairs
+        columns, ripple = mean_over_angle(where, columns, turned_rad)
+        remarks.append(ripple)
+    return gridded(where, "mapped", columns, remarks)
 
 
 def _mapping(path: Path) -> MapMapping:
@@ -110,6 +192,10 @@ def _mapping(path: Path) -> MapMapping:
         document: Document = parse_document(read_text(path), str(path))
     except ProcedureError as error:
         raise InputError(error.where, error.field, error.problem) from None
+    if document.data.get("format") == "fluxbench-import":
+        raise InputError(
+            str(path), "format", "the mapping of waveforms, not of a flux map: `fluxbench import` reads it"
+        )
     try:
         return MapMapping.model_validate_json(json.dumps(document.data), strict=True)
     except ValidationError as error:
@@ -117,8 +203,14 @@ def _mapping(path: Path) -> MapMapping:
     raise InputError(document.place(problem.path), ".".join(map(str, problem.path)), problem.text)
 
 
-def _chosen(path: Path, content: Mapping[str, Any], names: Sequence[str]) -> dict[str, Array]:
-    """Arrays by name; ``motor.psi_d`` is a field of a struct."""
+def _require_bounds(where: str, found: Mapping[str, Array]) -> None:
+    for name, values in found.items():
+        if np.isinf(values).any() or not np.all(np.abs(values[np.isfinite(values)]) < _LARGEST):
+            raise InputError(where, name, "beyond what can be a motor's")
+
+
+def chosen_arrays(path: Path, content: Mapping[str, Any], names: Sequence[str]) -> dict[str, Array]:
+    """Arrays by name; ``motor.psi_d`` is a field of a struct. Raises `InputError` where one is not there."""
     found: dict[str, Array] = {}
     for name in names:
         here: Any = content
@@ -131,26 +223,52 @@ def _chosen(path: Path, content: Mapping[str, Any], names: Sequence[str]) -> dic
     return found
 
 
-def _over_axes(where: str, mapping: MapMapping, found: dict[str, Array]) -> dict[str, Array]:
-    """Arrays of one shape: currents that are axes become tables, as the fluxes are."""
-    d, q = (mapping.current.columns[axis] for axis in ("d", "q"))
-    flux = found[mapping.flux.columns["d"]]
-    axes = found[d].ravel(), found[q].ravel()
-    if found[d].shape == flux.shape:
-        return found
-    if flux.ndim != 2 or sorted(flux.shape) != sorted(map(len, axes)):
-        sizes = f"{found[d].shape}, {found[q].shape} and {flux.shape}"
-        raise InputError(where, f"{d}, {q}", f"currents and fluxes of shapes {sizes} do not go together")
-    rows_along_d = flux.shape == (len(axes[0]), len(axes[1]))
-    if rows_along_d and len(axes[0]) == len(axes[1]):
-        raise InputError(where, f"{d}, {q}", "axes of one length do not tell the rows from the columns: give tables")
-    i_d, i_q = np.meshgrid(*axes, indexing="ij" if rows_along_d else "xy")
-    return found | {d: i_d, q: i_q}
+def _with_rotor_angle(mapping: MapMapping, content: Mapping[str, Any]) -> MapMapping:
+    """The mapping with the rotor angle that tables of three dimensions go over, where the file has one by its name."""
+    table = next((content[name] for name in mapping.flux.columns.values() if name in content), None)
+    if not isinstance(table, np.ndarray) or table.ndim != 3:
+        return mapping
+    sizes = {name: value.size for name, value in content.items() if isinstance(value, np.ndarray) and _is_line(value)}
+    name = roles_of_map(
+        [name for name, size in sizes.items() if size in table.shape and name not in mapping.names()]
+    ).theta
+    if name is None:
+        problem = f"tables of shape {table.shape}: name their third axis, rotor_angle: {{column: NAME, unit: deg}}"
+        raise InputError(mapping.file, "rotor_angle", problem)
+    unit = angle_unit(np.asarray(content[name], dtype=np.float64))
+    return mapping.model_copy(update={"rotor_angle": MappedRotorAngle(column=name, unit=unit)})
 
 
-def _vector(signal: _Vector, found: dict[str, Array], unit: float) -> tuple[Array, Array]:
-    scale = TO_PEAK[signal.scaling] * signal.factor * unit
-    return found[signal.columns["d"]] * scale, found[signal.columns["q"]] * scale
+def angle_unit(values: Array) -> Literal["rad", "deg"]:
+    """Degrees, where angles go beyond a turn in radians."""
+    return "deg" if float(np.nanmax(np.abs(values))) > 2.0 * np.pi + 1e-3 else "rad"
+
+
+def _is_line(values: Array) -> bool:
+    return max(values.shape, default=0) == values.size
+
+
+def _vectors(mapping: MapMapping, columns: Mapping[str, Array]) -> tuple[Array, Array]:
+    """Currents and flux linkages of points on PM axes, shape (n, 2)."""
+    current, flux = mapping.current, mapping.flux
+    if current.angle is None:
+        i_d, i_q = (columns[current.columns[axis]] for axis in ("d", "q"))
+    else:
+        turned = columns[current.columns["angle"]] * current.angle.factor * FACTORS[current.angle.unit]
+        turned = turned + (_QUARTER_RAD if current.angle.zero == "q" else 0.0)
+        amplitude = columns[current.columns["amplitude"]]
+        i_d, i_q = amplitude * np.cos(turned), amplitude * np.sin(turned)
+    i_dq = np.column_stack((i_d, i_q)) * (TO_PEAK[current.scaling] * current.factor * FACTORS[current.unit])
+    psi_dq = np.column_stack([columns[flux.columns[axis]] for axis in ("d", "q")])
+    psi_dq = psi_dq * (TO_PEAK[flux.scaling] * flux.factor * _factor(flux.unit))
+    if mapping.magnet_axis == "d":
+        return i_dq, psi_dq
+    return _turned(i_dq), _turned(psi_dq)
+
+
+def _turned(vectors: Array) -> Array:
+    """From the axes of a reluctance machine to those of a magnet on d."""
+    return np.column_stack((-vectors[:, 1], vectors[:, 0]))
 
 
 def _factor(unit: str) -> float:

@@ -58,6 +58,8 @@ def read_mapping(path: Path) -> MappingFile:
         One line: file and line, key path, what is wrong, the nearest valid name.
     """
     document = _parsed(path)
+    if document.data.get("format") == "fluxbench-map":
+        raise InputError(str(path), "format", "the mapping of a flux map, not of waveforms: `fluxbench audit` reads it")
     for section in ("motor", "drive"):
         if isinstance(document.data.get(section), str):
             _lay_in(document, section, path.parent / document.data[section])

@@ -3,6 +3,8 @@
 What cannot be told is refused with one line; what was written has been imported once before it is handed out.
 """
 
+from orchestrator.importing.guessing._columns import Columns, columns_of
 from orchestrator.importing.guessing._guessing import Guess, guess_mapping
+from orchestrator.importing.guessing._map_names import MapRoles, map_unit, roles_of_map
 
-__all__ = ["Guess", "guess_mapping"]
+__all__ = ["Columns", "Guess", "MapRoles", "columns_of", "guess_mapping", "map_unit", "roles_of_map"]

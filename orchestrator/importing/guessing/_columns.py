@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,9 @@ from orchestrator.importing.guessing._layout import TextLayout, text_layout
 from orchestrator.importing.guessing._units import name_and_unit, unit_of
 from orchestrator.memory import require_memory
 from protocols import InputError
+
+_OF_MAPS = (".npz", ".nc", ".json")
+"""Kinds of files that hold flux maps, and no waveforms."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +54,15 @@ def columns_of(path: Path) -> Columns:
     except Exception as error:  # the libraries have no common base for what a damaged file makes them raise
         said = " ".join(str(error).split())[:200]
         raise InputError(str(path), "", f"cannot be read: {said or type(error).__name__}") from None
-    raise InputError(str(path), "", "--guess knows text, Parquet, MATLAB, HDF5 and TDMS files only")
+    said = "--guess knows text, Parquet, MATLAB, HDF5 and TDMS files only"
+    if ending in _OF_MAPS:
+        said += f"; a flux map is judged by `fluxbench audit {path.name}`"
+    raise InputError(str(path), "", said)
+
+
+def variables_of(names: Sequence[str]) -> list[str]:
+    """The names of variables, each once: ``flux(:,3)`` is a column of ``flux``."""
+    return list(dict.fromkeys(re.sub(r"\(:,\d+\)$", "", name) for name in names))
 
 
 def _with_units(names: list[str], units: dict[str, str], layout: TextLayout | None = None) -> Columns:
@@ -95,6 +107,8 @@ def _in_matlab(name: str, value: Any) -> Iterator[tuple[str, str]]:
             yield name, name
         elif value.ndim == 2:
             yield from ((f"{name}(:,{k + 1})",) * 2 for k in range(value.shape[1]))
+        else:
+            yield name, name
 
 
 def _of_tdms(path: Path) -> Columns:

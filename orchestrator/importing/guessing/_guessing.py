@@ -17,16 +17,16 @@ from orchestrator.importing._source import Numbers, Wanted, whole
 from orchestrator.importing._stamps import Stamps
 from orchestrator.importing._units import FACTORS
 from orchestrator.importing._vectors import angle_rad, vectors
-from orchestrator.importing.guessing._columns import Columns, columns_of
+from orchestrator.importing.guessing._columns import Columns, columns_of, variables_of
+from orchestrator.importing.guessing._map_names import roles_of_map
 from orchestrator.importing.guessing._roles import Roles, Signal, roles_of
+from orchestrator.importing.guessing._rules import MAX_RULES, rules_by_label, rules_by_time
 from orchestrator.importing.guessing._stages import Stretch, stretches_of
 from orchestrator.importing.guessing._units import RMS
 from protocols import InputError, SegmentStage
 
-_MOST_RULES = 40
 _RATES_HZ = (500.0, 2e6)
 """What a measurement of a drive is sampled with."""
-_STAGES = {stage.value for stage in SegmentStage}
 _TIME_UNITS = ("s", "ms", "us", "ns")
 
 
@@ -111,8 +111,12 @@ def guess_mapping(path: Path, motor: dict[str, Any] | None = None) -> Guess:
 def _both(path: Path, columns: Columns, roles: Roles) -> tuple[Signal, Signal]:
     for what, found in (("currents", roles.current), ("voltages", roles.voltage)):
         if found is None:
+            variables = variables_of(columns.names)
+            if roles_of_map(variables).is_map:
+                said = f"looks like a flux map, not like waveforms: `fluxbench audit {path.name}` reads and judges it"
+                raise InputError(str(path), "", said)
             said = f"cannot tell which columns are the {what} by their names; the file has {len(columns.names)}:"
-            named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in columns.names]
+            named = [f"{n} ({columns.called[n]})" if n in columns.called else n for n in variables]
             if columns.names == ["Time", "Ampl"]:
                 said = "a file a channel (LeCroy): lay the others beside it by an entry of files with beside; it has"
             raise InputError(str(path), "", said, named)
@@ -157,6 +161,12 @@ def _say_time(path: Path, lines: _Lines, columns: Columns, roles: Roles, raw: di
         why = f"the file gives the unit; {1.0 / (step * FACTORS[given]):.6g} Hz"
         lines.say("time", {"column": name, "unit": given}, why)
         return
+    if fitting[:1] == ["s"] and len(fitting) > 1:
+        rate = f"{1.0 / step:.6g} Hz"
+        lines.say(
+            "time", {"column": name, "unit": "s"}, f"steps of {step:.6g}: {rate} in s; not in the file", doubt=True
+        )
+        return
     if step == 1.0 or len(fitting) != 1:
         said = f"steps of {step:g} may be {' or '.join(fitting)}" if fitting else f"steps of {step:g} are no time"
         raise InputError(str(path), name, f"{said}; the unit of time cannot be told")
@@ -178,7 +188,9 @@ def _say_bus(
     if voltage.is_duty:
         raise InputError(str(path), "", "duties without a column of the bus voltage: their volts cannot be told")
     unit_v = FACTORS.get(columns.units.get(next(iter(voltage.columns.values())), "V"), 1.0)
-    largest = max(float(np.nanmax(np.abs(raw[x]))) for x in voltage.columns.values()) * unit_v
+    values = np.stack([raw[name] for name in voltage.columns.values()])
+    is_vector = voltage.frame in ("alpha_beta", "dq")
+    largest = float(np.nanmax(np.hypot(*values) if is_vector else np.abs(values))) * unit_v
     why = "not in the file: twice the largest voltage stands here; give the true one"
     lines.say("drive", {"name": "unknown", "dc_bus_voltage_v": float(f"{2.0 * largest:.2g}") or 1.0}, why, doubt=True)
 
@@ -233,11 +245,10 @@ def _say_angle(
 
 
 def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
-    label = roles.one.get("label")
-    if label is not None:
-        lines.say("segment_column", label, "the name: labels say where segments begin")
     lines.say("split_at_gaps", True, "where samples are missing a segment ends")
-    mapping = ImportMapping.model_validate({**lines.data, "segments": [{"stage": "classical"}]})
+    label = roles.one.get("label")
+    labelled = {} if label is None else {"segment_column": label}
+    mapping = ImportMapping.model_validate({**lines.data, **labelled, "segments": [{"stage": "classical"}]})
     block = whole(path, open_source(path, mapping))
     time_s = Stamps().seconds(mapping, block, 0)
     good = np.all([np.isfinite(x) for x in (time_s, *block.numbers.values())], axis=0)
@@ -252,49 +263,41 @@ def _say_segments(path: Path, lines: _Lines, roles: Roles) -> None:
         said = f"the current turns {found[0]:.0f} times at {found[1]:.4g} Hz, and no column is the rotor's angle"
         raise InputError(str(path), "", said)
     angle = mapping.rotor_angle
-    if angle.column is not None and np.ptp(np.unwrap(angle_rad(angle, columns, pairs))) > 6.0 * np.pi:
-        lines.say_rules([({"stage": SegmentStage.SPIN.value}, f"{angle.column} goes round more than three times")])
-        return
+    is_spin = angle.column is not None and np.ptp(np.unwrap(angle_rad(angle, columns, pairs))) > 6.0 * np.pi
     largest = float(np.max(np.hypot(*i.T))), float(np.max(np.hypot(*v.T)))
-    if label is None or block.labels is None:
-        lines.say_rules(_by_time(path, stretches_of(time_s, i, v, largest)))
-        return
-    labels = np.array(block.labels.names, dtype=object)[block.labels.codes][good]
-    rules: list[tuple[dict[str, Any], str]] = []
-    for one in dict.fromkeys(labels.tolist()):
-        rows = labels == one
-        if one in _STAGES:
-            rules.append(({"label": one, "stage": one}, "the label says so"))
-            continue
-        found_here = stretches_of(time_s[rows], i[rows], v[rows], largest) if np.count_nonzero(rows) > 20 else []
-        longest = max(found_here, key=lambda s: s.end_s - s.start_s, default=None)
-        if longest is not None:
-            rules.append(({"label": one, "stage": longest.stage.value}, _why(longest)))
-    if len(rules) > _MOST_RULES:
-        raise InputError(str(path), label, f"has {len(rules)} different labels: which belong together cannot be told")
-    lines.say_rules(rules)
+    by_label: dict[str, Stretch | None] = {}
+    if label is not None and block.labels is not None:
+        codes = block.labels.codes[good]
+        present = np.unique(codes)
+        if present.size > MAX_RULES:
+            lines.doubts.append(
+                f"{label}: {present.size} different values are no labels of experiments: waveforms tell them"
+            )
+            label = None
+        else:
+            lines.say("segment_column", label, "the name: labels say where segments begin")
+            order = sorted(present.tolist(), key=lambda code: int(np.argmax(codes == code)))
+            by_label = {block.labels.names[code]: _longest(time_s, i, v, codes == code, largest) for code in order}
+    if is_spin:
+        lines.say_rules([({"stage": SegmentStage.SPIN.value}, f"{angle.column} goes round more than three times")])
+    elif label is not None and by_label:
+        lines.say_rules(rules_by_label(by_label))
+    else:
+        lines.say_rules(rules_by_time(_stretches(path, stretches_of(time_s, i, v, largest))))
 
 
-def _by_time(path: Path, found: list[Stretch]) -> list[tuple[dict[str, Any], str]]:
-    if len(found) > _MOST_RULES:
-        said = f"what is done changes {len(found) - 1} times; a column of labels would tell segments apart"
-        raise InputError(str(path), "", said)
-    rules = []
-    for k, one in enumerate(found):
-        span = {} if k == 0 else {"from_s": round(one.start_s, 6)}
-        span |= {} if k == len(found) - 1 else {"to_s": round(found[k + 1].start_s, 6)}
-        rules.append(({"stage": one.stage.value, **span}, _why(one)))
-    return rules
+def _longest(time_s: Numbers, i: Numbers, v: Numbers, rows: Any, largest: tuple[float, float]) -> Stretch | None:
+    """What was done for the longest time in the rows of one label."""
+    found = stretches_of(time_s[rows], i[rows], v[rows], largest) if np.count_nonzero(rows) > 20 else []
+    return max(found, key=lambda one: one.end_s - one.start_s, default=None)
 
 
-def _why(one: Stretch) -> str:
-    return {
-        SegmentStage.GATES_OFF: "no voltage at all",
-        SegmentStage.RESISTANCE: "currents that stand still",
-        SegmentStage.CLASSICAL: "currents that move slowly",
-        SegmentStage.INJECTION: f"the voltage has a line near {one.injected_hz or 0.0:.0f} Hz",
-        SegmentStage.STEPS: "the voltage goes between plus and minus of one size",
-    }[one.stage]
+def _stretches(path: Path, found: list[Stretch]) -> list[Stretch]:
+    if len(found) > MAX_RULES:
+        said = f"what is done changes {len(found) - 1} times, which is no log of experiments"
+        wanted = "a column with one label for each kind of experiment (holds, sweeps, injections) would tell them apart"
+        raise InputError(str(path), "", f"{said}; {wanted}")
+    return found
 
 
 def _try(path: Path, lines: _Lines) -> None:

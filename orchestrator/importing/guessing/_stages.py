@@ -50,22 +50,29 @@ def stretches_of(time_s: Numbers, i_ab: Numbers, v_ab: Numbers, largest: tuple[f
             stage, hz = _stage(i[start:stop], v[start:stop], period_s, *largest)
             windows.append(Stretch(stage, float(time_s[start]), float(time_s[stop - 1]) + period_s, hz))
         found += _without_rests(_merged(windows))
-    return [part for run in _joined(found) for part in _by_current(run, time_s, i, largest[0])]
+    return [part for run in _joined(found) for part in _by_current(run, time_s, i, largest[0], time_s[gaps])]
 
 
-def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float) -> list[Stretch]:
-    """A stretch of holds or of injections as one for each current; the way to one belongs to it."""
+def _by_current(run: Stretch, time_s: Numbers, i: Complex, largest_a: float, resumed_s: Numbers) -> list[Stretch]:
+    """A stretch of holds or of injections as one for each current; the way to one belongs to it.
+
+    `resumed_s` are the times after gaps: where one lies in a window with a change, the change is there.
+    """
     if run.stage not in (SegmentStage.RESISTANCE, SegmentStage.INJECTION):
         return [run]
     first, last = np.searchsorted(time_s, [run.start_s, run.end_s])
-    samples = max(20, int(_WINDOW_S / float(np.median(np.diff(time_s)))))
+    period_s = float(np.median(np.diff(time_s)))
+    samples = max(20, int(_WINDOW_S / period_s))
     starts = np.arange(first, max(last - samples + 1, first + 1), samples)
     means = np.add.reduceat(i[first:last], starts - first) / np.diff(np.append(starts, last))
     jumps = np.abs(np.diff(means)) > _SAME_CURRENT * largest_a
     # Of a way that takes several windows, its begin.
     begins = np.flatnonzero(jumps & ~np.concatenate([[False], jumps[:-1]])) + 1
     edges = [run.start_s]
-    for at in time_s[starts[begins]].tolist():
+    for begin in begins.tolist():
+        ends = time_s[starts[max(begin - 1, 0)]], time_s[min(starts[begin] + samples, time_s.size - 1)]
+        near = resumed_s[(resumed_s > ends[0]) & (resumed_s <= ends[1])]
+        at = float(near[0] if near.size else time_s[starts[begin]])
         if at - edges[-1] >= _SHORTEST_S and run.end_s - at >= _SHORTEST_S:
             edges.append(at)
     return [replace(run, start_s=a, end_s=b) for a, b in zip(edges, [*edges[1:], run.end_s], strict=True)]

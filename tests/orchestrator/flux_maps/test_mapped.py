@@ -65,6 +65,12 @@ def test_reluctance_axes_are_turned(tmp_path: Path) -> None:
     assert_close(load_map(path).psi_d, m.psi_d, 1e-12)
 
 
+def test_a_mapping_of_waveforms_names_the_command_that_reads_it(tmp_path: Path) -> None:
+    (tmp_path / "log.yaml").write_text("format: fluxbench-import\nversion: 1\n")
+    with pytest.raises(InputError, match="the mapping of waveforms, not of a flux map: `fluxbench import` reads it"):
+        load_map(tmp_path / "log.yaml")
+
+
 @pytest.mark.parametrize(
     ("file", "changes", "message"),
     [
@@ -72,7 +78,7 @@ def test_reluctance_axes_are_turned(tmp_path: Path) -> None:
         ("t.csv", {"d": "Id"}, "Id: no such column; valid: FD, FQ, ID, IQ"),
         ("t.csv", {"ampere": "amps"}, "map.yaml:4: current.unit"),
         ("t.csv", {"more": "torqe: 1\n"}, "torqe"),
-        ("square.npz", {}, "axes of one length do not tell the rows from the columns"),
+        ("square.npz", {}, "axes: neither lengths nor values tell the tables' dimensions: say axes: [d, q] or [q, d]"),
     ],
 )
 def test_a_wrong_mapping_is_one_line(tmp_path: Path, file: str, changes: dict[str, str], message: str) -> None:

@@ -246,3 +246,111 @@ def test_effective_values_are_told_by_their_unit(tmp_path: Path) -> None:
     read = np.concatenate([recording.load(segment).i_ab for segment in recording.segments()])
     np.testing.assert_allclose(read, SOME.i, atol=1e-5)
     assert not any(doubt.startswith("current: scaling") for doubt in guessed.doubts)
+
+
+def test_labels_of_each_point_make_a_rule_for_each_kind(tmp_path: Path) -> None:
+    points = np.repeat(np.arange(60), 300)
+    names = [f"hold-{k:02d}" if k < 50 else f"ripple-{k:02d}" for k in points]
+    n = np.arange(points.size)
+    held = np.where(points < 50, (points - 25.5) / 25.0, 0.5)
+    wave = np.where((points >= 50) & (n // 10 % 2 == 0), 40.0, np.where(points >= 50, -40.0, 0.0))
+    noise = 1e-3 * np.random.default_rng(7).normal(size=(2, n.size))
+    log = {"t": n / 1e4, "i_alpha": held + noise[0], "i_beta": noise[1]}
+    log |= {"u_alpha": 4.0 * held + wave, "u_beta": 0.0 * held}
+    pq.write_table(pa.table(log | {"point": names}), tmp_path / "log.parquet")
+    guessed = guess_mapping(tmp_path / "log.parquet")
+    assert "{label: hold-*, stage: resistance}  # 50 labels: currents that stand still" in guessed.text
+    assert "{label: ripple-*, stage: injection}  # 10 labels" in guessed.text
+    (tmp_path / "m.yaml").write_text(guessed.text)
+    import_files(tmp_path / "m.yaml", [tmp_path / "log.parquet"], tmp_path / "out")
+    assert len(open_recording(tmp_path / "out").segments()) == 60
+
+
+def holds(count: int, pause_s: float) -> dict[str, Numbers]:
+    """Holds of 0.3 s at currents that go down and up again."""
+    points = np.repeat(np.arange(count), 600)
+    held = 0.1 + np.abs(points - count // 2) / count
+    t = np.arange(points.size) / 2e3 + pause_s * points
+    noise = 1e-3 * np.random.default_rng(8).normal(size=(2, t.size))
+    return {"t": t, "i_alpha": held + noise[0], "i_beta": noise[1], "u_alpha": 4.0 * held, "u_beta": 0.0 * held}
+
+
+@pytest.mark.parametrize("pause_s", [0.0, 1.0])
+def test_many_holds_without_labels_are_found_one_by_one(tmp_path: Path, pause_s: float) -> None:
+    log = holds(25, pause_s)
+    many = {name: np.concatenate([x, x]) for name, x in log.items()}
+    many["t"][log["t"].size :] += log["t"][-1] + pause_s + 1.0
+    pq.write_table(pa.table(many), tmp_path / "log.parquet")
+    (tmp_path / "m.yaml").write_text(guess_mapping(tmp_path / "log.parquet").text)
+    report = import_files(tmp_path / "m.yaml", [tmp_path / "log.parquet"], tmp_path / "out")
+    assert [report.segments, report.samples] == [50, many["t"].size]
+
+
+def test_numbers_that_are_no_labels_are_not_taken_for_them(tmp_path: Path) -> None:
+    log = holds(10, 1.0)
+    pq.write_table(pa.table(log | {"state": np.arange(log["t"].size)}), tmp_path / "log.parquet")
+    guessed = guess_mapping(tmp_path / "log.parquet")
+    assert "segment_column" not in guessed.text
+    assert any("6000 different values are no labels of experiments" in doubt for doubt in guessed.doubts)
+
+
+def test_a_log_that_changes_all_the_time_wants_a_label_for_each_kind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("orchestrator.importing.guessing._guessing.MAX_RULES", 5)
+    pq.write_table(pa.table(holds(10, 1.0)), tmp_path / "log.parquet")
+    with pytest.raises(InputError, match="one label for each kind of experiment \\(holds, sweeps, injections\\)"):
+        guess_mapping(tmp_path / "log.parquet")
+
+
+def test_a_millisecond_without_a_unit_is_in_seconds_and_doubted(tmp_path: Path) -> None:
+    log = holds(10, 0.0)
+    log["t"] = 2.0 * log["t"]
+    pq.write_table(pa.table(log), tmp_path / "log.parquet")
+    guessed = guess_mapping(tmp_path / "log.parquet")
+    assert "time: {column: t, unit: s}" in guessed.text
+    assert "time: steps of 0.001: 1000 Hz in s; not in the file" in guessed.doubts
+
+
+def flux_table(path: Path) -> Path:
+    path.write_text("i_d_A,i_q_A,psi_d_Vs,psi_q_Vs\n0,0,0.1,0\n1,0,0.2,0\n")
+    return path
+
+
+def flux_arrays(path: Path) -> Path:
+    scipy.io.savemat(path, {"Id_Peak": np.eye(3), "Iq_Peak": np.eye(3), "Flux_D": np.eye(3), "Flux_Q": np.eye(3)})
+    return path
+
+
+def flux_over_angles(path: Path) -> Path:
+    scipy.io.savemat(
+        path, {"id": np.arange(3.0), "iq": np.arange(3.0), "psid": np.ones((3, 3, 4)), "psiq": np.ones((3, 3, 4))}
+    )
+    return path
+
+
+@pytest.mark.parametrize(
+    ("name", "write"), [("m.csv", flux_table), ("m.mat", flux_arrays), ("angles.mat", flux_over_angles)]
+)
+def test_a_flux_map_is_known_and_audit_named(tmp_path: Path, name: str, write: Any) -> None:
+    with pytest.raises(InputError, match=f"looks like a flux map, not like waveforms: `fluxbench audit {name}`"):
+        guess_mapping(write(tmp_path / name))
+
+
+def test_a_kind_of_file_that_holds_maps_only_names_audit(tmp_path: Path) -> None:
+    np.savez(tmp_path / "m.npz", psi=np.zeros(3))
+    with pytest.raises(InputError, match=r"a flux map is judged by `fluxbench audit m\.npz`"):
+        guess_mapping(tmp_path / "m.npz")
+
+
+def test_the_mapping_of_a_map_is_not_imported(tmp_path: Path) -> None:
+    (tmp_path / "m.yaml").write_text("format: fluxbench-map\nversion: 1\n")
+    with pytest.raises(InputError, match="the mapping of a flux map, not of waveforms: `fluxbench audit` reads it"):
+        import_files(tmp_path / "m.yaml", [flux_table(tmp_path / "m.csv")], tmp_path / "out")
+
+
+def test_variables_of_many_columns_are_listed_once(tmp_path: Path) -> None:
+    scipy.io.savemat(tmp_path / "m.mat", {"x": np.ones((5, 40)), "t": np.arange(5.0)})
+    with pytest.raises(InputError, match="cannot tell which columns are the currents") as caught:
+        guess_mapping(tmp_path / "m.mat")
+    assert list(caught.value.choices) == ["x", "t"]
