@@ -19,6 +19,7 @@ from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
+    in_better_form,
     in_own_forms,
     joint_search,
     log_bayes_factors,
@@ -130,14 +131,7 @@ def without_needless_scatter(
     if not doubting.fitter.noise.of_model.scatters:
         return setup, doubting, fit
     plain = setup.with_noise(ModelNoise()) if setup.fitter.noise.of_model.scatters else setup
-    start = plain.coarse_fitter.renewed(model or fit.model)
-    if start.objective - plain.coarse_fitter.promise(start) >= fit.objective:
-        # Not even if all that it promises were to come.
-        plain.coarse_fitter.trace.record(
-            "noise", before=fit, after=start, taken=False, note="variance components are needed, to first order"
-        )
-        return setup, doubting, fit
-    alone = in_own_forms(plain.coarse_fitter, start)
+    alone = in_own_forms(plain.coarse_fitter, plain.coarse_fitter.renewed(model or fit.model))
     near = plain.prepared.criteria.selection.near_enough * fit.chi2_per_dof
     if alone.objective >= fit.objective and alone.chi2_per_dof < near:
         # From far off a descent may end on its way: its steps have become short.
@@ -272,7 +266,7 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     if fit.frame.noise is not setup.coarse_fitter.noise:
         if wider is None:
             # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
-            fit = in_own_forms(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
+            fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
             # And that form had a say in the timer's phases.
             setup, fit = with_timer_without_scatter(setup, fit, library)
             everything = with_everything(fit.model, library)
