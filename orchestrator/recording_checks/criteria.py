@@ -101,3 +101,7 @@ class ConventionCriteria(Strict):
     inverter's loss is most of it, what is left is no R_s."""
     least_scale: float = threshold(1.35, "1", "practice")
     """Ratio to the nameplate, of R and L alike, from which on it is no tolerance's."""
+    hot_winding: float = threshold(1.7, "1", "theory")
+    """Ratio to the nameplate's R that 100 K of copper (0.39 %/K) and a tolerance of 20 % make."""
+    saturated_iron: float = threshold(2.5, "1", "theory")
+    """Ratio to the nameplate's L that iron makes which saturates by 60 %."""

@@ -223,7 +223,17 @@ class Responses:
         found = answer(self.survey, few or seen)
         if found is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
             return None
-        return _ratio(found.l_h, 2.0 / (1.0 / motor.d_inductance_h + 1.0 / motor.q_inductance_h))
+        l_h = _exact_inductance(found.l_h, self.resistance_ohm, self.survey.sampling_frequency_hz)
+        return _ratio(l_h, 2.0 / (1.0 / motor.d_inductance_h + 1.0 / motor.q_inductance_h))
+
+
+def _exact_inductance(l_h: float, resistance_ohm: float | None, sampling_frequency_hz: float) -> float:
+    """L of Ts / L' = (1 - exp(-R Ts / L)) / R, with L' the voltage over the current's slope within a sample.
+
+    L' itself where R is not known, or where the current has settled within the sample.
+    """
+    settled = (resistance_ohm or 0.0) / (sampling_frequency_hz * l_h)
+    return l_h * settled / -math.log1p(-settled) if 0.0 < settled < 1.0 else l_h
 
 
 def _ratio(value: float | None, unit: float | None) -> float | None:
