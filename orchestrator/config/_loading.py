@@ -13,8 +13,8 @@ from typing import Any
 from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
+from orchestrator._quantities import read_quantities
 from orchestrator._validation import KeyPath, first_problem, suggestion
-from orchestrator.config._units import read_quantities
 from orchestrator.plain_files import read_text
 from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
