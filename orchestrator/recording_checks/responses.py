@@ -113,12 +113,17 @@ class Answer:
     l_h: float
 
 
-def answer(survey: Survey, injections: Sequence[Sighting]) -> Answer | None:
+def answer(survey: Survey, injections: Sequence[Sighting], most_lags: int | None = None) -> Answer | None:
     """Of some injections; None where there is nothing that shows it.
 
     A wave tells as many lags apart as half its period has samples, a sine two: there are fewer where it must be.
+
+    Parameters
+    ----------
+    most_lags : int, optional
+        Lags before and after the declared delay; None: as the criteria have it.
     """
-    for reach in range(survey.criteria.delay_lags, -1, -1):
+    for reach in range(survey.criteria.delay_lags if most_lags is None else most_lags, -1, -1):
         found = _answer(survey, injections, np.arange(-reach, reach + 1, dtype=np.int64))
         if found is not None:
             return found
@@ -220,7 +225,8 @@ class Responses:
         """Inductance over the nameplate's, both of the mean of 1/L; by the least currents, where little saturates."""
         motor, seen = self.survey.manifest.motor, self.survey.injections
         few = [s for s in seen if abs(s.mean_i) < self.survey.criteria.least_set_point * self.survey.reach_a]
-        found = answer(self.survey, few or seen)
+        # Where the current settles within a few samples, more lags would take its way there from r.
+        found = answer(self.survey, few or seen, most_lags=1)
         if found is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
             return None
         l_h = _exact_inductance(found.l_h, self.resistance_ohm, self.survey.sampling_frequency_hz)
