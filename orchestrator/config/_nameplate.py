@@ -189,7 +189,7 @@ RELATIONS = (
         lambda _: 1.0,
         "power factor times efficiency are 0.35 to 1",
         low=0.35,
-        high=1.1,
+        high=1.2,
         usual=0.8,
         spread=0.2,
     ),
@@ -232,7 +232,7 @@ RELATIONS = (
         usual=1.0,
         spread=0.6,
     ),
-    _reactance_drop("d", 0.25, 1.3),
+    _reactance_drop("d", 0.25, 1.5),
     # How q's spreads goes with d's: the next relation has what it does beside it.
     _reactance_drop("q", 0.35, math.inf),
     Relation(
@@ -241,8 +241,8 @@ RELATIONS = (
         lambda v: v["q_inductance_h"] / v["d_inductance_h"],
         "",
         lambda _: 1.0,
-        "across the magnet (q) it is 0.9 to 8 times that along it (d)",
-        low=0.9,
+        "across the magnet (q) it is 0.85 to 8 times that along it (d)",
+        low=0.85,
         high=8.0,
         usual=1.4,
         spread=0.7,
