@@ -14,7 +14,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from protocols import Procedure, Stage
+from protocols import Motor, Procedure, Stage
 
 Numbers = NDArray[np.floating[Any]]
 Range = tuple[float, float]
@@ -35,6 +35,18 @@ MOTOR_RANGES: Mapping[str, Range] = {
     "pm_flux_wb": (0.0, 100.0),
 }
 """In the fields' own units: from the smallest watch's motor to the largest ship's, and some decades more."""
+_OF_INDUCTANCE = (("mH", 1e-3), ("uH", 1e-6))
+OTHER_UNITS: Mapping[str, Sequence[tuple[str, float]]] = {
+    "d_inductance_h": _OF_INDUCTANCE,
+    "q_inductance_h": _OF_INDUCTANCE,
+    "stator_resistance_ohm": (("milliohm", 1e-3),),
+    "pm_flux_wb": (("mWb", 1e-3),),
+    "rated_power_w": (("kW", 1e3),),
+    "rated_voltage_rms_v": (("kV", 1e3),),
+    "rated_current_rms_a": (("mA", 1e-3),),
+    "rated_torque_nm": (("mNm", 1e-3),),
+}
+"""Units that a nameplate's values are written in by mistake, and how many of the field's own they are."""
 DRIVE_RANGES: Mapping[str, Range] = {
     "sampling_frequency_hz": (1.0, 1e6),
     "pwm_frequency_hz": (100.0, 1e6),
@@ -108,7 +120,7 @@ def implausible(
 ) -> Iterator[tuple[tuple[str | int, ...], str]]:
     """Key path and problem of every number in a procedure that cannot be meant; no time of a stage is above a day."""
     for name, problem in outside(procedure.motor.model_dump(), MOTOR_RANGES, "no motor has that"):
-        yield ("motor", name), problem
+        yield ("motor", name), problem + _other_unit(name, procedure.motor)
     for name, problem in outside(procedure.drive.options, DRIVE_RANGES, "no drive does that"):
         yield ("drive", name), problem
     for index, stage in enumerate(stages):
@@ -118,6 +130,20 @@ def implausible(
                 yield ("stages", index, name), f"{value:g} rad is more than two turns: {degrees}"
             if name.endswith("_s") and isinstance(value, float) and value > longest_s:
                 yield ("stages", index, name), f"{value:g} s is more than a day"
+
+
+def _other_unit(name: str, motor: Motor) -> str:
+    """The unit that would take a nameplate's value into its range, as a question; empty where none does."""
+    value = getattr(motor, name)
+    fitting = (
+        (unit, factor) for unit, factor in OTHER_UNITS.get(name, ()) if within(factor * value, MOTOR_RANGES[name])
+    )
+    unit, factor = next(fitting, ("", 0.0))
+    if not unit:
+        return ""
+    ohm, si = motor.stator_resistance_ohm, name.rpartition("_")[2]
+    time_constant = f" (L / R = {value / ohm:.3g} s)" if si == "h" and ohm else ""
+    return f"{time_constant}: is it in {unit}? Then write {factor * value:.4g}"
 
 
 def rms(x: Numbers) -> float:

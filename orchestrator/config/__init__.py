@@ -3,8 +3,8 @@
 from orchestrator.config._checking import PlanSummary, StageRow, check_plan, check_point
 from orchestrator.config._loading import LoadedProcedure, MotorFile, load_motor, load_procedure, read_procedure
 from orchestrator.config._loads import nominal_ripple_a
-from orchestrator.config._nameplate import nameplate_doubts
 from orchestrator.config._planning import Plan, PlannedPoint, make_plan
+from orchestrator.config._slips import nameplate_doubts
 
 __all__ = [
     "LoadedProcedure",

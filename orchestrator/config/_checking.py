@@ -6,14 +6,17 @@ import math
 from collections.abc import Sequence
 
 from orchestrator.config._loads import Load, load_of
-from orchestrator.config._nameplate import nameplate_doubts
 from orchestrator.config._planning import Plan, PlannedPoint
 from orchestrator.config._requirements import Requirements
+from orchestrator.config._slips import nameplate_doubts
+from orchestrator.presentation.quantities import quantity
 from orchestrator.stages import NOMINAL_SAMPLING_HZ
-from protocols import Capabilities, CapabilityError, Point, Strict
+from protocols import Capabilities, CapabilityError, Motor, Point, Strict
 
 _COPPER = 3 / 2
 _OVERLOAD = 1.25
+_ROUNDING = 0.02
+"""By which rounded numbers that are the same may differ."""
 LONGEST_RUN_S = 7 * 86_400.0
 _BYTES_PER_ROW = 11.0
 """Of a capture with a sensor's noise in it: measured 8 to 14."""
@@ -120,9 +123,11 @@ def _summary(plan: Plan, loads: Sequence[Load], capabilities: Capabilities | Non
         stages=tuple(rows),
         notes=(
             *nameplate_doubts(plan.procedure.motor),
+            *_limit_notes(plan),
             *plan.notes,
             *_heat_notes(plan, rms),
             *(capabilities.notes if capabilities else ()),
+            *_measurable_notes(plan.procedure.motor),
         ),
     )
 
@@ -177,6 +182,32 @@ def _check_totals(plan: Plan, summary: PlanSummary) -> None:
             f"the plan dissipates {summary.energy_j:.0f} J, {limits.energy_j:g} J are allowed; "
             f"stages.{hottest.index} ({hottest.stage}) dissipates {hottest.energy_j:.0f} J of it",
         )
+
+
+def _measurable_notes(motor: Motor) -> list[str]:
+    """What is measured between two terminals if R and L are right: no other number of a nameplate shows that they are.
+
+    Data sheets often state them so, twice those of a phase of the star.
+    """
+    ohm, henry = motor.stator_resistance_ohm, motor.d_inductance_h
+    read = [
+        *([] if ohm is None else [f"an ohmmeter should read {quantity(2.0 * ohm, 'Ω')}"]),
+        *([] if henry is None else [f"a bridge {quantity(2.0 * henry, 'H')} with the magnet along them"]),
+    ]
+    if not read:
+        return []
+    between = f"motor: R and L are of a phase, so that between two terminals {' and '.join(read)}"
+    return [f"{between}; if the data sheet states that, halve it"]
+
+
+def _limit_notes(plan: Plan) -> list[str]:
+    """A current limit that ends below the rated current, as a peak."""
+    rated, limit = plan.procedure.motor.rated_current_a, plan.procedure.limits.current_a
+    if rated is None or limit >= (1.0 - _ROUNDING) * rated:
+        return []
+    below = f"limits.current_a: {limit:.4g} A is below the rated current's peak of {rated:.4g} A"
+    is_rms = abs(math.sqrt(2.0) * limit / rated - 1.0) <= _ROUNDING
+    return [f"{below}: is it the rms value?" if is_rms else f"{below}: the map will not reach the rated current"]
 
 
 def _heat_notes(plan: Plan, rms: float) -> list[str]:

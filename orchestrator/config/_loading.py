@@ -13,8 +13,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from orchestrator._document import Document, apply_override, parse_document
+from orchestrator._quantities import read_quantities
 from orchestrator._validation import KeyPath, first_problem, suggestion
-from orchestrator.config._units import read_quantities
+from orchestrator.config._slips import nameplate_questions
 from orchestrator.plain_files import read_text
 from orchestrator.plausibility import implausible
 from orchestrator.registry import PluginKind, installed
@@ -53,7 +54,10 @@ class LoadedProcedure:
 
     @contextmanager
     def naming_its_places(self) -> Iterator[None]:
-        """Errors that know the procedure by its name alone are told with file and line of what they are about."""
+        """Errors that know the procedure by its name alone are told with file and line of what they are about.
+
+        A plan is scaled by the nameplate: where that has a likely slip, it is asked for beside what is refused.
+        """
         try:
             yield
         except InputError as error:
@@ -61,7 +65,8 @@ class LoadedProcedure:
             if prefix is None:
                 raise
             field = prefix + error.field
-            raise type(error)(self.document.place_of(field), field.rstrip("."), error.problem) from None
+            problem = "; ".join((error.problem, *nameplate_questions(self.procedure.motor)))
+            raise type(error)(self.document.place_of(field), field.rstrip("."), problem) from None
 
 
 def load_procedure(

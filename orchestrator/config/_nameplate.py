@@ -1,18 +1,20 @@
-"""A nameplate held against itself: which of its numbers contradict each other, and which slip would explain that.
+"""A nameplate held against itself: which of its numbers contradict each other, and which slips would explain that.
 
 With p pole pairs, omega = 2 pi f, I and V the rated current and phase voltage (peak) of a star:
-n = 60 f / p, P = 2 pi n T / 60, T = 3/2 p (psi i_q + (L_d - L_q) i_d i_q) at most over all angles of I,
-and omega psi, R I and omega L I are what a motor leaves of V. Bounds are wide where motors differ.
+n = 60 f / p, P = 2 pi n T / 60 = 3/2 V I times power factor and efficiency,
+T = 3/2 p (psi i_q + (L_d - L_q) i_d i_q) at most over all angles of I, and what omega psi, R I and omega L I come to
+is V. Bounds are wide where motors differ.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
 
+from orchestrator.numerics.types import Array
 from protocols import Motor
 
 Values = Mapping[str, float]
@@ -25,56 +27,59 @@ class Relation:
     Attributes
     ----------
     words : str
-        How it is written; fields in braces are put in.
+        How its left side is written; fields in braces are put in.
     given : tuple of str
         The fields that it needs.
     computed : callable
         Its left side, of the values.
-    beside : str or None
-        The field that it should be; None: the rated phase voltage, peak.
     unit : str
+    reference : callable
+        Its right side.
+    reference_words : str
+        How that is written.
     low, high : float
         Of the left side over the right one, as far as motors go.
+    usual : float
+        The same of most motors.
+    spread : float
+        Standard deviation of its natural logarithm, over motors.
     """
 
     words: str
     given: tuple[str, ...]
     computed: Callable[[Values], float]
-    beside: str | None
     unit: str
+    reference: Callable[[Values], float]
+    reference_words: str
     low: float
     high: float
+    usual: float
+    spread: float
 
     def holds(self, values: Values) -> bool:
         """Also where a value is missing."""
-        if any(name not in values for name in (*self.given, self._stated)):
-            return True
-        return self.low <= self.computed(values) / self._right(values) <= self.high
+        return not self._applies(values) or self.low <= self._ratio(values) <= self.high
 
-    def said(self, values: Values) -> str:
-        """The numbers of both sides."""
-        left = self.words.format_map({name: f"{value:.4g}" for name, value in values.items()})
-        right = f"{self._stated} is {values[self._stated]:.4g}"
-        if self.beside is None:
-            right = f"{right}, {self._right(values):.4g} V peak in a phase"
-        return f"{left} = {self.computed(values):.4g} {self.unit}, and {right}"
+    def mismatch(self, values: Values) -> float:
+        """Square of the distance from the usual ratio, in spreads; nil where a value is missing."""
+        if not self._applies(values):
+            return 0.0
+        return (math.log(max(self._ratio(values), 1e-12) / self.usual) / self.spread) ** 2
 
-    @property
-    def _stated(self) -> str:
-        return self.beside or "rated_voltage_rms_v"
+    def describe(self, values: Values, derived: Collection[str] = ()) -> str:
+        """The numbers of both sides; a field that was `derived` from others is said to be."""
+        stated = self.reference_words
+        for name in derived:
+            stated = stated.replace(f"{name} is ", f"{name} by the others is ")
+        written = {name: f"{value:.4g}" for name, value in values.items()}
+        left, right = (text.format_map(written) for text in (self.words, stated))
+        return f"{left} = {self.computed(values):.4g}{self.unit and ' ' + self.unit}, and {right}"
 
-    def _right(self, values: Values) -> float:
-        return values[self._stated] * (1.0 if self.beside else math.sqrt(2.0 / 3.0))
+    def _applies(self, values: Values) -> bool:
+        return all(name in values for name in self.given)
 
-
-@dataclass(frozen=True)
-class Slip:
-    """A number written in another way than its field has it."""
-
-    fields: tuple[str, ...]
-    factor: float
-    """By which the right number is the written one."""
-    words: str
+    def _ratio(self, values: Values) -> float:
+        return self.computed(values) / self.reference(values)
 
 
 def _omega(values: Values) -> float:
@@ -85,122 +90,219 @@ def _peak_a(values: Values) -> float:
     return math.sqrt(2.0) * values["rated_current_rms_a"]
 
 
-def _largest_torque(values: Values) -> float:
+def _phase_peak_v(values: Values) -> float:
+    return math.sqrt(2.0 / 3.0) * values["rated_voltage_rms_v"]
+
+
+def _torques(values: Values) -> tuple[Array, Array, Array]:
+    """i_d, i_q and the torque over all angles of the rated current, a degree apart, shape (181,)."""
     angle = np.linspace(0.0, math.pi, 181)
     i_d, i_q = _peak_a(values) * np.cos(angle), _peak_a(values) * np.sin(angle)
-    salient = values.get("d_inductance_h", 0.0) - values.get("q_inductance_h", values.get("d_inductance_h", 0.0))
-    return float(np.max(1.5 * values["pole_pairs"] * (values["pm_flux_wb"] + salient * i_d) * i_q))
+    l_d, l_q = _inductances(values)
+    return i_d, i_q, 1.5 * values["pole_pairs"] * (values["pm_flux_wb"] + (l_d - l_q) * i_d) * i_q
 
 
-def _reactance_drop(axis: str) -> Relation:
+def _inductances(values: Values) -> tuple[float, float]:
+    l_d = values.get("d_inductance_h", values.get("q_inductance_h", 0.0))
+    return l_d, values.get("q_inductance_h", l_d)
+
+
+def _needed_voltage(values: Values) -> float:
+    """Phase voltage (peak) for the rated current at the rated frequency, where it makes the most torque."""
+    i_d, i_q, torque = _torques(values)
+    best = int(np.argmax(torque))
+    d, q = float(i_d[best]), float(i_q[best])
+    (l_d, l_q), omega = _inductances(values), _omega(values)
+    r_s = values["stator_resistance_ohm"]
+    return math.hypot(r_s * d - omega * l_q * q, r_s * q + omega * (l_d * d + values["pm_flux_wb"]))
+
+
+def _usual_copper_loss(values: Values) -> float:
+    """What machines lose in copper at the rated point [W]: 20 % of 100 W, and the less of it the larger they are."""
+    power = values["rated_power_w"]
+    return 0.2 * power * float((power / 100.0) ** -0.3)
+
+
+def _beside_voltage(
+    words: str, given: tuple[str, ...], computed: Callable[[Values], float], low: float, high: float, **usual: float
+) -> Relation:
+    stated = "rated_voltage_rms_v is {rated_voltage_rms_v}, {phase_peak_v} V peak in a phase"
+    fields = (*given, "rated_voltage_rms_v")
+    return Relation(words, fields, computed, "V", _phase_peak_v, stated, low, high, **usual)
+
+
+def _reactance_drop(axis: str, usual: float, spread: float) -> Relation:
     field = f"{axis}_inductance_h"
-    return Relation(
+    return _beside_voltage(
         f"2 pi f {{{field}}} H x the peak current",
         ("rated_frequency_hz", field, "rated_current_rms_a"),
         lambda v: _omega(v) * v[field] * _peak_a(v),
-        None,
-        "V",
         0.005,
         5.0,
+        usual=usual,
+        spread=spread,
     )
 
 
 RELATIONS = (
     Relation(
         "60 x {rated_frequency_hz} Hz / {pole_pairs} pole pairs",
-        ("rated_frequency_hz", "pole_pairs"),
+        ("rated_frequency_hz", "pole_pairs", "rated_speed_rpm"),
         lambda v: 60.0 * v["rated_frequency_hz"] / v["pole_pairs"],
-        "rated_speed_rpm",
         "rpm",
-        0.95,
-        1.05,
+        lambda v: v["rated_speed_rpm"],
+        "rated_speed_rpm is {rated_speed_rpm}",
+        low=0.95,
+        high=1.05,
+        usual=1.0,
+        spread=0.015,
     ),
     Relation(
         "{rated_torque_nm} Nm x 2 pi {rated_speed_rpm} rpm / 60",
-        ("rated_torque_nm", "rated_speed_rpm"),
+        ("rated_torque_nm", "rated_speed_rpm", "rated_power_w"),
         lambda v: v["rated_torque_nm"] * 2.0 * math.pi * v["rated_speed_rpm"] / 60.0,
-        "rated_power_w",
         "W",
-        0.8,
-        1.25,
+        lambda v: v["rated_power_w"],
+        "rated_power_w is {rated_power_w}",
+        low=0.8,
+        high=1.25,
+        usual=1.0,
+        spread=0.06,
     ),
     Relation(
         "the largest torque of {pole_pairs} pole pairs, {pm_flux_wb} Wb and {rated_current_rms_a} A rms",
-        ("pole_pairs", "pm_flux_wb", "rated_current_rms_a"),
-        _largest_torque,
-        "rated_torque_nm",
+        ("pole_pairs", "pm_flux_wb", "rated_current_rms_a", "rated_torque_nm"),
+        lambda v: float(_torques(v)[2].max()),
         "Nm",
-        0.8,
-        1.9,
+        lambda v: v["rated_torque_nm"],
+        "rated_torque_nm is {rated_torque_nm}",
+        low=0.8,
+        high=1.9,
+        usual=1.1,
+        spread=0.2,
     ),
     Relation(
+        "{rated_power_w} W over sqrt 3 x {rated_voltage_rms_v} V x {rated_current_rms_a} A",
+        ("rated_power_w", "rated_voltage_rms_v", "rated_current_rms_a"),
+        lambda v: v["rated_power_w"] / (1.5 * _phase_peak_v(v) * _peak_a(v)),
+        "",
+        lambda _: 1.0,
+        "power factor times efficiency are 0.35 to 1",
+        low=0.35,
+        high=1.2,
+        usual=0.8,
+        spread=0.2,
+    ),
+    _beside_voltage(
         "2 pi {rated_frequency_hz} Hz x {pm_flux_wb} Wb",
         ("rated_frequency_hz", "pm_flux_wb"),
         lambda v: _omega(v) * v["pm_flux_wb"],
-        None,
-        "V",
         0.15,
         1.3,
+        usual=0.7,
+        spread=0.35,
     ),
-    Relation(
+    _beside_voltage(
+        "the voltage of {pm_flux_wb} Wb, R_s and L with {rated_current_rms_a} A rms at {rated_frequency_hz} Hz",
+        ("rated_frequency_hz", "pm_flux_wb", "rated_current_rms_a", "stator_resistance_ohm", "pole_pairs"),
+        _needed_voltage,
+        0.3,
+        2.0,
+        usual=1.0,
+        spread=0.25,
+    ),
+    _beside_voltage(
         "{stator_resistance_ohm} ohm x {rated_current_rms_a} A rms x 1.414",
         ("stator_resistance_ohm", "rated_current_rms_a"),
         lambda v: v["stator_resistance_ohm"] * _peak_a(v),
-        None,
-        "V",
         0.001,
         0.6,
+        usual=0.06,
+        spread=1.2,
     ),
-    _reactance_drop("d"),
-    _reactance_drop("q"),
+    Relation(
+        "copper loss 3 x {stator_resistance_ohm} ohm x ({rated_current_rms_a} A rms)^2",
+        ("stator_resistance_ohm", "rated_current_rms_a", "rated_power_w"),
+        lambda v: 1.5 * v["stator_resistance_ohm"] * _peak_a(v) ** 2,
+        "W",
+        _usual_copper_loss,
+        "motors of {rated_power_w} W lose {usual_copper_loss_w} W or so",
+        low=0.05,
+        high=5.0,
+        usual=1.0,
+        spread=0.6,
+    ),
+    _reactance_drop("d", 0.25, 1.5),
+    # How q's spreads goes with d's: the next relation has what it does beside it.
+    _reactance_drop("q", 0.35, math.inf),
+    Relation(
+        "q_inductance_h / d_inductance_h = {q_inductance_h} H / {d_inductance_h} H",
+        ("d_inductance_h", "q_inductance_h", "pm_flux_wb"),
+        lambda v: v["q_inductance_h"] / v["d_inductance_h"],
+        "",
+        lambda _: 1.0,
+        "across the magnet (q) it is 0.85 to 8 times that along it (d)",
+        low=0.85,
+        high=8.0,
+        usual=1.4,
+        spread=0.7,
+    ),
+    Relation(
+        "L / R = {d_inductance_h} H / {stator_resistance_ohm} ohm",
+        ("d_inductance_h", "stator_resistance_ohm"),
+        lambda v: v["d_inductance_h"] / v["stator_resistance_ohm"],
+        "s",
+        lambda _: 1.0,
+        "windings have 10 us to 0.5 s",
+        low=1e-5,
+        high=0.5,
+        usual=3e-3,
+        spread=1.8,
+    ),
 )
-INDUCTANCES = ("d_inductance_h", "q_inductance_h")
-SLIPS = (
-    *(Slip(fields, 1e-3, "in mH") for fields in (INDUCTANCES, *((name,) for name in INDUCTANCES))),
-    Slip(INDUCTANCES, 1e-6, "in uH"),
-    Slip(("pm_flux_wb",), 1e-3, "in mWb"),
-    Slip(("stator_resistance_ohm",), 1e-3, "in milliohm"),
-    Slip(("rated_power_w",), 1e3, "in kW"),
-    Slip(("rated_speed_rpm",), 30.0 / math.pi, "in rad/s"),
-    Slip(("pole_pairs",), 0.5, "the number of poles"),
-    Slip(("rated_current_rms_a",), math.sqrt(0.5), "the peak, not the rms value"),
-    Slip(("rated_current_rms_a",), 1e-3, "in mA"),
-    Slip(("pm_flux_wb",), math.sqrt(2.0), "the rms, not the peak value"),
-    Slip(("rated_voltage_rms_v",), math.sqrt(3.0), "from phase to star point, not from line to line"),
-)
-"""Likely ones first: where two explain the same, the first is named."""
 
 
-def nameplate_doubts(motor: Motor) -> Iterator[str]:
-    """What a nameplate says against itself, a sentence each; none where it agrees or says too little.
-
-    Parameters
-    ----------
-    motor : Motor
-
-    Yields
-    ------
-    str
-        The fields, both numbers, and the slip of one field that would put all of it right, where there is one.
-    """
-    values = {name: value for name, value in motor.model_dump().items() if isinstance(value, int | float) and value > 0}
-    broken = [relation for relation in RELATIONS if not relation.holds(values)]
-    if not broken:
-        return
-    slip = _explanation(values)
-    for relation in broken:
-        yield f"motor: {relation.said(values)}: these do not go together"
-    if slip is not None:
-        fields = " and ".join(f"motor.{name}" for name in slip.fields)
-        right = ", ".join(f"{values[name] * slip.factor:.4g}" for name in slip.fields)
-        yield f"{fields}: {right} would fit: is what is written {slip.words}?"
+def stated_values(motor: Motor) -> dict[str, float]:
+    """The nameplate's numbers that are there, by field."""
+    return {
+        name: float(value)
+        for name, value in motor.model_dump().items()
+        if isinstance(value, int | float) and not isinstance(value, bool) and value > 0
+    }
 
 
-def _explanation(values: Values) -> Slip | None:
-    """The first slip that leaves nothing broken."""
-    for slip in SLIPS:
-        if all(name in values for name in slip.fields):
-            mended = {**values, **{name: slip.factor * values[name] for name in slip.fields}}
-            if all(relation.holds(mended) for relation in RELATIONS):
-                return slip
-    return None
+def completed(values: Values) -> dict[str, float]:
+    """The values, with those that follow from others where they are not stated."""
+    full = dict(values)
+    if {"rated_speed_rpm", "pole_pairs"} <= full.keys():
+        full.setdefault("rated_frequency_hz", full["rated_speed_rpm"] * full["pole_pairs"] / 60.0)
+    if {"rated_frequency_hz", "pole_pairs"} <= full.keys():
+        full.setdefault("rated_speed_rpm", 60.0 * full["rated_frequency_hz"] / full["pole_pairs"])
+    radians_per_s = 2.0 * math.pi * full.get("rated_speed_rpm", 0.0) / 60.0
+    if radians_per_s and "rated_torque_nm" in full:
+        full.setdefault("rated_power_w", full["rated_torque_nm"] * radians_per_s)
+    if radians_per_s and "rated_power_w" in full:
+        full.setdefault("rated_torque_nm", full["rated_power_w"] / radians_per_s)
+    if "rated_power_w" in full:
+        full["usual_copper_loss_w"] = _usual_copper_loss(full)
+    if "rated_voltage_rms_v" in full:
+        full["phase_peak_v"] = _phase_peak_v(full)
+    return full
+
+
+def broken_relations(values: Values) -> list[str]:
+    """The relations that do not hold, each with both of its numbers."""
+    full = completed(values)
+    return [relation.describe(full, full.keys() - values.keys()) for relation in RELATIONS if not relation.holds(full)]
+
+
+def mismatch(values: Values) -> float:
+    """Sum of all relations' squared distances from what is usual, in their spreads."""
+    full = completed(values)
+    return sum(relation.mismatch(full) for relation in RELATIONS)
+
+
+def contradictions(motor: Motor) -> Iterator[str]:
+    """Each relation that does not hold, as a sentence."""
+    for told in broken_relations(stated_values(motor)):
+        yield f"motor: {told}: these do not go together"

@@ -63,7 +63,7 @@ from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from orchestrator.diagnosis.uncertainty.scatter import timer_step_s
 from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
 from orchestrator.recording import Recording, write_model
-from orchestrator.recording_checks import find_convention
+from orchestrator.recording_checks import check_recording
 from protocols import (
     DiagnosisReport,
     DiagnosisStep,
@@ -257,12 +257,13 @@ def _diagnosed(
     model, without, poll, tell, criteria = asked.model, asked.without, asked.poll, asked.tell, asked.criteria
     require_known(without, asked.effects)
     tell("does the recording keep its manifest's conventions?")
-    if (named := find_convention(recording, (criteria or Criteria()).conventions, poll)) is not None:
+    checked = check_recording(recording, (criteria or Criteria()).conventions, poll)
+    if checked.convention is not None:
         seconds = time.monotonic() - began
-        report = convention_report(recording.manifest.name, named, criteria or Criteria(), seconds)
+        report = convention_report(recording.manifest.name, checked.convention, criteria or Criteria(), seconds)
         return Diagnosis(report, None, Search([]), ())
     setup = open_for_diagnosis(recording, poll, criteria, pm_flux_wb=flux_of(model), fleet=priors, tell=tell)
-    setup = setup.with_executor(asked.executor)
+    setup = replace(setup, remarks=(*checked.remarks, *setup.remarks)).with_executor(asked.executor)
     every = scaled_library(asked.effects, setup.prepared.manifest, without)
     if priors is not None:
         every = with_priors(every, priors, setup.prepared.criteria.selection)

@@ -21,7 +21,7 @@ from orchestrator.diagnosis.weak_form.rounding import of_rounding
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse, prepare
 from orchestrator.numerics.zero_sequence import gains_of
 from orchestrator.recording._recording_checks import SoundRecording
-from orchestrator.recording_checks import convention_remark, find_convention
+from orchestrator.recording_checks import check_recording
 from protocols import RecordingReader, Remark, Signals
 from protocols.fleet_priors import FleetPriors
 
@@ -73,13 +73,14 @@ def open_for_refit(
 ) -> DiagnosisSetup:
     """The setup to hold a model against a recording, with what is noise to a whole model.
 
-    A convention that the recording breaks is its first remark: what is fitted then means little.
+    A convention that the recording breaks is its first remark: what is fitted then means little. R and L that are not
+    the nameplate's are the next.
     """
     tell("does the recording keep its manifest's conventions?")
-    named = find_convention(recording, Criteria().conventions)
+    checked = check_recording(recording, Criteria().conventions)
     tell("the recording's noise")
     setup = with_noise_of(open_for_diagnosis(recording, pm_flux_wb=flux_of(model), tell=tell), model)
-    return setup if named is None else replace(setup, remarks=(convention_remark(named), *setup.remarks))
+    return replace(setup, remarks=(*checked.all_remarks, *setup.remarks))
 
 
 def setup_of(

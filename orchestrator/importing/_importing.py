@@ -87,7 +87,7 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
         sampling_frequency_hz=manifest.drive.sampling_frequency_hz,
         rows=importer.rows,
         dropped_rows={why: rows for why, rows in findings.dropped_rows.items() if rows},
-        notes=findings.notes(),
+        notes=(*mappings.readings, *findings.notes()),
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ValidationError
 
 from orchestrator._document import Document, parse_document
+from orchestrator._quantities import read_quantities
 from orchestrator._validation import KeyPath, first_problem
 from orchestrator.importing._mapping import OVERRIDING, FileRule, ImportMapping
 from orchestrator.plain_files import read_text
@@ -29,6 +30,8 @@ class MappingFile:
     complete: InputError | None
     """Why a file that no rule fits cannot be read, where it cannot."""
     rules: tuple[tuple[FileRule, ImportMapping], ...]
+    readings: tuple[str, ...] = ()
+    """How quantities with a unit were read, a sentence each."""
 
     def of(self, path: Path) -> tuple[FileRule | None, ImportMapping]:
         """The rule that a file fits, and the mapping for it; raises `InputError` where there is none."""
@@ -52,6 +55,8 @@ class MappingFile:
 def read_mapping(path: Path) -> MappingFile:
     """Read a mapping file; ``motor`` and ``drive`` may be paths, relative to it, of YAML files with these sections.
 
+    Values of both may have units, as in a procedure.
+
     Raises
     ------
     InputError
@@ -63,16 +68,21 @@ def read_mapping(path: Path) -> MappingFile:
     for section in ("motor", "drive"):
         if isinstance(document.data.get(section), str):
             _lay_in(document, section, path.parent / document.data[section])
+    try:
+        # The columns have units of their own, in their sections.
+        readings = read_quantities(document, ("motor", "drive"))
+    except ProcedureError as error:
+        raise InputError(error.where, error.field, error.problem) from None
     entries = document.data.pop("files", None)
     if entries is None:
-        return MappingFile(_validated(document, ImportMapping, document.data), None, ())
+        return MappingFile(_validated(document, ImportMapping, document.data), None, (), tuple(readings))
     if not isinstance(entries, list) or not entries:
         raise InputError(document.place(("files",)), "files", "expected a list of entries with file")
     rules = tuple(_rule(document, index, entry) for index, entry in enumerate(entries))
     try:
-        return MappingFile(_validated(document, ImportMapping, document.data), None, rules)
+        return MappingFile(_validated(document, ImportMapping, document.data), None, rules, tuple(readings))
     except InputError as error:
-        return MappingFile(rules[0][1], error, rules)
+        return MappingFile(rules[0][1], error, rules, tuple(readings))
 
 
 def _rule(document: Document, index: int, entry: Any) -> tuple[FileRule, ImportMapping]:

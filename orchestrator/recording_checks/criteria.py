@@ -71,6 +71,11 @@ class ConventionCriteria(Strict):
     """Edges that come early where rows were lost here and there, none being late: where all rows are, there is none."""
     repeated: float = threshold(0.005, "1", "practice")
     """Part of rows under a ripple that repeat the row before, or lie in the very middle of their neighbours."""
+    few_repeated: int = threshold(3, "1", "theory")
+    """Rows that repeat the row before where the current must have moved, up to which they may be chance."""
+    several_steps: float = threshold(4.0, "1", "theory")
+    """Step of the current that the voltage makes, over the median size of what scatters in it (and over a converter's
+    step), from which on a reading repeats by chance once in 65,000 rows: exp(-(4 x 1.18)^2 / 2)."""
     by_chance: float = threshold(3.0, "1", "practice")
     """How many times as many as chance makes, by the same count two rows apart."""
     many_repeated: float = threshold(0.3, "1", "simulated")
@@ -101,3 +106,7 @@ class ConventionCriteria(Strict):
     inverter's loss is most of it, what is left is no R_s."""
     least_scale: float = threshold(1.35, "1", "practice")
     """Ratio to the nameplate, of R and L alike, from which on it is no tolerance's."""
+    hot_winding: float = threshold(1.7, "1", "theory")
+    """Ratio to the nameplate's R that 100 K of copper (0.39 %/K) and a tolerance of 20 % make."""
+    saturated_iron: float = threshold(2.5, "1", "theory")
+    """Ratio to the nameplate's L that iron makes which saturates by 60 %."""

@@ -113,12 +113,17 @@ class Answer:
     l_h: float
 
 
-def answer(survey: Survey, injections: Sequence[Sighting]) -> Answer | None:
+def answer(survey: Survey, injections: Sequence[Sighting], most_lags: int | None = None) -> Answer | None:
     """Of some injections; None where there is nothing that shows it.
 
     A wave tells as many lags apart as half its period has samples, a sine two: there are fewer where it must be.
+
+    Parameters
+    ----------
+    most_lags : int, optional
+        Lags before and after the declared delay; None: as the criteria have it.
     """
-    for reach in range(survey.criteria.delay_lags, -1, -1):
+    for reach in range(survey.criteria.delay_lags if most_lags is None else most_lags, -1, -1):
         found = _answer(survey, injections, np.arange(-reach, reach + 1, dtype=np.int64))
         if found is not None:
             return found
@@ -220,10 +225,21 @@ class Responses:
         """Inductance over the nameplate's, both of the mean of 1/L; by the least currents, where little saturates."""
         motor, seen = self.survey.manifest.motor, self.survey.injections
         few = [s for s in seen if abs(s.mean_i) < self.survey.criteria.least_set_point * self.survey.reach_a]
-        found = answer(self.survey, few or seen)
+        # Where the current settles within a few samples, more lags would take its way there from r.
+        found = answer(self.survey, few or seen, most_lags=1)
         if found is None or motor.d_inductance_h is None or motor.q_inductance_h is None:
             return None
-        return _ratio(found.l_h, 2.0 / (1.0 / motor.d_inductance_h + 1.0 / motor.q_inductance_h))
+        l_h = _exact_inductance(found.l_h, self.resistance_ohm, self.survey.sampling_frequency_hz)
+        return _ratio(l_h, 2.0 / (1.0 / motor.d_inductance_h + 1.0 / motor.q_inductance_h))
+
+
+def _exact_inductance(l_h: float, resistance_ohm: float | None, sampling_frequency_hz: float) -> float:
+    """L of Ts / L' = (1 - exp(-R Ts / L)) / R, with L' the voltage over the current's slope within a sample.
+
+    L' itself where R is not known, or where the current has settled within the sample.
+    """
+    settled = (resistance_ohm or 0.0) / (sampling_frequency_hz * l_h)
+    return l_h * settled / -math.log1p(-settled) if 0.0 < settled < 1.0 else l_h
 
 
 def _ratio(value: float | None, unit: float | None) -> float | None:

@@ -43,21 +43,28 @@ def of_rounding(pieces: Sequence[SegmentSignals], noise: SensorNoise) -> list[Re
 def logged_step(pieces: Sequence[SegmentSignals], read: Callable[[SegmentSignals], Array]) -> float | None:
     """The step of what was logged, as (alpha, beta), in the rotor's frame or as phases; None where it has none.
 
-    Of rounded phases the two-axis vector keeps a third of the step.
+    Differences of two phases keep the step of the phases, whether a vector was made of two readings or of three; the
+    phases themselves have lost what three have in common, and are multiples of a third of it.
     """
-    frames: tuple[tuple[Callable[[SegmentSignals], Array], float], ...] = (
-        (read, 1.0),
-        (lambda piece: to_dq(read(piece), piece.segment.rotor_angle_rad), 1.0),
-        (lambda piece: to_phases(read(piece)), 3.0),
+    frames: tuple[Callable[[SegmentSignals], Array], ...] = (
+        read,
+        lambda piece: to_dq(read(piece), piece.segment.rotor_angle_rad),
+        lambda piece: _between_phases(read(piece)),
     )
     busiest = max(pieces, key=lambda piece: float(np.abs(np.diff(read(piece)[:SOME], axis=0)).sum()), default=None)
-    for frame, times in frames:
+    for frame in frames:
         if busiest is None or step_of(frame(busiest)[:SOME].ravel()) is None:
             continue
         step = step_of(np.concatenate([frame(piece).ravel() for piece in pieces]))
         if step is not None:
-            return times * step
+            return step
     return None
+
+
+def _between_phases(x_ab: Array) -> Array:
+    """a - c, b - a and c - b of vectors (n, 2), shape (n, 3)."""
+    phases = to_phases(x_ab)
+    return np.asarray(phases - np.roll(phases, 1, axis=1))
 
 
 def _beside_noise(piece: SegmentSignals, noise: SensorNoise, step_v: float) -> float:

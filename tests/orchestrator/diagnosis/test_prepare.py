@@ -104,7 +104,7 @@ def test_a_recording_sampled_too_slowly_is_refused(clean: Recording, tmp_path: P
         open_for_diagnosis(open_recording(tmp_path))
 
 
-def test_currents_read_ten_times_too_small_are_named_and_can_be_read(clean: Recording, tmp_path: Path) -> None:
+def test_currents_ten_times_too_small_for_the_nameplate_are_diagnosed(clean: Recording, tmp_path: Path) -> None:
     (tmp_path / "captures").mkdir()
     for segment in clean.manifest.segments:
         whole = clean.load(segment)
@@ -114,9 +114,10 @@ def test_currents_read_ten_times_too_small_are_named_and_can_be_read(clean: Reco
     segments = tuple(s.model_copy(update={"sha256": None}) for s in clean.manifest.segments)
     write_manifest(tmp_path, clean.manifest.model_copy(update={"segments": segments}))
     report = diagnose_recording(open_recording(tmp_path), []).report
-    assert report.convention is not None
-    assert report.convention.correction.factor == pytest.approx(10.0)
-    assert open_for_diagnosis(open_recording(tmp_path)).prepared.pieces
+    assert report.convention is None
+    assert report.verdict == "clean"
+    assert report.remarks[0].code == "nameplate_or_readings"
+    assert "currents scaled by 0.1 (a decimal point)" in report.remarks[0].text
 
 
 def test_equations_without_a_solution_are_one_line(clean: Recording) -> None:

@@ -101,19 +101,3 @@ def test_a_filter_before_the_currents_is_no_scale_and_no_delay(right: Rewritten,
     low = right.captured(filtered)
     assert find_convention(low) is None
     assert find_convention(low.without_settings(*SET_POINTS)) is None
-
-
-def test_a_nameplate_measured_between_two_wires_is_line_to_line(right: Rewritten) -> None:
-    """davidmolony/MESC_Firmware issue 63 (https://github.com/davidmolony/MESC_Firmware/issues/63).
-
-    "If you measure with RLC, you get phase to phase values since you are measuring on two wires of the motor. A
-    division by 2 is needed to get the right value per phase."
-    """
-    motor = right.manifest.motor
-    between = {
-        name: 2.0 * getattr(motor, name) for name in ("stator_resistance_ohm", "d_inductance_h", "q_inductance_h")
-    }
-    found = find_convention(right.plated(**between))
-    assert found is not None
-    assert found.kind == "scaled"
-    assert "the nameplate is line to line" in found.what

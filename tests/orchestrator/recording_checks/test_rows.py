@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from orchestrator.recording_checks import find_convention
 from orchestrator.recording_checks.criteria import ConventionCriteria
-from orchestrator.recording_checks.rows import _edges, _in_the_middle
-from orchestrator.recording_checks.survey import Sighting
+from orchestrator.recording_checks.rows import _edges, _in_the_middle, _repeated, broken_rows
+from orchestrator.recording_checks.survey import Sighting, Survey
 from protocols import Capture
 from tests.support.rewriting import Rewritten
 
@@ -96,3 +96,39 @@ def test_counts_of_a_converter_that_lie_on_a_line_are_not_interpolated(
     middle, by_chance, rows = _in_the_middle(seen)
     assert middle > limits.repeated * rows
     assert middle <= limits.repeated * rows + limits.by_chance * by_chance
+
+
+def injected(rng: np.random.Generator, right: Rewritten, *, amplitude_a: float, held: float = 0.0) -> Survey:
+    """Sines of 20 rows whose direction turns, read by an ordinary converter: steps of 0.25 A, noise of 0.2 A.
+
+    Their crests lie between two rows, which are then alike, where rows two apart are not.
+    """
+    segment = next(s for s in right.manifest.segments if s.settings.get("amplitude_v"))
+    n = np.arange(20_000)
+    turning = np.exp(2j * np.pi * n / 20_000)
+    wave = 2.0 * np.pi / 20.0 * (n + 0.5)
+    true = amplitude_a * np.sin(wave)[:, None] * np.column_stack([turning.real, turning.real * -0.5 + turning.imag])
+    counts = 0.25 * np.round((true + 0.2 * rng.normal(size=true.shape)) / 0.25)
+    rows = np.maximum(n - (rng.random(len(n)) < held), 0)
+    a, b = counts[rows].T
+    i = a + 1j * (a + 2.0 * b) / np.sqrt(3.0)
+    v = 30.0 * np.cos(wave) * turning
+    return Survey(right.manifest, [Sighting(segment, i, v, None, np.full(len(n), 540.0))], ConventionCriteria())
+
+
+@pytest.mark.parametrize("amplitude_a", [2.0, 10.0, 20.0])
+def test_readings_that_repeat_at_a_sine_s_crest_are_not_held(
+    rng: np.random.Generator, right: Rewritten, amplitude_a: float
+) -> None:
+    survey = injected(rng, right, amplitude_a=amplitude_a)
+    repeated, _, _ = _repeated(survey.seen[0])
+    assert repeated > 20
+    assert broken_rows(survey) is None
+
+
+def test_rows_that_are_held_while_a_sine_moves_the_current_by_several_steps_are_named(
+    rng: np.random.Generator, right: Rewritten
+) -> None:
+    found = broken_rows(injected(rng, right, amplitude_a=30.0, held=0.05))
+    assert found is not None
+    assert found.kind == "rows_held"

@@ -11,7 +11,7 @@ import pytest
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.rounding import of_rounding
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
-from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
+from orchestrator.numerics.frames import from_phases, from_two_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import NOISE_A, Plan, piece, sweep
@@ -29,6 +29,7 @@ ROUNDINGS: dict[str, Rounding] = {
     "alpha, beta": lambda x, step: to(step)(x),
     "d, q": lambda x, step: to_ab(to(step)(to_dq(x, ANGLE)), ANGLE),
     "phases": lambda x, step: from_phases(to(step)(to_phases(x))),
+    "two phases": lambda x, step: from_two_phases(*to(step)(to_phases(x)[:, :2]).T),
 }
 
 

@@ -32,6 +32,17 @@ def test_lists_and_motor_files_take_them_too(tmp_path: Path) -> None:
     assert motor.rated_speed_rpm == pytest.approx(954.93, rel=1e-5)
 
 
+@pytest.mark.parametrize("written", ["20 mOhm", "20 mohm", "20 mΩ", "20 m\u2126", "0.02 Ohm", "20000 uOhm", "0.02 Ω"])
+def test_an_ohm_is_understood_however_it_is_spelt(written: str) -> None:
+    loaded = read_procedure("quick", overrides=[f"motor.stator_resistance_ohm={written}"])
+    assert loaded.procedure.motor.stator_resistance_ohm == pytest.approx(0.02)
+
+
+@pytest.mark.parametrize("written", ["11.8 mVs", "11.8 mWb", "0.0118 Vs"])
+def test_a_flux_may_be_in_volt_seconds(written: str) -> None:
+    assert read_procedure("quick", overrides=[f"motor.pm_flux_wb={written}"]).procedure.motor.pm_flux_wb == 0.0118
+
+
 def test_a_unit_of_something_else_is_refused_with_its_place() -> None:
     with pytest.raises(ProcedureError, match=r"motor.d_inductance_h: expected a number in H, .* got '60 uF'"):
         read_procedure("quick", overrides=["motor.d_inductance_h=60 uF"])

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from typing import Any
 
 from orchestrator._document import Document
@@ -21,16 +21,23 @@ SYMBOLS = {
 """Of the units that names end with."""
 PREFIXES = {"": 1.0, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "μ": 1e-6, "m": 1e-3, "k": 1e3, "M": 1e6}
 OTHERS: dict[str, tuple[str, float]] = {
-    **{"deg": ("rad", math.pi / 180.0), "°": ("rad", math.pi / 180.0)},
-    **{"min": ("s", 60.0), "Vs": ("Wb", 1.0), "mVs": ("Wb", 1e-3), "Ω": ("ohm", 1.0), "mΩ": ("ohm", 1e-3)},
-    **{"rad/s": ("rpm", 30.0 / math.pi)},
+    **{"deg": ("rad", math.pi / 180.0), "°": ("rad", math.pi / 180.0), "min": ("s", 60.0)},
+    **{"rad/s": ("rpm", 30.0 / math.pi), "1/min": ("rpm", 1.0), "r/min": ("rpm", 1.0)},
 }
 """Unit, and how many of it."""
+SPELLINGS = {"Ohm": "ohm", "OHM": "ohm", "ohms": "ohm", "Ohms": "ohm", "Ω": "ohm", "\u2126": "ohm", "Vs": "Wb"}
+"""Other ways to write a unit, behind any prefix: Ohm with a capital, the Greek letter, the ohm sign, Vs of a flux."""
 _QUANTITY = re.compile(r"([-+]?(?:\.[0-9]+|[0-9]+(?:\.[0-9]*)?)(?:[eE][-+]?[0-9]+)?)\s*([^\s\d.,;]\S{0,5})")
 
 
-def read_quantities(document: Document) -> list[str]:
+def read_quantities(document: Document, sections: Collection[str] | None = None) -> list[str]:
     """Put numbers in the place of a document's quantities; returns what was read, a sentence each.
+
+    Parameters
+    ----------
+    document : Document
+    sections : collection of str, optional
+        The outermost keys below which quantities are read; None: all.
 
     Raises
     ------
@@ -39,6 +46,8 @@ def read_quantities(document: Document) -> list[str]:
     """
     said = []
     for path, text in list(_texts(document.data, ())):
+        if sections is not None and path[0] not in sections:
+            continue
         field = next((key for key in reversed(path) if isinstance(key, str)), "")
         unit = SYMBOLS.get(field.rpartition("_")[2]) if "_" in field else None
         found = _QUANTITY.fullmatch(text.strip())
@@ -71,4 +80,6 @@ def _factor(written: str, unit: str) -> float | None:
     other, factor = OTHERS.get(written, ("", 0.0))
     if other == unit:
         return factor
-    return PREFIXES.get(written.removesuffix(unit)) if written.endswith(unit) else None
+    spellings = (unit, *(spelling for spelling, meant in SPELLINGS.items() if meant == unit))
+    prefixes = [written.removesuffix(spelling) for spelling in spellings if written.endswith(spelling)]
+    return next((PREFIXES[prefix] for prefix in prefixes if prefix in PREFIXES), None)

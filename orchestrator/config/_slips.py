@@ -1,0 +1,134 @@
+"""What a nameplate may be written in instead of its fields' own units and conventions, ranked by what fits.
+
+A slip is one more hypothesis beside the numbers as written. With the mismatch X (a sum of squares, twice a negative
+logarithm of the likelihood) and its prior probability P, it is more likely than "as written" where
+X_written - X_slip > 2 ln 1/P (Bayes' theorem; D. MacKay, Information Theory, Inference, and Learning Algorithms,
+Cambridge 2003, ch. 28).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+
+from orchestrator.config._nameplate import Values, broken_relations, contradictions, mismatch, stated_values
+from protocols import Motor
+
+HABIT, COMMON, RARE = 0.1, 0.01, 0.001
+"""Probability of a slip, over nameplates: what data sheets themselves do otherwise, slips, and what hardly occurs."""
+BESIDE_THE_BEST = 2.0 * math.log(100.0)
+"""How much more mismatch, prior included, a slip may leave than the best one and still be named: odds of 1 to 100."""
+MOST_NAMED = 2
+
+
+@dataclass(frozen=True)
+class Slip:
+    """Numbers written in another way than their fields have them.
+
+    Attributes
+    ----------
+    fields : tuple of str
+        Those that are concerned.
+    words : str
+        Behind "is what is written ...?"
+    mended : callable
+        The right numbers of these fields, of all values.
+    probability : float
+        Over nameplates.
+    """
+
+    fields: tuple[str, ...]
+    words: str
+    mended: Callable[[Values], Mapping[str, float]]
+    probability: float = COMMON
+
+    def applied(self, values: Values) -> dict[str, float]:
+        """All values, put right."""
+        return {**values, **self.mended(values)}
+
+
+def _times(fields: tuple[str, ...], factor: float, words: str, probability: float = COMMON) -> Slip:
+    return Slip(fields, words, lambda values: {name: factor * values[name] for name in fields}, probability)
+
+
+def _exchanged(first: str, second: str, words: str) -> Slip:
+    return Slip((first, second), words, lambda values: {first: values[second], second: values[first]})
+
+
+_R, _L_D, _L_Q, _PSI = "stator_resistance_ohm", "d_inductance_h", "q_inductance_h", "pm_flux_wb"
+_V, _I, _P, _T = "rated_voltage_rms_v", "rated_current_rms_a", "rated_power_w", "rated_torque_nm"
+_F, _N, _PAIRS = "rated_frequency_hz", "rated_speed_rpm", "pole_pairs"
+_BETWEEN_LINES = "from line to line, not of a phase"
+
+SLIPS = (
+    *(_times(fields, 1e-3, "in mH") for fields in ((_L_D, _L_Q), (_L_D,), (_L_Q,))),
+    *(_times(fields, 1e-6, "in uH") for fields in ((_L_D, _L_Q), (_L_D,), (_L_Q,))),
+    *(_times(fields, 0.5, _BETWEEN_LINES, HABIT) for fields in ((_R, _L_D, _L_Q), (_R,))),
+    _times((_L_D, _L_Q), 0.5, _BETWEEN_LINES),
+    *(_times(fields, 0.1, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
+    *(_times(fields, 10.0, "a decimal point off") for fields in ((_L_D, _L_Q), (_R,), (_PSI,))),
+    _exchanged(_L_D, _L_Q, "d and q exchanged"),
+    _times((_R,), 1e-3, "in milliohm"),
+    _times((_PSI,), 1e-3, "in mWb"),
+    _times((_PSI,), math.sqrt(2.0), "the rms, not the peak value"),
+    _times((_PSI,), 1.0 / math.sqrt(3.0), _BETWEEN_LINES),
+    _times((_PSI,), 2.0, "half of the peak value"),
+    _times((_PSI,), 0.5, "from peak to peak"),
+    _times((_I,), math.sqrt(0.5), "the peak, not the rms value", HABIT),
+    _times((_I,), 1e-3, "in mA"),
+    _times((_V,), math.sqrt(3.0), "from phase to star point, not from line to line"),
+    _times((_V,), math.sqrt(0.5), "the peak between lines, or the bus, not the rms value", HABIT),
+    _times((_V,), 1e3, "in kV"),
+    _times((_P,), 1e3, "in kW"),
+    _times((_P,), 745.7, "in horsepower", RARE),
+    _times((_T,), 1e-3, "in mNm"),
+    _times((_T,), 1e-2, "in Ncm", RARE),
+    _times((_N,), 30.0 / math.pi, "in rad/s"),
+    Slip((_N,), "the electrical, not the mechanical speed", lambda v: {_N: v[_N] / v.get(_PAIRS, 1.0)}, RARE),
+    Slip((_F,), "the mechanical, not the electrical frequency", lambda v: {_F: v[_F] * v.get(_PAIRS, 1.0)}),
+    _times((_PAIRS,), 0.5, "the number of poles"),
+)
+
+
+def nameplate_doubts(motor: Motor) -> Iterator[str]:
+    """What a nameplate says against itself, a sentence each; none where it agrees or says too little.
+
+    Parameters
+    ----------
+    motor : Motor
+
+    Yields
+    ------
+    str
+        Both numbers of each relation that does not hold, and the slips that would put all of it right, the likeliest
+        first. Where all hold, a slip is named that is likelier than none.
+    """
+    yield from contradictions(motor)
+    yield from nameplate_questions(motor)
+
+
+def nameplate_questions(motor: Motor) -> Iterator[str]:
+    """The slips alone of `nameplate_doubts`, each with the numbers that would be right."""
+    values = stated_values(motor)
+    for slip in likely_slips(values):
+        right = ", ".join(f"{value:.4g}" for value in slip.mended(values).values())
+        fields = " and ".join(f"motor.{name}" for name in slip.fields)
+        yield f"{fields}: {right} would fit: is what is written {slip.words}?"
+
+
+def likely_slips(values: Values) -> list[Slip]:
+    """The slips that leave no relation broken and are likelier than none, the likeliest first; at most two."""
+    without_any = mismatch(values) if not broken_relations(values) else math.inf
+    scores: list[tuple[float, Slip]] = []
+    for slip in SLIPS:
+        if not all(name in values for name in slip.fields):
+            continue
+        mended = slip.applied(values)
+        if mended == values or (_PAIRS in slip.fields and mended[_PAIRS] % 1.0):
+            continue
+        score = mismatch(mended) + 2.0 * math.log(1.0 / slip.probability)
+        if score < without_any and not broken_relations(mended):
+            scores.append((score, slip))
+    scores.sort(key=lambda pair: pair[0])
+    return [slip for score, slip in scores[:MOST_NAMED] if score <= scores[0][0] + BESIDE_THE_BEST]

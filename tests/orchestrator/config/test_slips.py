@@ -1,0 +1,120 @@
+"""The slip that was made is named first, or as one of two, on machines of very different size."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+
+import pytest
+
+from orchestrator.config._nameplate import broken_relations, mismatch, stated_values
+from orchestrator.config._slips import SLIPS, Slip, likely_slips, nameplate_doubts
+from protocols import Motor
+from tests.orchestrator.config.nameplates import SIX
+
+Values = Mapping[str, float]
+R, L_D, L_Q, PSI = "stator_resistance_ohm", "d_inductance_h", "q_inductance_h", "pm_flux_wb"
+V, I_RMS, P, T = "rated_voltage_rms_v", "rated_current_rms_a", "rated_power_w", "rated_torque_nm"
+F, N, PAIRS = "rated_frequency_hz", "rated_speed_rpm", "pole_pairs"
+
+
+def times(factor: float, *fields: str) -> Callable[[Values], dict[str, float]]:
+    return lambda values: {name: factor * values[name] for name in fields}
+
+
+WRITTEN: dict[str, Callable[[Values], dict[str, float]]] = {
+    "inductances in mH": times(1e3, L_D, L_Q),
+    "L_d in mH": times(1e3, L_D),
+    "L_q in mH": times(1e3, L_Q),
+    "inductances in uH": times(1e6, L_D, L_Q),
+    "R and L line to line": times(2.0, R, L_D, L_Q),
+    "R line to line": times(2.0, R),
+    "L line to line": times(2.0, L_D, L_Q),
+    "inductances ten times too large": times(10.0, L_D, L_Q),
+    "d and q exchanged": lambda v: {L_D: v[L_Q], L_Q: v[L_D]},
+    "R in milliohm": times(1e3, R),
+    "flux in mWb": times(1e3, PSI),
+    "flux rms": times(math.sqrt(0.5), PSI),
+    "flux of line to line": times(math.sqrt(3.0), PSI),
+    "half the flux": times(0.5, PSI),
+    "flux peak to peak": times(2.0, PSI),
+    "current peak": times(math.sqrt(2.0), I_RMS),
+    "current in mA": times(1e3, I_RMS),
+    "voltage of a phase": times(1.0 / math.sqrt(3.0), V),
+    "voltage peak": times(math.sqrt(2.0), V),
+    "power in kW": times(1e-3, P),
+    "torque in mNm": times(1e3, T),
+    "speed in rad/s": times(math.pi / 30.0, N),
+    "mechanical frequency": lambda v: {F: v[F] / v[PAIRS]},
+    "poles": times(2.0, PAIRS),
+}
+TABLE = [(slip, motor) for slip in WRITTEN for motor in SIX]
+
+
+def wrong(slip: str, motor: str) -> tuple[dict[str, float], dict[str, float]]:
+    """The right values and the written ones."""
+    right = stated_values(SIX[motor])
+    return right, {**right, **WRITTEN[slip](right)}
+
+
+def is_named(slip: str, motor: str) -> bool:
+    right, written = wrong(slip, motor)
+    named = [one.applied(written) for one in likely_slips(written)]
+    assert len(named) <= 2
+    return any(all(math.isclose(one[name], right[name], rel_tol=0.02) for name in right) for one in named)
+
+
+def shows(slip: str, motor: str) -> bool:
+    """Whether the numbers speak against it at all: a relation is broken, or what is written is the less usual one."""
+    right, written = wrong(slip, motor)
+    rarest = 2.0 * math.log(1.0 / 0.01)
+    return written != right and (bool(broken_relations(written)) or mismatch(written) - mismatch(right) > rarest)
+
+
+def test_of_the_slips_that_show_nine_in_ten_are_named_first_or_second() -> None:
+    shown = [pair for pair in TABLE if shows(*pair)]
+    missed = [pair for pair in shown if not is_named(*pair)]
+    assert len(shown) >= 100
+    assert len(missed) <= 0.1 * len(shown), missed
+
+
+def test_of_all_slips_those_that_no_number_shows_included_four_in_five_are_named() -> None:
+    """R of a large machine from line to line moves no other number: `check` says what an ohmmeter should read."""
+    made = [pair for pair in TABLE if wrong(*pair)[0] != wrong(*pair)[1]]
+    assert len(made) >= 140
+    assert sum(is_named(*pair) for pair in made) >= 0.8 * len(made)
+
+
+@pytest.mark.parametrize(
+    ("slip", "words"),
+    [
+        ("poles", "the number of poles"),
+        ("current peak", "the peak, not the rms value"),
+        ("d and q exchanged", "d and q exchanged"),
+        ("half the flux", "half of the peak value"),
+        ("voltage peak", "the peak between lines, or the bus, not the rms value"),
+    ],
+)
+def test_an_interior_magnet_machine_of_55_kw_is_told_its_slip(slip: str, words: str) -> None:
+    written = wrong(slip, "interior 55 kW")[1]
+    said = "\n".join(nameplate_doubts(Motor.model_validate({"name": "IPM", **written})))
+    assert words in said
+    assert "in mH" not in said
+
+
+def test_a_resistance_from_line_to_line_is_asked_for_where_it_shows() -> None:
+    assert is_named("R line to line", "servo 250 W")
+
+
+def test_of_slips_that_fit_the_likeliest_is_first() -> None:
+    written = wrong("flux of line to line", "demo 400 W")[1]
+    first, second = likely_slips(written)
+    scores = [mismatch(one.applied(written)) - 2.0 * math.log(one.probability) for one in (first, second)]
+    assert scores == sorted(scores)
+
+
+@pytest.mark.parametrize("slip", SLIPS, ids=lambda slip: f"{slip.fields} {slip.words}")
+def test_a_slip_changes_its_own_fields_alone(slip: Slip) -> None:
+    values = stated_values(SIX["demo 400 W"])
+    assert set(slip.mended(values)) == set(slip.fields)
+    assert slip.applied(values) != values
