@@ -169,6 +169,7 @@ from protocols._remarks import (
 )
 from protocols._reports import (
     AddReport,
+    CheckOutcome,
     CompareReport,
     Convention,
     DiagnosisReport,
@@ -194,6 +195,7 @@ from protocols._reports import (
     ShapeShare,
     StageError,
     Unexplained,
+    UsabilityCheck,
     WorstSegment,
 )
 from protocols._search_trace import SearchDecision, SearchEvent, SearchMeasure, SearchMove
@@ -241,6 +243,7 @@ __all__ = [
     "Capabilities",
     "CapabilityError",
     "Capture",
+    "CheckOutcome",
     "ClosedForm",
     "CoEnergySpline",
     "Coefficient",
@@ -400,6 +403,7 @@ __all__ = [
     "TimerPhases",
     "Trapezoid",
     "Unexplained",
+    "UsabilityCheck",
     "Vectors",
     "Verdict",
     "VerdictLimits",

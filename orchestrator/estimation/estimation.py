@@ -10,6 +10,7 @@ from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.order import in_order
 from orchestrator.estimation.results import write_results
+from orchestrator.estimation.usability import unmet
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import (
     Estimate,
@@ -85,11 +86,10 @@ def estimate_recording(
     made.sort(key=lambda pair: -pair[0].rank)
     maps = {estimate.map.method: estimate for _, estimate in made if isinstance(estimate, FluxMapEstimate)}
     resistances = {e.name: estimate for e, estimate in made if isinstance(estimate, ResistanceEstimate)}
-    report = judged(
-        Found(resistances, maps, tuple(missing)), recording.manifest.motor.rated_current_a, criteria or MapCriteria()
-    )
+    motor, stages = recording.manifest.motor, {segment.stage for segment in recording.segments()}
+    report = judged(Found(resistances, maps, tuple(missing), stages), motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
-    report = beside_nameplate(report, by_method, recording.manifest.motor).objected(against)
+    report = beside_nameplate(report, by_method, motor).checked(unmet("conventions", against))
     about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
     return write_results(report, by_method, out / "results", **about)
 

@@ -21,7 +21,7 @@ from orchestrator.analysis import (
     check_map,
     each_capture,
     fit_steps,
-    rated_flux_wb,
+    reference_flux_wb,
     trace_steps,
 )
 from orchestrator.numerics.surface import inside_hull, require_area
@@ -86,7 +86,7 @@ class StepsEstimator:
         if not inside_hull(current, np.zeros((1, 2)), where)[0]:
             raise NotMeasuredError(where, "segments", "zero current lies outside what the steps pass")
         flux_map = gridded("steps", recording, fit.energy, current)
-        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         thin = slice(None, None, max(1, len(current) // 4000))
         names = [trace.where for trace in traces for _ in range(len(trace.i))]
         points = FluxPoints(
