@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from orchestrator.analysis._held_captures import HeldCaptures
 from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
@@ -13,6 +15,7 @@ from orchestrator.estimation.results import write_results
 from orchestrator.estimation.usability import unmet
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import (
+    Convention,
     Estimate,
     EstimationContext,
     EstimationReport,
@@ -74,6 +77,11 @@ def estimate_recording(
         except NotMeasuredError as error:
             missing.append(Remark(code="not_measured", text=str(error)).by(estimator.name))
             continue
+        except np.linalg.LinAlgError as error:
+            text = "{recording}: its readings do not determine the equations: {problem}"
+            unsolved = Remark.of("no_solution", text, recording=recording.manifest.name, problem=str(error))
+            missing.append(unsolved.by(estimator.name))
+            continue
         if not isinstance(estimate, estimator.produces):
             problem = f"returned {type(estimate).__name__} instead of {estimator.produces.__name__}"
             raise PluginError(estimator.name, "estimate", problem)
@@ -111,6 +119,13 @@ def _conventions(recording: RecordingReader) -> list[Remark]:
     except NotMeasuredError as error:
         if named is None:
             raise
-        problem = f"{named.what}: {named.correction.text}"
-        raise NotMeasuredError(recording.manifest.name, named.correction.field or "captures", problem) from error
+        raise _refused(recording, named) from error
+    if named is not None and named.kind == "dead_channel":
+        # Without the second direction of the current no estimator's equations have a solution.
+        raise _refused(recording, named)
     return [] if named is None else [convention_remark(named)]
+
+
+def _refused(recording: RecordingReader, named: Convention) -> NotMeasuredError:
+    problem = f"{named.what}: {named.correction.text}"
+    return NotMeasuredError(recording.manifest.name, named.correction.field or "captures", problem)

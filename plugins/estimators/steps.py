@@ -82,7 +82,6 @@ class StepsEstimator:
         beliefs = self._beliefs(ResistanceEstimator().estimate(recording, context))
         traces, fit, late = self._fitted(recording, segments, beliefs)
         current = np.concatenate([trace.i for trace in traces])
-        require_area(current, where)
         if not inside_hull(current, np.zeros((1, 2)), where)[0]:
             raise NotMeasuredError(where, "segments", "zero current lies outside what the steps pass")
         flux_map = gridded("steps", recording, fit.energy, current)
@@ -123,6 +122,7 @@ class StepsEstimator:
 
         for left in reversed(range(self.passes)):
             traces = each_capture(recording, segments, traced)
+            require_area(np.concatenate([trace.i for trace in traces]), recording.manifest.name)
             fit = fit_steps(traces, beliefs)
             if not left or abs(fit.lag_samples) < self.same_samples:
                 break
