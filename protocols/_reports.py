@@ -452,8 +452,28 @@ class EstimatorsReport(Lenient):
         return next((method for method, made in self.maps.items() if made.basis is not Basis.ENERGY), None)
 
 
+class DeliveredModel(Lenient):
+    """What a diagnosed model brought to the estimates beside its map: enough to join a later pass of the estimators."""
+
+    title: str
+    """The model in one line: where it started, and the effects that were added."""
+    segments: str
+    """Digest of the recording's segments: a model of other segments is an old one."""
+    resistance: ResistanceEstimate
+    objections: tuple[Remark, ...] = ()
+    """What makes its map no better than those of the estimators."""
+
+
 class EstimationReport(EstimatorsReport):
     """`estimates.json`: what the estimators found, and the model of a diagnosis."""
 
+    model: DeliveredModel | None = None
+    """The diagnosed model that has joined the estimators' maps; None before a diagnosis."""
     estimators: EstimatorsReport | None = None
     """What the estimators alone say, where a diagnosed model's map and R_s have joined them."""
+
+    @property
+    def model_method(self) -> str | None:
+        """The method under which `maps` has the diagnosed model's map; None where there is no model."""
+        own = self.estimators.maps if self.estimators is not None else {}
+        return None if self.model is None else next((name for name in self.maps if name not in own), None)

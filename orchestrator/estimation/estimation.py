@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from orchestrator.analysis._held_captures import HeldCaptures
+from orchestrator.estimation.delivery import earlier_model, join_model
 from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.order import in_order
@@ -41,7 +42,8 @@ def estimate_recording(
 ) -> EstimationReport:
     """Run the estimators and write results/flux_map.nc, flux_map_<method>.nc and estimates.json below `out`.
 
-    These replace the maps and the report of an earlier pass as one set; other files there stay.
+    These replace the maps and the report of an earlier pass as one set; other files there stay. The model of an earlier
+    diagnosis of the same segments keeps its place among them, and so do its objections.
 
     Parameters
     ----------
@@ -98,8 +100,10 @@ def estimate_recording(
     report = judged(Found(resistances, maps, tuple(missing), stages), motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
     report = beside_nameplate(report, by_method, motor).checked(unmet("conventions", against))
-    about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
-    return write_results(report, by_method, out / "results", **about)
+    earlier = earlier_model(out, recording.manifest)
+    if earlier is not None:
+        report, by_method = join_model(report, by_method, *earlier, motor)
+    return write_results(report, by_method, out / "results", motor=motor.name, recording=recording.manifest.name)
 
 
 def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:

@@ -104,7 +104,7 @@ def map_checks(evidence: MapEvidence) -> Iterator[UsabilityCheck]:
     yield _methods(evidence)
     if evidence.best.map.basis is Basis.ENERGY and evidence.measured:
         yield _energy(evidence)
-    yield _band(evidence.best.map, reference_flux_wb(evidence.best.map, evidence.motor), evidence.criteria)
+    yield flux_band(evidence.best.map, reference_flux_wb(evidence.best.map, evidence.motor), evidence.criteria)
     yield convex(evidence.best.map)
 
 
@@ -152,7 +152,7 @@ def _parity(evidence: MapEvidence) -> UsabilityCheck:
         return _within("parity", value, limit, remark)
     if not evidence.measured and best.checks.crossings is not None and _is_mirrored(best.map):
         text = "readings on both sides of i_q = 0 fit one even energy: see the crossings"
-        return _passed("parity", Remark.of("parity", text))
+        return met("parity", Remark.of("parity", text))
     text = "no currents on both sides of i_q = 0: nothing shows whether the rotor angle is right"
     return _missing("parity", text, required=True)
 
@@ -220,7 +220,7 @@ def _energy(evidence: MapEvidence) -> UsabilityCheck:
     return _within("energy", min(off), limit, remark)
 
 
-def _band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:
+def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:
     """The 95 % band of the flux, rms over the map."""
     variance = flux_map.psi_d_std**2 + flux_map.psi_q_std**2
     if not reference_wb or not np.isfinite(variance).any():
@@ -355,13 +355,14 @@ def _within(
     return UsabilityCheck(name=name, outcome=outcome, required=True, value=value, limit=limit, unit="%", remark=remark)
 
 
-def _passed(name: str, remark: Remark) -> UsabilityCheck:
-    return UsabilityCheck(name=name, outcome=CheckOutcome.PASSED, required=True, remark=remark)
-
-
 def _missing(name: str, text: str, *, required: bool) -> UsabilityCheck:
     remark = Remark(code="unchecked", values={"check": name}, text=text)
     return UsabilityCheck(name=name, outcome=CheckOutcome.NOT_POSSIBLE, required=required, remark=remark)
+
+
+def met(name: str, remark: Remark) -> UsabilityCheck:
+    """A check that passed without a number."""
+    return UsabilityCheck(name=name, outcome=CheckOutcome.PASSED, required=True, remark=remark)
 
 
 def unmet(name: str, remarks: Sequence[Remark]) -> list[UsabilityCheck]:

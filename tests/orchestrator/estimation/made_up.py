@@ -7,6 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from protocols import (
+    AxisPercent,
     Basis,
     DriveRecord,
     Estimate,
@@ -50,7 +51,11 @@ R_S = ResistanceEstimate(
 )
 
 
-SOUND = MapChecks(reciprocity_percent=0.5)
+SOUND = MapChecks(
+    crossings=AxisPercent(d_percent=0.2, q_percent=0.3),
+    parity=AxisPercent(d_percent=0.1, q_percent=0.1),
+    reciprocity_percent=0.5,
+)
 
 
 class Resistance:
