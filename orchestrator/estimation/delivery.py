@@ -141,7 +141,7 @@ def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, 
     """What the estimators alone found, and their maps by method; nothing where they have not been asked."""
     try:
         report = load_estimates(directory)
-        own = EstimationReport(**_fields(report.estimators or report))
+        own = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
         names = [name for name in own.maps if name != method]
         return own, {name: load_flux_map(_map_file(directory, report, name)) for name in names}
     except RecordingError:

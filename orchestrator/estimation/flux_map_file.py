@@ -60,7 +60,7 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     # Made in memory: on a full disk the HDF5 library takes the whole process with it.
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w") as file:
-        file.attrs.update(_attributes(flux_map, motor, recording) | {"model": model})
+        file.attrs.update(_attributes(flux_map, motor, recording) | ({"model": model} if model else {}))
         file.dimensions = {name: len(getattr(flux_map, name)) for name in _AXES}
         for name, dimensions, values, described in _variables(flux_map):
             variable = file.create_variable(name, dimensions, data=values, fillvalue=np.nan)

@@ -14,6 +14,7 @@ from protocols import (
     EstimationContext,
     FluxMapEstimate,
     FluxPoints,
+    IncrementalInductances,
     Manifest,
     MapChecks,
     Motor,
@@ -82,10 +83,16 @@ class Mapper:
     basis: ClassVar[Basis | None] = None
 
     def __init__(
-        self, name: str = "", checks: MapChecks | None = None, missing: bool = False, factor: float = 1.0
+        self,
+        name: str = "",
+        checks: MapChecks | None = None,
+        missing: bool = False,
+        factor: float = 1.0,
+        incremental: tuple[IncrementalInductances, ...] = (),
     ) -> None:
         self.name = name or type(self).name  # type: ignore[misc]
         self.checks, self.missing, self.factor = checks or SOUND, missing, factor
+        self.incremental = incremental
         self.saw: EstimationContext | None = None
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
@@ -97,7 +104,8 @@ class Mapper:
         scaled = {"psi_d": 0.3 + self.factor * (exact.psi_d - 0.3), "psi_q": self.factor * exact.psi_q}
         made = exact.model_copy(update={**scaled, "basis": self.basis})
         said = (Remark(code="noted", text="a note"),)
-        return type(self).produces(map=made, points=points, checks=self.checks, remarks=said)  # type: ignore[call-arg]
+        fields = {"checks": self.checks, "remarks": said, "incremental": self.incremental}
+        return type(self).produces(map=made, points=points, **fields)
 
 
 class Swept(FluxMapEstimate):
