@@ -132,12 +132,20 @@ class StepsEstimator:
     def _remarks(self, fit: StepsFit, late: float, rated: float | None, volts: float) -> list[Remark]:
         remarks = []
         spread = None if not rated else 100.0 * fit.misfit.std(axis=0).max() / rated
-        if abs(late) > self.told_samples:
+        if abs(late) > max(self.told_samples, 3.0 * fit.lag_std_samples):
             text = (
                 "the loops open as if the voltage acted {late:+.2f} samples later than the manifest says: taken out; "
                 "is voltage_delay_samples right?"
             )
             remarks.append(Remark.of("steps_lag", text, late=late))
+        if not fit.determines_resistance:
+            text = (
+                "the steps do not tell R_s from what the inverter keeps: both are near what was believed before, R_s "
+                "+-{std_ohm:.2g} ohm and {std_v:.2g} V a phase (one standard deviation); step to two sizes of current "
+                "with both signs, or hold direct currents"
+            )
+            figures = {"std_ohm": fit.resistance_std_ohm, "std_v": float(fit.loss_std_v[-1])}
+            remarks.append(Remark.of("resistance_undetermined", text, **figures))
         kept = float(fit.loss_v[-1])
         if abs(kept) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
             text = "each phase loses {lost_v:.2f} V, told from the loops; taken out"
