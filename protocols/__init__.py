@@ -169,8 +169,10 @@ from protocols._remarks import (
 )
 from protocols._reports import (
     AddReport,
+    CheckOutcome,
     CompareReport,
     Convention,
+    DeliveredModel,
     DiagnosisReport,
     DiagnosisWords,
     EffectBasis,
@@ -194,6 +196,7 @@ from protocols._reports import (
     ShapeShare,
     StageError,
     Unexplained,
+    UsabilityCheck,
     WorstSegment,
 )
 from protocols._search_trace import SearchDecision, SearchEvent, SearchMeasure, SearchMove
@@ -241,6 +244,7 @@ __all__ = [
     "Capabilities",
     "CapabilityError",
     "Capture",
+    "CheckOutcome",
     "ClosedForm",
     "CoEnergySpline",
     "Coefficient",
@@ -251,6 +255,7 @@ __all__ = [
     "Correction",
     "CurrentControl",
     "CurrentExcerpt",
+    "DeliveredModel",
     "Diagnosed",
     "DiagnosisReport",
     "DiagnosisStep",
@@ -400,6 +405,7 @@ __all__ = [
     "TimerPhases",
     "Trapezoid",
     "Unexplained",
+    "UsabilityCheck",
     "Vectors",
     "Verdict",
     "VerdictLimits",

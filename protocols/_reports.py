@@ -6,6 +6,7 @@ Every number is finite or null. What other versions have written is read: keys t
 from __future__ import annotations
 
 from collections.abc import Sequence
+from enum import StrEnum
 from typing import Any, Literal, Self
 
 from pydantic import Field, computed_field
@@ -323,11 +324,46 @@ class SeenByInjection(Lenient):
     """The largest error that is left where this turn is taken from the map instead of from the ripple."""
 
 
+class CheckOutcome(StrEnum):
+    """How a check of a map ended."""
+
+    PASSED = "passed"
+    FAILED = "failed"
+    NOT_POSSIBLE = "not_possible"
+    """The recording does not allow it."""
+
+
+class UsabilityCheck(Lenient):
+    """One of the checks that decide whether a map can be relied on."""
+
+    name: str
+    """In snake_case: ``parity``."""
+    outcome: CheckOutcome
+    required: bool
+    """Whether the map is not usable without it; one that is not required may be missing, but must not fail."""
+    value: Number = None
+    """None: not measured, or no number."""
+    limit: Number = None
+    """Largest `value` that passes."""
+    unit: str = ""
+    remark: Remark
+    """What was found, or what is missing."""
+
+    @property
+    def is_met(self) -> bool:
+        """Whether it does not stand in the way of using the map."""
+        missing = self.outcome is CheckOutcome.NOT_POSSIBLE and not self.required
+        return missing or self.outcome is CheckOutcome.PASSED
+
+
 class MapCriteria(Lenient):
     """What a flux map has to keep to be relied on; per cent of the rated flux unless a line says otherwise."""
 
+    accuracy_percent: float = 1.0
+    """What a usable map promises of its flux, rms; independent maps that differ by more cannot show it."""
     crossings_percent: float = 5.0
-    """Largest difference where current paths cross: two to four times what the paper prints of its own measurement."""
+    """Largest difference where current paths cross. Each of two paths errs by half of it, and the largest of some ten
+    crossings is 2 to 3 times their rms: more belongs to a map that errs by more than 1 % rms."""
     parity_percent: float = 5.0
     """Largest break of the symmetry in i_q, which a wrong rotor angle makes; as large as what crossings may be."""
     reciprocity_percent: float = 10.0
@@ -335,17 +371,23 @@ class MapCriteria(Lenient):
     told from too little, it was a third and more."""
     energy_percent: float = 2.0
     """rms by which an energy may be off the map by a method that errs; one that is off all of them is wrong itself."""
-    difference_percent: float = 5.0
-    """rms between injection and integration beyond which no map is relied on: one of them is wrong, and nothing says
-    which; as large as what crossings may be."""
     least_flux_ratio: float = 0.01
     """Injection's flux is so much larger or smaller than integration's, as a ratio less 1, where that is worth one."""
     flux_ratio_stds: float = 2.0
     """And by so many standard deviations of the ratio."""
+    frequency_ratio: float = 1.5
+    """Two injections are independent where their frequencies are so many times apart: delay, filter and eddy currents
+    act with the frequency."""
+    resistance_percent: float = 19.6
+    """Half width of the 95 % interval of R_s: a nameplate without a stated error is believed as closely."""
+    scatter_ratio: float = 2.0
+    """Scatter of successive readings of R_s, in their own errors, beyond which it is no chance."""
     nameplate_apart: float = 0.2
     """Of R_s and the inductances at the least current, relative to the nameplate: more is worth a remark."""
     nameplate_factor: float = 1.35
     """Ratio of theirs that no tolerance makes; all of them off the same way are a scale of the readings."""
+    resistance_factor: float = 4.0
+    """Ratio of R_s alone that nothing makes: a delta's phase has 3 times its star's, and a tolerance 1.35 beside it."""
 
 
 class EstimatorsReport(Lenient):
@@ -363,7 +405,9 @@ class EstimatorsReport(Lenient):
     classical_against_injection_percent: float | None
     """rms of the flux difference between integration and injection over the latter's grid, of the rated flux."""
     usable: bool
-    """Whether the recommended map can be relied on."""
+    """Whether the recommended map can be relied on: there is one, and each of `checks` is met."""
+    checks: tuple[UsabilityCheck, ...] = ()
+    """All checks of the recommended map and of R_s, with what each found; files of older versions have none."""
     remarks: Remarks = ()
     """What speaks against it, and what could not be estimated and why."""
     maps: dict[str, MapReport] = Field(default_factory=dict)
@@ -380,6 +424,16 @@ class EstimatorsReport(Lenient):
     def reasons(self) -> tuple[str, ...]:
         """The remarks' sentences."""
         return tuple(remark.text for remark in self.remarks)
+
+    def checked(self, checks: Sequence[UsabilityCheck]) -> Self:
+        """The same with further checks; what stands in the way of using the map comes before all other remarks."""
+        against = tuple(check.remark for check in checks if not check.is_met)
+        fields = {
+            "usable": self.method is not None and all(check.is_met for check in (*self.checks, *checks)),
+            "checks": (*self.checks, *checks),
+            "remarks": (*against, *self.remarks),
+        }
+        return self.model_copy(update=fields)
 
     def objected(self, against: Sequence[Remark]) -> Self:
         """The same with remarks that speak against its use, before all others; as it is where there are none."""
@@ -398,8 +452,28 @@ class EstimatorsReport(Lenient):
         return next((method for method, made in self.maps.items() if made.basis is not Basis.ENERGY), None)
 
 
+class DeliveredModel(Lenient):
+    """What a diagnosed model brought to the estimates beside its map: enough to join a later pass of the estimators."""
+
+    title: str
+    """The model in one line: where it started, and the effects that were added."""
+    segments: str
+    """Digest of the recording's segments: a model of other segments is an old one."""
+    resistance: ResistanceEstimate
+    objections: tuple[Remark, ...] = ()
+    """What makes its map no better than those of the estimators."""
+
+
 class EstimationReport(EstimatorsReport):
     """`estimates.json`: what the estimators found, and the model of a diagnosis."""
 
+    model: DeliveredModel | None = None
+    """The diagnosed model that has joined the estimators' maps; None before a diagnosis."""
     estimators: EstimatorsReport | None = None
     """What the estimators alone say, where a diagnosed model's map and R_s have joined them."""
+
+    @property
+    def model_method(self) -> str | None:
+        """The method under which `maps` has the diagnosed model's map; None where there is no model."""
+        own = self.estimators.maps if self.estimators is not None else {}
+        return None if self.model is None else next((name for name in self.maps if name not in own), None)

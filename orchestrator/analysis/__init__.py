@@ -5,7 +5,14 @@ imported where they are used.
 """
 
 from orchestrator.analysis._between import steep_steps
-from orchestrator.analysis._checks import check_map, difference_percent, flux_at, flux_ratio, rated_flux_wb
+from orchestrator.analysis._checks import (
+    check_map,
+    difference_percent,
+    flux_at,
+    flux_ratio,
+    rated_flux_wb,
+    reference_flux_wb,
+)
 from orchestrator.analysis._crossings import Crossings, Network, crossings_of, join_paths
 from orchestrator.analysis._each_capture import each_capture
 from orchestrator.analysis._energy_fit import EnergyFit
@@ -102,6 +109,7 @@ __all__ = [
     "magnet_axis",
     "one_way_rad",
     "rated_flux_wb",
+    "reference_flux_wb",
     "require_emf_turns_with",
     "spun_points",
     "steep_steps",

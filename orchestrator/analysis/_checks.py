@@ -1,6 +1,7 @@
 """How far a flux map agrees with physics, with itself and with another map; needs no truth.
 
-Percentages refer to |psi(rated i_q) - psi(0, 0)|; what a map does not allow is None.
+Percentages refer to |psi(rated i_q) - psi(0, 0)|, or to the flux at the edge of a map that does not reach the rated
+current; what a map does not allow is None.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Callable
 import numpy as np
 
 from orchestrator.numerics.types import Array
-from protocols import AxisPercent, FluxMap, MapChecks
+from protocols import AxisPercent, FluxMap, MapChecks, Motor
 
 
 def rated_flux_wb(flux_map: FluxMap, rated_current_a: float | None) -> float | None:
@@ -20,6 +21,28 @@ def rated_flux_wb(flux_map: FluxMap, rated_current_a: float | None) -> float | N
     psi = flux_at(flux_map)(np.array([[0.0, rated_current_a], [0.0, -rated_current_a], [0.0, 0.0]]))
     sides = np.linalg.norm(psi[:2] - psi[2], axis=1)
     return float(np.nanmean(sides)) if np.isfinite(sides).any() else None
+
+
+def edge_flux_wb(flux_map: FluxMap) -> float | None:
+    """Largest |psi(i) - psi(0, 0)| at i_d = 0, or in the whole map where that has no such line [Wb].
+
+    None where a map does not know zero current, or has no other.
+    """
+    zero = flux_at(flux_map)(np.zeros((1, 2)))[0]
+    away = np.hypot(flux_map.psi_d - zero[0], flux_map.psi_q - zero[1])
+    line = away[int(np.argmin(np.abs(flux_map.i_d)))]
+    for known in (line[np.isfinite(line)], away[np.isfinite(away)]):
+        if known.max(initial=0.0) > 0.0:
+            return float(known.max())
+    return None
+
+
+def reference_flux_wb(flux_map: FluxMap, motor: Motor) -> float | None:
+    """The flux that a map's errors are told in percent of [Wb].
+
+    That of the rated current, as far as the map reaches it; else that at the map's own edge, or at last the magnet's.
+    """
+    return rated_flux_wb(flux_map, motor.rated_current_a) or edge_flux_wb(flux_map) or motor.pm_flux_wb
 
 
 def flux_at(flux_map: FluxMap) -> Callable[[Array], Array]:
@@ -38,7 +61,7 @@ def check_map(flux_map: FluxMap, rated_wb: float | None, misfit: Array | None) -
     ----------
     flux_map : FluxMap
     rated_wb : float or None
-        From `rated_flux_wb`.
+        From `reference_flux_wb`.
     misfit : array, shape (c, 2), or None
         Flux differences where current paths cross [Wb].
     """

@@ -26,11 +26,14 @@ def temperature_rise(readings: Sequence[ResistanceReading]) -> Interval | None:
     Returns
     -------
     Interval or None
-        None with fewer than two readings: nothing drifted that was seen once.
+        None with fewer than two readings, for nothing drifted that was seen once, and where the first or last is no
+        resistance.
     """
     if len(readings) < 2:
         return None
     first, last = readings[0], readings[-1]
+    if first.value_ohm <= 0.0 or last.value_ohm <= 0.0:
+        return None
     ratio = last.value_ohm / first.value_ohm
     std = abs(ratio) * ((first.std_ohm / first.value_ohm) ** 2 + (last.std_ohm / last.value_ohm) ** 2) ** 0.5
     rise, half = (ratio - 1.0) / COPPER_PER_K, 1.96 * std / COPPER_PER_K

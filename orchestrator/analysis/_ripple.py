@@ -248,6 +248,8 @@ def _demodulated(
             raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
         freedom = moments.samples - 2 * moments.windows
         fit = symmetric_regression(moments.normal, freedom, 1.0 / rate, where, resistance_ohm)
+        if not np.linalg.matrix_rank(fit.hessian, hermitian=True) == 2:
+            raise NotMeasuredError(where, "i_alpha, i_beta", "the current does not follow the injection on both axes")
         ripple_wb = math.sqrt((moments.normal[0, 0] + moments.normal[1, 1]) / moments.samples)
         # Where little decays over a period, R Q is too little of the ripple to matter in its products ...
         slow = np.linalg.norm(fit.decay_per_s, 2) < 0.3 * frequency

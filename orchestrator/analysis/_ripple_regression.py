@@ -21,6 +21,7 @@ _UNKNOWNS_OF_ORDER = {1: [0, 1, 2, 7, 8, 9, 10], 2: list(range(11)), 3: list(ran
 APART = 0.05
 """Part of Q that P does not explain, below which both tell the same: 0.24 and more where a wave's axis turns, 0.003 at
 most of a vector that rotates at the wave's own frequency."""
+DEPENDENT = "both currents are the same signal: the readings tell one axis only"
 ONE_AXIS = "the injected voltage does not turn; both axes need to be excited"
 TOGETHER = "a voltage that rotates at its own frequency tells inductances beside a known R_s only, and none is known"
 
@@ -74,7 +75,8 @@ def symmetric_regression(
     Raises
     ------
     NotMeasuredError
-        Where the injection moves the flux along one direction only, or rotates and no resistance is known.
+        Where the injection moves the flux along one direction only, or rotates and no resistance is known, or the two
+        currents depend on each other.
     """
     known_ohm = None
     if not _are_apart(normal):
@@ -95,10 +97,14 @@ def symmetric_regression(
             continue
         scaled = normal[np.ix_(features, features)] / np.outer(scale, scale)
         if np.linalg.eigvalsh(scaled)[0] > 1e-6:
-            found = _solved(normal, features, scale, scaled, freedom, unknowns)
-            if known_ohm is not None:
-                found = replace(found, decay_per_s=known_ohm * found.hessian)
-            return _between_samples(found, sampling_s)
+            try:
+                found = _solved(normal, features, scale, scaled, freedom, unknowns)
+                if known_ohm is not None:
+                    found = replace(found, decay_per_s=known_ohm * found.hessian)
+                return _between_samples(found, sampling_s)
+            except np.linalg.LinAlgError:
+                # Currents that are an exact multiple of each other leave a residual of rank one.
+                raise NotMeasuredError(where, "i_alpha, i_beta", DEPENDENT) from None
     raise NotMeasuredError(where, "v_alpha, v_beta", ONE_AXIS)
 
 

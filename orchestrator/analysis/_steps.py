@@ -12,12 +12,13 @@ All stand in one system, so their doubt is in the map's. How smooth W is the dat
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from orchestrator.analysis._energy_fit import EnergyFit, energy_rows
+from orchestrator.analysis._known_resistance import UNSTATED
 from orchestrator.analysis._step_trace import StepTrace
 from orchestrator.analysis._sweep import FluxPath
 from orchestrator.numerics.reml import Solution, most_likely
@@ -45,6 +46,8 @@ class StepsFit:
         The same, averaged over a quarter of a swing [Wb].
     paths : tuple of FluxPath
         The flux from each turn of the voltage to the next, all that is wrong with it taken out.
+    determines_resistance : bool
+        Whether the loops tell R_s apart from the inverter's loss; else both are as they were believed.
     """
 
     energy: EnergyFit
@@ -57,6 +60,7 @@ class StepsFit:
     left_wb: Array
     misfit: Array
     paths: tuple[FluxPath, ...]
+    determines_resistance: bool = True
 
 
 @dataclass(frozen=True)
@@ -99,6 +103,10 @@ def fit_steps(traces: Sequence[StepTrace], beliefs: Beliefs, angle_rad: float = 
         solution = system.solved(size)
         if np.allclose(size, before, rtol=0.01):
             break
+    if not system.determines_resistance(solution):
+        # What a model misses is alike at all points: so many of them tell no more than one.
+        size = size * np.sqrt(system.target.size)
+        return replace(system.finished(system.solved(size), size), determines_resistance=False)
     return system.finished(solution, size)
 
 
@@ -162,6 +170,19 @@ class _System:
         out = np.zeros(self.own.stop - self.own.start)
         out[0], out[2] = self.beliefs.resistance_ohm, -self.angle_rad
         return out
+
+    def determines_resistance(self, solution: Solution) -> bool:
+        """Whether the loops tell R_s apart from what the inverter keeps, where a nameplate alone tells it otherwise.
+
+        Loops through currents of both signs do. Currents of one sign do where a change of R_s by its believed error,
+        as far as no other unknown can make up for it, moves the flux by more (rms) than the model leaves: what is
+        smaller may be an error of the model. Steps to one level of one sign fix the sum R_s i + e alone.
+        """
+        believed = self.beliefs.resistance_std_ohm
+        if believed < UNSTATED * abs(self.beliefs.resistance_ohm) or any(_goes_both_ways(t.i) for t in self.traces):
+            return True
+        std = float(np.linalg.norm(solution.root[self.own.start]))
+        return (std**-2 - believed**-2) * believed**2 > self.target.size
 
     def residual(self, solution: Solution) -> Array:
         """Shape (2, n) [Wb]."""
@@ -241,6 +262,13 @@ class _System:
                 if swing.stop - swing.start >= shortest:
                     yield FluxPath(trace.i[swing], psi[inside][swing], std)
             first = inside.stop
+
+
+def _goes_both_ways(current: Array, share: float = 0.2) -> bool:
+    """Whether a current, shape (n, 2), goes about as far in one direction as in the opposite one."""
+    longest = current[int(np.argmax(np.linalg.norm(current, axis=1)))]
+    along = current @ longest
+    return bool(along.min() < -share * along.max())
 
 
 def _some(paths: tuple[FluxPath, ...], most: int = 120) -> tuple[FluxPath, ...]:

@@ -10,7 +10,13 @@ from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.cli._refreshing import has_report, refresh_report
 from orchestrator.presentation.names import PAPER_CROSSINGS
 from orchestrator.presentation.quantities import UNKNOWN, axes_percent
-from orchestrator.presentation.results import check_rows, coefficient_rows, resistance, resistance_course
+from orchestrator.presentation.results import (
+    check_rows,
+    coefficient_rows,
+    resistance,
+    resistance_course,
+    usability_rows,
+)
 from protocols import EstimationReport
 
 
@@ -34,6 +40,8 @@ def _print_report(report: EstimationReport, folder: Path) -> None:
         say(f"flux map by {report.method}: {'usable' if report.usable else 'NOT TO BE RELIED ON'}")
     papers = {"crossings": axes_percent(PAPER_CROSSINGS)}
     say_table(("check", "here", "in the paper"), [(*row, papers.get(row[0], UNKNOWN)) for row in check_rows(report)])
+    if report.checks:
+        say_table(("usable only if", "here", "limit", "outcome"), usability_rows(report))
     for method, made in report.maps.items():
         if made.form is not None:
             say(f"{method}: {made.form.formula}")

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
+from orchestrator.analysis._checks import reference_flux_wb
 from orchestrator.estimation.flux_map_file import load_flux_map
 from orchestrator.estimation.judgement import inductances_of
 from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.results import RECOMMENDED_MAP, load_estimates, write_results
+from orchestrator.estimation.usability import convex, flux_band, met, resistance_checks, unmet
 from protocols import (
+    DeliveredModel,
     EstimationReport,
     EstimatorsReport,
     FluxMap,
+    Manifest,
     MapChecks,
     MapReport,
     Motor,
@@ -21,10 +27,8 @@ from protocols import (
     ResistanceEstimate,
 )
 
-_OF_A_MAP = ("bad_crossings", "bad_parity", "bad_reciprocity", "methods_differ", "no_map", "unchecked")
-"""Remarks that speak against the estimators' maps."""
 _OF_NO_OTHER = ("no_map", "far_from_nameplate")
-"""And those that are made anew of the model's."""
+"""Remarks on the estimators' results that are made anew of the model's."""
 
 
 def deliver_model(
@@ -33,8 +37,8 @@ def deliver_model(
     resistance: ResistanceEstimate,
     objections: tuple[Remark, ...],
     *,
-    motor: Motor,
-    recording: str,
+    manifest: Manifest,
+    title: str = "",
 ) -> EstimationReport:
     """Put a model's map and R_s among the results in a directory, in place of an earlier model's.
 
@@ -43,10 +47,10 @@ def deliver_model(
     objections : tuple of Remark
         Where there are any, the map is kept beside the others; those keep their rank, and none of them is usable:
         what the model does not explain is in them too.
-    motor : Motor
-        The nameplate, beside which the model's R_s and inductances are held.
-    recording : str
-        Its name, kept in the maps' attributes.
+    manifest : Manifest
+        Of the recording that the model is of; R_s and the inductances are held beside its nameplate.
+    title : str
+        The model in one line.
 
     Raises
     ------
@@ -54,56 +58,99 @@ def deliver_model(
         Where a result cannot be written.
     """
     own, maps = _of_the_estimators(directory, found.method)
-    told = MapReport(basis=found.basis, checks=MapChecks(), inductances=inductances_of(found))
-    if objections:
-        report = own.model_copy(update={"maps": {**own.maps, found.method: told}}).objected(objections)
+    model = DeliveredModel(title=title, segments=_digest(manifest), resistance=resistance, objections=objections)
+    report, maps = join_model(own, maps, found, model, manifest.motor)
+    return write_results(report, maps, directory / "results", motor=manifest.motor.name, recording=manifest.name)
+
+
+def join_model(
+    own: EstimationReport, maps: Mapping[str, FluxMap], found: FluxMap, model: DeliveredModel, motor: Motor
+) -> tuple[EstimationReport, dict[str, FluxMap]]:
+    """The estimators' report and maps with a diagnosed model's map, which comes first where nothing speaks against it.
+
+    Parameters
+    ----------
+    own : EstimationReport
+        The estimators' alone.
+    """
+    map_report = MapReport(basis=found.basis, checks=MapChecks(), inductances=inductances_of(found))
+    if model.objections:
+        report = own.model_copy(update={"maps": {**own.maps, found.method: map_report}})
+        report = report.checked(unmet("model", model.objections))
     else:
-        report = beside_nameplate(_recommended(own, found.method, told, resistance), {found.method: found}, motor)
+        report = beside_nameplate(_recommended(own, found, map_report, model, motor), {found.method: found}, motor)
+    fields: dict[str, Any] = {"model": model}
     if own.maps or own.resistance:
-        report = report.model_copy(update={"estimators": EstimatorsReport(**_fields(own))})
-    maps = {found.method: found, **maps}
-    return write_results(report, maps, directory / "results", motor=motor.name, recording=recording)
+        fields["estimators"] = EstimatorsReport(**_fields(own))
+    return report.model_copy(update=fields), {found.method: found, **maps}
+
+
+def earlier_model(directory: Path, manifest: Manifest) -> tuple[FluxMap, DeliveredModel] | None:
+    """The model that a diagnosis of the same segments left in a directory, and its map; None where there is none."""
+    try:
+        report = load_estimates(directory)
+        model, method = report.model, report.model_method
+        if model is None or method is None or model.segments != _digest(manifest):
+            return None
+        return load_flux_map(_map_file(directory, report, method)), model
+    except RecordingError:
+        return None
+
+
+def _digest(manifest: Manifest) -> str:
+    """Of what the segments are and hold, as far as the manifest knows."""
+    return sha256("\n".join(segment.model_dump_json() for segment in manifest.segments).encode()).hexdigest()
 
 
 def _recommended(
-    own: EstimationReport, method: str, told: MapReport, resistance: ResistanceEstimate
+    own: EstimationReport, found: FluxMap, map_report: MapReport, model: DeliveredModel, motor: Motor
 ) -> EstimationReport:
     """The report with the model's map in first place; what was said against the one before is said of that one.
 
     Crossings stay: they are the recording's, whichever map is made of it.
     """
+    against = {check.remark.code for check in own.checks if not check.is_met}
     others = (r for r in own.remarks if r.code not in _OF_NO_OTHER)
-    rest = (r.by(own.method) if own.method and r.code in _OF_A_MAP else r for r in others)
+    rest = [r.by(own.method) if own.method and r.code in against else r for r in others]
+    resistance = model.resistance
     if own.resistance is not None:
         kept = {name: getattr(own.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
         resistance = resistance.model_copy(update=kept)
-    return _with(
-        own,
-        resistance=resistance,
-        method=method,
-        parity=None,
-        reciprocity_percent=None,
-        usable=True,
-        remarks=(*resistance.remarks, *rest),
-        maps={method: told, **own.maps},
+    fields = {
+        "resistance": resistance,
+        "method": found.method,
+        "parity": None,
+        "reciprocity_percent": None,
+        "checks": (),
+        "remarks": (*resistance.remarks, *rest),
+        "maps": {found.method: map_report, **own.maps},
+    }
+    report = own.model_copy(update=fields)
+    explains = Remark.of("model", "the model explains the recording: the diagnosis has no objection to its map")
+    return report.checked(
+        [
+            met("model", explains),
+            flux_band(found, reference_flux_wb(found, motor), own.criteria),
+            convex(found),
+            *resistance_checks(resistance, motor, set(), own.criteria),
+        ]
     )
-
-
-def _with(report: EstimationReport, **fields: Any) -> EstimationReport:
-    return report.model_copy(update=fields)
 
 
 def _of_the_estimators(directory: Path, method: str) -> tuple[EstimationReport, dict[str, FluxMap]]:
     """What the estimators alone found, and their maps by method; nothing where they have not been asked."""
     try:
         report = load_estimates(directory)
-        own = EstimationReport(**_fields(report.estimators or report))
-        folder = (directory / RECOMMENDED_MAP).parent
+        own = EstimationReport(**{**_fields(report.estimators or report), "files": {}})
         names = [name for name in own.maps if name != method]
-        files = {name: "flux_map.nc" if name == report.method else f"flux_map_{name}.nc" for name in names}
-        return own, {name: load_flux_map(folder / file) for name, file in files.items()}
+        return own, {name: load_flux_map(_map_file(directory, report, name)) for name in names}
     except RecordingError:
         return _NOTHING, {}
+
+
+def _map_file(directory: Path, report: EstimationReport, method: str) -> Path:
+    name = "flux_map.nc" if method == report.method else f"flux_map_{method}.nc"
+    return (directory / RECOMMENDED_MAP).parent / name
 
 
 def _fields(report: EstimatorsReport) -> dict[str, Any]:

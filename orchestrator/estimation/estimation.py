@@ -5,13 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+import numpy as np
+
 from orchestrator.analysis._held_captures import HeldCaptures
+from orchestrator.estimation.delivery import earlier_model, join_model
 from orchestrator.estimation.judgement import Found, judged
 from orchestrator.estimation.nameplate import beside_nameplate
 from orchestrator.estimation.order import in_order
 from orchestrator.estimation.results import write_results
+from orchestrator.estimation.usability import unmet
 from orchestrator.recording._recording_checks import SoundRecording
 from protocols import (
+    Convention,
     Estimate,
     EstimationContext,
     EstimationReport,
@@ -37,7 +42,8 @@ def estimate_recording(
 ) -> EstimationReport:
     """Run the estimators and write results/flux_map.nc, flux_map_<method>.nc and estimates.json below `out`.
 
-    These replace the maps and the report of an earlier pass as one set; other files there stay.
+    These replace the maps and the report of an earlier pass as one set; other files there stay. The model of an earlier
+    diagnosis of the same segments keeps its place among them, and so do its objections.
 
     Parameters
     ----------
@@ -73,6 +79,11 @@ def estimate_recording(
         except NotMeasuredError as error:
             missing.append(Remark(code="not_measured", text=str(error)).by(estimator.name))
             continue
+        except np.linalg.LinAlgError as error:
+            text = "{recording}: its readings do not determine the equations: {problem}"
+            unsolved = Remark.of("no_solution", text, recording=recording.manifest.name, problem=str(error))
+            missing.append(unsolved.by(estimator.name))
+            continue
         if not isinstance(estimate, estimator.produces):
             problem = f"returned {type(estimate).__name__} instead of {estimator.produces.__name__}"
             raise PluginError(estimator.name, "estimate", problem)
@@ -85,13 +96,14 @@ def estimate_recording(
     made.sort(key=lambda pair: -pair[0].rank)
     maps = {estimate.map.method: estimate for _, estimate in made if isinstance(estimate, FluxMapEstimate)}
     resistances = {e.name: estimate for e, estimate in made if isinstance(estimate, ResistanceEstimate)}
-    report = judged(
-        Found(resistances, maps, tuple(missing)), recording.manifest.motor.rated_current_a, criteria or MapCriteria()
-    )
+    motor, stages = recording.manifest.motor, {segment.stage for segment in recording.segments()}
+    report = judged(Found(resistances, maps, tuple(missing), stages), motor, criteria or MapCriteria())
     by_method = {method: found.map for method, found in maps.items()}
-    report = beside_nameplate(report, by_method, recording.manifest.motor).objected(against)
-    about = {"motor": recording.manifest.motor.name, "recording": recording.manifest.name}
-    return write_results(report, by_method, out / "results", **about)
+    report = beside_nameplate(report, by_method, motor).checked(unmet("conventions", against))
+    earlier = earlier_model(out, recording.manifest)
+    if earlier is not None:
+        report, by_method = join_model(report, by_method, *earlier, motor)
+    return write_results(report, by_method, out / "results", motor=motor.name, recording=recording.manifest.name)
 
 
 def _is_concerned(estimator: Estimator, recording: RecordingReader) -> bool:
@@ -111,6 +123,13 @@ def _conventions(recording: RecordingReader) -> list[Remark]:
     except NotMeasuredError as error:
         if named is None:
             raise
-        problem = f"{named.what}: {named.correction.text}"
-        raise NotMeasuredError(recording.manifest.name, named.correction.field or "captures", problem) from error
+        raise _refused(recording, named) from error
+    if named is not None and named.kind == "dead_channel":
+        # Without the second direction of the current no estimator's equations have a solution.
+        raise _refused(recording, named)
     return [] if named is None else [convention_remark(named)]
+
+
+def _refused(recording: RecordingReader, named: Convention) -> NotMeasuredError:
+    problem = f"{named.what}: {named.correction.text}"
+    return NotMeasuredError(recording.manifest.name, named.correction.field or "captures", problem)

@@ -38,7 +38,7 @@ _CONVENTIONS = (
 )
 
 
-def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: str = "") -> None:
+def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: str = "", model: str = "") -> None:
     """Write a map as NetCDF, whole or not at all.
 
     Parameters
@@ -47,6 +47,8 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
         Its folder must exist.
     motor, recording : str
         Names, kept as attributes.
+    model : str
+        Which model the map is of, in words; an attribute too.
 
     Raises
     ------
@@ -58,7 +60,7 @@ def save_flux_map(path: Path, flux_map: FluxMap, *, motor: str = "", recording: 
     # Made in memory: on a full disk the HDF5 library takes the whole process with it.
     buffer = io.BytesIO()
     with h5netcdf.File(buffer, "w") as file:
-        file.attrs.update(_attributes(flux_map, motor, recording))
+        file.attrs.update(_attributes(flux_map, motor, recording) | ({"model": model} if model else {}))
         file.dimensions = {name: len(getattr(flux_map, name)) for name in _AXES}
         for name, dimensions, values, described in _variables(flux_map):
             variable = file.create_variable(name, dimensions, data=values, fillvalue=np.nan)

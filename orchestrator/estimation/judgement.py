@@ -1,14 +1,22 @@
-"""Which of the maps is recommended, whether it can be relied on, and what is to be said. Estimates nothing."""
+"""Which of the maps is recommended, and what is to be said beside its checks. Estimates nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.analysis._checks import difference_percent, flux_ratio, rated_flux_wb
+from orchestrator.analysis._checks import difference_percent, rated_flux_wb, reference_flux_wb
 from orchestrator.estimation.sensorless import seen_by_injection
+from orchestrator.estimation.usability import (
+    MapEvidence,
+    differing_ratio,
+    independent_maps,
+    map_checks,
+    methods_difference_percent,
+    resistance_checks,
+)
 from protocols import (
     Basis,
     EstimationReport,
@@ -18,8 +26,10 @@ from protocols import (
     MapChecks,
     MapCriteria,
     MapReport,
+    Motor,
     Remark,
     ResistanceEstimate,
+    SegmentStage,
 )
 
 
@@ -35,54 +45,49 @@ class Found:
         By method, those of the highest rank first.
     missing : tuple of Remark
         What could not be estimated, and why.
+    stages : set of SegmentStage
+        What the recording holds.
     """
 
     resistances: Mapping[str, ResistanceEstimate]
     maps: Mapping[str, FluxMapEstimate]
     missing: tuple[Remark, ...]
+    stages: Set[SegmentStage]
 
 
-def judged(found: Found, rated_a: float | None, criteria: MapCriteria) -> EstimationReport:
-    """The report, without files.
-
-    Parameters
-    ----------
-    rated_a : float or None
-        Rated current [A peak], to which the percentages' flux belongs.
-    """
-    maps = _preferred(found.maps, rated_a, criteria)
+def judged(found: Found, motor: Motor, criteria: MapCriteria) -> EstimationReport:
+    """The report with all checks, without files."""
+    maps = _preferred(found.maps, motor, criteria)
     best = next(iter(maps.values()), None)
     resistance = min(found.resistances.values(), key=lambda r: r.high - r.low, default=None)
-    checks = best.checks if best is not None else MapChecks()
-    pair = _independent(maps)
-    difference = None if pair is None else difference_percent(*pair, _rated_flux_wb(pair, maps, rated_a))
-    against = [*_objections(best, maps, criteria), *_apart(difference, criteria), *_unchecked(maps, difference)]
-    return EstimationReport(
+    figures = best.checks if best is not None else MapChecks()
+    report = EstimationReport(
         resistance=resistance,
         method=best.map.method if best is not None else None,
-        crossings=checks.crossings,
-        parity=checks.parity,
-        reciprocity_percent=checks.reciprocity_percent,
-        classical_against_injection_percent=difference,
-        usable=best is not None and not against,
+        crossings=figures.crossings,
+        parity=figures.parity,
+        reciprocity_percent=figures.reciprocity_percent,
+        classical_against_injection_percent=methods_difference_percent(maps, motor),
+        usable=best is not None,
         remarks=(
-            *against,
-            *_disagreements(pair, criteria),
+            *_disagreements(independent_maps(maps), criteria),
             *found.missing,
             *_other_resistances(resistance, found.resistances),
             *(resistance.remarks if resistance is not None else ()),
-            *_unscaled(best, rated_a),
+            *_unscaled(best, motor),
             *(remark.by(method) for method, made in found.maps.items() for remark in made.remarks),
         ),
         maps={method: _map_report(made) for method, made in maps.items()},
         seen_by_injection=seen_by_injection(tuple(maps.values())),
         criteria=criteria,
     )
+    if best is None:
+        return report.objected([Remark.of("no_map", "no flux map could be made")])
+    evidence = MapEvidence(best, maps, found.stages, motor, criteria)
+    return report.checked([*map_checks(evidence), *resistance_checks(resistance, motor, found.stages, criteria)])
 
 
-def _preferred(
-    maps: Mapping[str, FluxMapEstimate], rated_a: float | None, criteria: MapCriteria
-) -> dict[str, FluxMapEstimate]:
+def _preferred(maps: Mapping[str, FluxMapEstimate], motor: Motor, criteria: MapCriteria) -> dict[str, FluxMapEstimate]:
     """The best first: energies that do not explain the measurements come last."""
     measured = [made.map for made in maps.values() if made.map.basis is not Basis.ENERGY]
 
@@ -90,104 +95,27 @@ def _preferred(
         """An energy has to agree with one of the others at least; one that does is better than any of them alone."""
         if made.map.basis is not Basis.ENERGY:
             return False
-        rated = rated_flux_wb(made.map, rated_a)
+        rated = reference_flux_wb(made.map, motor)
         off = [apart for other in measured if (apart := difference_percent(made.map, other, rated)) is not None]
         return bool(off) and min(off) > criteria.energy_percent
 
     return dict(sorted(maps.items(), key=lambda item: fails(item[1])))
 
 
-def _independent(maps: Mapping[str, FluxMapEstimate]) -> tuple[FluxMap, FluxMap] | None:
-    """The best map by injection and the best by integration: neither knows of the other."""
-    by = {basis: [made.map for made in maps.values() if made.map.basis is basis] for basis in Basis}
-    if not by[Basis.INJECTION] or not by[Basis.INTEGRATION]:
-        return None
-    return by[Basis.INJECTION][0], by[Basis.INTEGRATION][0]
-
-
-def _rated_flux_wb(
-    pair: tuple[FluxMap, FluxMap], maps: Mapping[str, FluxMapEstimate], rated_a: float | None
-) -> float | None:
-    """By the first of all maps that reaches the rated current; a map of few points may just miss it."""
-    told = (rated_flux_wb(one, rated_a) for one in (pair[0], *(made.map for made in maps.values())))
-    return next((flux for flux in told if flux is not None), None)
-
-
-def _unchecked(maps: Mapping[str, FluxMapEstimate], difference: float | None) -> list[Remark]:
-    """Said where there is a map, and nothing that could have spoken against it."""
-    checks = [made.checks for made in maps.values()]
-    measured = [made.checks for made in maps.values() if made.map.basis is not Basis.ENERGY]
-    told = [c.crossings for c in checks] + [c.parity for c in measured] + [c.reciprocity_percent for c in measured]
-    if not maps or difference is not None or any(one is not None for one in told):
-        return []
-    text = (
-        "nothing here checks the map: no paths of currents that cross, no currents on both sides of i_q = 0, one "
-        "method only; a diagnosis holds it against the readings"
-    )
-    return [Remark.of("unchecked", text)]
-
-
-def _objections(
-    best: FluxMapEstimate | None, maps: Mapping[str, FluxMapEstimate], criteria: MapCriteria
-) -> list[Remark]:
-    """What makes the recommended map unusable; an energy is even by construction, so another map's parity counts."""
-    if best is None:
-        return [Remark.of("no_map", "no flux map could be made")]
-    checks, told = best.checks, []
-    parities = [made.checks.parity for made in maps.values() if made.map.basis is not Basis.ENERGY]
-    measured = checks.parity if best.map.basis is not Basis.ENERGY else next((p for p in parities if p), None)
-    for axis in ("d", "q"):
-        crossing = getattr(checks.crossings, f"{axis}_percent", None)
-        if crossing is not None and crossing > criteria.crossings_percent:
-            text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
-            told.append(Remark.of("bad_crossings", text, axis=axis, apart_percent=crossing))
-        parity = getattr(measured, f"{axis}_percent", None)
-        if parity is not None and parity > criteria.parity_percent:
-            text = (
-                "psi_{axis} breaks its symmetry in i_q by {off_percent:.1f} % of the rated flux: "
-                "is the rotor angle right?"
-            )
-            told.append(Remark.of("bad_parity", text, axis=axis, off_percent=parity))
-    worst = _measured_reciprocity_percent(best, maps)
-    if worst is not None and worst > criteria.reciprocity_percent:
-        text = "the slopes of psi_d along i_q and of psi_q along i_d differ by {apart_percent:.0f} % of the inductance"
-        told.append(Remark.of("bad_reciprocity", text, apart_percent=worst))
-    return told
-
-
-def _measured_reciprocity_percent(best: FluxMapEstimate, maps: Mapping[str, FluxMapEstimate]) -> float | None:
-    """Of the recommended map; of the one beside it where that is an energy's, which rests on that alone."""
-    if best.map.basis is not Basis.ENERGY:
-        return best.checks.reciprocity_percent
-    beside = [made.checks.reciprocity_percent for made in maps.values() if made.map.basis is not Basis.ENERGY]
-    return beside[0] if len(beside) == 1 else None
-
-
-def _apart(difference: float | None, criteria: MapCriteria) -> list[Remark]:
-    """One of two methods that differ is wrong; which, the maps do not say."""
-    if difference is None or difference <= criteria.difference_percent:
-        return []
-    text = "the classical and the injection map differ by {apart_percent:.1f} % of the rated flux (rms)"
-    return [Remark.of("methods_differ", text, apart_percent=difference)]
-
-
 def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> list[Remark]:
     """Whether one method finds more flux throughout, and what that may mean."""
-    ratio = None if pair is None else flux_ratio(*pair)
+    ratio = differing_ratio(pair, criteria)
     if ratio is None:
         return []
-    told = []
     value, std = ratio
-    if abs(value - 1.0) > max(criteria.flux_ratio_stds * std, criteria.least_flux_ratio):
-        less = value < 1.0
-        cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
-        text = (
-            "injection gives {apart_percent:.1f} % {size} flux than the classical method, more than their errors "
-            "explain: {cause}"
-        )
-        values = {"apart_percent": 100 * abs(value - 1.0), "std_percent": 100 * std}
-        told.append(Remark.of("flux_ratio", text, size="less" if less else "more", cause=cause, **values))
-    return told
+    less = value < 1.0
+    cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
+    text = (
+        "injection gives {apart_percent:.1f} % {size} flux than the classical method, more than their errors "
+        "explain: {cause}"
+    )
+    values = {"apart_percent": 100 * abs(value - 1.0), "std_percent": 100 * std}
+    return [Remark.of("flux_ratio", text, size="less" if less else "more", cause=cause, **values)]
 
 
 def _other_resistances(
@@ -202,10 +130,18 @@ def _other_resistances(
     ]
 
 
-def _unscaled(best: FluxMapEstimate | None, rated_a: float | None) -> list[Remark]:
-    if best is None or rated_flux_wb(best.map, rated_a) is not None:
+def _unscaled(best: FluxMapEstimate | None, motor: Motor) -> list[Remark]:
+    """What the percentages are of, where the map does not reach the rated current."""
+    if best is None or rated_flux_wb(best.map, motor.rated_current_a) is not None:
         return []
-    return [Remark.of("rated_current_not_reached", "the map does not reach the rated current: no percentages")]
+    reference = reference_flux_wb(best.map, motor)
+    if reference is None:
+        return [Remark.of("rated_current_not_reached", "the map has no flux that percentages could be of")]
+    text = (
+        "the map does not reach the rated current: percentages of the rated flux are of {reference_wb:.4g} Wb, the "
+        "flux at the map's edge"
+    )
+    return [Remark.of("rated_current_not_reached", text, reference_wb=reference)]
 
 
 def _map_report(made: FluxMapEstimate) -> MapReport:

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from orchestrator.estimation.usability import unmet
 from protocols import EstimationReport, FluxMap, Motor, Remark
 
 
@@ -23,7 +24,7 @@ def beside_nameplate(report: EstimationReport, maps: Mapping[str, FluxMap], moto
     remarks = [_remark(name, *pairs[name], questioned=name in far) for name in told]
     signs = {ratios[name] > 1.0 for name in far}
     if len(far) == len(ratios) >= 2 and "R_s" in far and len(signs) == 1:
-        return report.objected(remarks)
+        return report.checked(unmet("nameplate", remarks))
     return report.model_copy(update={"remarks": (*report.remarks, *remarks)})
 
 

@@ -68,7 +68,8 @@ def write_results(
         folder.mkdir(parents=True, exist_ok=True)
         with TemporaryDirectory(prefix=".estimating-", dir=folder) as staging:
             for name, flux_map in named.items():
-                save_flux_map(Path(staging) / f"{name}.nc", flux_map, motor=motor, recording=recording)
+                about = {"motor": motor, "recording": recording, "model": _model_words(report, flux_map.method)}
+                save_flux_map(Path(staging) / f"{name}.nc", flux_map, **about)
             if _is_same(folder, Path(staging), text):
                 return report
             # The report goes first and comes last: where it is, all maps are those that it speaks of.
@@ -81,6 +82,13 @@ def write_results(
         raise StorageError(f"{folder}: cannot be written: {error.strerror or error}") from error
     replace_file(folder / REPORT_NAME, text)
     return report
+
+
+def _model_words(report: EstimationReport, method: str) -> str:
+    """Which model a map is of, for who finds its file alone."""
+    if report.model is not None and method == report.model_method:
+        return f"diagnosed: {report.model.title}"
+    return f"estimator {method}: no effect taken out by a diagnosis"
 
 
 def _is_same(folder: Path, staging: Path, report: bytes) -> bool:

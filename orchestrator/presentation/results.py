@@ -18,12 +18,15 @@ from orchestrator.presentation.quantities import (
 )
 from protocols import (
     Basis,
+    CheckOutcome,
     ClosedForm,
     DiagnosisStep,
     EstimationReport,
+    EstimatorsReport,
     FoundEffect,
     ResistanceEstimate,
     Rung,
+    UsabilityCheck,
 )
 
 
@@ -49,6 +52,24 @@ def check_rows(report: EstimationReport) -> Iterator[tuple[str, str]]:
         ("classical against injection", percent(report.classical_against_injection_percent), ""),
     ):
         yield label, told if told == UNKNOWN else told + beside
+
+
+def usability_rows(report: EstimatorsReport) -> list[tuple[str, str, str, str]]:
+    """Checks that decide whether a map is usable: name, what was found, largest that passes, outcome."""
+    return [(plain(check.name), *_value_and_limit(check), _outcome_words(check)) for check in report.checks]
+
+
+def _value_and_limit(check: UsabilityCheck) -> tuple[str, str]:
+    value, limit = (
+        UNKNOWN if x is None else percent(x) if check.unit == "%" else number(x) for x in (check.value, check.limit)
+    )
+    return value, limit
+
+
+def _outcome_words(check: UsabilityCheck) -> str:
+    if check.outcome is CheckOutcome.NOT_POSSIBLE:
+        return "could not be made" + ("" if check.required else ", not required")
+    return plain(check.outcome)
 
 
 def coefficient_rows(form: ClosedForm) -> list[tuple[str, ...]]:

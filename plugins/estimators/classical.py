@@ -24,7 +24,7 @@ from orchestrator.analysis import (
     each_capture,
     flux_by_rests,
     join_paths,
-    rated_flux_wb,
+    reference_flux_wb,
     sweep_of,
     trace_sweep,
 )
@@ -87,7 +87,7 @@ class ClassicalEstimator:
         current = np.concatenate([path.current for path in network.paths])
         require_area(current, recording.manifest.name)
         flux_map, origin = self._gridded(recording, network)
-        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
         points = FluxPoints(
             i_dq=current,

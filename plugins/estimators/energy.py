@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.analysis import EnergyFit, check_map, rated_flux_wb
+from orchestrator.analysis import EnergyFit, check_map, reference_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, Measurements, energy_measurements, gridded, pm_flux
 from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux
@@ -47,7 +47,7 @@ class EnergyEstimator:
         measured = energy_measurements(recording, context)
         fit = measured.fit()
         flux_map = gridded("energy", recording, fit, measured.current)
-        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         return EnergyFlux(
             map=flux_map,
             points=FluxPoints(

@@ -32,7 +32,7 @@ from orchestrator.analysis import (
     join_paths,
     known_resistance,
     one_way_rad,
-    rated_flux_wb,
+    reference_flux_wb,
 )
 from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
@@ -118,7 +118,7 @@ class InjectionEstimator:
         points = invert(chosen.ripples)
         flux = integrate(points, recording.manifest.name)
         flux_map = _gridded(recording, points, flux)
-        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         magnet = np.array([recording.manifest.motor.pm_flux_wb or 0.0, 0.0])
         return InjectedFlux(
             map=flux_map,

@@ -12,7 +12,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, rated_flux_wb
+from orchestrator.analysis import EnergyFit, PolynomialFit, check_map, fit_polynomial, reference_flux_wb
 from orchestrator.numerics.types import Array
 from plugins.estimators._energies import EnergyFlux, energy_measurements, gridded, pm_flux
 from plugins.estimators._maps import InjectedFlux, SteppedFlux, SweptFlux
@@ -59,7 +59,7 @@ class PolynomialEstimator:
         energy = measured.fit()
         fit = fit_polynomial(measured.inductances, measured.paths, energy, recording.manifest.name)
         flux_map = gridded("polynomial", recording, fit, measured.current)
-        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         return FluxMapEstimate(
             map=flux_map,
             points=FluxPoints(

@@ -110,6 +110,8 @@ class ResistanceEstimator:
         found = [_reading(fit, d, _pwm_hz(recording, s)) for s, d in strong]
         found += self._injected(recording, fit, self.strong_share * largest)
         readings = tuple(sorted(found, key=lambda reading: reading.start_s))
+        if not readings or not np.isfinite(fit.resistance_ohm):
+            raise NotMeasuredError(recording.manifest.name, "segments", "what was held determines no resistance")
         value, low, high, beside = _with_known(known, fit, self._doubt(recording, fit, largest))
         return ResistanceEstimate(
             value_ohm=value,
@@ -316,8 +318,8 @@ def _remarks(
     if kept:
         text = "what the inverter's devices lose in proportion to the current counts as R_s: nothing here tells them"
         remarks.append(Remark.of("device_resistance", text))
-    change = readings[-1].value_ohm / readings[0].value_ohm - 1.0
     rise = temperature_rise(readings)
+    change = 0.0 if rise is None else readings[-1].value_ohm / readings[0].value_ohm - 1.0
     if rise is not None and abs(change) > max(0.02, 1.5 * (rise.high - rise.value) * COPPER_PER_K):
         text = (
             "R_s changes by {change_percent:+.1f} % over the recording: the winding's temperature by {rise_k:+.0f} "

@@ -21,7 +21,7 @@ from orchestrator.analysis import (
     flux_at,
     flux_by_emf,
     magnet_axis,
-    rated_flux_wb,
+    reference_flux_wb,
     require_emf_turns_with,
     spun_points,
     theta_of,
@@ -107,7 +107,7 @@ class SpinEstimator:
         std = float(np.hypot((known.high - known.low) / 3.92, self.drift * known.value_ohm))
         fit = fit_spin(points, (known.value_ohm, std))
         flux_map = gridded("spin", recording, fit.energy, points.i)
-        rated = rated_flux_wb(flux_map, rated_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         return FluxMapEstimate(
             map=flux_map,
             points=FluxPoints(

@@ -21,7 +21,7 @@ from orchestrator.analysis import (
     check_map,
     each_capture,
     fit_steps,
-    rated_flux_wb,
+    reference_flux_wb,
     trace_steps,
 )
 from orchestrator.numerics.surface import inside_hull, require_area
@@ -82,11 +82,10 @@ class StepsEstimator:
         beliefs = self._beliefs(ResistanceEstimator().estimate(recording, context))
         traces, fit, late = self._fitted(recording, segments, beliefs)
         current = np.concatenate([trace.i for trace in traces])
-        require_area(current, where)
         if not inside_hull(current, np.zeros((1, 2)), where)[0]:
             raise NotMeasuredError(where, "segments", "zero current lies outside what the steps pass")
         flux_map = gridded("steps", recording, fit.energy, current)
-        rated = rated_flux_wb(flux_map, recording.manifest.motor.rated_current_a)
+        rated = reference_flux_wb(flux_map, recording.manifest.motor)
         thin = slice(None, None, max(1, len(current) // 4000))
         names = [trace.where for trace in traces for _ in range(len(trace.i))]
         points = FluxPoints(
@@ -123,6 +122,7 @@ class StepsEstimator:
 
         for left in reversed(range(self.passes)):
             traces = each_capture(recording, segments, traced)
+            require_area(np.concatenate([trace.i for trace in traces]), recording.manifest.name)
             fit = fit_steps(traces, beliefs)
             if not left or abs(fit.lag_samples) < self.same_samples:
                 break
@@ -132,12 +132,20 @@ class StepsEstimator:
     def _remarks(self, fit: StepsFit, late: float, rated: float | None, volts: float) -> list[Remark]:
         remarks = []
         spread = None if not rated else 100.0 * fit.misfit.std(axis=0).max() / rated
-        if abs(late) > self.told_samples:
+        if abs(late) > max(self.told_samples, 3.0 * fit.lag_std_samples):
             text = (
                 "the loops open as if the voltage acted {late:+.2f} samples later than the manifest says: taken out; "
                 "is voltage_delay_samples right?"
             )
             remarks.append(Remark.of("steps_lag", text, late=late))
+        if not fit.determines_resistance:
+            text = (
+                "the steps do not tell R_s from what the inverter keeps: both are near what was believed before, R_s "
+                "+-{std_ohm:.2g} ohm and {std_v:.2g} V a phase (one standard deviation); step to two sizes of current "
+                "with both signs, or hold direct currents"
+            )
+            figures = {"std_ohm": fit.resistance_std_ohm, "std_v": float(fit.loss_std_v[-1])}
+            remarks.append(Remark.of("resistance_undetermined", text, **figures))
         kept = float(fit.loss_v[-1])
         if abs(kept) > max(4.0 * float(fit.loss_std_v[-1]), 0.002 * volts):
             text = "each phase loses {lost_v:.2f} V, told from the loops; taken out"

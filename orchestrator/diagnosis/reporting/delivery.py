@@ -32,11 +32,14 @@ class Delivery:
     resistance : ResistanceEstimate
     objections : tuple of Remark
         What makes the map no better than those of the estimators: it is not recommended then.
+    title : str
+        The model in one line.
     """
 
     map: FluxMap
     resistance: ResistanceEstimate
     objections: tuple[Remark, ...]
+    title: str = ""
 
 
 def delivery_of(
@@ -65,7 +68,7 @@ def delivery_of(
         By what part of the rated flux each effect moves the map.
     """
     objections = objections_to(judged, verdict, band_percent, moved or {})
-    return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections))
+    return Delivery(_map(uncertainty, kept), _resistance(uncertainty), tuple(objections), kept.title)
 
 
 def _map(uncertainty: MapUncertainty, kept: MotorModel) -> FluxMap:

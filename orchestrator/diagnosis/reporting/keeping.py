@@ -22,14 +22,13 @@ def deliver(delivery: Delivery, recording: Recording, out: Path | None) -> Estim
     """What a fit delivers, put among the results of a run or recording; raises `StorageError`."""
     from orchestrator.estimation import deliver_model  # which knows the diagnosis too
 
-    manifest = recording.manifest
     return deliver_model(
         out or recording.path,
         delivery.map,
         delivery.resistance,
         delivery.objections,
-        motor=manifest.motor,
-        recording=manifest.name,
+        manifest=recording.manifest,
+        title=delivery.title,
     )
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.analysis import check_map, difference_percent, rated_flux_wb
-from protocols import FluxMap
+from orchestrator.analysis import check_map, difference_percent, rated_flux_wb, reference_flux_wb
+from protocols import FluxMap, Motor
 from tests.orchestrator.analysis.plant import flux_for, saturated_current, saturated_hessian
 
 
@@ -78,3 +78,14 @@ def test_difference_of_maps_does_not_see_the_magnet() -> None:
     scaled = one.model_copy(update={"psi_q": 1.01 * one.psi_q})
     found = difference_percent(one, scaled, 0.14)
     assert found == pytest.approx(1.0 / 0.14 * float(np.sqrt(np.nanmean(one.psi_q**2))), rel=1e-3)
+
+
+def test_a_map_that_stops_early_is_told_in_percent_of_the_flux_at_its_edge() -> None:
+    flux_map, motor = exact_map(), Motor(name="m", pole_pairs=2, rated_current_rms_a=1.66, pm_flux_wb=0.3)
+    assert reference_flux_wb(flux_map, motor) == rated_flux_wb(flux_map, motor.rated_current_a)
+    larger = motor.model_copy(update={"rated_current_rms_a": 9.0})
+    at_edge = float(np.linalg.norm(flux_for(np.array([0.0, 3.0]), saturated_current)))
+    assert reference_flux_wb(flux_map, larger) == pytest.approx(at_edge, rel=1e-3)
+    zero = np.zeros((1, 1))
+    point = flux_map.model_copy(update={"i_d": zero[0], "i_q": zero[0], "psi_d": zero + 0.31, "psi_q": zero})
+    assert reference_flux_wb(point, larger) == 0.3

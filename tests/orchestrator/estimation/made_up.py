@@ -7,12 +7,14 @@ from typing import ClassVar
 import numpy as np
 
 from protocols import (
+    AxisPercent,
     Basis,
     DriveRecord,
     Estimate,
     EstimationContext,
     FluxMapEstimate,
     FluxPoints,
+    IncrementalInductances,
     Manifest,
     MapChecks,
     Motor,
@@ -50,7 +52,11 @@ R_S = ResistanceEstimate(
 )
 
 
-SOUND = MapChecks(reciprocity_percent=0.5)
+SOUND = MapChecks(
+    crossings=AxisPercent(d_percent=0.2, q_percent=0.3),
+    parity=AxisPercent(d_percent=0.1, q_percent=0.1),
+    reciprocity_percent=0.5,
+)
 
 
 class Resistance:
@@ -77,10 +83,16 @@ class Mapper:
     basis: ClassVar[Basis | None] = None
 
     def __init__(
-        self, name: str = "", checks: MapChecks | None = None, missing: bool = False, factor: float = 1.0
+        self,
+        name: str = "",
+        checks: MapChecks | None = None,
+        missing: bool = False,
+        factor: float = 1.0,
+        incremental: tuple[IncrementalInductances, ...] = (),
     ) -> None:
         self.name = name or type(self).name  # type: ignore[misc]
         self.checks, self.missing, self.factor = checks or SOUND, missing, factor
+        self.incremental = incremental
         self.saw: EstimationContext | None = None
 
     def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
@@ -92,7 +104,8 @@ class Mapper:
         scaled = {"psi_d": 0.3 + self.factor * (exact.psi_d - 0.3), "psi_q": self.factor * exact.psi_q}
         made = exact.model_copy(update={**scaled, "basis": self.basis})
         said = (Remark(code="noted", text="a note"),)
-        return type(self).produces(map=made, points=points, checks=self.checks, remarks=said)  # type: ignore[call-arg]
+        fields = {"checks": self.checks, "remarks": said, "incremental": self.incremental}
+        return type(self).produces(map=made, points=points, **fields)
 
 
 class Swept(FluxMapEstimate):

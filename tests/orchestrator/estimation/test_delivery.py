@@ -4,15 +4,27 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import h5netcdf
 import numpy as np
 import pytest
 
 from orchestrator.estimation import deliver_model, estimate_recording, load_estimates, load_flux_map
-from protocols import Basis, EstimationReport, FluxMap, Motor, Remark, ResistanceEstimate
+from protocols import (
+    Basis,
+    EstimationReport,
+    Estimator,
+    FluxMap,
+    Motor,
+    Remark,
+    ResistanceEstimate,
+    Segment,
+    SegmentStage,
+)
 from tests.orchestrator.analysis.test_checks import exact_map
 from tests.orchestrator.estimation.made_up import RECORDING, Resistance, Ripples, Sweeps
 
 R_S = ResistanceEstimate(value_ohm=4.1, low=4.09, high=4.11, first_ohm=4.1, last_ohm=4.3)
+ALL: list[Estimator] = [Resistance(), Sweeps(), Ripples()]
 MOTOR = RECORDING.manifest.motor
 AGAINST = (Remark.of("unexplained", "the model leaves {left_percent:.2g} % unexplained", left_percent=3.0),)
 
@@ -23,7 +35,8 @@ def model_map(scale: float = 1.0) -> FluxMap:
 
 
 def deliver(where: Path, *against: Remark, scale: float = 1.0, motor: Motor | None = None) -> EstimationReport:
-    return deliver_model(where, model_map(scale), R_S, against, motor=motor or MOTOR, recording="made up")
+    manifest = RECORDING.manifest.model_copy(update={"motor": motor or MOTOR})
+    return deliver_model(where, model_map(scale), R_S, against, manifest=manifest, title="saturated + dead_time")
 
 
 def test_the_models_map_and_resistance_take_first_place(tmp_path: Path) -> None:
@@ -68,13 +81,41 @@ def test_a_model_is_delivered_where_no_estimator_was_asked(tmp_path: Path) -> No
     assert {path.name for path in (tmp_path / "results").iterdir()} == {"flux_map.nc", "estimates.json"}
 
 
-def test_a_new_pass_of_the_estimators_forgets_the_model(tmp_path: Path) -> None:
-    estimate_recording(RECORDING, [Resistance(), Sweeps()], tmp_path)
+def test_a_new_pass_of_the_estimators_leaves_the_model_in_its_place(tmp_path: Path) -> None:
+    estimate_recording(RECORDING, ALL, tmp_path)
+    diagnosed = deliver(tmp_path)
+    again = estimate_recording(RECORDING, ALL, tmp_path)
+    assert again.model_dump() == diagnosed.model_dump()
+    assert load_flux_map(tmp_path / "results" / "flux_map.nc").method == "model"
+
+
+def test_a_new_pass_keeps_the_objections_to_the_model(tmp_path: Path) -> None:
+    assert estimate_recording(RECORDING, ALL, tmp_path).usable
+    deliver(tmp_path, *AGAINST)
+    again = estimate_recording(RECORDING, ALL, tmp_path)
+    assert not again.usable
+    assert again.remarks[0].code == "unexplained"
+
+
+def test_a_model_of_other_segments_is_forgotten(tmp_path: Path) -> None:
+    estimate_recording(RECORDING, ALL, tmp_path)
     deliver(tmp_path)
-    report = estimate_recording(RECORDING, [Resistance(), Sweeps()], tmp_path)
-    assert report.method != "model"
-    assert report.estimators is None
+    longer = Segment(id="more", stage=SegmentStage.GATES_OFF, start_s=0.0, samples=1)
+    manifest = RECORDING.manifest.model_copy(update={"segments": (longer,)})
+    report = deliver_model(tmp_path, model_map(), R_S, (), manifest=manifest)
+    assert report.method == "model"
+    assert estimate_recording(RECORDING, ALL, tmp_path).method != "model"
     assert not (tmp_path / "results" / "flux_map_model.nc").exists()
+
+
+def test_each_map_file_says_which_model_it_is_of(tmp_path: Path) -> None:
+    own = estimate_recording(RECORDING, ALL, tmp_path)
+    deliver(tmp_path)
+    results = tmp_path / "results"
+    with h5netcdf.File(results / "flux_map.nc", "r") as file:
+        assert file.attrs["model"] == "diagnosed: saturated + dead_time"
+    with h5netcdf.File(results / f"flux_map_{own.method}.nc", "r") as file:
+        assert file.attrs["model"].startswith(f"estimator {own.method}")
 
 
 @pytest.mark.parametrize(("times", "codes"), [(1.0, []), (1.38, ["far_from_nameplate"])])

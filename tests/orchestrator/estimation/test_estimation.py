@@ -7,6 +7,7 @@ import math
 from pathlib import Path
 from typing import Any, ClassVar
 
+import numpy as np
 import pytest
 
 from orchestrator.estimation import estimate_recording
@@ -61,7 +62,8 @@ def test_injection_is_recommended_and_every_map_has_its_file(tmp_path: Path) -> 
 
 
 def test_the_file_is_the_report_and_all_its_numbers_are_finite(tmp_path: Path) -> None:
-    checks = MapChecks(crossings=AxisPercent(d_percent=1.0, q_percent=None), reciprocity_percent=0.5)
+    percent = AxisPercent(d_percent=1.0, q_percent=None)
+    checks = MapChecks(crossings=percent, parity=percent, reciprocity_percent=0.5)
     report = estimate_recording(RECORDING, [Resistance(), Sweeps(checks=checks)], tmp_path)
     text = (tmp_path / "results" / "estimates.json").read_text()
     assert EstimationReport.model_validate_json(text) == report
@@ -95,6 +97,23 @@ def test_nothing_at_all_is_one_clear_line_and_no_file(tmp_path: Path) -> None:
         estimate_recording(RECORDING, [Ripples(missing=True)], tmp_path)
     assert "\n" not in str(told.value)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_equations_without_a_solution_are_one_clear_line(tmp_path: Path) -> None:
+    class Singular(Sweeps):
+        name: ClassVar[str] = "singular"
+
+        def estimate(self, recording: RecordingReader, context: EstimationContext) -> Estimate:
+            np.linalg.inv(np.zeros((2, 2)))
+            return super().estimate(recording, context)
+
+    with pytest.raises(NotMeasuredError, match="do not determine the equations") as told:
+        estimate_recording(RECORDING, [Singular()], tmp_path)
+    assert "\n" not in str(told.value)
+    assert told.value.exit_code == 2
+    report = estimate_recording(RECORDING, [Singular(), Ripples()], tmp_path)
+    assert report.method == "ripples"
+    assert "singular.no_solution" in {remark.code for remark in report.remarks}
 
 
 def test_an_estimator_that_returns_something_else_is_named(tmp_path: Path) -> None:

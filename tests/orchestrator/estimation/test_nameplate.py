@@ -11,7 +11,7 @@ from orchestrator.estimation import estimate_recording
 from protocols import EstimationReport, Motor
 from tests.orchestrator.analysis.campaign import MemoryRecording
 from tests.orchestrator.analysis.test_checks import exact_map
-from tests.orchestrator.estimation.made_up import R_S, RECORDING, Resistance, Ripples
+from tests.orchestrator.estimation.made_up import R_S, RECORDING, Resistance, Ripples, Sweeps
 
 EXACT = exact_map("ripples")
 AT_REST = np.unravel_index(np.argmin(np.add.outer(EXACT.i_d**2, EXACT.i_q**2)), EXACT.l_dd.shape)
@@ -27,7 +27,7 @@ def report(folder: Path, **times: float) -> EstimationReport:
     plate = {name: times[name] * value for name, value in values.items() if name in times}
     motor = Motor.model_validate({**RECORDING.manifest.motor.model_dump(), **plate})
     manifest = RECORDING.manifest.model_copy(update={"motor": motor})
-    return estimate_recording(MemoryRecording(manifest, {}), [Resistance(), Ripples()], folder)
+    return estimate_recording(MemoryRecording(manifest, {}), [Resistance(), Sweeps(), Ripples()], folder)
 
 
 def far(found: EstimationReport) -> dict[str, float]:
@@ -67,3 +67,8 @@ def test_all_off_the_same_way_is_a_scale_of_the_readings(tmp_path: Path) -> None
 
 def test_no_nameplate_is_no_remark(tmp_path: Path) -> None:
     assert far(report(tmp_path)) == {}
+
+
+@pytest.mark.parametrize(("ratio", "usable"), [(0.3, True), (0.2, False), (30.0, False)])
+def test_a_resistance_that_no_convention_makes_leaves_no_map_usable(ratio: float, usable: bool, tmp_path: Path) -> None:
+    assert report(tmp_path, stator_resistance_ohm=ratio).usable is usable

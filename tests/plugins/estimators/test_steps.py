@@ -12,7 +12,18 @@ import pytest
 from orchestrator.recording import open_recording
 from plugins.estimators._maps import SteppedFlux
 from plugins.estimators.steps import StepResistanceEstimator, StepsEstimator
-from protocols import EstimationContext, FluxMap, NotMeasuredError, RecordingReader
+from protocols import (
+    Capture,
+    DriveRecord,
+    EstimationContext,
+    FluxMap,
+    Manifest,
+    Motor,
+    NotMeasuredError,
+    RecordingReader,
+    Segment,
+    SegmentStage,
+)
 from tests.blind.campaign import Bench
 from tests.blind.hidden import draw_case
 from tests.blind.stepping import Steps, record_steps, usual
@@ -103,6 +114,61 @@ def test_ten_milliseconds_on_both_axes_at_once_are_enough(tmp_path: Path) -> Non
     record_steps(at, [Steps((130.0, 108.0), (top, 0.7 * top), 0.01)] * 4, tmp_path / "steps")
     stepped = found(open_recording(tmp_path / "steps"))
     assert rms(errors(stepped.map, at)[0]) < 0.5
+
+
+def test_one_level_of_one_sign_does_not_tell_a_drop_from_the_resistance(tmp_path: Path) -> None:
+    """A step on d, a step on q, each to one current: R_s i + e is all that shows."""
+    ohm, volts, rate, rows = 8.5, 2.72, 50e3, 1000
+    time = (np.arange(rows) - 100) / rate
+    rising = np.random.default_rng(3).normal(size=(2, rows)) * 0.004
+    segments, captures = [], {}
+    for k, (name, henry) in enumerate((("d", 5.4e-3), ("q", 9e-3))):
+        on = time >= 0.0
+        i, v = np.zeros((rows, 2)), np.zeros((rows, 2))
+        v[:, k] = np.where(on, volts, 0.0)
+        i[:, k] = np.where(on, volts / ohm * -np.expm1(-np.maximum(time, 0.0) * ohm / henry), 0.0)
+        i[:, k] = np.round((i[:, k] + rising[k]) / 0.009) * 0.009
+        # The supply is switched off at the end, and the current freewheels.
+        v[-3:, k] = 0.0
+        segments.append(Segment(id=name, stage=SegmentStage.STEPS, start_s=float(k), samples=rows))
+        captures[name] = capture_of(i, v, rate, float(k))
+    manifest = Manifest(
+        format="fluxbench-recording",
+        version=1,
+        name="scope",
+        created="2026-01-01",
+        motor=Motor(name="m", pole_pairs=7, stator_resistance_ohm=ohm),
+        drive=DriveRecord(name="d", sampling_frequency_hz=rate, dc_bus_voltage_v=5.0),
+        segments=tuple(segments),
+    )
+    stepped = found(MemoryRecording(manifest, captures))
+    assert not stepped.fit.determines_resistance
+    assert "resistance_undetermined" in [remark.code for remark in stepped.remarks]
+    assert not {"inverter_loss", "steps_lag"} & {remark.code for remark in stepped.remarks}
+    resistance = StepResistanceEstimator().estimate(MemoryRecording(manifest, captures), EstimationContext((stepped,)))
+    assert resistance.low < ohm < resistance.high
+
+
+def capture_of(i_ab: np.ndarray, v_ab: np.ndarray, rate: float, start_s: float) -> Capture:
+    return Capture(
+        i_ab=i_ab.astype(np.float32),
+        v_ab=v_ab.astype(np.float32),
+        v_dc=np.full(len(i_ab), 5.0, dtype=np.float32),
+        sampling_frequency_hz=rate,
+        start_s=start_s,
+    )
+
+
+def test_currents_on_one_line_are_one_clear_line(tmp_path: Path) -> None:
+    recording = recorded(bench(), tmp_path, seconds=0.02)
+    captures: dict[str, Capture] = {}
+    for segment in recording.segments():
+        capture = recording.load(segment)
+        captures[segment.id] = capture.model_copy(
+            update={"i_ab": capture.i_ab * np.array([1.0, 0.0], dtype=np.float32)}
+        )
+    with pytest.raises(NotMeasuredError, match="area"):
+        found(MemoryRecording(recording.manifest, captures))
 
 
 def test_without_steps_or_any_idea_of_the_resistance_no_map_is_made(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ from orchestrator.diagnosis import add_effects, compare_recording, diagnose_reco
 from orchestrator.estimation import estimate_recording
 from orchestrator.presentation.names import VERDICTS
 from protocols import NotMeasuredError
-from tests.orchestrator.estimation.made_up import Resistance, Ripples
+from tests.orchestrator.estimation.made_up import Resistance, Ripples, Sweeps
 from tests.orchestrator.recording_checks.conftest import right
 from tests.support.rewriting import Rewritten, exchanged
 
@@ -34,10 +34,18 @@ def test_a_convention_is_the_verdict_and_no_effect_is_named(right: Rewritten) ->
 
 
 def test_an_estimation_says_the_same_and_that_its_map_is_not_usable(right: Rewritten, tmp_path: Path) -> None:
-    found = estimate_recording(right.mapped("i_ab", np.sqrt(0.5) * np.eye(2)), [Resistance(), Ripples()], tmp_path)
+    found = estimate_recording(
+        right.mapped("i_ab", np.sqrt(0.5) * np.eye(2)), [Resistance(), Sweeps(), Ripples()], tmp_path
+    )
     assert not found.usable
     assert "rms for peak" in found.reasons[0]
-    assert estimate_recording(right, [Resistance(), Ripples()], tmp_path).usable
+    assert estimate_recording(right, [Resistance(), Sweeps(), Ripples()], tmp_path).usable
+
+
+def test_an_estimation_of_a_dead_sensor_ends_with_the_line_of_the_diagnosis(right: Rewritten, tmp_path: Path) -> None:
+    dead = right.mapped("i_ab", np.diag([1.0, 0.0]))
+    with pytest.raises(NotMeasuredError, match="i_beta looks dead: measure again"):
+        estimate_recording(dead, [Resistance(), Sweeps(), Ripples()], tmp_path)
 
 
 @pytest.mark.slow

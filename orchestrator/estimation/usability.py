@@ -1,0 +1,370 @@
+"""The checks that decide whether a map and its R_s can be relied on, each with what it found. Estimates nothing.
+
+A usable map promises its flux to `MapCriteria.accuracy_percent` (rms) of a reference flux. A check that the recording
+does not allow has not passed; whether the map is usable without it depends on what else can show its error:
+
+- crossings, or for one energy its residual, and parity: an error of the angle, of R_s, of the voltage.
+- a second method: injection alone cannot tell an inductance from a delay or from eddy currents, whose share grows with
+  the frequency; sweeps or a second frequency can.
+- the flux's own 95 % band, and whether the map can be inverted.
+- R_s: its interval, the scatter of its readings, its ratio to the nameplate's.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence, Set
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.analysis._checks import difference_percent, flux_ratio, reference_flux_wb
+from orchestrator.numerics.types import Array
+from protocols import (
+    AxisPercent,
+    Basis,
+    CheckOutcome,
+    FluxMap,
+    FluxMapEstimate,
+    IncrementalInductances,
+    MapCriteria,
+    Motor,
+    Remark,
+    ResistanceEstimate,
+    SegmentStage,
+    UsabilityCheck,
+)
+
+_SWEEPS = {SegmentStage.CLASSICAL, SegmentStage.STEPS}
+_OF_RESISTANCE = {*_SWEEPS, SegmentStage.RESISTANCE}
+_MIRRORED_SHARE = 0.5
+"""Of the reach on the other side of i_q = 0, from which on the symmetry is seen by an energy."""
+_SAME_POINT_SHARE = 0.05
+"""Of the largest current, within which two injections are at one point."""
+
+
+@dataclass(frozen=True)
+class MapEvidence:
+    """What the checks of a map look at.
+
+    Attributes
+    ----------
+    best : FluxMapEstimate
+        The recommended one.
+    maps : mapping of FluxMapEstimate
+        All, by method, the best first.
+    stages : set of SegmentStage
+        What the recording holds.
+    """
+
+    best: FluxMapEstimate
+    maps: Mapping[str, FluxMapEstimate]
+    stages: Set[SegmentStage]
+    motor: Motor
+    criteria: MapCriteria
+
+    @property
+    def measured(self) -> list[FluxMapEstimate]:
+        """Those that are not symmetric by construction."""
+        return [made for made in self.maps.values() if made.map.basis is not Basis.ENERGY]
+
+    @property
+    def pair(self) -> tuple[FluxMap, FluxMap] | None:
+        """The best map by injection and the best by integration: neither knows of the other."""
+        return independent_maps(self.maps)
+
+
+def independent_maps(maps: Mapping[str, FluxMapEstimate]) -> tuple[FluxMap, FluxMap] | None:
+    """The best map by injection and the best by integration; None where there are not both."""
+    by = {basis: [made.map for made in maps.values() if made.map.basis is basis] for basis in Basis}
+    if not by[Basis.INJECTION] or not by[Basis.INTEGRATION]:
+        return None
+    return by[Basis.INJECTION][0], by[Basis.INTEGRATION][0]
+
+
+def methods_difference_percent(maps: Mapping[str, FluxMapEstimate], motor: Motor) -> float | None:
+    """rms flux difference of the two independent maps; None where there are not both, or they do not overlap."""
+    pair = independent_maps(maps)
+    return None if pair is None else difference_percent(*pair, _reference_wb(maps, motor))
+
+
+def differing_ratio(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> tuple[float, float] | None:
+    """Ratio of injection's flux to integration's and its standard deviation, where no chance makes it; else None."""
+    ratio = None if pair is None else flux_ratio(*pair)
+    if ratio is None or abs(ratio[0] - 1.0) <= max(criteria.flux_ratio_stds * ratio[1], criteria.least_flux_ratio):
+        return None
+    return ratio
+
+
+def map_checks(evidence: MapEvidence) -> Iterator[UsabilityCheck]:
+    """Every check of the recommended map."""
+    yield _crossings(evidence)
+    yield _parity(evidence)
+    yield _reciprocity(evidence)
+    yield _methods(evidence)
+    if evidence.best.map.basis is Basis.ENERGY and evidence.measured:
+        yield _energy(evidence)
+    yield flux_band(evidence.best.map, reference_flux_wb(evidence.best.map, evidence.motor), evidence.criteria)
+    yield convex(evidence.best.map)
+
+
+def resistance_checks(
+    resistance: ResistanceEstimate | None, motor: Motor, stages: Set[SegmentStage], criteria: MapCriteria
+) -> Iterator[UsabilityCheck]:
+    """Every check of R_s: it counts where the recording has a stage that tells it."""
+    if resistance is None:
+        text = "R_s was not measured"
+        yield _missing("resistance_interval", text, required=bool(stages & _OF_RESISTANCE))
+        return
+    yield _resistance_interval(resistance, criteria)
+    yield _resistance_scatter(resistance, criteria)
+    yield _resistance_nameplate(resistance, motor, criteria)
+
+
+def _reference_wb(maps: Mapping[str, FluxMapEstimate], motor: Motor) -> float | None:
+    """The recommended map's."""
+    return next((reference_flux_wb(made.map, motor) for made in maps.values()), None)
+
+
+def _crossings(evidence: MapEvidence) -> UsabilityCheck:
+    limit, (axis, value) = evidence.criteria.crossings_percent, _worst(evidence.best.checks.crossings)
+    if value is None:
+        another = methods_difference_percent(evidence.maps, evidence.motor) is not None
+        text = "no paths of currents cross: whether the flux depends on the way there is not known"
+        # Where two methods agree on the flux it does not.
+        return _missing("crossings", text, required=not another)
+    text = "where current paths cross, psi_{axis} differs by {apart_percent:.1f} % of the rated flux"
+    remark = Remark.of("bad_crossings" if value > limit else "crossings", text, axis=axis, apart_percent=value)
+    return _within("crossings", value, limit, remark)
+
+
+def _parity(evidence: MapEvidence) -> UsabilityCheck:
+    """The recommended map's; an energy is even by construction, so another map's counts, or what the energy leaves."""
+    best, limit = evidence.best, evidence.criteria.parity_percent
+    shown = [best] if best.map.basis is not Basis.ENERGY else evidence.measured
+    parities = [_worst(made.checks.parity) for made in shown]
+    axis, value = next((one for one in parities if one[1] is not None), ("q", None))
+    if value is not None:
+        text = "psi_{axis} breaks its symmetry in i_q by {off_percent:.1f} % of the rated flux"
+        if value > limit:
+            text += ": is the rotor angle right?"
+        remark = Remark.of("bad_parity" if value > limit else "parity", text, axis=axis, off_percent=value)
+        return _within("parity", value, limit, remark)
+    if not evidence.measured and best.checks.crossings is not None and _is_mirrored(best.map):
+        text = "readings on both sides of i_q = 0 fit one even energy: see the crossings"
+        return met("parity", Remark.of("parity", text))
+    text = "no currents on both sides of i_q = 0: nothing shows whether the rotor angle is right"
+    return _missing("parity", text, required=True)
+
+
+def _reciprocity(evidence: MapEvidence) -> UsabilityCheck:
+    """Of the recommended map; of the one beside it where that is an energy's, which rests on that alone."""
+    limit, best = evidence.criteria.reciprocity_percent, evidence.best
+    beside = [made.checks.reciprocity_percent for made in evidence.measured]
+    value = beside[0] if len(beside) == 1 else None
+    if best.map.basis is not Basis.ENERGY:
+        value = best.checks.reciprocity_percent
+    if value is None:
+        return _missing("reciprocity", "no map here could break reciprocity", required=False)
+    text = "the slopes of psi_d along i_q and of psi_q along i_d differ by {apart_percent:.0f} % of the inductance"
+    remark = Remark.of("bad_reciprocity" if value > limit else "reciprocity", text, apart_percent=value)
+    return _within("reciprocity", value, limit, remark)
+
+
+def _methods(evidence: MapEvidence) -> UsabilityCheck:
+    """Whether a second method, or injection at a second frequency, finds the same flux."""
+    criteria, pair = evidence.criteria, evidence.pair
+    injected = SegmentStage.INJECTION in evidence.stages or any(
+        made.map.basis is Basis.INJECTION for made in evidence.maps.values()
+    )
+    value = methods_difference_percent(evidence.maps, evidence.motor)
+    if value is not None:
+        text = "the classical and the injection map differ by {apart_percent:.2g} % of the rated flux (rms)"
+        ratio = differing_ratio(pair, criteria)
+        differ = value > criteria.accuracy_percent or ratio is not None
+        if ratio is not None:
+            text += ", by {ratio_percent:.1f} % throughout, more than their errors explain"
+        if differ:
+            text += ": one of them is wrong, or they see different inductances; a diagnosis can tell"
+        values = {"apart_percent": value, "ratio_percent": None if ratio is None else 100.0 * abs(ratio[0] - 1.0)}
+        remark = Remark.of("methods_differ" if differ else "methods", text, **values)
+        return _within("methods", value, criteria.accuracy_percent, remark, failed=differ)
+    frequencies = _frequency_difference_percent(evidence)
+    if frequencies is not None:
+        text = "injections of different frequency see inductances that differ by {apart_percent:.2g} % (mean)"
+        differ = frequencies > criteria.accuracy_percent
+        remark = Remark.of("methods_differ" if differ else "methods", text, apart_percent=frequencies)
+        return _within("methods", frequencies, criteria.accuracy_percent, remark)
+    if not injected:
+        return _missing("methods", "one method alone: the loops of the sweeps are its only check", required=False)
+    text = (
+        "injection was compared with nothing: it cannot tell an inductance from a delay or eddy currents; sweep the "
+        "current too, or inject at a second frequency"
+    )
+    if evidence.stages & _SWEEPS:
+        text = "sweeps and injection do not both give a map of the same currents: nothing compares the two methods"
+    return _missing("methods", text, required=True)
+
+
+def _energy(evidence: MapEvidence) -> UsabilityCheck:
+    """How far an energy is off the nearer of the maps that it was fitted to."""
+    reference = reference_flux_wb(evidence.best.map, evidence.motor)
+    each = [difference_percent(evidence.best.map, made.map, reference) for made in evidence.measured]
+    off = [one for one in each if one is not None]
+    if not off:
+        text = "the energy and the maps that it was fitted to have no currents in common"
+        return _missing("energy", text, required=True)
+    text = "the energy differs from the nearest measured map by {apart_percent:.2g} % of the rated flux (rms)"
+    limit = evidence.criteria.accuracy_percent
+    remark = Remark.of("energy_differs" if min(off) > limit else "energy", text, apart_percent=min(off))
+    return _within("energy", min(off), limit, remark)
+
+
+def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:
+    """The 95 % band of the flux, rms over the map."""
+    variance = flux_map.psi_d_std**2 + flux_map.psi_q_std**2
+    if not reference_wb or not np.isfinite(variance).any():
+        return _missing("flux_band", "the flux has no standard deviation", required=True)
+    # A map's error is told per axis.
+    value = 100.0 * 1.96 * math.sqrt(0.5 * float(np.nanmean(variance))) / reference_wb
+    text = "the flux is known to +-{half_percent:.2g} % of the rated flux (95 %, rms over the map)"
+    wide = value > criteria.accuracy_percent
+    remark = Remark.of("uncertain_map" if wide else "flux_band", text, half_percent=value)
+    return _within("flux_band", value, criteria.accuracy_percent, remark)
+
+
+def convex(flux_map: FluxMap) -> UsabilityCheck:
+    """Whether the inductances of a map are positive definite: the map of a motor's energy can be inverted."""
+    l_dd, l_dq, l_qq = flux_map.l_dd, flux_map.l_dq, flux_map.l_qq
+    known = np.isfinite(l_dd) & np.isfinite(l_dq) & np.isfinite(l_qq)
+    if not known.any():
+        return _missing("convex", "no inductances are known", required=True)
+    bad = known & ((l_dd <= 0.0) | (l_qq <= 0.0) | (l_dd * l_qq <= l_dq**2))
+    value = 100.0 * float(bad.sum()) / float(known.sum())
+    text = "the inductances are positive definite in the whole map"
+    if value:
+        text = "in {nodes_percent:.2g} % of the map the inductances are not positive definite: no motor's energy"
+    remark = Remark.of("not_convex" if value else "convex", text, nodes_percent=value)
+    return _within("convex", value, 0.0, remark)
+
+
+def _resistance_interval(resistance: ResistanceEstimate, criteria: MapCriteria) -> UsabilityCheck:
+    value, low, high = resistance.value_ohm, resistance.low, resistance.high
+    if value <= 0.0:
+        text = "R_s = {value_ohm:.3g} ohm is no resistance"
+        remark = Remark.of("bad_resistance", text, value_ohm=value)
+        return _within("resistance_interval", None, criteria.resistance_percent, remark, failed=True)
+    half = 50.0 * (high - low) / value
+    wide = half > criteria.resistance_percent
+    text = "R_s = {value_ohm:.4g} ohm (95 %: {low:.3g} to {high:.3g}) is known to +-{half_percent:.2g} %"
+    if low <= 0.0:
+        text += ": the interval reaches zero"
+    elif wide:
+        text += ", no better than a nameplate is believed"
+    figures = {"value_ohm": value, "low": low, "high": high, "half_percent": half}
+    remark = Remark.of("uncertain_resistance" if wide else "resistance_interval", text, **figures)
+    return _within("resistance_interval", half, criteria.resistance_percent, remark)
+
+
+def _resistance_scatter(resistance: ResistanceEstimate, criteria: MapCriteria) -> UsabilityCheck:
+    """Scatter of neighbouring readings: what drifts with the winding's heat is little from one to the next."""
+    readings = resistance.readings
+    if len(readings) < 3 or resistance.value_ohm <= 0.0:
+        return _missing("resistance_scatter", "too few readings of R_s to tell their scatter", required=False)
+    steps = np.abs(np.diff([one.value_ohm for one in readings])) / math.sqrt(2.0)
+    stds = np.array([one.std_ohm for one in readings])
+    own = np.maximum(np.sqrt(0.5 * (stds[1:] ** 2 + stds[:-1] ** 2)), 1e-9 * resistance.value_ohm)
+    # The median of |x| is 0.6745 standard deviations of a normal x.
+    scatter = 100.0 * float(np.median(steps)) / 0.6745 / resistance.value_ohm
+    errors = float(np.median(steps / own)) / 0.6745
+    limit = criteria.resistance_percent / 1.96
+    bad = scatter > limit and errors > criteria.scatter_ratio
+    text = "readings of R_s scatter by {scatter_percent:.2g} %, {errors:.2g} times their own errors"
+    figures = {"scatter_percent": scatter, "errors": errors}
+    remark = Remark.of("scattered_resistance" if bad else "resistance_scatter", text, **figures)
+    return _within("resistance_scatter", scatter, limit, remark, failed=bad)
+
+
+def _resistance_nameplate(resistance: ResistanceEstimate, motor: Motor, criteria: MapCriteria) -> UsabilityCheck:
+    stated = motor.stator_resistance_ohm
+    if not stated or resistance.value_ohm <= 0.0:
+        return _missing("resistance_nameplate", "no resistance is stated to hold R_s beside", required=False)
+    ratio = resistance.value_ohm / stated
+    factor = max(ratio, 1.0 / ratio)
+    bad = factor > criteria.resistance_factor
+    text = "R_s is {ratio:.3g} times the nameplate's {nameplate_ohm:.4g} ohm"
+    if bad:
+        text += ": no convention and no tolerance makes that, the nameplate is wrong or the readings are"
+    remark = Remark.of(
+        "resistance_off_nameplate" if bad else "resistance_nameplate", text, ratio=ratio, nameplate_ohm=stated
+    )
+    check = _within("resistance_nameplate", factor, criteria.resistance_factor, remark)
+    return check.model_copy(update={"unit": "1"})
+
+
+def _frequency_difference_percent(evidence: MapEvidence) -> float | None:
+    """Largest difference of mean inductances, of one axis, between injections whose frequencies are far apart."""
+    entries = [one for made in evidence.maps.values() for one in made.incremental]
+    apart = [
+        difference
+        for k, one in enumerate(entries)
+        for other in entries[k + 1 :]
+        if abs(math.log(one.frequency_hz / other.frequency_hz)) >= math.log(evidence.criteria.frequency_ratio)
+        if (difference := _inductance_difference_percent(one, other)) is not None
+    ]
+    return max(apart, default=None)
+
+
+def _inductance_difference_percent(one: IncrementalInductances, other: IncrementalInductances) -> float | None:
+    """Of L_dd or L_qq, mean over the points that both have; None without any."""
+    a, b = (np.asarray(x.i_dq, dtype=np.float64) for x in (one, other))
+    distance: Array = np.linalg.norm(a[:, None] - b[None], axis=2)
+    nearest = distance.argmin(axis=1)
+    same = distance.min(axis=1) <= _SAME_POINT_SHARE * max(float(np.linalg.norm(a, axis=1).max()), 1e-300)
+    if not same.any():
+        return None
+    ratio = one.inductance[same][:, (0, 2)] / other.inductance[nearest[same]][:, (0, 2)]
+    return 100.0 * float(np.abs(ratio.mean(axis=0) - 1.0).max())
+
+
+def _is_mirrored(flux_map: FluxMap) -> bool:
+    """Whether a map reaches both sides of i_q = 0 about as far."""
+    reached = flux_map.i_q[np.isfinite(flux_map.psi_q).any(axis=0)]
+    if not len(reached):
+        return False
+    sides = -float(reached.min()), float(reached.max())
+    return min(sides) >= _MIRRORED_SHARE * max(sides)
+
+
+def _worst(percent: AxisPercent | None) -> tuple[str, float | None]:
+    """The axis with the larger figure, and that."""
+    sides = [] if percent is None else [("d", percent.d_percent), ("q", percent.q_percent)]
+    known = [(value, axis) for axis, value in sides if value is not None]
+    if not known:
+        return "q", None
+    value, axis = max(known)
+    return axis, value
+
+
+def _within(
+    name: str, value: float | None, limit: float, remark: Remark, *, failed: bool | None = None
+) -> UsabilityCheck:
+    """A check with a number [%]; it fails beyond its limit where nothing else is said."""
+    bad = failed if failed is not None else value is None or value > limit
+    outcome = CheckOutcome.FAILED if bad else CheckOutcome.PASSED
+    return UsabilityCheck(name=name, outcome=outcome, required=True, value=value, limit=limit, unit="%", remark=remark)
+
+
+def _missing(name: str, text: str, *, required: bool) -> UsabilityCheck:
+    remark = Remark(code="unchecked", values={"check": name}, text=text)
+    return UsabilityCheck(name=name, outcome=CheckOutcome.NOT_POSSIBLE, required=required, remark=remark)
+
+
+def met(name: str, remark: Remark) -> UsabilityCheck:
+    """A check that passed without a number."""
+    return UsabilityCheck(name=name, outcome=CheckOutcome.PASSED, required=True, remark=remark)
+
+
+def unmet(name: str, remarks: Sequence[Remark]) -> list[UsabilityCheck]:
+    """A failed check for each remark that speaks against the map from elsewhere."""
+    return [UsabilityCheck(name=name, outcome=CheckOutcome.FAILED, required=True, remark=remark) for remark in remarks]
