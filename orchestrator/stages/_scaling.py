@@ -42,6 +42,9 @@ class ScalingRules:
     """Of the injection's direction at each point."""
     time_constants: float = 5.0
     """After which a transient is gone (0.7 %)."""
+    of_ripple: float = 3.0
+    """A d-axis current that keeps phase currents from zero, against the ripple: two phases carry half of it, and a
+    saturated motor has half as much ripple again."""
     shortest_hold_s: float = 0.5
     """A hold averages over several periods of the mains."""
 
@@ -110,6 +113,13 @@ class Scaling:
             told = f"the injection's ripple of {ripple_a:.3g} A leaves no room below limits.current_a of {limit:g} A"
             raise self.error(setting, f"{told}: weaken the injection, or allow well above {needed:.3g} A")
         return room
+
+    def clear_of_zero_a(self, setting: str, ripple_a: float) -> float:
+        """Current on the d axis beside which an injection takes no phase current through zero [A].
+
+        At most half of what the ripple leaves: the current under torque has to fit beside it.
+        """
+        return tidy(min(self._rules.of_ripple * ripple_a, 0.5 * self.beside_ripple_a(setting, ripple_a)))
 
     def injection_hz(self, given: float | None) -> float:
         """Frequency of an injection."""
