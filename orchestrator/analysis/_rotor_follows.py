@@ -19,7 +19,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from orchestrator.analysis._ripple import Ripple
-from orchestrator.analysis._rotor_direction import anisotropy, saturation_direction, slope
+from orchestrator.analysis._rotor_direction import anisotropy, saliency_direction, saturation_direction, slope
 from orchestrator.numerics.types import Array
 
 SIGMAS = 3.0
@@ -46,7 +46,8 @@ def follows(rest: Ripple, torques: Sequence[Ripple], tolerance_rad: float) -> bo
     eighth = math.sqrt(0.5)  # cosine of an eighth of a turn
     if seen and len(seen) == len(suspects) and min(low for low, _ in seen) > eighth:
         return False
-    if seen and max(high for _, high in seen) < HALFWAY * eighth:
+    # Beside a current at rest the magnet's share is an extrapolation: good enough to acquit, not to convict.
+    if not _carries_current(rest, suspects) and seen and max(high for _, high in seen) < HALFWAY * eighth:
         return True
     return True if any(_falls(rest, ripple) for ripple in suspects) else None
 
@@ -64,6 +65,12 @@ def _may_lie_on_current(rest: Ripple, ripple: Ripple, tolerance_rad: float) -> b
     return abs(along - float(before[0])) <= growth + unknown
 
 
+def _carries_current(rest: Ripple, torques: Sequence[Ripple]) -> bool:
+    """Whether the current at rest shares in the slope, by a tenth of that under torque or more."""
+    most_a = max(float(np.linalg.norm(ripple.current_dq)) for ripple in torques)
+    return float(np.linalg.norm(rest.current_dq)) > 0.1 * most_a
+
+
 def _beside_current(ripple: Ripple, vector: Array) -> tuple[float, float]:
     """(H_cc - H_nn, 2 H_cn) by the anisotropy in the believed frame."""
     angle = 2.0 * _angle(ripple)
@@ -77,26 +84,33 @@ def _angle(ripple: Ripple) -> float:
 
 
 def _magnet_share(rest: Ripple, ripple: Ripple) -> tuple[float, float] | None:
-    """Least and most of the slope at rest that is left across the current, at 3 sigma; None where it is not seen.
+    """Least and most of the magnet's slope that is left across the current, at 3 sigma; None where it is not seen.
 
-    In a rotor whose d axis lies along the current there is none.
+    In a rotor that is held the slope is g + k i, the magnet's share and the current's; k is what the torque current
+    has added. In a rotor whose d axis lies along the current there is no slope across it.
     """
     if saturation_direction(rest) is None:
         return None
     angle = _angle(ripple)
     normal = np.array([-math.sin(angle), math.cos(angle)])
     (before, scatter_before), (now, scatter) = slope(rest), slope(ripple)
-    size = float(before @ normal)
-    if abs(size) <= SIGMAS * math.sqrt(float(normal @ scatter_before @ normal)):
+    lever = float(rest.current_dq @ normal) / float(ripple.current_dq[1] - rest.current_dq[1])
+    weight = normal + np.array([0.0, lever])
+    size = float(before @ weight) - lever * float(now[1])
+    size_variance = float(weight @ scatter_before @ weight) + lever**2 * float(scatter[1, 1])
+    if abs(size) <= SIGMAS * math.sqrt(size_variance):
         return None
     share = float(now @ normal) / size
-    std = math.sqrt(float(normal @ (scatter + share**2 * scatter_before) @ normal)) / abs(size)
+    std = math.sqrt(float(normal @ scatter @ normal) + share**2 * size_variance) / abs(size)
     return share - SIGMAS * std, share + SIGMAS * std
 
 
 def _falls(rest: Ripple, ripple: Ripple) -> bool:
     """Whether H falls on an axis by half of what a rotor makes that turns: saturation by more current raises it."""
+    if saliency_direction(rest) is None:
+        return False
     saliency = abs(float(anisotropy(rest)[0][0]))
     change = ripple.hessian - rest.hessian
-    fall = -min(float(change[0, 0]), float(change[1, 1]))
-    return saliency > 0.0 and fall > HALFWAY * math.sin(_angle(ripple)) ** 2 * saliency
+    std = np.sqrt(np.diag(ripple.covariance + rest.covariance)[[0, 2]])
+    fall = float(np.max(-np.diag(change) - SIGMAS * std))
+    return fall > HALFWAY * math.sin(_angle(ripple)) ** 2 * saliency

@@ -28,6 +28,7 @@ from orchestrator.analysis._rotor_direction import (
     zero_share,
 )
 from orchestrator.analysis._rotor_follows import follows
+from orchestrator.numerics.frames import to_dq
 from protocols import Capture, LockChecked, NotMeasuredError, Segment
 
 SURE_OF_LOCK = 0.95
@@ -66,19 +67,19 @@ def judge_lock(
     torque the inductances are what a rotor would show that follows the current, and what saturation by that current
     would show as well.
     """
-    points = [
-        OperatingPoint(
-            demodulate(
+    points = []
+    for segment, capture in captures:
+        try:
+            ripple = demodulate(
                 capture,
                 segment.rotor_angle_rad,
                 voltage_delay_samples=voltage_delay_samples,
                 time_constant_s=time_constant_s,
                 where=segment.id,
-            ),
-            zero_share(capture),
-        )
-        for segment, capture in captures
-    ]
+            )
+        except NotMeasuredError as error:
+            return _unknown(tolerance_rad, f"{error}{_off_target(segment, capture)}")
+        points.append(OperatingPoint(ripple, zero_share(capture)))
     torque_a = np.array([abs(float(point.ripple.mean_current_dq[1])) for point in points])
     at_rest = torque_a < 0.3 * torque_a.max() if len(points) else np.zeros(0, dtype=bool)
     rests = [point for point, rest in zip(points, at_rest, strict=True) if rest]
@@ -96,15 +97,33 @@ def judge_lock(
     by_saturation = [direction for direction in map(saturation_direction, ripples) if direction is not None]
     if len(by_saturation) == len(rests) and _turns_with_rotor(gain := saturation_gain(first, torques)):
         return _verdict(by_saturation, gain, free, tolerance_rad)
-    return _blind(tolerance_rad)
+    reason = (
+        "the motor shows no saliency at rest, neither in its inductances nor in their saturation, that turns with it"
+    )
+    return _unknown(tolerance_rad, f"{reason}, so a rotation is invisible")
 
 
 def _turns_with_rotor(gain: tuple[float, float]) -> bool:
     """Whether a direction is the rotor's, and not that of the current which saturates the iron."""
-    return gain[0] > SURE_OF_MOVEMENT_SIGMAS * gain[1]
+    return abs(gain[0]) > SURE_OF_MOVEMENT_SIGMAS * gain[1]
 
 
-def _blind(tolerance_rad: float) -> LockChecked:
+def _off_target(segment: Segment, capture: Capture) -> str:
+    """Which current flows, where that is not the one asked for by far; the settings of an import may have none."""
+    target = [segment.settings.get(f"target_{axis}_a") for axis in "dq"]
+    if not all(isinstance(value, int | float) for value in target):
+        return ""
+    asked = np.array(target, dtype=np.float64)
+    mean = to_dq(capture.i_ab, segment.rotor_angle_rad).mean(axis=0)
+    if np.linalg.norm(mean - asked) <= 0.1 * np.linalg.norm(asked):
+        return ""
+    return (
+        f"; ({mean[0]:.3g}, {mean[1]:.3g}) A flow where ({asked[0]:.3g}, {asked[1]:.3g}) A were asked for: a longer "
+        "settle_s lets the current control overcome the inverter's dead time"
+    )
+
+
+def _unknown(tolerance_rad: float, reason: str) -> LockChecked:
     # An angle that cannot be seen may be anything: all that is known is how much of a quarter turn is tolerated.
     return LockChecked(
         locked=None,
@@ -112,10 +131,7 @@ def _blind(tolerance_rad: float) -> LockChecked:
         moved_rad=0.0,
         moved_std_rad=0.5 * math.pi / math.sqrt(3.0),
         twist_rad=0.0,
-        summary=(
-            "cannot tell: the motor shows no saliency at rest, neither in its inductances nor in their saturation, "
-            "that turns with the rotor, so a rotation is invisible; nothing speaks against the lock, the brake has to be trusted"
-        ),
+        summary=f"cannot tell: {reason}; nothing speaks against the lock, the brake has to be trusted",
     )
 
 
@@ -174,7 +190,9 @@ def _verdict(
         if by_inverter > 0.5 * std and inverter is not None:
             words += f": {inverter.describe(by_inverter)}"
         else:
-            words += ": a longer duration_s or a larger amplitude_v tells more"
+            # noise falls with the root of the time; a third of the tolerance is enough for both answers
+            longer = max(2.0, (SURE_OF_MOVEMENT_SIGMAS * std / tolerance_rad) ** 2)
+            words += f": a duration_s {longer:.2g} times as long would tell"
     elif free is None:
         words = (
             "cannot tell: under torque this saliency is that of a rotor that follows the current and comes back, "
