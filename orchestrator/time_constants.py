@@ -45,8 +45,8 @@ def time_constant_notes(
         enough_hz = float(f"{3.0 * sampling_frequency_hz / rows:.3g}")
         notes.append(
             f"L / R is {rows:.2g} of a sample ({tau_s:.2g} s at {sampling_frequency_hz:g} Hz): between rows a current "
-            f"decays to {kept:.0%}, so slopes and flux loops tell little of L; sample at {enough_hz:.0f} Hz or more, or "
-            "log the control's own rows"
+            f"decays to {kept:.0%}, so slopes and flux loops tell little of L; sample at {enough_hz:.0f} Hz or more, "
+            "or log the control's own rows"
         )
     slowest = min(injection_hz, default=None)
     if slowest:

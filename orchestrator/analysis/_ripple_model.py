@@ -40,7 +40,8 @@ def model_current(capture: Capture, angle_rad: float, delay: float, fit: Symmetr
     v = np.ascontiguousarray(to_dq(late + part * (later - late), angle_rad).T)
     if len(loss.knots_a):
         frame = (math.cos(angle_rad), math.sin(angle_rad))
-        take_out(*for_kernels(capture.i_ab), 0, frame, loss.knots_a, loss.error_v, loss.areas, v)
+        (i,) = for_kernels(capture.i_ab)
+        take_out(i, 0, frame, loss.knots_a, loss.error_v, loss.areas, v)
     rates, vectors = np.linalg.eig(fit.decay_per_s.astype(np.complex128))
     inverse = np.linalg.inv(vectors)
     x = rates / capture.sampling_frequency_hz

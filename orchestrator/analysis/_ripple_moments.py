@@ -135,8 +135,8 @@ def _accumulate(
         _rotate_window(i_ab, v_ab, frame, delay, first + window * width, z[11:13], v)
         for k in range(width):
             row = first + window * width + k
-            a, b = np.float64(decaying_i_ab[row, 0]), np.float64(decaying_i_ab[row, 1])
-            decaying[0, k], decaying[1, k] = dq_of(a, b, frame[0], frame[1])
+            alpha, beta = np.float64(decaying_i_ab[row, 0]), np.float64(decaying_i_ab[row, 1])
+            decaying[0, k], decaying[1, k] = dq_of(alpha, beta, frame[0], frame[1])
         if len(loss[0]):
             take_out(i_ab, first + window * width, frame, loss[0], loss[1], loss[2], v)
         for axis in range(2):
