@@ -33,6 +33,8 @@ from protocols import Capture, LockChecked, NotMeasuredError, Segment
 
 SURE_OF_LOCK = 0.95
 """Probability of a rotation within the tolerance from which on a rotor counts as locked."""
+NAMEPLATE_SHARE = 0.9
+"""Of a current that follows from the nameplate's flux and inductances, which hold to some percent."""
 SURE_OF_MOVEMENT_SIGMAS = 3.0
 """Standard deviations of a rotation beyond the tolerance from which on the rotor counts as moved."""
 
@@ -43,6 +45,7 @@ def judge_lock(
     *,
     voltage_delay_samples: float = 0.0,
     time_constant_s: float | None = None,
+    aligning_current_a: float = math.inf,
 ) -> LockChecked:
     """Judge from injection captures at rest and under torque whether the rotor turned.
 
@@ -55,6 +58,8 @@ def judge_lock(
         Largest lasting rotation (electrical) that counts as locked.
     voltage_delay_samples, time_constant_s : float
         As in `demodulate`.
+    aligning_current_a : float
+        From there on L_q - L_d outweighs the magnet, and a free rotor does not rest with its d axis on the current [A].
 
     Raises
     ------
@@ -90,6 +95,10 @@ def judge_lock(
     ripples = [at_current(point.ripple, first.current_dq) for point in rests]
     salient = [saliency_direction(r, p.zero_share, loss_v) for r, p in zip(ripples, rests, strict=True)]
     free = follows(first, torques, tolerance_rad)
+    most_a = max(float(np.linalg.norm(ripple.mean_current_dq)) for ripple in torques)
+    if free is False and most_a > NAMEPLATE_SHARE * aligning_current_a and abs(_lean(first, torques)) > tolerance_rad:
+        # By symmetry it cannot be told then; where the current at rest brings a rotor back, nothing else tells.
+        free = None if float(np.linalg.norm(first.mean_current_dq)) > 0.1 * most_a else free
     by_saliency = [direction for direction in salient if direction is not None]
     if len(by_saliency) == len(rests) and _turns_with_rotor(gain := saliency_gain(ripples)):
         inverter = _Inverter(loss_v, first.amplitude_v, max(point.zero_share for point in rests))
@@ -196,7 +205,7 @@ def _verdict(
     elif free is None:
         words = (
             "cannot tell: under torque this saliency is that of a rotor that follows the current and comes back, "
-            "or of one that is held and saturates"
+            "or of one that is held and saturates; a smaller torque_current_a may tell"
         )
         locked = None
     size = f"lasting rotation {math.degrees(moved):+.2f} +- {math.degrees(2 * std):.2f} deg el. (95 %)"

@@ -10,7 +10,7 @@ import math
 from collections.abc import Iterator
 from typing import ClassVar, Literal, Self
 
-from orchestrator.stages import Scaling, given, largest_q_a
+from orchestrator.stages import Scaling, given, largest_q_a, stiffest_hold_a
 from plugins.stages.estimate import ESTIMATING
 from protocols import (
     EnergisedStage,
@@ -128,6 +128,7 @@ class LockCheckStage(EnergisedStage):
             [(segment, recording.load(segment)) for segment in run.segments],
             self.tolerance_rad,
             voltage_delay_samples=run.capabilities.voltage_delay_samples,
+            aligning_current_a=2.0 * stiffest_hold_a(run.procedure.motor),
         )
         if verdict.locked and verdict.confidence < self.least_confidence:
             return verdict.model_copy(update={"locked": None})

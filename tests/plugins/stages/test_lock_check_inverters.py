@@ -11,6 +11,7 @@ import pytest
 
 from orchestrator.analysis import judge_lock
 from orchestrator.config import PlannedPoint, make_plan
+from orchestrator.stages import stiffest_hold_a
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions
 from protocols import Capture, DriveSetup, LockChecked, Procedure, Segment, SegmentStage
 
@@ -72,12 +73,12 @@ def check_lock(
     motor: dict[str, Any],
     limits: dict[str, float],
     drive: dict[str, Any],
-    moved_deg: float = 0.0,
+    moved_deg: float | None = 0.0,
     *,
     duration_s: float = 0.5,
     seed: int = 1,
 ) -> LockChecked:
-    """The verdict of alignment and lock check; the rotor is turned (electrically) as the first torque comes."""
+    """The verdict of alignment and lock check; the rotor is turned (electrically) as the torque comes; None: it is free."""
     procedure = Procedure.model_validate(
         {
             "format": "fluxbench-procedure",
@@ -98,13 +99,18 @@ def check_lock(
     for point in make_plan(procedure, capabilities).points:
         if point.stage == SegmentStage.RESISTANCE:
             break
-        if point.settings.get("torque"):
+        if moved_deg is not None and point.settings.get("torque"):
             device._plant.turn_to(math.radians(moved_deg))
         capture = execute(device, point)
         if point.stage == SegmentStage.LOCK_CHECK:
             measured.append((segment_of(point, capture), capture))
     device.close()
-    return judge_lock(measured, TOLERANCE_RAD, voltage_delay_samples=capabilities.voltage_delay_samples or 0.0)
+    return judge_lock(
+        measured,
+        TOLERANCE_RAD,
+        voltage_delay_samples=capabilities.voltage_delay_samples or 0.0,
+        aligning_current_a=2.0 * stiffest_hold_a(procedure.motor),
+    )
 
 
 def execute(device: SimulatedDrive, point: PlannedPoint) -> Capture:
@@ -148,10 +154,25 @@ def test_a_current_that_the_control_does_not_reach_is_named() -> None:
     assert "longer settle_s" in verdict.summary
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.02, 0.3])
+@pytest.mark.parametrize(
+    "row", [MOTORS[4], MOTORS[8], MOTORS[11]], ids=["outrunner", "salient", "reluctance outweighs"]
+)
+def test_a_free_rotor_that_the_current_at_rest_brings_back_is_not_locked(
+    row: tuple[float, ...], friction: float
+) -> None:
+    motor, limits, drive = bench(row, 0.5e-6)
+    motor["rated_torque_nm"] = 1.5 * row[5] * row[4] * math.sqrt(2.0) * row[3]
+    drive["plant"]["brake"] = {"works": False, "start": "released"}
+    drive["plant"]["rotor"] = {"coulomb_nm": friction * motor["rated_torque_nm"]}
+    verdict = check_lock(motor, limits, drive, None)
+    assert not verdict.locked, verdict.summary
+
+
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_twenty_motors_behind_dead_time_are_judged_without_an_error() -> None:
-    """Of 60 held rotors 10 and of 120 that moved 12 are not known; the rest is right."""
+    """Of 60 held rotors 13 and of 120 that moved 12 are not known; the rest is right."""
     counts: Counter[tuple[bool, bool | None]] = Counter()
     for number, row in enumerate(MOTORS):
         for dead_time_s in (0.2e-6, 0.7e-6, 2e-6):
