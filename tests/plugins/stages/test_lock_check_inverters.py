@@ -78,7 +78,7 @@ def check_lock(
     duration_s: float = 0.5,
     seed: int = 1,
 ) -> LockChecked:
-    """The verdict of alignment and lock check; the rotor is turned (electrically) as the torque comes; None: it is free."""
+    """The verdict; as the torque comes the rotor is turned by so much (electrically). None: it is free."""
     procedure = Procedure.model_validate(
         {
             "format": "fluxbench-procedure",
