@@ -172,7 +172,7 @@ def test_a_free_rotor_that_the_current_at_rest_brings_back_is_not_locked(
 @pytest.mark.slow
 @pytest.mark.timeout(1200)
 def test_twenty_motors_behind_dead_time_are_judged_without_an_error() -> None:
-    """Of 60 held rotors 13 and of 120 that moved 12 are not known; the rest is right."""
+    """Of 60 held rotors 12 and of 120 that moved 12 are not known; the rest is right."""
     counts: Counter[tuple[bool, bool | None]] = Counter()
     for number, row in enumerate(MOTORS):
         for dead_time_s in (0.2e-6, 0.7e-6, 2e-6):
