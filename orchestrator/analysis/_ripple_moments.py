@@ -78,23 +78,25 @@ def ripple_moments(
     centre_i: Array = _NONE[0],
     inductance_h: Array = _NONE,
     loss: PhaseLoss = NO_LOSS,
+    decaying_i_ab: Samples | None = None,
 ) -> Moments:
     """Accumulate the moments in the frame at `angle_rad`, from row `first` on, in windows of `width` samples.
 
     v[k] acts from t_k + delay Ts on; `first` must not be less than `delay`. `drop_ohm`, shape (2, 2), is R of the
     flux ripple whose products are taken. These are of the flux from its value at the current `centre_i`, which in a
     window is the ripple and `inductance_h`, shape (2, 2), times what the window's mean current is off. `loss` is taken
-    out of the voltage first.
+    out of the voltage first. Q is the primitive of `decaying_i_ab`, by default of the current as measured.
     """
     whole = math.floor(delay)
     windows = (len(i_ab) - first) // width
     i, v = for_kernels(i_ab, v_ab)
+    decaying = i if decaying_i_ab is None else for_kernels(decaying_i_ab)[0]
     frame = (math.cos(angle_rad), math.sin(angle_rad))
     lag = (whole, float(delay - whole))
     inverter = (loss.knots_a, loss.error_v, loss.areas)
     around = (drop_ohm, centre_i, inductance_h)
     normal, squares, mean_i, square_i, v2 = _accumulate(
-        i, v, sampling_s, frame, lag, around, inverter, first, width, windows
+        i, decaying, v, sampling_s, frame, lag, around, inverter, first, width, windows
     )
     samples = windows * width
     mean_i /= windows
@@ -105,6 +107,7 @@ def ripple_moments(
 @njit(cache=True, nogil=True, fastmath=True)
 def _accumulate(
     i_ab: Samples,
+    decaying_i_ab: Samples,
     v_ab: Samples,
     sampling_s: float,
     frame: tuple[float, float],
@@ -126,10 +129,14 @@ def _accumulate(
     for k in range(width):
         z[ramp, k] = k - 0.5 * (width - 1)
     tt = width * (width * width - 1) / 12.0
-    v = np.empty((2, width))
+    v, decaying = np.empty((2, width)), np.empty((2, width))
     product, level = np.empty((14, 14)), np.zeros(13)
     for window in range(windows):
         _rotate_window(i_ab, v_ab, frame, delay, first + window * width, z[11:13], v)
+        for k in range(width):
+            row = first + window * width + k
+            alpha, beta = np.float64(decaying_i_ab[row, 0]), np.float64(decaying_i_ab[row, 1])
+            decaying[0, k], decaying[1, k] = dq_of(alpha, beta, frame[0], frame[1])
         if len(loss[0]):
             take_out(i_ab, first + window * width, frame, loss[0], loss[1], loss[2], v)
         for axis in range(2):
@@ -138,10 +145,11 @@ def _accumulate(
             square_i[axis] += i_mean * i_mean
             off[axis] = i_mean - centre[axis]
             _take_out_mean(v, axis)
+            _take_out_mean(decaying, axis)
             v2 += _times(v, axis, v, axis, z, axis)
         for axis in range(2):
             place[axis] = inductance[axis, 0] * off[0] + inductance[axis, 1] * off[1]
-        _fill_features(z, v, drop_ohm, place, sampling_s, level)
+        _fill_features(z, v, decaying, drop_ohm, place, sampling_s, level)
         _multiply(z, product)
         for a in range(13):
             along, up = level[a] / width, product[ramp, a] / tt
@@ -174,8 +182,10 @@ def _rotate_window(
 
 
 @njit(cache=True, nogil=True, fastmath=True)
-def _fill_features(z: Array, v: Array, drop_ohm: Array, place: Array, sampling_s: float, level: Array) -> None:
-    """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current in rows 11 and 12.
+def _fill_features(
+    z: Array, v: Array, decaying: Array, drop_ohm: Array, place: Array, sampling_s: float, level: Array
+) -> None:
+    """Rows 0 to 10 of z from the zero-mean voltage v and the zero-mean current `decaying` that makes it decay.
 
     `level` gets the sums of the rows that do not have zero mean.
     """
@@ -184,10 +194,10 @@ def _fill_features(z: Array, v: Array, drop_ohm: Array, place: Array, sampling_s
         z[0, k], z[1, k] = p_d, p_q
         p_d += sampling_s * v[0, k]
         p_q += sampling_s * v[1, k]
-        z[2, k] = q_d + 0.5 * sampling_s * z[11, k]
-        z[3, k] = q_q + 0.5 * sampling_s * z[12, k]
-        q_d += sampling_s * z[11, k]
-        q_q += sampling_s * z[12, k]
+        z[2, k] = q_d + 0.5 * sampling_s * decaying[0, k]
+        z[3, k] = q_q + 0.5 * sampling_s * decaying[1, k]
+        q_d += sampling_s * decaying[0, k]
+        q_q += sampling_s * decaying[1, k]
     for row in range(4):
         _take_out_mean(z, row)
     # The voltage has done its work: its rows hold the flux from the centre from here on.

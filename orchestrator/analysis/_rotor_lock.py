@@ -1,9 +1,9 @@
 """Whether the rotor is really locked, judged from the angle of its saliency at rest and under torque.
 
-The principal axes of the Hessian turn with the rotor. Injection at zero, positive, zero, negative and zero torque
-current shows by how much the rotor has turned between the rests (it slipped in its brake, or was never locked) and
-how far it seems to give while the torque acts: cross-saturation turns the axes as well. Half a turn of the axes' angle
-looks like none; a rotor that follows the current vector turns by a quarter.
+The principal axes of the Hessian turn with the rotor. Injection at rest, under positive torque, at rest, under negative
+torque and at rest shows by how much the rotor has turned between the rests (it slipped in its brake, or was never
+locked) and how far it seems to give while the torque acts: cross-saturation turns the axes as well. Half a turn of the
+axes' angle looks like none; a rotor that follows the current vector turns by as much as that.
 """
 
 from __future__ import annotations
@@ -15,17 +15,28 @@ from dataclasses import dataclass
 import numpy as np
 
 from orchestrator.analysis._ripple import Ripple, demodulate
-from orchestrator.numerics.types import Array
+from orchestrator.analysis._rotor_direction import (
+    Direction,
+    OperatingPoint,
+    at_current,
+    inverter_loss_v,
+    rotation,
+    saliency_direction,
+    saliency_gain,
+    saturation_direction,
+    saturation_gain,
+    zero_share,
+)
+from orchestrator.analysis._rotor_follows import follows
+from orchestrator.numerics.frames import to_dq
 from protocols import Capture, LockChecked, NotMeasuredError, Segment
 
-
-@dataclass(frozen=True)
-class _Direction:
-    """Angle of something that turns with the rotor; angles a `turn` apart look alike."""
-
-    angle: float
-    std: float
-    turn: float
+SURE_OF_LOCK = 0.95
+"""Probability of a rotation within the tolerance from which on a rotor counts as locked."""
+NAMEPLATE_SHARE = 0.9
+"""Of a current that follows from the nameplate's flux and inductances, which hold to some percent."""
+SURE_OF_MOVEMENT_SIGMAS = 3.0
+"""Standard deviations of a rotation beyond the tolerance from which on the rotor counts as moved."""
 
 
 def judge_lock(
@@ -34,18 +45,21 @@ def judge_lock(
     *,
     voltage_delay_samples: float = 0.0,
     time_constant_s: float | None = None,
+    aligning_current_a: float = math.inf,
 ) -> LockChecked:
     """Judge from injection captures at rest and under torque whether the rotor turned.
 
     Parameters
     ----------
     captures : sequence of (Segment, Capture)
-        In order of time, with currents of zero, plus, zero, minus, zero on the believed q axis. Which are which
-        is told from the waveforms.
+        In order of time, with currents of zero, plus, zero, minus, zero on the believed q axis, and one current (or
+        none) on its d axis. Which are which is found from the waveforms.
     tolerance_rad : float
         Largest lasting rotation (electrical) that counts as locked.
     voltage_delay_samples, time_constant_s : float
         As in `demodulate`.
+    aligning_current_a : float
+        From there on L_q - L_d outweighs the magnet, and a free rotor does not rest with its d axis on the current [A].
 
     Raises
     ------
@@ -54,94 +68,106 @@ def judge_lock(
 
     Notes
     -----
-    `locked` is None where the rotor is back at each rest, and under torque the inductances are what a rotor would show
-    that follows the current, and what saturation by that current would show as well.
+    `locked` is None where the rotation is not known well enough, or where the rotor is back at each rest, and under
+    torque the inductances are what a rotor would show that follows the current, and what saturation by that current
+    would show as well.
     """
-    ripples = [
-        demodulate(
-            capture,
-            segment.rotor_angle_rad,
-            voltage_delay_samples=voltage_delay_samples,
-            time_constant_s=time_constant_s,
-            where=segment.id,
-        )
-        for segment, capture in captures
-    ]
-    length = np.array([float(np.linalg.norm(r.mean_current_dq)) for r in ripples])
-    at_rest = length < 0.3 * length.max() if len(length) else np.zeros(0, dtype=bool)
-    rests = [r for r, rest in zip(ripples, at_rest, strict=True) if rest]
-    torques = [r for r, rest in zip(ripples, at_rest, strict=True) if not rest]
-    if len(rests) < 2 or not torques:
+    points = []
+    for segment, capture in captures:
+        try:
+            ripple = demodulate(
+                capture,
+                segment.rotor_angle_rad,
+                voltage_delay_samples=voltage_delay_samples,
+                time_constant_s=time_constant_s,
+                where=segment.id,
+            )
+        except NotMeasuredError as error:
+            return _unknown(tolerance_rad, f"{error}{_off_target(segment, capture)}")
+        points.append(OperatingPoint(ripple, zero_share(capture)))
+    torque_a = np.array([abs(float(point.ripple.mean_current_dq[1])) for point in points])
+    at_rest = torque_a < 0.3 * torque_a.max() if len(points) else np.zeros(0, dtype=bool)
+    rests = [point for point, rest in zip(points, at_rest, strict=True) if rest]
+    loaded = [point for point, rest in zip(points, at_rest, strict=True) if not rest]
+    if len(rests) < 2 or not loaded:
         raise NotMeasuredError("lock_check", "segments", "needs injection at rest before and after one under torque")
-    for direction_of in (_saliency_direction, _saturation_direction):
-        directions = [direction_of(r) for r in rests]
-        if all(d is not None for d in directions):
-            torque = _under_torque(rests[0], torques) if direction_of is _saliency_direction else None
-            return _verdict([d for d in directions if d is not None], torque, tolerance_rad)
-    return _blind(tolerance_rad)
+    first, torques, loss_v = rests[0].ripple, [point.ripple for point in loaded], inverter_loss_v(rests, loaded)
+    ripples = [at_current(point.ripple, first.current_dq) for point in rests]
+    salient = [saliency_direction(r, p.zero_share, loss_v) for r, p in zip(ripples, rests, strict=True)]
+    free = follows(first, torques, tolerance_rad)
+    most_a = max(float(np.linalg.norm(ripple.mean_current_dq)) for ripple in torques)
+    if free is False and most_a > NAMEPLATE_SHARE * aligning_current_a and abs(_lean(first, torques)) > tolerance_rad:
+        # By symmetry it cannot be told then; where the current at rest brings a rotor back, nothing else tells.
+        free = None if float(np.linalg.norm(first.mean_current_dq)) > 0.1 * most_a else free
+    by_saliency = [direction for direction in salient if direction is not None]
+    if len(by_saliency) == len(rests) and _turns_with_rotor(gain := saliency_gain(ripples)):
+        inverter = _Inverter(loss_v, first.amplitude_v, max(point.zero_share for point in rests))
+        return _verdict(by_saliency, gain, free, tolerance_rad, inverter, _Twist(_lean(first, torques)))
+    by_saturation = [direction for direction in map(saturation_direction, ripples) if direction is not None]
+    if len(by_saturation) == len(rests) and _turns_with_rotor(gain := saturation_gain(first, torques)):
+        return _verdict(by_saturation, gain, free, tolerance_rad)
+    reason = (
+        "the motor shows no saliency at rest, neither in its inductances nor in their saturation, that turns with it"
+    )
+    return _unknown(tolerance_rad, f"{reason}, so a rotation is invisible")
 
 
-def _blind(tolerance_rad: float) -> LockChecked:
+def _turns_with_rotor(gain: tuple[float, float]) -> bool:
+    """Whether a direction is the rotor's, and not that of the current which saturates the iron."""
+    return abs(gain[0]) > SURE_OF_MOVEMENT_SIGMAS * gain[1]
+
+
+def _off_target(segment: Segment, capture: Capture) -> str:
+    """Which current flows, where that is not the one asked for by far; the settings of an import may have none."""
+    target = [segment.settings.get(f"target_{axis}_a") for axis in "dq"]
+    if not all(isinstance(value, int | float) for value in target):
+        return ""
+    asked = np.array(target, dtype=np.float64)
+    mean = to_dq(capture.i_ab, segment.rotor_angle_rad).mean(axis=0)
+    if np.linalg.norm(mean - asked) <= 0.1 * np.linalg.norm(asked):
+        return ""
+    return (
+        f"; ({mean[0]:.3g}, {mean[1]:.3g}) A flow where ({asked[0]:.3g}, {asked[1]:.3g}) A were asked for: a longer "
+        "settle_s lets the current control overcome the inverter's dead time"
+    )
+
+
+def _unknown(tolerance_rad: float, reason: str) -> LockChecked:
     # An angle that cannot be seen may be anything: all that is known is how much of a quarter turn is tolerated.
     return LockChecked(
-        locked=True,
+        locked=None,
         confidence=min(tolerance_rad / (0.5 * math.pi), 1.0),
         moved_rad=0.0,
         moved_std_rad=0.5 * math.pi / math.sqrt(3.0),
         twist_rad=0.0,
-        summary=(
-            "cannot tell: the motor shows no saliency at rest, neither in its inductances nor in their saturation, "
-            "so a rotation is invisible; nothing speaks against the lock, the brake has to be trusted"
-        ),
+        summary=f"cannot tell: {reason}; nothing speaks against the lock, the brake has to be trusted",
     )
 
 
-def _saliency_direction(ripple: Ripple) -> _Direction | None:
-    """Axis of the smallest inductance; None where the motor is round within the noise."""
-    h = ripple.hessian
-    difference = np.array([h[0, 0] - h[1, 1], 2.0 * h[0, 1]])
-    by_h = np.array([[1.0, 0.0, -1.0], [0.0, 2.0, 0.0]])
-    return _direction(difference, by_h @ ripple.covariance[:3, :3] @ by_h.T, float(np.trace(h)), 2)
+@dataclass(frozen=True)
+class _Inverter:
+    """What the inverter loses while phase currents pass zero at rest."""
 
+    loss_v: float
+    injected_v: float
+    zero_share: float
 
-def _saturation_direction(ripple: Ripple) -> _Direction | None:
-    """Direction in which the inductances fall: it follows the magnet even in a round motor."""
-    size = float(np.trace(ripple.hessian)) / max(ripple.flux_rms_wb, 1e-12)
-    return _direction(*_slope(ripple), size, 1)
-
-
-def _slope(ripple: Ripple) -> tuple[Array, Array]:
-    """Gradient of the Hessian's trace [A/Wb^2], shape (2,), and its covariance."""
-    t = ripple.third
-    by_t = np.array([[1.0, 0.0, 1.0, 0.0], [0.0, 1.0, 0.0, 1.0]])
-    return np.array([t[0] + t[2], t[1] + t[3]]), by_t @ ripple.covariance[3:, 3:] @ by_t.T
-
-
-def _direction(
-    vector: Array, covariance: Array, scale: float, order: int, sure: float = 5.0, sensors: float = 0.005
-) -> _Direction | None:
-    """Where a vector points; None unless it is `sure` standard deviations long and beyond what sensors differ by."""
-    length = float(np.linalg.norm(vector))
-    if length <= max(sure * math.sqrt(float(np.trace(covariance))), sensors * scale):
-        return None
-    across = np.array([-vector[1], vector[0]]) / length
-    std = math.sqrt(float(across @ covariance @ across)) / length / order
-    return _Direction(math.atan2(vector[1], vector[0]) / order, std, 2.0 * math.pi / order)
-
-
-def _turned(later: _Direction, earlier: _Direction) -> tuple[float, float]:
-    turn = math.remainder(later.angle - earlier.angle, earlier.turn)
-    return turn, math.hypot(later.std, earlier.std)
+    def describe(self, rotation_rad: float) -> str:
+        return (
+            f"phase currents have the other sign for {self.zero_share:.0%} of the time at rest, where the inverter may "
+            f"lose {self.loss_v:.2g} V of the {self.injected_v:.2g} V injected: that alone may look like "
+            f"{math.degrees(2.0 * rotation_rad):.2g} deg; a larger rest_current_a keeps them from zero, with "
+            "alignment.angle_rad at a multiple of 60 deg"
+        )
 
 
 @dataclass(frozen=True)
-class _UnderTorque:
-    lean: float
-    """By how much the saliency at rest would have to turn for the coupling that is seen [rad]."""
-    follows: bool | None
-    """Whether the rotor goes where the current points; None: saturation would look the same."""
+class _Twist:
+    """By how much the saliency at rest would have to turn for the coupling that is seen under torque [rad]."""
 
-    def in_words(self, tolerance_rad: float) -> str:
+    lean: float
+
+    def describe(self, tolerance_rad: float) -> str:
         # A turn changes the coupling by half the saliency at most: what leans more is no turn.
         if abs(self.lean) > 0.5:
             return "cross-saturation under torque hides any twist"
@@ -149,28 +175,43 @@ class _UnderTorque:
         return size if abs(self.lean) <= tolerance_rad else f"apparent {size}: cross-saturation looks like it"
 
 
-def _verdict(rests: list[_Direction], torque: _UnderTorque | None, tolerance_rad: float) -> LockChecked:
-    moved, std = max((_turned(rest, rests[0]) for rest in rests[1:]), key=lambda turn: abs(turn[0]))
-    confidence = _within(moved, std, tolerance_rad)
-    # A measurement blunter than the tolerance convicts nobody: then only a rotation beyond its own error does.
-    blunt = 2.0 * std > tolerance_rad and abs(moved) < 3.0 * std
-    locked: bool | None = confidence > 0.5 or blunt
-    words = "locked" if confidence > 0.5 else "the rotor moved"
-    if blunt:
-        words = "no movement seen, but the saliency is too weak to tell to within the tolerance"
-    if torque is not None and torque.follows:
+def _verdict(
+    rests: Sequence[Direction],
+    gain: tuple[float, float],
+    free: bool | None,
+    tolerance_rad: float,
+    inverter: _Inverter | None = None,
+    twist: _Twist | None = None,
+) -> LockChecked:
+    turns = [rotation(rest, rests[0], gain) for rest in rests[1:]]
+    moved, std, by_inverter = max(turns, key=lambda turn: abs(turn[0]))
+    confidence = min(_within(turn, sigma, tolerance_rad) for turn, sigma, _ in turns)
+    has_moved = any(abs(turn) > max(tolerance_rad, SURE_OF_MOVEMENT_SIGMAS * sigma) for turn, sigma, _ in turns)
+    locked: bool | None = confidence >= SURE_OF_LOCK
+    words = "locked"
+    if free:
         words = "the saliency follows the current vector: the rotor is free"
         locked, confidence = False, min(confidence, 1e-6)
-    elif torque is not None and torque.follows is None and locked:
+    elif has_moved:
+        words, locked = "the rotor moved", False
+    elif not locked:
+        words, locked = "cannot tell: the rotation is not known to within the tolerance", None
+        if by_inverter > 0.5 * std and inverter is not None:
+            words += f": {inverter.describe(by_inverter)}"
+        else:
+            # noise falls with the root of the time; a third of the tolerance is enough for both answers
+            longer = max(2.0, (SURE_OF_MOVEMENT_SIGMAS * std / tolerance_rad) ** 2)
+            words += f": a duration_s {longer:.2g} times as long would tell"
+    elif free is None:
         words = (
-            "cannot tell: under torque this weak saliency is that of a rotor that follows the current and comes back, "
-            "or of one that is held and saturates"
+            "cannot tell: under torque this saliency is that of a rotor that follows the current and comes back, "
+            "or of one that is held and saturates; a smaller torque_current_a may tell"
         )
         locked = None
     size = f"lasting rotation {math.degrees(moved):+.2f} +- {math.degrees(2 * std):.2f} deg el. (95 %)"
     seen = (
-        torque.in_words(tolerance_rad)
-        if torque is not None
+        twist.describe(tolerance_rad)
+        if twist is not None
         else "seen by the direction of saturation, as the motor shows no saliency"
     )
     return LockChecked(
@@ -178,13 +219,13 @@ def _verdict(rests: list[_Direction], torque: _UnderTorque | None, tolerance_rad
         confidence=confidence,
         moved_rad=moved,
         moved_std_rad=std,
-        twist_rad=torque.lean if torque is not None else 0.0,
+        twist_rad=twist.lean if twist is not None else 0.0,
         summary=f"{words}; {size}, tolerance {math.degrees(tolerance_rad):.2f} deg; {seen}",
     )
 
 
-def _under_torque(rest: Ripple, torques: list[Ripple]) -> _UnderTorque:
-    """How far the saliency leans under torque, and whether it goes where the current points.
+def _lean(rest: Ripple, torques: Sequence[Ripple]) -> float:
+    """How far the saliency leans under torque [rad].
 
     The angle is the one by which the saliency at rest would have to turn to give the coupling H_12 seen under torque,
     half the difference between both signs; the principal axes themselves do not serve, since saturation can make the
@@ -198,50 +239,7 @@ def _under_torque(rest: Ripple, torques: list[Ripple]) -> _UnderTorque:
         positive = bool(ripple.mean_current_dq @ across * np.sign(across[1]) > 0)
         turns[positive].append(float(ripple.hessian[0, 1] - rest.hessian[0, 1]) / saliency)
     plus, minus = (float(np.mean(turns[way])) if turns[way] else 0.0 for way in (True, False))
-    lean = 0.5 * (plus - minus) if turns[True] and turns[False] else plus - minus
-    return _UnderTorque(lean, _follows(rest, torques, along, across))
-
-
-def _follows(rest: Ripple, torques: list[Ripple], along: Array, across: Array) -> bool | None:
-    """Whether the rotor went where the current points; None where saturation by that current would look the same.
-
-    H is even about the rotor's d axis. In a rotor that lies along the current it falls and rises along the current
-    only, while in one that is held the magnet's share of its slope stays on the believed d axis: that tells, where the
-    magnet saturates the motor. Else the saliency has to: a rotor that followed shows its q axis across the current.
-    But saturation by that current raises H on both axes, and so makes an axis with the less H look like the other;
-    only an H that falls is none of it.
-    """
-    eighth = math.sqrt(0.5)  # cosine of the 45 degrees at which the saliency changes sides
-    kept = _slope_kept(rest, torques, (along, across))
-    if kept is not None and kept[0] > eighth:
-        return False
-    changes = [ripple.hessian - rest.hessian for ripple in torques]
-    saliency = float(along @ rest.hessian @ along - across @ rest.hessian @ across)
-    if not any(-float(along @ change @ along) / saliency > 0.5 for change in changes):
-        return False
-    falls = max(-float(axis @ change @ axis) for change in changes for axis in (along, across))
-    if falls > 0.5 * abs(saliency) or (kept is not None and kept[1] < 0.5 * eighth):
-        return True
-    return None
-
-
-def _slope_kept(rest: Ripple, torques: list[Ripple], axes: tuple[Array, Array]) -> tuple[float, float] | None:
-    """The least and the most of the slope at rest that is left under torque, at 3 sigma; None where it is not seen.
-
-    Along that of the principal axes on which the slope lies: they are known the better.
-    """
-    if _saturation_direction(rest) is None:
-        return None
-    slope, covariance = _slope(rest)
-    axis = max(axes, key=lambda e: abs(float(slope @ e)))
-    size = float(slope @ axis)
-    left = []
-    for ripple in torques:
-        now, scatter = _slope(ripple)
-        share = float(now @ axis) / size
-        std = math.sqrt(float(axis @ (scatter + share**2 * covariance) @ axis)) / abs(size)
-        left.append((share - 3.0 * std, share + 3.0 * std))
-    return min(low for low, _ in left), max(high for _, high in left)
+    return 0.5 * (plus - minus) if turns[True] and turns[False] else plus - minus
 
 
 def _within(value: float, std: float, tolerance: float) -> float:

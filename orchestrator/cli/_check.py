@@ -12,6 +12,7 @@ from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_pl
 from orchestrator.engine import UsedPlugins, connected_drive, host_gap
 from orchestrator.presentation.quantities import duration, number, quantity
 from orchestrator.stages import parse_stages
+from orchestrator.time_constants import plan_notes
 from protocols import Capabilities, Drive
 
 if TYPE_CHECKING:
@@ -40,6 +41,7 @@ def check(
         plan = make_plan(procedure, capabilities)
         summary = check_plan(plan, capabilities)
         summary = summary.model_copy(update={"notes": (*summary.notes, *_heart_notes(connected, capabilities))})
+        summary = summary.model_copy(update={"notes": (*summary.notes, *plan_notes(plan, capabilities))})
         report = None if rehearsal is None else rehearsal.outlook(plan, capabilities)
     if as_json and report is not None:
         say_document(report.model_dump_json(indent=2))

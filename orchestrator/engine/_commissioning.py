@@ -7,7 +7,8 @@ the drive stands down, the reason is in the journal, and what was measured is a 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from contextlib import suppress
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Literal
 
@@ -17,18 +18,22 @@ from orchestrator.engine._interrupts import Interrupts
 from orchestrator.engine._log import RunLog
 from orchestrator.engine._measuring import Measurement
 from orchestrator.engine._operator import Operator, Questions
+from orchestrator.engine._overcurrent import explain_overcurrent, ripple_ratio, sensor_noise
 from orchestrator.engine._plugins import UsedPlugins
 from orchestrator.engine._power import SAFE, PowerStage, as_drive_errors
 from orchestrator.engine._probing import RippleProbe, weakened
 from orchestrator.engine._stage_run import Engine, StageAtWork
 from orchestrator.engine._states import StateMachine, Trigger, table_of
 from orchestrator.engine._thermometer import Thermometer
+from orchestrator.recording import open_recording
 from orchestrator.runs import RunDirectory
 from protocols import (
     Capabilities,
     Drive,
+    DriveFault,
     DriveRefused,
     EstimationReport,
+    FaultCause,
     FluxbenchError,
     Note,
     PluginError,
@@ -115,6 +120,7 @@ class Commissioning:
             interrupts,
             plugins,
         )
+        self._tripped_at: PlannedPoint | None = None
         self._summary: EstimationReport | None = None
         self._unwritten: StorageError | None = None
 
@@ -237,7 +243,9 @@ class Commissioning:
                 seconds=point.seconds,
             )
         )
+        self._tripped_at = point
         segment, (achieved_d_a, achieved_q_a) = self._measurement.measure(point)
+        self._tripped_at = None
         after(segment)  # a kill in between has the point measured again, and nothing of it lost
         if isinstance(self._drive, ResumableDrive):
             with as_drive_errors(self._capabilities.name):
@@ -283,6 +291,7 @@ class Commissioning:
             outcome = Outcome("faulted", stood_down, self._power.unsafe, outcome.estimates)
         if self._agenda.done:
             trouble.append(self._last_word(self._keep_manifest))
+        outcome = self._explained(outcome)
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         ending = self._ending(outcome)
         self._last_word(lambda: self._machine.fire(ENDINGS[ending], reason))
@@ -290,6 +299,23 @@ class Commissioning:
         trouble.append(self._last_word(lambda: self._log.say(ended, durable=True)))
         reason = "; ".join(dict.fromkeys(filter(None, (outcome.reason, *trouble))))
         return Outcome(self._ending(outcome), reason, outcome.error or self._unwritten, self._summary)
+
+    def _explained(self, outcome: Outcome) -> Outcome:
+        """The outcome with what brought the current to its trip, where a point ended by that."""
+        fault, point = outcome.error, self._tripped_at
+        if not isinstance(fault, DriveFault) or fault.cause is not FaultCause.OVERCURRENT or point is None:
+            return outcome
+        procedure, noise, seen = self._agenda.plan.procedure, None, None
+        if self._agenda.done:
+            with suppress(FluxbenchError, OSError):  # what cannot be read explains nothing
+                recording = open_recording(self._run.path)
+                noise = sensor_noise(recording)
+                seen = ripple_ratio(recording, procedure.motor, noise)
+        hint = explain_overcurrent(
+            point, procedure.motor, procedure.limits, self._capabilities.sampling_frequency_hz, noise, seen
+        )
+        explained = DriveFault(fault.cause, f"{point.id}: {fault.detail}; {hint}")
+        return replace(outcome, reason=str(explained), error=explained)
 
     def _ending(self, outcome: Outcome) -> Ending:
         """A run of which something could not be written has not finished, though every stage is done."""

@@ -85,15 +85,6 @@ class Measurement:
         RunInterrupted
             A stop was asked for.
         """
-        try:
-            return self._measured(point)
-        except DriveFault as fault:
-            if fault.cause is not FaultCause.OVERCURRENT:
-                raise
-            hint = "a saturated motor takes more ripple than its nameplate says: lower the stage's currents or voltage"
-            raise DriveFault(fault.cause, f"{point.id}: {fault.detail}; {hint}") from fault
-
-    def _measured(self, point: PlannedPoint) -> tuple[Segment, tuple[float, float]]:
         angle = point.excitation.rotor_angle_rad
         mean = MeanCurrent(angle)
         temperature = self._temperature(point.id)

@@ -23,6 +23,7 @@ from orchestrator.importing._timing import Clock
 from orchestrator.importing._waveform_checks import WaveformChecks
 from orchestrator.recording import SegmentWriter, open_recording, write_manifest
 from orchestrator.recording._recording_checks import SoundRecording
+from orchestrator.time_constants import recording_notes
 from protocols import DriveRecord, InputError, Manifest, Motor, Segment, StorageError, Strict
 
 
@@ -87,7 +88,7 @@ def import_files(mapping: Path, files: Sequence[Path], out: Path) -> ImportRepor
         sampling_frequency_hz=manifest.drive.sampling_frequency_hz,
         rows=importer.rows,
         dropped_rows={why: rows for why, rows in findings.dropped_rows.items() if rows},
-        notes=(*mappings.readings, *findings.notes()),
+        notes=(*mappings.readings, *findings.notes(), *recording_notes(manifest)),
     )
 
 

@@ -13,7 +13,7 @@ from orchestrator.stages._parsing import (
 )
 from orchestrator.stages._patterns import MOST_POINTS, five_values, grid, largest_q_a, on_axis, paths, steps, within
 from orchestrator.stages._ripple import flux_swing_wb, injection_voltage_v, ripple_a
-from orchestrator.stages._scaling import NOMINAL_SAMPLING_HZ, Scaling, ScalingRules, given, tidy
+from orchestrator.stages._scaling import NOMINAL_SAMPLING_HZ, Scaling, ScalingRules, given, stiffest_hold_a, tidy
 from orchestrator.stages._schema import with_stages
 
 __all__ = [
@@ -36,6 +36,7 @@ __all__ = [
     "ripple_a",
     "spelled_out",
     "steps",
+    "stiffest_hold_a",
     "tidy",
     "with_stages",
     "within",

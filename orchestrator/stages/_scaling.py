@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import Literal, TypeVar
 
 from orchestrator.stages._ripple import flux_swing_wb, injection_voltage_v, ripple_a
-from protocols import CurrentControl, ProcedureError, StageContext
+from protocols import CurrentControl, Motor, ProcedureError, StageContext
 
 T = TypeVar("T")
 
@@ -42,6 +42,9 @@ class ScalingRules:
     """Of the injection's direction at each point."""
     time_constants: float = 5.0
     """After which a transient is gone (0.7 %)."""
+    of_ripple: float = 3.0
+    """A d-axis current that keeps phase currents from zero, against the ripple: two phases carry half of it, and a
+    saturated motor has half as much ripple again."""
     shortest_hold_s: float = 0.5
     """A hold averages over several periods of the mains."""
 
@@ -82,20 +85,8 @@ class Scaling:
 
     @property
     def stiffest_hold_a(self) -> float:
-        """Current on the d axis that holds a free rotor there most stiffly [A]; infinite where more always does.
-
-        The magnet draws the d axis onto the current, L_q - L_d draws the q axis onto it. By the torque
-
-            T = 3/2 p (psi_m i sin g - (L_q - L_d) i^2 sin g cos g),
-
-        g from the magnet to the current (J. R. Hendershot, T. J. E. Miller, Design of Brushless Permanent-Magnet
-        Machines, 2010), the stiffness dT/dg at g = 0 is largest at psi_m / 2 (L_q - L_d), and gone at twice that.
-        """
-        motor = self._motor
-        if not motor.pm_flux_wb or motor.d_inductance_h is None or motor.q_inductance_h is None:
-            return math.inf
-        outweighing_h = motor.q_inductance_h - motor.d_inductance_h
-        return 0.5 * motor.pm_flux_wb / outweighing_h if outweighing_h > 0.0 else math.inf
+        """Current on the d axis that holds a free rotor there most stiffly [A]; see the function of that name."""
+        return stiffest_hold_a(self._motor)
 
     @property
     def reach_a(self) -> float:
@@ -110,6 +101,13 @@ class Scaling:
             told = f"the injection's ripple of {ripple_a:.3g} A leaves no room below limits.current_a of {limit:g} A"
             raise self.error(setting, f"{told}: weaken the injection, or allow well above {needed:.3g} A")
         return room
+
+    def clear_of_zero_a(self, setting: str, ripple_a: float) -> float:
+        """Current on the d axis beside which an injection takes no phase current through zero [A].
+
+        At most half of what the ripple leaves: the current under torque has to fit beside it.
+        """
+        return tidy(min(self._rules.of_ripple * ripple_a, 0.5 * self.beside_ripple_a(setting, ripple_a)))
 
     def injection_hz(self, given: float | None) -> float:
         """Frequency of an injection."""
@@ -217,6 +215,22 @@ class Scaling:
             problem = f"missing, and {place} is derived from it: give one of the two"
             raise ProcedureError(self._context.procedure.name, f"motor.{name}", problem)
         return value
+
+
+def stiffest_hold_a(motor: Motor) -> float:
+    """Current on the d axis that holds a free rotor there most stiffly [A]; infinite where more always does.
+
+    The magnet draws the d axis onto the current, L_q - L_d draws the q axis onto it. By the torque
+
+        T = 3/2 p (psi_m i sin g - (L_q - L_d) i^2 sin g cos g),
+
+    g from the magnet to the current (J. R. Hendershot, T. J. E. Miller, Design of Brushless Permanent-Magnet
+    Machines, 2010), the stiffness dT/dg at g = 0 is largest at psi_m / 2 (L_q - L_d), and gone at twice that.
+    """
+    if not motor.pm_flux_wb or motor.d_inductance_h is None or motor.q_inductance_h is None:
+        return math.inf
+    outweighing_h = motor.q_inductance_h - motor.d_inductance_h
+    return 0.5 * motor.pm_flux_wb / outweighing_h if outweighing_h > 0.0 else math.inf
 
 
 def given(setting: T | None) -> T:

@@ -36,6 +36,7 @@ from orchestrator.analysis import (
 )
 from orchestrator.numerics.surface import TaylorSurface
 from orchestrator.numerics.types import Array
+from orchestrator.time_constants import recording_notes
 from plugins.estimators._lines import straight_lines
 from plugins.estimators._maps import InjectedFlux, SweptFlux, as_map, grid_of, voltage_delay
 from plugins.estimators._one_way import OneWay, by_point, shows_both_axes
@@ -127,6 +128,7 @@ class InjectionEstimator:
             remarks=(
                 *_too_far_apart(points, self.steepest),
                 *_remarks(groups, chosen, points, flux),
+                *(Remark(code="time_constant", text=one) for one in recording_notes(recording.manifest)),
                 *(Remark(code="skipped", text=one) for one in skipped),
             ),
             inductances=points,

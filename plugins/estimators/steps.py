@@ -25,6 +25,7 @@ from orchestrator.analysis import (
     trace_steps,
 )
 from orchestrator.numerics.surface import inside_hull, require_area
+from orchestrator.time_constants import recording_notes
 from plugins.estimators._energies import gridded, pm_flux
 from plugins.estimators._maps import SteppedFlux, voltage_delay
 from plugins.estimators.resistance import ResistanceEstimator
@@ -97,7 +98,11 @@ class StepsEstimator:
             map=flux_map,
             points=points,
             checks=check_map(flux_map, rated, fit.misfit),
-            remarks=(*_off_the_known(fit, beliefs), *self._remarks(fit, late, rated, max(t.volts for t in traces))),
+            remarks=(
+                *_off_the_known(fit, beliefs),
+                *self._remarks(fit, late, rated, max(t.volts for t in traces)),
+                *(Remark(code="time_constant", text=one) for one in recording_notes(recording.manifest)),
+            ),
             fit=fit,
             start_s=segments[0].start_s,
         )

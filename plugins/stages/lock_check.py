@@ -1,16 +1,22 @@
-"""The lock check: saliency seen by injection at rest, under torque of both signs, and at rest again."""
+"""The lock check: saliency seen by injection at rest, under torque of both signs, and at rest again.
+
+At rest a current flows on the d axis, which makes no torque. It keeps the phase currents from passing zero within the
+ripple: what an inverter loses then (dead time, device drop) would be taken for inductance, and its change for a turn.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from typing import ClassVar, Literal, Self
 
-from orchestrator.stages import Scaling, given, largest_q_a
+from orchestrator.stages import Scaling, given, largest_q_a, stiffest_hold_a
 from plugins.stages.estimate import ESTIMATING
 from protocols import (
     EnergisedStage,
     Injection,
     LockChecked,
+    NonNegative,
     Note,
     Positive,
     RunAborted,
@@ -36,6 +42,8 @@ class LockCheckStage(EnergisedStage):
 
     torque_current_a: Positive | None = None
     """Current on the believed q axis. None: the largest of the later stages that leaves room for the ripple."""
+    rest_current_a: NonNegative | None = None
+    """Current on the d axis at rest and under torque. None: what keeps each phase current from passing zero."""
     amplitude_v: Positive | None = None
     frequency_hz: Positive | None = None
     rotation_hz: Positive | None = None
@@ -51,13 +59,21 @@ class LockCheckStage(EnergisedStage):
         frequency = scaling.injection_hz(self.frequency_hz)
         rotation, duration = scaling.turns(self.rotation_hz, self.duration_s, frequency)
         amplitude = self.amplitude_v or scaling.injection_v("amplitude_v", frequency)
-        torque = self.torque_current_a
+        ripple = scaling.ripple_a(amplitude, frequency, "square")
+        rest, torque = self.rest_current_a, self.torque_current_a
+        if rest is None:
+            rest = scaling.clear_of_zero_a("amplitude_v", ripple)
         if torque is None:
             others = [stage for stage in context.later if not isinstance(stage, LockCheckStage)]
             wanted = largest_q_a(others) or scaling.amplitude_a("torque_current_a")
-            ripple = scaling.ripple_a(amplitude, frequency, "square")
-            torque = min(wanted, float(f"{scaling.beside_ripple_a('amplitude_v', ripple):.3g}"))
+            room = scaling.beside_ripple_a("amplitude_v", ripple)
+            if rest >= room:
+                raise scaling.error(
+                    "rest_current_a", f"{rest:g} A leave no room for torque: {room:.3g} A at most in all"
+                )
+            torque = min(wanted, float(f"{math.sqrt(room**2 - rest**2):.3g}"))
         update = {
+            "rest_current_a": rest,
             "torque_current_a": torque,
             "amplitude_v": amplitude,
             "frequency_hz": frequency,
@@ -71,7 +87,7 @@ class LockCheckStage(EnergisedStage):
     def points(self) -> Iterator[StagePoint]:
         for sign in (0, 1, 0, -1, 0):
             injection = Injection(
-                target_d_a=0.0,
+                target_d_a=given(self.rest_current_a),
                 target_q_a=sign * given(self.torque_current_a) + 0.0,
                 settle_s=given(self.settle_s),
                 duration_s=given(self.duration_s),
@@ -112,6 +128,7 @@ class LockCheckStage(EnergisedStage):
             [(segment, recording.load(segment)) for segment in run.segments],
             self.tolerance_rad,
             voltage_delay_samples=run.capabilities.voltage_delay_samples,
+            aligning_current_a=2.0 * stiffest_hold_a(run.procedure.motor),
         )
         if verdict.locked and verdict.confidence < self.least_confidence:
             return verdict.model_copy(update={"locked": None})

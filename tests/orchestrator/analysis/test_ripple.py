@@ -293,3 +293,24 @@ def test_a_resistance_that_is_known_changes_nothing_where_the_wave_tells_it() ->
     capture = capture_of(injected(), 1)
     told, known = (demodulate(capture, 0.0, time_constant_s=TIME_CONSTANT_S, resistance_ohm=r) for r in (None, 5 * R_S))
     np.testing.assert_array_equal(told.hessian, known.hessian)
+
+
+@pytest.mark.parametrize("noise_a", [0.0, 0.003])
+def test_noise_does_not_bias_an_inductance_far_below_its_resistance(noise_a: float) -> None:
+    ohm, henry, rate = 5.85, np.array([360e-6, 400e-6]), 20e3
+    n = 10_000
+    t = np.arange(n) / rate
+    axis = np.stack([np.cos(2 * np.pi * 4.0 * t), np.sin(2 * np.pi * 4.0 * t)], axis=1)
+    square = np.where((np.arange(n) // 10) % 2 == 0, 1.0, -1.0)
+    v = 0.55 * square[:, None] * axis
+    kept = np.exp(-ohm / henry / rate)
+    i = np.zeros((n, 2))
+    for k in range(n - 1):
+        i[k + 1] = kept * i[k] + (1.0 - kept) * v[k] / ohm
+    i += np.random.default_rng(1).normal(scale=noise_a, size=i.shape)
+    capture = Capture(start_s=0.0, sampling_frequency_hz=rate, i_ab=i, v_ab=v, v_dc=np.full(n, 42.0))
+    ripple = demodulate(capture, 0.0)
+    inductance = np.diag(np.linalg.inv(ripple.hessian))
+    std = np.sqrt(np.diag(ripple.covariance))[[0, 2]] * inductance**2
+    np.testing.assert_allclose(inductance, henry, atol=max(4.0 * float(std.max()), 1e-6))
+    np.testing.assert_allclose(inductance, henry, rtol=0.02)

@@ -1,0 +1,116 @@
+"""Whether a rotor goes where the current points and comes back, as one does whose brake does not hold.
+
+The current at rest lies on the d axis, so it brings back a rotor that is free. Friction that lets the torque turn the
+rotor, and yet lets that weaker current bring it back to within the tolerance, is so small that under torque the rotor's
+d axis lay along the current to within the tolerance as well. By the symmetry of a rotor about its d axis there is then
+
+    c H n = 0,    |(H_cc - H_nn) - (H_cc - H_nn at rest)| <= increase of the trace,
+
+c the direction of the current and n across it: more current along d saturates both axes, and the saliency changes by no
+more than the two together. A rotor that shows anything else was held. What shows just that may still be a rotor that
+is held and saturates: then the slope of the inductances tells, whose part by the magnet stays where the rotor is.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from orchestrator.analysis._ripple import Ripple
+from orchestrator.analysis._rotor_direction import anisotropy, saliency_direction, saturation_direction, slope
+from orchestrator.numerics.types import Array
+
+SIGMAS = 3.0
+HALFWAY = 0.5
+"""Between what a held rotor shows and what one shows that follows."""
+
+
+def follows(rest: Ripple, torques: Sequence[Ripple], tolerance_rad: float) -> bool | None:
+    """Whether the rotor followed the current under torque; None where a held rotor would show the same.
+
+    Parameters
+    ----------
+    rest : Ripple
+        Before any torque.
+    torques : sequence of Ripple
+    tolerance_rad : float
+        Rotation (electrical) that counts as none.
+    """
+    suspects = [ripple for ripple in torques if _may_lie_on_current(rest, ripple, tolerance_rad)]
+    if not suspects:
+        return False
+    kept = [_magnet_share(rest, ripple) for ripple in suspects]
+    seen = [share for share in kept if share is not None]
+    eighth = math.sqrt(0.5)  # cosine of an eighth of a turn
+    if seen and len(seen) == len(suspects) and min(low for low, _ in seen) > eighth:
+        return False
+    # Beside a current at rest the magnet's share is an extrapolation: good enough to acquit, not to convict.
+    if not _carries_current(rest, suspects) and seen and max(high for _, high in seen) < HALFWAY * eighth:
+        return True
+    return True if any(_falls(rest, ripple) for ripple in suspects) else None
+
+
+def _may_lie_on_current(rest: Ripple, ripple: Ripple, tolerance_rad: float) -> bool:
+    """Whether the saliency under torque is one of a rotor whose d axis lies along the current."""
+    before, scatter_before = anisotropy(rest)
+    now, scatter = anisotropy(ripple)
+    along, across = _beside_current(ripple, now)
+    # What is across at rest, where the d axis is known to lie, is the sensors' unequal gain or the brake's turn.
+    unknown = abs(float(before[1])) + SIGMAS * math.sqrt(float(np.linalg.eigvalsh(scatter + scatter_before)[-1]))
+    if abs(across) > unknown + 2.0 * tolerance_rad * float(np.linalg.norm(now)):
+        return False
+    growth = float(np.trace(ripple.hessian) - np.trace(rest.hessian))
+    return abs(along - float(before[0])) <= growth + unknown
+
+
+def _carries_current(rest: Ripple, torques: Sequence[Ripple]) -> bool:
+    """Whether the current at rest shares in the slope, by a tenth of that under torque or more."""
+    most_a = max(float(np.linalg.norm(ripple.current_dq)) for ripple in torques)
+    return float(np.linalg.norm(rest.current_dq)) > 0.1 * most_a
+
+
+def _beside_current(ripple: Ripple, vector: Array) -> tuple[float, float]:
+    """(H_cc - H_nn, 2 H_cn) by the anisotropy in the believed frame."""
+    angle = 2.0 * _angle(ripple)
+    c, s = math.cos(angle), math.sin(angle)
+    return float(c * vector[0] + s * vector[1]), float(c * vector[1] - s * vector[0])
+
+
+def _angle(ripple: Ripple) -> float:
+    d, q = ripple.mean_current_dq
+    return math.atan2(q, d)
+
+
+def _magnet_share(rest: Ripple, ripple: Ripple) -> tuple[float, float] | None:
+    """Least and most of the magnet's slope that is left across the current, at 3 sigma; None where it is not seen.
+
+    In a rotor that is held the slope is g + k i, the magnet's share and the current's; k is what the torque current
+    has added. In a rotor whose d axis lies along the current there is no slope across it.
+    """
+    if saturation_direction(rest) is None:
+        return None
+    angle = _angle(ripple)
+    normal = np.array([-math.sin(angle), math.cos(angle)])
+    (before, scatter_before), (now, scatter) = slope(rest), slope(ripple)
+    lever = float(rest.current_dq @ normal) / float(ripple.current_dq[1] - rest.current_dq[1])
+    weight = normal + np.array([0.0, lever])
+    size = float(before @ weight) - lever * float(now[1])
+    size_variance = float(weight @ scatter_before @ weight) + lever**2 * float(scatter[1, 1])
+    if abs(size) <= SIGMAS * math.sqrt(size_variance):
+        return None
+    share = float(now @ normal) / size
+    std = math.sqrt(float(normal @ scatter @ normal) + share**2 * size_variance) / abs(size)
+    return share - SIGMAS * std, share + SIGMAS * std
+
+
+def _falls(rest: Ripple, ripple: Ripple) -> bool:
+    """Whether H falls on an axis by half of what a rotor makes that turns: saturation by more current raises it."""
+    if saliency_direction(rest) is None:
+        return False
+    saliency = abs(float(anisotropy(rest)[0][0]))
+    change = ripple.hessian - rest.hessian
+    std = np.sqrt(np.diag(ripple.covariance + rest.covariance)[[0, 2]])
+    fall = float(np.max(-np.diag(change) - SIGMAS * std))
+    return fall > HALFWAY * math.sin(_angle(ripple)) ** 2 * saliency

@@ -1,0 +1,206 @@
+"""Names what brought a current to its trip: set-point, noise, ripple, a wrong inductance, or the current control.
+
+The set-point and the nameplate's ripple are the plan's; noise and offset are what the sensors read with the gates off;
+how far the ripple is from the nameplate's shows in the last injection that was measured. A trip acts at
+limits.current_a or above, so what stays below that limit did not reach it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from orchestrator.config import PlannedPoint, nominal_ripple_a
+from orchestrator.stages import flux_swing_wb, ripple_a
+from protocols import GatesOff, Injection, Limits, Motor, RecordingReader, Segment, SegmentStage
+
+WRONG_INDUCTANCE_RATIO = 2.0
+"""Measured over the nameplate's ripple from which on the inductance is the cause: iron saturates by 20 to 60 %."""
+MOST_INJECTIONS_READ = 5
+"""A lock check's: at rest and under torque."""
+SMALLEST_CURRENT_SHARE = 0.3
+"""Of the set-point: less is no measurement of this motor, and other sensors are wanted."""
+_PEAK_OVER_RMS = {"square": math.sqrt(3.0), "sine": math.sqrt(2.0)}
+"""Of the current ripple that the injected waveform makes."""
+
+
+@dataclass(frozen=True)
+class SensorNoise:
+    """Readings with the gates off: their mean's length, and the standard deviations of the vector [A]."""
+
+    offset_a: float
+    longest_a: float
+    """Along the axis on which it is largest."""
+    mean_square_a2: float
+    """Of both axes together."""
+
+    def peak_a(self, rows: int) -> float:
+        """Length that the noise reaches once in so many rows: P(|n| > x) = exp(-x^2 / 2 sigma^2) a row."""
+        return self.longest_a * math.sqrt(2.0 * math.log(max(rows, 2)))
+
+
+@dataclass(frozen=True)
+class RippleRatio:
+    """Measured over the nameplate's ripple of one injection."""
+
+    segment: str
+    ratio: float
+
+
+def sensor_noise(recording: RecordingReader) -> SensorNoise | None:
+    """Of the latest reading with the gates off; None where there is none."""
+    segments = recording.segments(SegmentStage.GATES_OFF)
+    if not segments:
+        return None
+    readings = recording.load(segments[-1]).i_ab.astype(np.float64)
+    if len(readings) < 2:
+        return None
+    covariance = np.cov(readings.T)
+    return SensorNoise(
+        offset_a=float(np.linalg.norm(readings.mean(axis=0))),
+        longest_a=math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])),
+        mean_square_a2=float(np.trace(covariance)),
+    )
+
+
+def ripple_ratio(recording: RecordingReader, motor: Motor, noise: SensorNoise | None) -> RippleRatio | None:
+    """The least of the first injections that were measured: where iron saturates least, the nameplate has to hold.
+
+    None where there is none, or no inductance to compare with.
+    """
+    stages = (SegmentStage.LOCK_CHECK, SegmentStage.INJECTION)
+    segments = [segment for segment in recording.segments() if segment.stage in stages]
+    ratios = (_ripple_ratio(recording, segment, motor, noise) for segment in segments[:MOST_INJECTIONS_READ])
+    return min((one for one in ratios if one is not None), key=lambda one: one.ratio, default=None)
+
+
+def _ripple_ratio(
+    recording: RecordingReader, segment: Segment, motor: Motor, noise: SensorNoise | None
+) -> RippleRatio | None:
+    settings = segment.settings
+    amplitude_v, frequency_hz, waveform = (settings.get(key) for key in ("amplitude_v", "frequency_hz", "waveform"))
+    if waveform not in _PEAK_OVER_RMS or not isinstance(amplitude_v, float) or not isinstance(frequency_hz, float):
+        return None
+    nominal_a = ripple_a(flux_swing_wb(amplitude_v, frequency_hz, waveform), motor)
+    if nominal_a <= 0.0:
+        return None
+    readings = recording.load(segment).i_ab.astype(np.float64)
+    mean_square = float(readings.var(axis=0).sum()) - (noise.mean_square_a2 if noise is not None else 0.0)
+    peak_a = _PEAK_OVER_RMS[waveform] * math.sqrt(max(mean_square, 0.0))
+    return RippleRatio(segment.id, peak_a / nominal_a)
+
+
+def explain_overcurrent(
+    point: PlannedPoint,
+    motor: Motor,
+    limits: Limits,
+    sampling_frequency_hz: float,
+    noise: SensorNoise | None = None,
+    seen: RippleRatio | None = None,
+) -> str:
+    """Say in one line what reached the trip, with its numbers, and what ends it.
+
+    Parameters
+    ----------
+    point : PlannedPoint
+        At which the drive tripped.
+    motor : Motor
+        The nameplate.
+    limits : Limits
+    sampling_frequency_hz : float
+        How often the drive compares its readings.
+    noise : SensorNoise, optional
+        As measured before.
+    seen : RippleRatio, optional
+        Of an injection measured before.
+    """
+    excitation, limit_a = point.excitation, limits.current_a
+    asked_a, nominal_a = excitation.longest_current_a, nominal_ripple_a(excitation, motor)
+    if isinstance(excitation, GatesOff):
+        return "no current is driven with the gates off: offset, noise or scale of the sensors reach the trip alone"
+    rows = round((excitation.settling_s + excitation.captured_s) * sampling_frequency_hz)
+    noise_a = noise.peak_a(rows) + noise.offset_a if noise is not None else 0.0
+    swing_a = nominal_a * (max(seen.ratio, 1.0) if seen is not None else 1.0)
+    budget = f"{asked_a:.3g} A were asked for{_noise_words(noise, noise_a, rows)}"
+    if nominal_a > 0.0:
+        budget += f", the nameplate's ripple is {nominal_a:.2g} A"
+    wrong = seen is not None and seen.ratio > WRONG_INDUCTANCE_RATIO
+    if seen is not None and wrong and (nominal_a > 0.0 or asked_a + noise_a < limit_a):
+        return f"{budget}; {_wrong_inductance(seen, motor)}"
+    if asked_a + noise_a + swing_a < limit_a:
+        return (
+            f"{budget}: together less than limits.current_a of {limit_a:g} A; {_unseen(point, motor, limit_a, noise_a)}"
+        )
+    if noise_a >= swing_a:
+        return f"{budget}: {_too_noisy(point, limit_a, noise_a, swing_a)}"
+    return f"{budget}: the ripple reaches the trip; {_weaker(point, limit_a - asked_a - noise_a, swing_a)}"
+
+
+def _noise_words(noise: SensorNoise | None, noise_a: float, rows: int) -> str:
+    if noise is None:
+        return ""
+    return f", noise and offset reach {noise_a:.2g} A ({noise.longest_a:.2g} A rms with the gates off, {rows} rows)"
+
+
+def _wrong_inductance(seen: RippleRatio, motor: Motor) -> str:
+    known = {"d": motor.d_inductance_h, "q": motor.q_inductance_h}
+    true = " and ".join(f"{axis}_inductance_h {h / seen.ratio:.2g}" for axis, h in known.items() if h is not None)
+    return (
+        f"in {seen.segment} the ripple was {seen.ratio:.2g} times the nameplate's: its inductance is too large, or the "
+        f"iron saturates by as much; with {true} H (half of what is measured line to line) the plan fits the motor"
+    )
+
+
+def _too_noisy(point: PlannedPoint, limit_a: float, noise_a: float, swing_a: float) -> str:
+    asked_a = point.excitation.longest_current_a
+    needed_a = asked_a + noise_a + swing_a
+    room_a = limit_a - noise_a - swing_a
+    raised = f"limits.current_a of {_up(needed_a):g} A, where motor and drive bear it"
+    if room_a < SMALLEST_CURRENT_SHARE * asked_a:
+        return f"the noise reaches the trip; that needs quieter sensors, or {raised}"
+    return (
+        f"the noise reaches the trip; currents of {_down(room_a):g} A at most in stages.{point.stage_index} end "
+        f"that, or {raised}, with these {asked_a:.3g} A written into the stage: left out, they grow with the limit"
+    )
+
+
+def _weaker(point: PlannedPoint, room_a: float, swing_a: float) -> str:
+    excitation = point.excitation
+    if not isinstance(excitation, Injection) or room_a <= 0.0:
+        return f"currents in stages.{point.stage_index} lower by {_up(swing_a - room_a):g} A end that"
+    return f"an injection of {_down(excitation.amplitude_v * room_a / swing_a):g} V ends that"
+
+
+def _unseen(point: PlannedPoint, motor: Motor, limit_a: float, noise_a: float) -> str:
+    """What may have taken the current further than everything that is known."""
+    excitation = point.excitation
+    nominal_a = nominal_ripple_a(excitation, motor)
+    ohm = motor.stator_resistance_ohm
+    short = "a short between phases" + (f" (expect {2.0 * ohm:.3g} ohm from terminal to terminal)" if ohm else "")
+    if nominal_a > 0.0:
+        # the first half wave of a square begins at the mean: it reaches twice the ripple
+        ratio = (limit_a - excitation.longest_current_a - noise_a) / (2.0 * nominal_a)
+        return (
+            f"an inductance below the nameplate's by {max(ratio, 1.0):.2g} times or more does that (a wrong unit or "
+            f"decimal, line to line for phase, saturation), or {short}: measure both at the terminals"
+        )
+    bandwidth = excitation.control.bandwidth_hz
+    return (
+        f"an overshoot of the current control does that, which the nameplate's R and L tune: control.bandwidth_hz of "
+        f"{0.5 * bandwidth:.3g} in place of {bandwidth:.3g}; or {short}: measure R and L at the terminals"
+    )
+
+
+def _up(value: float) -> float:
+    """Two digits, rounded up."""
+    return -_down(-value)
+
+
+def _down(value: float) -> float:
+    """Two digits, rounded down."""
+    if value == 0.0:
+        return 0.0
+    unit = 10.0 ** (math.floor(math.log10(abs(value))) - 1)
+    return float(f"{math.floor(value / unit + 1e-9) * unit:.6g}")
