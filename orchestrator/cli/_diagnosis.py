@@ -11,6 +11,7 @@ from orchestrator import workbench
 from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
+from orchestrator.presentation.benefits import BENEFITS, benefit_line
 from orchestrator.presentation.explaining import accuracy_sentences
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
@@ -87,7 +88,7 @@ def add(
         tell = _waiting(as_json).keep
         report = workbench.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
-    _say_added(report, as_json)
+    _say_refit(report, path, as_json)
     return 0
 
 
@@ -96,7 +97,7 @@ def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_jso
     with prompt_interrupt():
         report = workbench.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
         refresh_report(path, out)
-    _say_added(report, as_json)
+    _say_refit(report, path, as_json)
     return 0
 
 
@@ -147,12 +148,13 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     say(f"flux map: NOT TO BE RELIED ON: {why}")
 
 
-def _say_added(report: AddReport, as_json: bool) -> None:
+def _say_refit(report: AddReport, path: Path, as_json: bool) -> None:
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return
     _print_ladder(report)
-    say_notes(report.notes)
+    say("", *(benefit_line(remark, str(path)) for remark in report.remarks if remark.code in BENEFITS))
+    say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:
