@@ -15,7 +15,7 @@ from orchestrator.presentation.benefits import BENEFITS, benefit_line
 from orchestrator.presentation.explaining import accuracy_sentences
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
-from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_rows
+from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
 from orchestrator.presentation.sentences import columns, text_table
 from orchestrator.presentation.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
@@ -128,6 +128,7 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     for head, effects in (("cause", report.effects), ("also there, and in the model", report.minor)):
         if effects:
             say_table((head, *heads), share_rows(effects))
+    say_notes(share_notes(report))
     traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
     if traces:
         say(f"traces, below what deserves a name: {', '.join(traces)}")
