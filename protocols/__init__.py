@@ -114,6 +114,7 @@ from protocols._events import (
     StageStarted,
     StageSufficed,
     StateChanged,
+    UnderWay,
 )
 from protocols._excitations import (
     CurrentControl,
@@ -401,6 +402,7 @@ __all__ = [
     "ThermometerChoice",
     "TimerPhases",
     "Trapezoid",
+    "UnderWay",
     "Unexplained",
     "Vectors",
     "Verdict",
