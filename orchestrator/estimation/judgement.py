@@ -172,7 +172,7 @@ def _apart(difference: float | None, criteria: MapCriteria) -> list[Remark]:
 
 
 def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> list[Remark]:
-    """Whether one method finds more flux throughout, and what that may mean."""
+    """Whether one method finds more flux throughout; why is a matter of the diagnosis."""
     ratio = None if pair is None else flux_ratio(*pair)
     if ratio is None:
         return []
@@ -180,13 +180,12 @@ def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) 
     value, std = ratio
     if abs(value - 1.0) > max(criteria.flux_ratio_stds * std, criteria.least_flux_ratio):
         less = value < 1.0
-        cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
         text = (
             "injection gives {apart_percent:.1f} % {size} flux than the classical method, more than their errors "
-            "explain: {cause}"
+            "explain: `fluxbench diagnose` tells why"
         )
         values = {"apart_percent": 100 * abs(value - 1.0), "std_percent": 100 * std}
-        told.append(Remark.of("flux_ratio", text, size="less" if less else "more", cause=cause, **values))
+        told.append(Remark.of("flux_ratio", text, size="less" if less else "more", **values))
     return told
 
 

@@ -29,7 +29,7 @@ def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) 
         return _remark("helps", text, name, errors)
     zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
     why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
-    return _remark("does_not_help", "{effect} does not help: {of} {course}" + why, name, errors)
+    return _remark("does_not_help", "{effect} does not help: {of} {only}{course}" + why, name, errors)
 
 
 def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
@@ -70,7 +70,8 @@ def _in_words(errors: dict[str, float | str | None]) -> dict[str, str]:
         falls = (_number(errors["after_v"]) or 0.0) < (_number(errors["before_v"]) or 0.0)
         course = f"{'falls' if falls else 'rises'} from {first} to {last}"
     of = "the held-out error" if errors["judged_on"] == "held_out" else "the error (nothing was held out)"
-    return {"of": of, "course": course, "noise": quantity(_number(errors["noise_v"]), "V")}
+    only = "only " if course.startswith("falls") else ""
+    return {"of": of, "only": only, "course": course, "noise": quantity(_number(errors["noise_v"]), "V")}
 
 
 def _number(value: float | str | None) -> float | None:
