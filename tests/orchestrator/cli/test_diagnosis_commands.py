@@ -30,7 +30,9 @@ class Mine:
 """
 
 
-UNDER_WAY = ("reading ", "does the recording keep", "the recording's noise", "the model with")
+UNDER_WAY = (
+    "reading ", "does the recording keep", "the recording's noise", "the model with", "is a finer map", "how sure",
+)  # fmt: skip
 """How lines begin that a command may have printed before it is refused; none of them is a result."""
 
 
