@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from orchestrator.workbench import diagnose as diagnose
     from orchestrator.workbench import estimate as estimate
     from orchestrator.workbench import explain as explain
+    from orchestrator.workbench import export as export
     from orchestrator.workbench import map_of as map_of
     from orchestrator.workbench import one_thread as one_thread
     from orchestrator.workbench import open as open
@@ -50,6 +51,7 @@ _HOMES = {
     "diagnose": "orchestrator.workbench",
     "estimate": "orchestrator.workbench",
     "explain": "orchestrator.workbench",
+    "export": "orchestrator.workbench",
     "load_motor": "orchestrator.config",
     "load_procedure": "orchestrator.config",
     "map_of": "orchestrator.workbench",

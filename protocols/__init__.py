@@ -41,6 +41,7 @@ from protocols._effects import (
     SCALED_UNITS,
     BatchEffect,
     Contrast,
+    DriveQuantitiesEffect,
     Effect,
     EffectHook,
     EffectLayer,
@@ -113,6 +114,7 @@ from protocols._events import (
     StageStarted,
     StageSufficed,
     StateChanged,
+    UnderWay,
 )
 from protocols._excitations import (
     CurrentControl,
@@ -264,6 +266,7 @@ __all__ = [
     "DriveChoice",
     "DriveError",
     "DriveFault",
+    "DriveQuantitiesEffect",
     "DriveRecord",
     "DriveRefused",
     "DriveSetup",
@@ -404,6 +407,7 @@ __all__ = [
     "ThermometerChoice",
     "TimerPhases",
     "Trapezoid",
+    "UnderWay",
     "Unexplained",
     "UsabilityCheck",
     "Vectors",

@@ -17,6 +17,7 @@ from types import MappingProxyType
 from typing import Any, ClassVar, Literal, Protocol, dataclass_transform, runtime_checkable
 
 from protocols._errors import PluginError
+from protocols._recording import DriveRecord
 from protocols._remarks import Remark
 from protocols._signal_batch import SignalBatch
 from protocols._signals import Correction, Signals
@@ -317,6 +318,24 @@ class RemarkingEffect(Protocol):
         ...
 
 
+class DriveQuantitiesEffect(Protocol):
+    """An effect whose parameters are, with the drive's data, quantities of a data sheet, such as a dead time."""
+
+    def derived(self, parameters: Any, drive: DriveRecord, /) -> Mapping[str, tuple[float, str]]:
+        """Values in SI and their units, by names with underscores; shown beside the parameters.
+
+        Called for the fitted parameters and for the ends of their intervals.
+
+        Parameters
+        ----------
+        parameters : EffectParameters
+            Of the effect's own class.
+        drive : DriveRecord
+            The recording's drive; its PWM frequency may be unknown.
+        """
+        ...
+
+
 class RandomDirectionsEffect(Protocol):
     """An effect that cannot know all of what it does, such as what iron remembers of before a segment."""
 
@@ -386,7 +405,7 @@ class RandomDirectionsBatchEffect(Protocol):
         ...
 
 
-EffectHook = Literal["shows_in", "measured", "remarks", "doubts", "correct_batch", "doubts_batch"]
+EffectHook = Literal["shows_in", "measured", "remarks", "derived", "doubts", "correct_batch", "doubts_batch"]
 """The name of a method that an effect may have."""
 
 EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
@@ -394,6 +413,7 @@ EFFECT_HOOKS: Mapping[EffectHook, type] = MappingProxyType(
         "shows_in": SegmentDependentEffect,
         "measured": MeasurableEffect,
         "remarks": RemarkingEffect,
+        "derived": DriveQuantitiesEffect,
         "doubts": RandomDirectionsEffect,
         "correct_batch": BatchEffect,
         "doubts_batch": RandomDirectionsBatchEffect,

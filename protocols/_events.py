@@ -155,6 +155,15 @@ class Note(Strict):
     text: str
 
 
+class UnderWay(Strict):
+    """What the computer is at work on, for whoever waits; the journal does not keep it."""
+
+    kind: Literal["under_way"] = "under_way"
+    text: str
+    is_result: bool = False
+    """Whether it says what was found so far, and not what is being done."""
+
+
 class RunEnded(Strict):
     kind: Literal["run_ended"] = "run_ended"
     outcome: Literal["finished", "faulted", "aborted"]
@@ -184,6 +193,7 @@ Message = (
     | Diagnosed
     | ExperimentProposed
     | Note
+    | UnderWay
     | RunEnded
 )
 

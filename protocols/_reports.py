@@ -66,6 +66,8 @@ class ParameterValue(Lenient):
     low: Number
     high: Number
     unit: str
+    bends_form: bool = False
+    """Whether it only bends the form of its effect, and has no size of its own."""
 
 
 class FoundEffect(Lenient):
@@ -75,6 +77,8 @@ class FoundEffect(Lenient):
     parameters: dict[str, ParameterValue]
     twins: tuple[str, ...]
     """Effects that do as well in its place, in this recording."""
+    derived: dict[str, ParameterValue] = Field(default_factory=dict)
+    """The same as quantities of a drive's data sheet, such as a dead time in seconds."""
     relative_size: Number
     """|first parameter| over its typical value (inverted where small is strong)."""
     log_evidence: Number

@@ -134,7 +134,9 @@ def run_command(
     drive: DriveOption = None,
     motor: MotorOption = None,
     settings: SetOption = None,
-    out: Annotated[Path | None, typer.Option(help="Run directory to make; by default runs/<name>-<time>.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to make for the run; by default runs/<name>-<time>.", metavar="FOLDER")
+    ] = None,
     serial: Annotated[str | None, typer.Option(help="The motor's serial number; kept with the run.")] = None,
     operator: Annotated[str | None, typer.Option(help="Who runs it; kept with the run.")] = None,
     ambient: Annotated[float | None, typer.Option(help="Temperature of the room [C]; kept with the run.")] = None,
@@ -243,7 +245,7 @@ def check_command(
 def design_command(
     procedure: ProcedureArgument,
     effect: Annotated[list[str], typer.Argument(help="Names of effects.", metavar="EFFECT...")],
-    out: Annotated[Path, typer.Option(help="YAML file to write.")],
+    out: Annotated[Path, typer.Option(help="YAML file to write.", metavar="FILE")],
     size: Annotated[
         float, typer.Option(min=0.02, max=100.0, help="At which they are to be told, over the typical one.")
     ] = 1.0,
@@ -273,7 +275,9 @@ def design_command(
 @app.command("estimate")
 def estimate_command(
     recording: RecordingArgument,
-    out: Annotated[Path | None, typer.Option(help="Write results there instead of into the recording.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write results/ to, instead of the recording.", metavar="FOLDER")
+    ] = None,
     estimators: Annotated[
         list[str] | None, typer.Option("--estimator", help="Only this estimator (may be repeated).")
     ] = None,
@@ -295,7 +299,10 @@ ModelOption = Annotated[
     str | None,
     typer.Option(help="linear (the nameplate), saturated (the free energy map), a flux map file, or a model.json."),
 ]
-OutOption = Annotated[Path | None, typer.Option(help="Keep model.json there instead of in the recording.")]
+OutOption = Annotated[
+    Path | None,
+    typer.Option(help="Folder to keep model.json and results/ in, instead of the recording.", metavar="FOLDER"),
+]
 
 
 @app.command("compare")
@@ -303,14 +310,17 @@ def compare_command(
     recordings: Annotated[list[Path], typer.Argument(help="One recording or run, or several.", metavar="RECORDING...")],
     model: ModelOption = None,
     effects: EffectsOption = None,
-    out: Annotated[Path | None, typer.Option(help="Take model.json from there instead of from the recording.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to take model.json from, instead of the recording.", metavar="FOLDER")
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Where the model fails; or several runs side by side.
 
     Of one recording: its measurements against the model of model.json as it stands, where there is one, else against
-    the saturated map alone. Of several: R_s, inductances, flux, effects and verdicts of each, and what changed beyond
-    noise from the first to the others; `report` and `view` take the same runs.
+    the saturated map alone; with --effects, whether each candidate in that file would help. Of several: R_s,
+    inductances, flux, effects and verdicts of each, and what changed beyond noise from the first to the others;
+    `report` and `view` take the same runs.
     """
     if len(recordings) > 1 and any(given is not None for given in (model, effects, out)):
         raise typer.BadParameter("go with one recording only", param_hint="--model, --effects and --out")
@@ -412,7 +422,9 @@ def export_command(
     path: Annotated[Path, typer.Argument(help="A run, a recording, a map file, or a model.json.", metavar="RUN")],
     formats: Annotated[list[str] | None, typer.Option("--format", help="Only this format (may be repeated).")] = None,
     motor: Annotated[Path | None, typer.Option(help="YAML file with the motor, for a map file.")] = None,
-    out: Annotated[Path | None, typer.Option(help="Folder to write to; by default export/ in RUN.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to; by default export/ in RUN.", metavar="FOLDER")
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """Flux map, torque and saliency for other tools."""
@@ -452,7 +464,12 @@ def import_command(
             metavar="MAPPING FILE...",
         ),
     ],
-    out: Annotated[Path | None, typer.Option(help="Recording to make; with --guess, the mapping to write.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder of the recording to make; with --guess, the mapping file to write.", metavar="FOLDER|FILE"
+        ),
+    ] = None,
     guess: Annotated[bool, typer.Option("--guess", help="Write a mapping for FILE, each line with a reason.")] = False,
     merge: Annotated[bool, typer.Option("--merge", help="Make one recording of several.")] = False,
     motor: Annotated[Path | None, typer.Option(help="With --guess: YAML file with the motor.")] = None,
@@ -491,7 +508,9 @@ def runs_command(
 def new_command(
     kind: Annotated[str, typer.Argument(help="drive, stage, estimator, effect or stream.")],
     name: Annotated[str, typer.Argument(help="Name of the plugin: lower-case letters, digits, underscores.")],
-    out: Annotated[Path | None, typer.Option(help="Folder to make; by default fluxbench-NAME.")] = None,
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to make; by default fluxbench-NAME.", metavar="FOLDER")
+    ] = None,
     as_json: JsonOption = False,
 ) -> int:
     """A package for a plugin of your own.

@@ -11,10 +11,11 @@ from orchestrator import workbench
 from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
+from orchestrator.presentation.benefits import BENEFITS, benefit_line
 from orchestrator.presentation.explaining import accuracy_sentences
 from orchestrator.presentation.names import plain, slots
 from orchestrator.presentation.quantities import number, quantity
-from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_rows
+from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
 from orchestrator.presentation.sentences import columns, text_table
 from orchestrator.presentation.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
@@ -87,7 +88,7 @@ def add(
         tell = _waiting(as_json).keep
         report = workbench.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
-    _say_added(report, as_json)
+    _say_refit(report, path, as_json)
     return 0
 
 
@@ -96,7 +97,7 @@ def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_jso
     with prompt_interrupt():
         report = workbench.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
         refresh_report(path, out)
-    _say_added(report, as_json)
+    _say_refit(report, path, as_json)
     return 0
 
 
@@ -127,6 +128,7 @@ def _print_diagnosis(report: DiagnosisReport, words: DiagnosisWords) -> None:
     for head, effects in (("cause", report.effects), ("also there, and in the model", report.minor)):
         if effects:
             say_table((head, *heads), share_rows(effects))
+    say_notes(share_notes(report))
     traces = [name for name in report.traces if name not in {effect.name for effect in report.minor}]
     if traces:
         say(f"traces, below what deserves a name: {', '.join(traces)}")
@@ -147,12 +149,13 @@ def _print_map(estimates: EstimationReport, folder: Path) -> None:
     say(f"flux map: NOT TO BE RELIED ON: {why}")
 
 
-def _say_added(report: AddReport, as_json: bool) -> None:
+def _say_refit(report: AddReport, path: Path, as_json: bool) -> None:
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return
     _print_ladder(report)
-    say_notes(report.notes)
+    say("", *(benefit_line(remark, str(path)) for remark in report.remarks if remark.code in BENEFITS))
+    say_notes(remark.text for remark in report.remarks if remark.code not in BENEFITS)
 
 
 def _print_ladder(report: DiagnosisReport | AddReport) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+import sys
 from pathlib import Path
 
 from orchestrator.cli._output import say, say_document
@@ -18,5 +19,7 @@ def new(kind: str, name: str, out: Path | None, as_json: bool = False) -> int:
         say_document(json.dumps({"folder": str(folder), "files": written}, indent=2))
         return 0
     say(*written)
-    say(f"next: cd {shlex.quote(str(folder))} && pip install -e . && pytest tests")
+    python = shlex.quote(sys.executable)
+    install, test = f"{python} -m pip install -e . pytest", f"{python} -m pytest tests"
+    say(f"next: cd {shlex.quote(str(folder))} && {install} && {test}")
     return 0

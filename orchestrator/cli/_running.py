@@ -6,6 +6,7 @@ import errno
 import os
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import typer
 
@@ -66,7 +67,28 @@ def _explain(error: Exception) -> int:
 
     if not isinstance(error, FluxbenchError):
         raise error
-    return _say(str(error), error.exit_code, getattr(error, "choices", ()))
+    return _say(f"{error}{_place_of(error)}", error.exit_code, getattr(error, "choices", ()))
+
+
+def _place_of(error: Exception) -> str:
+    """File and line of a plugin's own code that raised what an error of ours is about; empty where there is none."""
+    from traceback import extract_tb
+
+    from protocols import PluginError
+
+    cause = error.__cause__
+    if not isinstance(error, PluginError) or cause is None:
+        return ""
+    own = _room_of(extract_tb(error.__traceback__)[-1].filename)
+    frames = [frame for frame in extract_tb(cause.__traceback__) if _room_of(frame.filename) != own]
+    foreign = [frame for frame in frames if "site-packages" not in frame.filename and "<" not in frame.filename]
+    return f" ({foreign[-1].filename}, line {foreign[-1].lineno})" if foreign else ""
+
+
+def _room_of(file: str) -> str:
+    """The package's folder that a file of this program is in, and else the file itself."""
+    here = Path(__file__).resolve().parents[1]
+    return str(here) if Path(file).resolve().is_relative_to(here) else file
 
 
 def _say(line: str, code: int, choices: Sequence[str] = ()) -> int:

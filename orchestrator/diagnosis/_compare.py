@@ -11,11 +11,14 @@ import numpy as np
 
 from orchestrator.diagnosis._prepare import open_for_refit
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
-from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.candidates import Candidate, scaled_library
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import current_rms
+from orchestrator.diagnosis.reporting.benefit import added_remark
+from orchestrator.diagnosis.reporting.findings import found_effects
 from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.reporting.motor_model import restored
+from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.selection.leftover import map_breaks
 from orchestrator.diagnosis.selection.sufficiency import solvable
 from orchestrator.diagnosis.selection.workflow import ModelChoice, baseline_of, first_steps
@@ -37,7 +40,12 @@ from protocols import (
 
 @solvable
 def compare_recording(
-    recording: Recording, effects: Sequence[Effect] = (), *, model: ModelChoice | None = None, out: Path | None = None
+    recording: Recording,
+    effects: Sequence[Effect] = (),
+    *,
+    model: ModelChoice | None = None,
+    out: Path | None = None,
+    candidates: Sequence[str] = (),
 ) -> CompareReport:
     """Hold a model against a recording.
 
@@ -50,6 +58,9 @@ def compare_recording(
         default the model of `model.json`, where there is one, else ``saturated``.
     out : Path, optional
         Directory whose `model.json` is taken; the recording's own by default.
+    candidates : sequence of str
+        Effects of the library that are each added to the model, to see whether they help; a remark says so. Nothing of
+        it is kept.
 
     Raises
     ------
@@ -73,6 +84,7 @@ def compare_recording(
     else:
         title = baseline_of(model or "saturated").title
         fit = first_steps(setup, model or "saturated", library)[-1].fit
+    remarks += [_benefit(setup, fit, library[name]) for name in candidates if name not in fit.model.names]
     pieces = [p for p in setup.prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
     rated = _rated_flux(setup, fit)
     parity, reciprocity = map_breaks(setup.fitter, fit, setup.current_a)
@@ -88,6 +100,13 @@ def compare_recording(
         crossings=_crossings(fit, rated),
         remarks=tuple(remarks),
     )
+
+
+def _benefit(setup: DiagnosisSetup, fit: Fit, candidate: Candidate) -> Remark:
+    """Whether one more effect helps."""
+    after = with_effect(setup.fitter, fit, candidate)
+    found = next(e for e in found_effects(setup.fitter, after, {}, {}) if e.name == candidate.name)
+    return added_remark(candidate.name, fit, after, found)
 
 
 def _stage_error(fit: Fit, stage: SegmentStage) -> StageError:

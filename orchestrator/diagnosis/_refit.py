@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 
 from orchestrator.diagnosis._prepare import open_for_refit
@@ -12,6 +13,7 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, freed_furthe
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candidate, require_known, scaled_library
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
+from orchestrator.diagnosis.reporting.benefit import added_remark, removed_remark
 from orchestrator.diagnosis.reporting.delivery import delivery_of
 from orchestrator.diagnosis.reporting.findings import found_effects, map_effects, unexplained
 from orchestrator.diagnosis.reporting.keeping import deliver
@@ -106,7 +108,14 @@ def _added(
         tell("is a finer map worth its freedom?")
         steps[-1] = replace(steps[-1], fit=_as_detailed_as_asked(setup, steps[-1].fit))
     ladder = (*(kept.ladder[:-1] if kept is not None else ()), *kept_rungs(setup.unweighed, steps))
-    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    report = _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
+    found = {effect.name: effect for effect in report.effects if effect.name in library}
+    benefits = [
+        added_remark(after.added, before.fit, after.fit, found.get(after.added))
+        for before, after in pairwise(steps)
+        if after.added is not None
+    ]
+    return report.model_copy(update={"remarks": (*benefits, *report.remarks)})
 
 
 def _grown(fitter: Fitter, fit: Fit, candidate: Candidate) -> Fit:
@@ -178,6 +187,7 @@ def _removed(
 ) -> AddReport:
     setup = open_for_refit(recording, kept, tell)
     library = {c.name: c for c in scaled_library(effects, setup.prepared.manifest)}
+    before = setup.fitter.hold(restored(setup, kept, kept.baseline, library))
     left, beside = ([n for n in names if n != name] for names in (_causes(kept), _beside(kept)))
     # What is no cause has no rung of its own: the last one has them all.
     at = next((k for k, r in enumerate(kept.ladder) if r.added == name), len(left) + 1)
@@ -192,7 +202,8 @@ def _removed(
         else:
             steps.append(Step(left[count - 1] if count else None, setup.fitter.fit(model)))
     ladder = (*kept.ladder[: at - 1], *kept_rungs(setup.unweighed, steps))
-    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, setup.remarks, out)
+    remarks = (removed_remark(name, before, steps[-1].fit), *setup.remarks)
+    return _keep_refit(recording, setup, steps[-1].fit, baseline, kept, ladder, remarks, out)
 
 
 def _causes(kept: MotorModel) -> list[str]:

@@ -187,6 +187,8 @@ class Commissioning:
             except DriveRefused as refusal:
                 return self._skipped(index, refusal)
         if self._agenda.has_work(index):
+            if not left:
+                self._log.say(StageStarted(index=index, stage=stage.name, title=stage.title, points=0))
             stage.work(at_work)
         return index + 1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from orchestrator.runs import Journal
 from orchestrator.streaming import Dispatcher
-from protocols import DiagnosisStep, MapEstimated, Message, SamplesCaptured
+from protocols import DiagnosisStep, MapEstimated, Message, SamplesCaptured, UnderWay
 
 
 class RunLog:
@@ -28,7 +28,7 @@ class RunLog:
         message all the same.
         """
         self._dispatcher.publish(message)
-        if not isinstance(message, SamplesCaptured | MapEstimated | DiagnosisStep):
+        if not isinstance(message, SamplesCaptured | MapEstimated | DiagnosisStep | UnderWay):
             self._journal.append(message, durable=durable)
 
     def before_prompt(self) -> None:

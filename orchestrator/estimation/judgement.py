@@ -103,19 +103,17 @@ def _preferred(maps: Mapping[str, FluxMapEstimate], motor: Motor, criteria: MapC
 
 
 def _disagreements(pair: tuple[FluxMap, FluxMap] | None, criteria: MapCriteria) -> list[Remark]:
-    """Whether one method finds more flux throughout, and what that may mean."""
+    """Whether one method finds more flux throughout; why is a matter of the diagnosis."""
     ratio = differing_ratio(pair, criteria)
     if ratio is None:
         return []
     value, std = ratio
-    less = value < 1.0
-    cause = "hysteresis, which a small ripple hardly sees?" if less else "an error of the voltage in the sweeps?"
     text = (
         "injection gives {apart_percent:.1f} % {size} flux than the classical method, more than their errors "
-        "explain: {cause}"
+        "explain: `fluxbench diagnose` tells why"
     )
     values = {"apart_percent": 100 * abs(value - 1.0), "std_percent": 100 * std}
-    return [Remark.of("flux_ratio", text, size="less" if less else "more", cause=cause, **values)]
+    return [Remark.of("flux_ratio", text, size="less" if value < 1.0 else "more", **values)]
 
 
 def _other_resistances(

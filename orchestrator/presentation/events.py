@@ -27,6 +27,7 @@ from protocols import (
     StageStarted,
     StageSufficed,
     StateChanged,
+    UnderWay,
 )
 
 
@@ -65,7 +66,8 @@ def said(message: Message) -> Said | None:
         case StageStarted():
             return Said(
                 f"stage {message.index + 1}",
-                f"{message.title or plain(message.stage)}, {plural(message.points, 'point')}",
+                (message.title or plain(message.stage))
+                + (f", {plural(message.points, 'point')}" if message.points else ""),
             )
         case StateChanged():
             mood = OUTCOME_MOODS.get(message.target, "info")
@@ -99,6 +101,8 @@ def said(message: Message) -> Said | None:
             return Said(f"stage {message.index + 1}", f"enough is measured; {saved} not needed", "good")
         case Note():
             return Said(message.level, typographic(message.text), {"error": "bad"}.get(message.level, message.level))
+        case UnderWay(is_result=True):
+            return Said("", typographic(message.text))
         case RunEnded():
             return Said(message.outcome, message.reason, OUTCOME_MOODS[message.outcome])
         case _:

@@ -17,7 +17,7 @@ UNKNOWN = "–"
 _SUPERSCRIPT = str.maketrans("0123456789-", "⁰¹²³⁴⁵⁶⁷⁸⁹⁻")
 _PREFIXES = {-12: "p", -9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M"}
 _NEXT_TO = 1e-6
-_GREATEST = {"V": 3, "A": 3, "Ω": 6, "H": 0, "Wb": 0, "s": 0, "W": 6, "J": 6, "Hz": 6, "rad": 0, "Nm": 3}
+_GREATEST = {"V": 3, "A": 3, "Ω": 6, "H": 0, "Wb": 0, "s": 0, "W": 6, "J": 6, "Hz": 6, "rad": 0, "Nm": 3, "C": 0}
 """Units that take a prefix, each with the power of ten of the greatest that is in use."""
 
 

@@ -12,14 +12,17 @@ from orchestrator.presentation.quantities import (
     measured,
     number,
     percent,
+    plural,
     quantity,
     value_and_error,
     value_and_interval,
 )
+from orchestrator.presentation.sentences import listed
 from protocols import (
     Basis,
     CheckOutcome,
     ClosedForm,
+    DiagnosisReport,
     DiagnosisStep,
     EstimationReport,
     EstimatorsReport,
@@ -92,11 +95,17 @@ def ladder_rows(ladder: Sequence[Rung | DiagnosisStep]) -> list[tuple[str, ...]]
 
 
 def parameter_rows(effect: FoundEffect) -> list[tuple[str, str, str]]:
-    """An effect's parameters: name, value, 95 % interval."""
-    return [
+    """An effect's parameters and what follows from them for the drive: name, value, 95 % interval.
+
+    What only bends its form is counted, not listed.
+    """
+    sizes = {name: found for name, found in effect.parameters.items() if not found.bends_form}
+    rows = [
         (parameter_words(name), *value_and_interval(found.value, found.low, found.high, found.unit))
-        for name, found in effect.parameters.items()
+        for name, found in {**sizes, **effect.derived}.items()
     ]
+    bends = len(effect.parameters) - len(sizes)
+    return [*rows, ("its form", f"{plural(bends, 'more number')} in model.json", "")] if bends else rows
 
 
 def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
@@ -111,6 +120,24 @@ def share_rows(effects: Sequence[FoundEffect]) -> list[tuple[str, ...]]:
         )
         for effect in effects
     ]
+
+
+def share_notes(report: DiagnosisReport) -> list[str]:
+    """What `share_rows` leave open: parts above 100 %, and causes that are not material."""
+    notes = []
+    if any((effect.share or 0.0) > 1.0 for effect in (*report.effects, *report.minor)):
+        notes.append(
+            "above 100 % of the error: without this effect the model would err more than the first model did, whose "
+            "R_s and map had made up for a part of it"
+        )
+    small = [plain(effect.name) for effect in report.effects if effect.material is False]
+    if small and report.materiality is not None:
+        flux, volts = percent(report.materiality.flux_percent), percent(report.materiality.voltage_percent)
+        notes.append(
+            f"{listed(small)}: a cause of the error that was measured, but not material: it changes the map by less "
+            f"than {flux} of the rated flux, and the voltage by less than {volts} of the excitation's"
+        )
+    return notes
 
 
 def setting_rows(stage: Mapping[str, object]) -> list[tuple[str, str]]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -50,6 +50,15 @@ class Recording:
         if not stages:
             return self._in_order_of_time
         return tuple(segment for segment in self._in_order_of_time if segment.stage in stages)
+
+    def limited_to(self, ids: Collection[str]) -> Self:
+        """The same recording with these segments alone; raises `RecordingError` where it has no such segment."""
+        known = {segment.id for segment in self.segments()}
+        unknown = sorted(set(ids) - known)
+        if unknown:
+            raise RecordingError(str(self.path), unknown[0], "no such segment")
+        kept = tuple(segment for segment in self.manifest.segments if segment.id in set(ids))
+        return type(self)(self.path, self.manifest.model_copy(update={"segments": kept}))
 
     def load(self, segment: Segment) -> Capture:
         """The segment's waveforms.

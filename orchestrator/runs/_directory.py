@@ -13,6 +13,7 @@ import json
 import os
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack, contextmanager, suppress
+from itertools import count
 from pathlib import Path
 from typing import Any, Self
 
@@ -103,7 +104,7 @@ class RunDirectory:
         Raises
         ------
         RecordingError
-            Where something is at `path` already, or another run's secrets are beside it.
+            Where something is at `path` already.
         StorageError
             Where it cannot be made.
         """
@@ -112,9 +113,8 @@ class RunDirectory:
         record = make_record(procedure, capabilities, provenance(_plugins_of(procedure)), hidden)
         run = cls(path.resolve(), record)
         secrets = run.private_directory / _OPTIONS
-        if secrets.exists():
-            raise RecordingError(str(secrets), "", "is another run's; nothing is overwritten: choose another directory")
         try:
+            _set_aside(run.private_directory)
             (run.path / _CAPTURES).mkdir(parents=True, exist_ok=True)
             run.private_directory.mkdir(exist_ok=True)
             run.private_directory.chmod(0o700)
@@ -128,7 +128,6 @@ class RunDirectory:
     def refuse_occupied(path: Path) -> None:
         """Raise `RecordingError` where a new run cannot go to `path`: nothing is ever overwritten."""
         _refuse_non_empty(path)
-        _refuse_non_empty(private_directory(path.resolve()))
 
     @staticmethod
     @contextmanager
@@ -298,6 +297,14 @@ def _flock(path: Path) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def _set_aside(private: Path) -> None:
+    """Rename what a run of this name that was deleted has left beside it; nothing is ever overwritten."""
+    if not (private / _OPTIONS).exists():
+        return
+    numbered = (private.with_name(f"{private.name}.{k}") for k in count(1))
+    private.rename(next(place for place in numbered if not place.exists()))
 
 
 def _refuse_non_empty(folder: Path) -> None:

@@ -267,9 +267,10 @@ def _remarks(
     maps: Sequence[MapChange],
 ) -> list[Remark]:
     said = []
-    one_motor = len({run.manifest.motor.name for run in runs}) == 1
+    motors = {(m.name, m.pole_pairs, m.rated_current_rms_a) for m in (run.manifest.motor for run in runs)}
+    one_motor = len(motors) == 1
     if not one_motor:
-        said.append(Remark.of("other_motors", "the runs name different motors"))
+        said.append(_other_motors(runs, names))
     for k, (run, name) in enumerate(zip(runs, names, strict=True)):
         if not run.estimates.usable:
             said.append(Remark.of("unusable", "the map of {run} is not to be relied on", run=name))
@@ -279,13 +280,20 @@ def _remarks(
         map_ = maps[k - 1]
         if map_.changed is None:
             said.append(Remark.of("map_unsure", "whether the map of {run} changed cannot be said", run=name))
-        said.append(_change(name, changes, map_))
+        said.append(_change(name, changes, map_, one_motor=one_motor))
         if quantities[0].changed[k] and one_motor:
             said.append(_warming(name, quantities[0].values[0], quantities[0].values[k]))
     return said
 
 
-def _change(name: str, changes: Sequence[str], found: MapChange) -> Remark:
+def _other_motors(runs: Sequence[RunSaid], names: Sequence[str]) -> Remark:
+    """That it is not one motor whose changes are told."""
+    motors = "; ".join(f"{name}: {run.manifest.motor.name}" for run, name in zip(runs, names, strict=True))
+    text = "different motors ({motors}): what differs is the motors' difference, and no change of one"
+    return Remark.of("other_motors", text, motors=motors)
+
+
+def _change(name: str, changes: Sequence[str], found: MapChange, *, one_motor: bool) -> Remark:
     listed = list(changes)
     if found.changed:
         told = (
@@ -294,9 +302,10 @@ def _change(name: str, changes: Sequence[str], found: MapChange) -> Remark:
         )
         figures = (found.rms_percent, found.noise_percent, found.slide_a, found.gain_percent, found.left_percent)
         listed.insert(0, told.format(*figures))
+    verb = "changed" if one_motor else "differs"
     if not listed:
-        return Remark.of("nothing_changed", "{run}: nothing changed beyond noise", run=name)
-    return Remark.of("changed", "{run}: changed beyond noise: {what}", run=name, what="; ".join(listed))
+        return Remark.of("nothing_changed", f"{{run}}: nothing {verb} beyond noise", run=name)
+    return Remark.of("changed", f"{{run}}: {verb} beyond noise: {{what}}", run=name, what="; ".join(listed))
 
 
 def _warming(name: str, first: Interval | None, other: Interval | None) -> Remark:

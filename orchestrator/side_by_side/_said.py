@@ -62,7 +62,7 @@ class RunSaid:
             for name, p in effect.parameters.items():
                 if p.unit == unit:
                     known = p.value is not None and p.low is not None and p.high is not None
-                    interval = Interval.model_validate(p.model_dump()) if known else None
+                    interval = Interval.model_validate(p.model_dump(exclude={"bends_form"})) if known else None
                     out[named.get(effect.name, effect.name), name] = interval
         return out
 

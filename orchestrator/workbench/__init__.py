@@ -15,6 +15,7 @@ from orchestrator.workbench.analysing import (
     map_of,
     remove,
 )
+from orchestrator.workbench.exporting import export
 from orchestrator.workbench.measurements import Measurements, open
 from orchestrator.workbench.running import as_overrides, run, run_directory
 from orchestrator.workbench.threads import one_thread
@@ -30,6 +31,7 @@ __all__ = [
     "diagnose",
     "estimate",
     "explain",
+    "export",
     "map_of",
     "one_thread",
     "open",

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import inspect
+from collections.abc import Callable, Collection, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -67,11 +68,17 @@ def estimate(place: Place, *, estimators: Sequence[str] | None = None, out: Plac
 def compare(
     place: Place, *, model: Model | None = None, effects: Effects = (), out: Place | None = None
 ) -> CompareReport:
-    """Where a model fails; see `orchestrator.diagnosis.compare_recording`."""
+    """Where a model fails, and whether effects of one's own help; see `orchestrator.diagnosis.compare_recording`."""
     from orchestrator.diagnosis import compare_recording
 
+    installed = {effect.name for effect in chosen_effects()} if effects else set()
+    every = chosen_effects(effects)
     return compare_recording(
-        open_any(Path(place)), chosen_effects(effects), model=chosen_model(model), out=_directory(out)
+        open_any(Path(place)),
+        every,
+        model=chosen_model(model),
+        out=_directory(out),
+        candidates=[effect.name for effect in every if effects and _is_own(effect, effects, installed)],
     )
 
 
@@ -90,6 +97,7 @@ def diagnose(
     model: Model = "saturated",
     effects: Effects = (),
     without: Sequence[str] = (),
+    segments: Sequence[str] | None = None,
     material_flux_percent: float | None = None,
     material_voltage_percent: float | None = None,
     out: Place | None = None,
@@ -103,6 +111,9 @@ def diagnose(
 
     Parameters
     ----------
+    segments : sequence of str, optional
+        Ids of the segments to use; all by default. What is found is kept as if they were the whole recording, so it
+        is best kept in a folder of its own: `out`.
     material_flux_percent, material_voltage_percent : float, optional
         An effect counts from this change of the map on, of the rated flux, or from this voltage on, of the excitation.
     tell : callable
@@ -124,8 +135,9 @@ def diagnose(
     selection = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
     criteria = Criteria.model_validate({"selection": selection})
 
+    recording = open_any(Path(place))
     return diagnose_and_keep(
-        open_any(Path(place)),
+        recording if segments is None else recording.limited_to(segments),
         chosen_effects(effects),
         propose=next_experiment,
         model=chosen_model(model) or "saturated",
@@ -241,6 +253,8 @@ def chosen_effects(more: Effects = ()) -> list[Effect]:
     if isinstance(more, str | PathLike):
         where = str(more)
         own = [_made(kind, where) for kind in load_effects_file(Path(more))]
+        # A plugin of one's own may be installed and named by its file, too: it is one effect, as the file has it now.
+        effects = [effect for effect in effects if _file_of(effect) != Path(more).resolve()]
     else:
         where, own = "effects", list(more)
     for effect in map(guarded, own):
@@ -248,6 +262,17 @@ def chosen_effects(more: Effects = ()) -> list[Effect]:
             raise PluginError(where, effect.name, "there is an effect of that name already: choose another")
         effects.append(effect)
     return effects
+
+
+def _is_own(effect: Effect, more: Effects, installed: Collection[str]) -> bool:
+    """Whether an effect was named beside the installed ones, or as the file of one."""
+    if effect.name not in installed:
+        return True
+    return isinstance(more, str | PathLike) and _file_of(effect) == Path(more).resolve()
+
+
+def _file_of(effect: Effect) -> Path:
+    return Path(inspect.getfile(type(effect))).resolve()
 
 
 def _chosen_priors(choice: FleetPriors | Place | None) -> FleetPriors | None:

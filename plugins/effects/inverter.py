@@ -20,6 +20,7 @@ from plugins.effects._vectors import Starts, doubles, less_constant
 from protocols import (
     Contrast,
     Correction,
+    DriveRecord,
     EffectLayer,
     EffectParameters,
     LossHistory,
@@ -211,6 +212,16 @@ class DeadTime(BatchEffect, RemarkingEffect):
             v_ab = lost
         return Correction(v_ab=v_ab)
 
+    def derived(self, p: Parameters, drive: DriveRecord) -> dict[str, tuple[float, str]]:
+        """The dead time t_d = V_dt / (f_pwm V_dc), and the charge i_th t_d of a swing where its form shows that."""
+        if drive.pwm_frequency_hz is None:
+            return {}
+        dead_time_s = p.voltage_v / (drive.pwm_frequency_hz * drive.dc_bus_voltage_v)
+        found = {"dead_time": (dead_time_s, "s")}
+        if p.charged > 0.0 or p.switched > 0.0:
+            found["charge_of_a_swing"] = (p.threshold_a * abs(dead_time_s), "C")
+        return found
+
     def remarks(self, p: Parameters) -> list[Remark]:
         """Which leg's dead time is none of the others'."""
         legs = dict(zip("abc", _longer(p), strict=True))
@@ -285,7 +296,7 @@ class DeviceDrop(BatchEffect):
     signature: ClassVar[str] = "An odd step in each phase current, the same at every PWM frequency."
     layer: ClassVar[EffectLayer] = EffectLayer.INVERTER
     needs: ClassVar[tuple[Contrast, ...]] = (Contrast.SECOND_PWM_FREQUENCY,)
-    gauge: ClassVar[str] = "The on-state resistance r_on equals R_s."
+    gauge: ClassVar[str] = "The switches' on-resistance counts as R_s; no measurement of this kind tells them apart."
 
     class Parameters(Knee):
         voltage_v: float = amplitude("V", typical=1.0, prior_width=2.0, low=0.0, high=20.0)
@@ -293,6 +304,10 @@ class DeviceDrop(BatchEffect):
         growth: float = refinement("1", neutral=0.0, prior_width=0.3, low=0.0, high=1.0)
         warming: float = refinement("1", neutral=0.0, prior_width=0.05, low=-0.5, high=0.5)
         warming_s: float = refinement("s", neutral=3.0, prior_width=3.0, low=0.1, high=100.0)
+
+    def derived(self, p: Parameters, drive: DriveRecord) -> dict[str, tuple[float, str]]:
+        """The forward voltage, which data sheets give beside an on-resistance."""
+        return {"forward_voltage": (p.voltage_v, "V")}
 
     def correct_batch(self, batch: SignalBatch, p: Parameters) -> Correction:
         """Subtract the drop from the commanded voltage."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+import math
+import time
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field
 
@@ -26,7 +28,11 @@ from protocols import (
     StageEntry,
     StageRun,
     StageState,
+    UnderWay,
 )
+
+if TYPE_CHECKING:
+    from orchestrator.diagnosis import InterimResult
 
 COMPARING = StageState("comparing", "compare")
 DIAGNOSING = StageState("diagnosing", "diagnose", after=COMPARING.name)
@@ -127,6 +133,8 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
         run.check()
         run.say(step)
 
+    waiting = _Waiting(run)
+
     diagnosis, kept = diagnose_and_keep(
         recording,
         run.plugins("effects"),
@@ -135,6 +143,8 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
         without=stage.without,
         on_step=say,
         poll=run.check,
+        tell=waiting.tell,
+        on_interim=waiting.keep,
         workers=workers_here(),
     )
     if diagnosis.estimates is not None:
@@ -144,6 +154,21 @@ def diagnosed(recording: Recording, stage: DiagnoseStage, run: StageRun) -> tupl
     if found is None:
         return message, None
     return message, ExperimentProposed(**found.model_dump(), round=run.appended, accepted=False)
+
+
+class _Waiting:
+    """Lets the streams say what a search is doing, once a second at most, and what it has found so far."""
+
+    def __init__(self, run: StageRun, clock: Callable[[], float] = time.monotonic) -> None:
+        self._run, self._clock, self._next_s = run, clock, -math.inf
+
+    def tell(self, text: str) -> None:
+        if self._clock() >= self._next_s:
+            self._next_s = self._clock() + 1.0
+            self._run.say(UnderWay(text=text))
+
+    def keep(self, found: InterimResult) -> None:
+        self._run.say(UnderWay(text=found.sentence, is_result=True))
 
 
 def _lock_question(procedure: Procedure) -> OperatorStage:

@@ -11,7 +11,7 @@ from orchestrator._plugin_methods import hook_problem
 from orchestrator.registry import PluginKind, make_plugins
 from protocols import EFFECT_HOOKS, Correction, hook_of
 
-KNOWN = "correct, shows_in, measured, remarks, doubts, correct_batch, doubts_batch"
+KNOWN = "correct, shows_in, measured, remarks, derived, doubts, correct_batch, doubts_batch"
 
 
 def an_effect(**members: Any) -> type[Any]:
@@ -65,6 +65,7 @@ CALLS: list[tuple[str, Any, Any]] = [
     ("shows_in(signals)", lambda self, one: True, lambda self: True),
     ("measured(segments)", lambda self, some: None, lambda self, some, motor: None),
     ("remarks(parameters)", lambda self, p: [], lambda self: []),
+    ("derived(parameters, drive)", lambda self, p, drive: {}, lambda self, p: {}),
     ("doubts(signals, parameters)", lambda self, one, p: (), lambda self, one: ()),
     ("correct_batch(batch, parameters)", lambda self, some, p=None: 0, lambda self, some, *, p: 0),
     ("doubts_batch(batch, parameters)", lambda self, *some: (), lambda self, some, p, motor: ()),

@@ -10,12 +10,13 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATION, Active, value_at
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.derived import derived_quantities
 from orchestrator.diagnosis.selection.joint_search import probabilities
 from orchestrator.diagnosis.selection.leftover import leftover_shape
 from orchestrator.diagnosis.selection.shares import Share, is_material
 from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together
 from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
-from protocols import FoundEffect, ParameterValue, PluginError, Remark, ShapeShare, Unexplained, hook_of
+from protocols import FoundEffect, ParameterRole, ParameterValue, PluginError, Remark, ShapeShare, Unexplained, hook_of
 
 
 def found_effects(
@@ -42,7 +43,8 @@ def found_effects(
         effects.append(
             FoundEffect(
                 name=active.name,
-                parameters={n: _interval(active, n, float(w)) for n, w in widths.items()},
+                parameters=(parameters := {n: _interval(active, n, float(w)) for n, w in widths.items()}),
+                derived=derived_quantities(active, parameters, fit.prepared.manifest.drive),
                 twins=tuple(rivals.get(active.name, ())),
                 relative_size=active.relative_size,
                 log_evidence=evidence.get(active.name, 0.0),
@@ -89,7 +91,8 @@ def _interval(active: Active, name: str, half: float) -> ParameterValue:
     p = active.candidate.named(name)
     x = active.coordinate(name)
     ends = sorted((value_at(p, x - half), value_at(p, x + half)))
-    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit)
+    bends = p.role is ParameterRole.REFINEMENT
+    return ParameterValue(value=active.values[name], low=ends[0], high=ends[1], unit=p.unit, bends_form=bends)
 
 
 def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, ...]:

@@ -14,10 +14,10 @@ from orchestrator.diagnosis.reporting.ladder import mean_rms_v, noise_rms_v
 from orchestrator.diagnosis.selection.contrasts import CONTRASTS
 from orchestrator.diagnosis.selection.identifiability import parted_by
 from orchestrator.numerics.frames import to_dq
-from orchestrator.presentation.names import parameter_words
+from orchestrator.presentation.names import parameter_words, plain
 from orchestrator.presentation.quantities import duration, percent, quantity, value_and_interval
 from orchestrator.presentation.sentences import listed
-from protocols import DiagnosisWords, FoundEffect, SegmentStage
+from protocols import DiagnosisWords, FoundEffect, ParameterValue, SegmentStage
 
 _LOOKS = {
     "odd_phase_current": "odd in the phase currents, as an inverter's errors are",
@@ -120,8 +120,18 @@ def _named(effect: FoundEffect, amplitudes: Sequence[str]) -> str:
         found = effect.parameters[name]
         size, interval = value_and_interval(found.value, found.low, found.high, found.unit)
         told.append(f"{parameter_words(name)} {size}" + (f", 95 %: {interval}" if interval else ""))
+    told += [
+        f"{plain(name)} {quantity(found.value, found.unit)}"
+        for name, found in effect.derived.items()
+        if not _is_parameter(effect, found)
+    ]
     twins = f", cannot be told from {listed(effect.twins)} here" if effect.twins else ""
     return f"{effect.name} ({'; '.join(told)}){twins}"
+
+
+def _is_parameter(effect: FoundEffect, quantity: ParameterValue) -> bool:
+    """Whether a derived quantity is one of the parameters under another name."""
+    return any((p.value, p.unit) == (quantity.value, quantity.unit) for p in effect.parameters.values())
 
 
 def _gain(diagnosis: Diagnosis) -> str:

@@ -153,16 +153,19 @@ def on_a_sharper_map(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """The fit on as sharp a map as it asks for now that all effects have their forms, and these anew on each.
 
     Before any of them is asked to stay: what a map is too coarse for looks like one or another of them. How sharp it
-    has to be is asked with the effects at rest, for there are many maps to try.
+    has to be is asked with the effects at rest, for there are many maps to try; where a sharper one leaves more, not.
     """
     while _formless(fit) and fit.model.space.is_free:
         resting = setup.coarse_fitter.fit(at_rest(fit.model), fit.frame)
         sharper = with_finer_map(setup, setup.coarse_fitter, resting)
         if sharper is resting:
             break
-        fit = in_own_forms(
+        trial = in_own_forms(
             setup.coarse_fitter, setup.coarse_fitter.renewed(sharper.model.with_active(fit.model.active))
         )
+        if trial.objective >= fit.objective:
+            break
+        fit = trial
     return fit
 
 

@@ -17,11 +17,11 @@ from rich.text import Text
 
 from orchestrator.presentation.events import said
 from orchestrator.presentation.names import OUTCOME_MOODS, plain, slots
-from orchestrator.presentation.quantities import duration, plural, vector
+from orchestrator.presentation.quantities import vector
 from orchestrator.presentation.results import resistance
 from orchestrator.presentation.sentences import cut, one_line, visible
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import stage_title, step_bar, step_line, summary_rows, time_left
+from plugins.streams.console._words import stage_ending, stage_title, step_bar, step_line, summary_rows, time_left
 from protocols import (
     Diagnosed,
     DiagnosisStep,
@@ -76,8 +76,8 @@ class LiveView:
             self._display.progress = progress
             if progress.finished is not None:
                 stage = progress.finished
-                took = duration(progress.clock() - stage.begun_s)
-                self._say("good", f"{stage_title(progress, stage)}, {plural(stage.done, 'point')} in {took}")
+                if ending := stage_ending(stage, progress.clock() - stage.begun_s):
+                    self._say("good", f"{stage_title(progress, stage)}, {ending}")
             self._tell(message)
         self._drive_display(message)
 
@@ -181,8 +181,9 @@ class _Display:
         text = Text(plain(progress.state), style="bold")
         if progress.stage is not None:
             text.append(one_line(cut(f"  {stage_title(progress, progress.stage)}")), style="default not bold")
-            at = min(progress.stage.done + 1, progress.stage.points)
-            text.append(f", point {at} of {progress.stage.points}", style="default not bold")
+            if progress.stage.points:
+                at = min(progress.stage.done + 1, progress.stage.points)
+                text.append(f", point {at} of {progress.stage.points}", style="default not bold")
         self._spinner.update(text=text)
         return self._spinner
 
@@ -199,6 +200,8 @@ def _bar(progress: Progress) -> RenderableType:
 
 def _readings(progress: Progress) -> list[RenderableType]:
     rows = [("time", time_left(progress))]
+    if progress.work:
+        rows.append(("now", one_line(cut(progress.work))))
     if progress.target is not None:
         rows.append(("target", vector(*progress.target)))
     if progress.achieved is not None:

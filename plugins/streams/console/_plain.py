@@ -6,10 +6,10 @@ from typing import TextIO
 
 from orchestrator.presentation.events import said
 from orchestrator.presentation.names import slots
-from orchestrator.presentation.quantities import duration, plural, vector
+from orchestrator.presentation.quantities import plural, vector
 from orchestrator.presentation.sentences import columns, cut, for_output, one_line
 from plugins.streams.console._progress import Progress
-from plugins.streams.console._words import stage_title, step_line, summary_rows, time_left
+from plugins.streams.console._words import stage_ending, stage_title, step_line, summary_rows, time_left
 from protocols import (
     Diagnosed,
     DiagnosisStep,
@@ -23,6 +23,7 @@ from protocols import (
     StagesAppended,
     StageStarted,
     StateChanged,
+    UnderWay,
 )
 
 WORTH_A_LINE = ("paused", "stopping", "faulted", "aborted")
@@ -51,8 +52,8 @@ class PlainView:
     def show(self, message: Message, progress: Progress) -> None:
         if progress.finished is not None:
             stage = progress.finished
-            took = duration(progress.clock() - stage.begun_s)
-            self._line(f"{stage_title(progress, stage)}: {plural(stage.done, 'point')} in {took}")
+            if ending := stage_ending(stage, progress.clock() - stage.begun_s):
+                self._line(f"{stage_title(progress, stage)}: {ending}")
         for line in self._lines(message, progress):
             self._line(line)
 
@@ -64,9 +65,12 @@ class PlainView:
             case RunStarted():
                 self._told_part = progress.fraction
             case StageStarted() if progress.stage is not None:
-                return [f"{stage_title(progress, progress.stage)}: begins, {plural(message.points, 'point')}"]
+                points = f", {plural(message.points, 'point')}" if message.points else ""
+                return [f"{stage_title(progress, progress.stage)}: begins{points}"]
             case PointDone():
                 return self._progress_lines(progress)
+            case UnderWay(is_result=False):
+                return self._work_lines(progress)
             case OperatorAsked():
                 self._prompt = message.prompt
                 return []
@@ -95,6 +99,14 @@ class PlainView:
         reached = "" if progress.achieved is None else f", at {vector(*progress.achieved)}"
         counted = f"{progress.points_done} of {progress.points} points"
         return [f"{progress.fraction:4.0%}  {counted}, {time_left(progress)}{reached}"]
+
+    def _work_lines(self, progress: Progress) -> list[str]:
+        """What is under way, now and then: a search goes through hundreds of fits."""
+        now = progress.clock()
+        if now - self._told_s < self._every_s:
+            return []
+        self._told_s = now
+        return [f"  {progress.work}"]
 
     def _line(self, text: str) -> None:
         self._output.write(for_output(one_line(cut(text)), self._output) + "\n")

@@ -18,6 +18,7 @@ from protocols import (
     StageStarted,
     StageSufficed,
     StateChanged,
+    UnderWay,
 )
 
 Point = tuple[float, float]
@@ -75,6 +76,8 @@ class Progress:
     begun_s: float = field(default=0.0)
     measuring_s: float = 0.0
     """Time on the wall that the points done have taken."""
+    work: str = ""
+    """What the computer is at work on."""
     _point_begun_s: float | None = None
     _point_s: float = 0.0
 
@@ -85,7 +88,9 @@ class Progress:
             self._start(message)
         elif isinstance(message, StateChanged):
             self.state = message.target
-            if message.target in WITHOUT_POINTS:
+            # The drive is disarmed while the computer works on a stage that measures nothing: that goes on.
+            goes_on = message.target == "stopping" and self.stage is not None and not self.stage.points
+            if message.target in WITHOUT_POINTS and not goes_on:
                 self._end_stage()
         elif isinstance(message, StageStarted):
             self._end_stage()
@@ -103,6 +108,8 @@ class Progress:
         elif isinstance(message, StageSufficed):
             self.points -= message.points_spared
             self.left_s = max(0.0, self.left_s - message.seconds_spared)
+        elif isinstance(message, UnderWay) and not message.is_result:
+            self.work = message.text
         elif isinstance(message, StagesAppended):
             self.stages += len(message.stages)
 
@@ -139,4 +146,4 @@ class Progress:
 
     def _end_stage(self) -> None:
         self.finished, self.stage = self.stage, None
-        self.target, self.point = None, ""
+        self.target, self.point, self.work = None, "", ""

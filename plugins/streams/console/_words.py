@@ -8,7 +8,7 @@ from pathlib import Path
 
 from orchestrator.presentation.events import step_error_v
 from orchestrator.presentation.names import rung_name
-from orchestrator.presentation.quantities import UNKNOWN, duration, number, quantity
+from orchestrator.presentation.quantities import UNKNOWN, duration, number, plural, quantity
 from orchestrator.presentation.results import check_rows, resistance
 from orchestrator.presentation.sentences import shortened, typographic
 from plugins.streams.console._progress import Progress, StageProgress
@@ -28,10 +28,17 @@ def time_left(progress: Progress) -> str:
     on_drive, on_wall = progress.left_s, progress.wall_left_s
     drive, wall = (duration(max(1, round(left or 0.0))) for left in (on_drive, on_wall))
     if on_wall is None:
-        return f"{drive} left on the drive's clock"
+        return f"{drive} of measuring left, on the drive's clock"
     if abs(on_wall - on_drive) <= 0.2 * on_drive:
-        return f"{wall} left"
-    return f"{wall} left ({drive} on the drive's clock)"
+        return f"{wall} of measuring left"
+    return f"{wall} of measuring left ({drive} on the drive's clock)"
+
+
+def stage_ending(stage: StageProgress, seconds: float) -> str | None:
+    """How a stage ended; None where it measured nothing and took no time worth a line."""
+    if stage.points:
+        return f"{plural(stage.done, 'point')} in {duration(seconds)}"
+    return f"done in {duration(seconds)}" if seconds >= 1.0 else None
 
 
 def step_line(step: DiagnosisStep) -> tuple[str, str]:

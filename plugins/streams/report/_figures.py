@@ -24,7 +24,7 @@ from orchestrator.presentation.drawing import (
     uri,
 )
 from orchestrator.presentation.profiles import flux_at_zero, profile
-from orchestrator.presentation.quantities import number
+from orchestrator.presentation.quantities import decimals_of, number
 from plugins.streams.report._collect import Paths
 from protocols import Basis, FluxMap, RealArray, ResistanceReading
 
@@ -69,7 +69,7 @@ def flux_figure(maps: dict[str, FluxMap], axis: str) -> str:
             axes.plot(current, flux, BASIS_LINES.get(found.basis, ":"), color=colour, lw=1.5)
             if found.basis is not Basis.INTEGRATION:
                 axes.fill_between(current, flux - 1.96e3 * std, flux + 1.96e3 * std, color=colour, alpha=0.2, lw=0)
-        axes.plot([], [], "-", color=colour, label=_amperes(value))
+        axes.plot([], [], "-", color=colour, label=_amperes(value, held))
     name_axes(axes, CURRENT_LABELS[axis], rf"$\psi_{axis} - \psi_{axis}(0,0)$ [mWb]")
     axes.legend(title=f"held $i_{other}$", frameon=False, fontsize=STYLE.small_pt, title_fontsize=STYLE.small_pt)
     return uri(figure)
@@ -138,8 +138,10 @@ def held_currents(maps: Iterable[FluxMap], axis: str) -> tuple[float, ...]:
     return tuple(float(value) for value in np.unique(nearest))
 
 
-def _amperes(value: float) -> str:
-    return f"{value:+.2g} A".replace("-", "−") if value else "0 A"
+def _amperes(value: float, among: Sequence[float]) -> str:
+    """A held current to the digits that the largest among them needs."""
+    rounded = round(value, decimals_of(max(map(abs, among)), 2))
+    return f"{rounded:+.6g} A".replace("-", "−") if rounded else "0 A"
 
 
 def _scale(values: RealArray, about_zero: bool) -> dict[str, Any]:

@@ -11,12 +11,13 @@ from collections.abc import Iterator
 import numpy as np
 
 from orchestrator.exporting import mtpa, saliency
-from orchestrator.presentation.quantities import number, quantity, vector
+from orchestrator.presentation.quantities import fixed, number, quantity, vector
 from orchestrator.presentation.results import resistance, resistance_course
 from plugins.streams.report._collect import Material
 from plugins.streams.report._content import Line, motor_of
 from protocols import EstimationReport, FluxbenchError, FluxMap, Motor, RealArray, ResistanceEstimate
 
+TORQUE_HEAD = ("torque", "i_d", "i_q", "length", "angle from d")
 COPPER_PER_K = 0.00393
 """Relative change of copper's resistance a kelvin, at 20 degrees Celsius."""
 
@@ -91,6 +92,32 @@ def _torque(found: FluxMap, motor: Motor, rated_a: float) -> Iterator[Line]:
     edge = "" if best.interior[0] else "; the best lies at the edge of what was measured"
     stated = "" if motor.rated_torque_nm is None else f"; nameplate {quantity(motor.rated_torque_nm, 'Nm', 3)}"
     yield Line("Torque at rated current", f"{quantity(torque, 'Nm', 3)} at {where}{edge}{stated}")
+
+
+def torque_rows(found: FluxMap, motor: Motor, steps: int = 5) -> list[tuple[str, ...]]:
+    """The best currents for torques from a part of the greatest that was measured up to that; see `TORQUE_HEAD`.
+
+    None where the magnet's flux is not known, of which most of the torque is.
+    """
+    if motor.pm_flux_wb is None:
+        return []
+    try:
+        best = mtpa(found, motor.pole_pairs)
+    except FluxbenchError:  # a map without i_q > 0, or of a single line
+        return []
+    known = np.isfinite(best.torque_nm) & best.interior
+    torque, i_dq = best.torque_nm[known], best.i_dq[known]
+    rising = np.concatenate([[True], np.diff(np.maximum.accumulate(torque)) > 0.0]) if torque.size else known[:0]
+    torque, i_dq = torque[rising], i_dq[rising]
+    if torque.size < 2:
+        return []
+    rows = []
+    for part in np.arange(1, steps + 1) / steps:
+        asked = part * torque[-1]
+        d, q = (float(np.interp(asked, torque, i_dq[:, axis])) for axis in (0, 1))
+        length, angle = math.hypot(d, q), math.degrees(math.atan2(q, d))
+        rows.append((quantity(asked, "Nm"), *(f"{fixed(x, 2)} A" for x in (d, q, length)), f"{fixed(angle, 1)}°"))
+    return rows
 
 
 def _at(found: FluxMap, values: RealArray, i_d: float, i_q: float) -> float | None:

@@ -21,7 +21,8 @@ from plugins.streams.report import _motor_figures as motor_figures
 from plugins.streams.report import _sensorless_content as sensorless
 from plugins.streams.report._collect import Material, collect
 from plugins.streams.report._diagnosis_pictures import diagnosis_pictures
-from plugins.streams.report._motor_content import motor_lines
+from plugins.streams.report._motor_content import TORQUE_HEAD, motor_lines, torque_rows
+from plugins.streams.report._next_steps import next_steps
 from plugins.streams.report._picture import Picture
 from protocols import Basis, FluxbenchError, FluxMap, Motor
 
@@ -76,7 +77,10 @@ def render(material: Material, *, draws: bool = True, most_events: int = 200) ->
         name=material.directory.resolve().name,
         created=content.date(created or (material.record.created if material.record is not None else "")),
         about=material.record.procedure.about.lines() if material.record is not None else [],
+        now=next_steps(material),
         motor=list(motor_lines(material)),
+        torque_head=TORQUE_HEAD,
+        torque_rows=torque_rows(main, motor) if main is not None and motor is not None else [],
         summary=list(content.summary(material)),
         diagnosis=_diagnosis(material, draws=draws),
         checks=list(content.checks(material)),
@@ -212,7 +216,7 @@ def _difference_picture(material: Material) -> Picture:
     classical, injection = (_first_by(basis, material.maps) for basis in (Basis.INTEGRATION, Basis.INJECTION))
     if classical is None or injection is None:
         return Picture(title, "Not drawn: it takes the maps by both methods.")
-    caption = "Along the axes. The paper finds injection somewhat lower, and suspects hysteresis."
+    caption = "Along the axes, each counted from zero current."
     return Picture(title, caption, figures.difference_figure(classical, injection))
 
 

@@ -18,19 +18,23 @@ COMMISSIONING, DIAGNOSIS = "commissioning", "diagnosis"
 CHANGES = "What changed?"
 
 
-def commissioning(end_s: float | None = None) -> rrb.Blueprint:
-    """For watching a run and scrubbing through it; time axes reach to the cursor, or to the end where it is known."""
-    return _layout(EXPERIMENT, *_of_commissioning(_from_the_start(end_s)))
+def commissioning(end_s: float | None = None, *, states: bool = True) -> rrb.Blueprint:
+    """For watching a run and scrubbing through it; time axes reach to the cursor, or to the end where it is known.
+
+    A recording that no run has made has no `states`.
+    """
+    return _layout(EXPERIMENT, *_of_commissioning(_from_the_start(end_s), states))
 
 
-def _of_commissioning(time: rrb.TimeAxis) -> tuple[rrb.Container, ...]:
+def _of_commissioning(time: rrb.TimeAxis, states: bool) -> tuple[rrb.Container, ...]:
+    state_views = [rrb.StateTimelineView(origin="/state", name="States", time_view=time)] if states else []
     return (
         rrb.Horizontal(
             rrb.Vertical(
-                rrb.StateTimelineView(origin="/state", name="States", time_view=time),
+                *state_views,
                 _plot("Current [A]", time, "/drive/current", "/drive/limit/current"),
                 _plot("Voltage [V]", time, "/drive/voltage", "/drive/limit/voltage"),
-                row_shares=[2, 5, 5],
+                row_shares=[2, 5, 5] if states else [1, 1],
             ),
             rrb.Vertical(_text("How it stands", "/status"), _log(), row_shares=[1, 1]),
             column_shares=[5, 2],
@@ -82,13 +86,13 @@ def _of_commissioning(time: rrb.TimeAxis) -> tuple[rrb.Container, ...]:
     )
 
 
-def diagnosis(contents: Contents, *, measured: bool, end_s: float | None = None) -> rrb.Blueprint:
+def diagnosis(contents: Contents, *, measured: bool, end_s: float | None = None, states: bool = True) -> rrb.Blueprint:
     """For watching the error fall as effects are added; behind that, the run that was `measured` in the same file."""
     tabs: list[rrb.Container] = [
         rrb.Horizontal(
             rrb.Vertical(
                 _chart("The error ladder: fitted (bars), held out (dots)", "/ladder/chart"),
-                _falling(),
+                _falling(measured),
                 row_shares=[2, 1],
             ),
             rrb.Vertical(_text("The diagnosis", "/diagnosis"), _text("This step", "/ladder/page")),
@@ -111,7 +115,7 @@ def diagnosis(contents: Contents, *, measured: bool, end_s: float | None = None)
     if not measured:
         return _layout(EFFECT_ADDED, *tabs)
     # The steps stand on the experiment's time too, a second each after its end: one timeline serves all tabs.
-    return _layout(EXPERIMENT, *tabs, *_of_commissioning(_from_the_start(end_s)))
+    return _layout(EXPERIMENT, *tabs, *_of_commissioning(_from_the_start(end_s), states))
 
 
 def side_by_side(planes: Sequence[tuple[str, str]]) -> rrb.Blueprint:
@@ -164,11 +168,16 @@ def _plot(name: str, time: rrb.TimeAxis, *paths: str) -> rrb.TimeSeriesView:
     )
 
 
-def _falling() -> rrb.TimeSeriesView:
+def _falling(on_experiment: bool) -> rrb.TimeSeriesView:
+    """The steps up to the cursor, of which each takes a second of the experiment's time: the last diagnosis first."""
+    edge, steps = rr.TimeRangeBoundary, DETAIL.ladder_steps
+    start = edge.cursor_relative(seconds=-steps) if on_experiment else edge.cursor_relative(seq=-steps)
+    end = edge.cursor_relative(seconds=1) if on_experiment else edge.cursor_relative(seq=1)
     return rrb.TimeSeriesView(
         origin="/ladder/rms_mv",
         contents=["/ladder/rms_mv"],
         name="The error falling [mV]",
+        axis_x=rrb.TimeAxis(view_range=rr.TimeRange(start=start, end=end)),
         plot_legend=rrb.Corner2D.RightTop,
     )
 

@@ -56,6 +56,7 @@ from protocols import (
     OperatorAsked,
     PointDone,
     PointStarted,
+    ResistanceEstimate,
     ResistanceEstimated,
     RunEnded,
     RunStarted,
@@ -93,6 +94,7 @@ class Commissioning:
         self._limits: tuple[float, float] | None = None
         self._reach_a = 1.0  # until the limits are known
         self._resistance_ohm = 0.0
+        self._resistance_until_s: float | None = None
         self._achieved: list[tuple[float, float]] = []
         self._achieved_shown = 0
         self._maps: dict[str, FluxMapEstimate] = {}
@@ -273,15 +275,27 @@ class Commissioning:
         self._status.resistance = found
         out = [page("resistance/page", self.when, resistance_page(found)), self._page()]
         out.append(properties("resistance", {"value_ohm": found.value_ohm, "low": found.low, "high": found.high}))
+        first_s, last_s = 0.0, self._clock.now()
         if found.readings:
             at = np.array([r.start_s for r in found.readings])
             order = np.argsort(at, kind="stable")
             value = np.array([r.value_ohm for r in found.readings])[order]
             variance = np.square([r.std_ohm for r in found.readings])[order]
             out.append(_measurements("resistance/readings", at[order], value, variance))
-            ends = np.array([at.min(), max(at.max(), self._clock.now())])
-            out.append(scalars("resistance/estimate", ends, np.array([[found.value_ohm, found.low, found.high]] * 2)))
-        return out
+            first_s, last_s = float(at.min()), max(float(at.max()), last_s)
+        return [*out, *self._resistance_line(found, first_s, last_s)]
+
+    def _resistance_line(self, found: ResistanceEstimate, first_s: float, last_s: float) -> list[Entry]:
+        """The estimate as a level up to now, from where the one before it ended; no line joins the two."""
+        path = "resistance/estimate"
+        gap: list[Entry] = []
+        if self._resistance_until_s is not None:
+            first_s = self._resistance_until_s + 0.1
+            last_s = max(last_s, first_s + 1.0)
+            gap = [entry(path, When(experiment_s=first_s - 0.05), rr.Clear(recursive=False))]
+        self._resistance_until_s = last_s
+        level = np.array([[found.value_ohm, found.low, found.high]] * 2)
+        return [*gap, scalars(path, np.array([first_s, last_s]), level)]
 
     def _map(self, message: MapEstimated) -> list[Entry]:
         found = message.estimate

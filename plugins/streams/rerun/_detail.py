@@ -29,6 +29,8 @@ class Detail:
         Along each axis of an inductance's picture and of a flux surface.
     box_half_height : float
         Of the box that flux surfaces stand in; it is 2 wide.
+    ladder_steps : int
+        Of the error, shown before the cursor: as many as a diagnosis has and a few more.
     margin_s : float
         Of the time axes, after the latest sample.
     """
@@ -45,6 +47,7 @@ class Detail:
     map_pixels: int = 96
     surface_nodes: int = 61
     box_half_height: float = 0.7
+    ladder_steps: int = 8
     margin_s: float = 1.0
 
 

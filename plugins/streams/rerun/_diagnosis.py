@@ -29,6 +29,8 @@ from protocols import (
     ResistanceCourse,
 )
 
+_ERRORS = "ladder/rms_mv"
+
 
 @dataclass(frozen=True)
 class Contents:
@@ -85,8 +87,10 @@ class Diagnosis:
     def _on(self, step: DiagnosisStep) -> list[Entry]:
         out: list[Entry] = []
         if step.index == 0 or self._scales is None:
-            self._base, self._rungs = (self._step + 1 if self._rungs else 0), []
+            # A step between two diagnoses is left free for the gap between their lines.
+            self._base, self._rungs = (self._step + 2 if self._rungs else 0), []
             self._scales = _scales(step)
+            out.append(_gap_before(self._at_s, self._base))
             out += plane("residual/plane/amperes", self._scales.reach_a)
         self._step = self._base + len(self._rungs)
         self._rungs.append(_without_arrays(step))
@@ -131,7 +135,7 @@ class Diagnosis:
         out.append(worded("ladder/chart/words", when, words))
         out.append(page("ladder/page", when, _ladder_page(steps)))
         row = [steps[-1].rms_v, steps[-1].heldout_rms_v or steps[-1].rms_v, steps[-1].noise_rms_v]
-        return [*out, entry("ladder/rms_mv", when, rr.Scalars([1e3 * v for v in row]))]
+        return [*out, entry(_ERRORS, when, rr.Scalars([1e3 * v for v in row]))]
 
     def _diagnosed(self, message: Diagnosed) -> list[Entry]:
         report = message.report
@@ -171,7 +175,13 @@ def furniture() -> list[Entry]:
     names = ["fitted [mV]", "held out [mV]", "noise floor [mV]"]
     colours = [MODEL, MEASURED_ON_SCREEN, GUIDE]
     lines = rr.SeriesLines(names=names, colors=packed_all(colours), widths=[2.5, 2.5, 1.5])
-    return [entry("ladder/rms_mv", ALWAYS, lines)]
+    return [entry(_ERRORS, ALWAYS, lines)]
+
+
+def _gap_before(at_s: float, step: int) -> Entry:
+    """Ends the lines of an earlier diagnosis, so that nothing leads from its last error up to the first of this one."""
+    when = When(experiment_s=at_s - 0.5, step=step - 1 if step > 0 else None)
+    return entry(_ERRORS, when, rr.Clear(recursive=False))
 
 
 def _without_arrays(step: DiagnosisStep) -> DiagnosisStep:

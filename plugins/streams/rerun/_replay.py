@@ -32,6 +32,7 @@ from protocols import (
     RealArray,
     RecordingError,
     Remark,
+    ResistanceEstimated,
     RunEnded,
     RunStarted,
     SamplesCaptured,
@@ -121,7 +122,10 @@ def _samples(recording: Recording, segment: Segment) -> Iterator[Message]:
 
 
 def _results(directory: Path) -> Iterator[Message]:
-    """What was found out: the maps, and the latest diagnosis."""
+    """What was found out: R_s, the maps, and the latest diagnosis."""
+    report = _report(directory)
+    if report is not None and report.resistance is not None:
+        yield ResistanceEstimated(estimate=report.resistance)
     yield from _maps(directory)
     try:
         found = load_diagnosis(directory)

@@ -28,6 +28,7 @@ from protocols import (
     PointStarted,
     RunStarted,
     SamplesCaptured,
+    StateChanged,
     StreamSetup,
 )
 
@@ -60,7 +61,7 @@ class RerunStream:
         self._commissioning = Commissioning(ripple_every_s, wall_s)
         self._diagnosis = diagnosis.Diagnosis()
         self._layout = ""
-        self._measured = False
+        self._measured = self._states = False
         self._contents: diagnosis.Contents | None = None
         self._sent_at = 0.0
         self._tape.put([*self._commissioning.furniture(), *diagnosis.furniture()])
@@ -86,6 +87,7 @@ class RerunStream:
             return
         now_s = self._commissioning.when.experiment_s or 0.0
         self._tape.put(self._diagnosis.take(message, now_s))
+        self._states |= isinstance(message, StateChanged)
         self._measured |= isinstance(message, PointStarted) or (
             isinstance(message, RunStarted) and message.points_done > 0
         )
@@ -106,9 +108,9 @@ class RerunStream:
         # The whole run from its beginning to its end; who looks on keeps the layout as it is.
         end_s = self._commissioning.when.experiment_s
         if self._layout == blueprints.COMMISSIONING:
-            self._tape.keep(blueprint(self._layout, blueprints.commissioning(end_s)))
+            self._tape.keep(blueprint(self._layout, blueprints.commissioning(end_s, states=self._states)))
         elif self._contents is not None and self._measured:
-            whole = blueprints.diagnosis(self._contents, measured=True, end_s=end_s)
+            whole = blueprints.diagnosis(self._contents, measured=True, end_s=end_s, states=self._states)
             self._tape.keep(blueprint(self._layout, whole))
         self._tape.close()
         if self._server is not None:

@@ -30,7 +30,9 @@ class Mine:
 """
 
 
-UNDER_WAY = ("reading ", "does the recording keep", "the recording's noise", "the model with")
+UNDER_WAY = (
+    "reading ", "does the recording keep", "the recording's noise", "the model with", "is a finer map", "how sure",
+)  # fmt: skip
 """How lines begin that a command may have printed before it is refused; none of them is a result."""
 
 
@@ -206,3 +208,20 @@ def test_a_model_is_held_against_a_recording_and_exported(tmp_path: Path, capsys
     assert run_app(["export", file, "--format", "csv", "--out", str(tmp_path / "export"), "--json"]) == 0
     assert 20.0 < json.loads(capsys.readouterr().out)["measured_percent"] < 100.0
     assert "none.json: cannot be read" in refused(capsys, 2, "compare", DATA, "--model", tmp_path / "none.json")
+
+
+def test_an_effect_s_error_names_file_and_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body="return 1 / 0"))
+    line = mine.read_text().splitlines().index("        return 1 / 0") + 1
+    told = refused(capsys, 2, "add", DATA, "mine", "--effects", mine, "--out", tmp_path / "out")
+    assert f"ZeroDivisionError: division by zero ({mine}, line {line})" in told
+
+
+@pytest.mark.slow
+def test_a_comparison_says_whether_a_candidate_helps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text(EFFECT.format(body="return Correction(v_ab=signals.v_ab - [p.offset_v, 0.0])"))
+    assert run_app(["compare", str(DATA), "--effects", str(mine), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert [remark["code"] for remark in report["remarks"]][-1] in ("helps", "does_not_help")

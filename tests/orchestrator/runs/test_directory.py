@@ -86,12 +86,19 @@ def test_nothing_is_overwritten(
     (tmp_path / "file").touch()
     with pytest.raises(RecordingError, match="not empty"):
         RunDirectory.refuse_occupied(tmp_path / "file")
-    (tmp_path / "other.sealed").mkdir()
-    (tmp_path / "other.sealed" / "options.json").touch()
-    with pytest.raises(RecordingError, match="not empty"):
-        RunDirectory.refuse_occupied(tmp_path / "other")
-    with pytest.raises(RecordingError, match="another run's"):
-        RunDirectory.create(tmp_path / "other", procedure, capabilities)
+
+
+def test_what_a_deleted_run_has_left_beside_it_is_set_aside_and_does_not_block_its_name(
+    tmp_path: Path, procedure: Procedure, capabilities: Capabilities
+) -> None:
+    for number in ("", ".1"):
+        (tmp_path / f"other.sealed{number}").mkdir()
+        (tmp_path / f"other.sealed{number}" / "options.json").write_text(f"{number}")
+    RunDirectory.refuse_occupied(tmp_path / "other")
+    run = RunDirectory.create(tmp_path / "other", procedure, capabilities, sealed=["plant"])
+    assert run.procedure() == procedure
+    assert (tmp_path / "other.sealed.1" / "options.json").read_text() == ".1"
+    assert (tmp_path / "other.sealed.2" / "options.json").read_text() == ""
 
 
 def test_an_empty_directory_may_be_used_and_the_drive_may_have_been_there_first(
@@ -228,11 +235,3 @@ def test_a_refused_folder_is_left_as_it_was(tmp_path: Path) -> None:
     with pytest.raises(RecordingError, match="not empty"), RunDirectory.claim(tmp_path / "letters"):
         pytest.fail("it was claimed")
     assert [file.name for file in (tmp_path / "letters").iterdir()] == ["to-aunt.txt"]
-
-
-def test_a_folder_whose_place_beside_is_taken_is_not_made(tmp_path: Path) -> None:
-    (tmp_path / "new.sealed").mkdir()
-    (tmp_path / "new.sealed" / "options.json").write_text("{}")
-    with pytest.raises(RecordingError, match="not empty"), RunDirectory.claim(tmp_path / "new"):
-        pytest.fail("it was claimed")
-    assert not (tmp_path / "new").exists()

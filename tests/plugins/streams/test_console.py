@@ -34,6 +34,7 @@ from protocols import (
     StageStarted,
     StateChanged,
     StreamSetup,
+    UnderWay,
 )
 
 ESCAPE = "\x1b"
@@ -113,6 +114,36 @@ def test_plain_progress_is_not_told_for_each_of_many_quick_points(
     for message in points_done(tmp_path, 20):
         stream.receive(message)
     assert len(output.getvalue().splitlines()) == 1
+
+
+def test_stages_without_points_are_counted_too_and_say_what_is_under_way(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    stream = listen(monkeypatch, tmp_path, output := Output())
+    now = [0.0]
+    stream._progress.clock = lambda: now[0]
+    messages: list[tuple[float, Message]] = [
+        (0.0, StageStarted(index=10, stage="estimate", points=0)),
+        (0.0, StateChanged(source="measuring", target="stopping", reason="the computer works")),
+        (2.0, StageStarted(index=11, stage="diagnose", points=0)),
+        (2.1, UnderWay(text="trying dead time (some 40 s more)")),
+        (2.2, UnderWay(text="trying bus sag (some 40 s more)")),
+        (9.0, UnderWay(text="so far: dead time", is_result=True)),
+        (9.1, UnderWay(text="trying bus sag (some 30 s more)")),
+        (12.0, RunEnded(outcome="finished", reason="", run="runs/demo")),
+    ]
+    for at, message in messages:
+        now[0] = at
+        stream.receive(message)
+    assert [line for line in output.getvalue().splitlines() if "outcome" not in line and line][:-1] == [
+        "stage 11, estimate: begins",
+        "stopping: the computer works",
+        "stage 11, estimate: done in 2 s",
+        "stage 12, diagnose: begins",
+        "  trying dead time (some 40 s more)",
+        "so far: dead time",
+        "  trying bus sag (some 30 s more)",
+    ]
 
 
 def test_stages_are_counted(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -270,17 +301,17 @@ def test_time_left_follows_the_pace_of_the_wall() -> None:
     now = [100.0]
     progress = Progress(clock=lambda: now[0])
     progress.points, progress.left_s = 10, 50.0
-    assert time_left(progress) == "50 s left on the drive's clock"
+    assert time_left(progress) == "50 s of measuring left, on the drive's clock"
     progress.take(PointStarted(id="p", stage_index=0, target_d_a=None, target_q_a=None, seconds=5.0))
     now[0] += 0.5
     progress.take(next(points_done(Path("run"), 1)).model_copy(update={"seconds_left": 45.0}))
     assert progress.wall_left_s == pytest.approx(4.5)
-    assert time_left(progress) == "4 s left (45 s on the drive's clock)"
+    assert time_left(progress) == "4 s of measuring left (45 s on the drive's clock)"
 
 
 def test_time_left_is_told_once_where_drive_and_wall_agree() -> None:
     progress = Progress(points=10, left_s=90.0, drive_s=10.0, measuring_s=10.5)
-    assert time_left(progress) == "94 s left"
+    assert time_left(progress) == "94 s of measuring left"
 
 
 def test_a_stage_ends_with_the_next_or_with_a_stop() -> None:

@@ -170,25 +170,29 @@ def test_a_timer_told_beside_less_scatter_is_judged_when_all_effects_have_been_a
     assert after == ((timed, timed, asked, {}) if taken else (setup, setup, whole, {"voltage_bias": ["another"]}))
 
 
-@pytest.mark.parametrize(("chi2", "asked"), [(1.02, False), (3.0, True)])
-def test_a_sharper_map_is_asked_for_only_where_the_forms_leave_something(
-    chi2: float, asked: bool, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(("chi2", "sharper", "asked"), [(1.05, 0.9, False), (3.0, 0.9, True), (3.0, 1.1, True)])
+def test_a_sharper_map_is_tried_where_the_forms_leave_something_and_taken_where_it_leaves_less(
+    chi2: float, sharper: float, asked: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     setup, _, whole = _fitted(0.2, [VoltageBias(), CurrentGainMismatch()])
     part = setup.coarse_fitter.fit(whole.model)
     finer, tried = replace(part.model.space, roughness=9.0), list[Fit]()
+    fit = replace(part, chi2=chi2 * part.dof, objective=chi2 * part.dof)
+    taken = asked and sharper < 1.0
 
     def with_detail(_: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
         tried.append(fit)
         return fitter.fit(replace(fit.model, space=finer)) if len(tried) == 1 else fit
 
+    def in_own_forms(_: Fitter, trial: Fit) -> Fit:
+        return replace(trial, chi2=chi2 * trial.dof, objective=sharper * fit.objective)
+
     monkeypatch.setattr(joint_workflow, "with_finer_map", with_detail)
-    monkeypatch.setattr(joint_workflow, "in_own_forms", lambda _, fit: replace(fit, chi2=chi2 * fit.dof))
-    fit = replace(part, chi2=chi2 * part.dof)
+    monkeypatch.setattr(joint_workflow, "in_own_forms", in_own_forms)
     after = joint_workflow.on_a_sharper_map(setup, fit)
-    assert [len(one.model.free) for one in tried] == ([0, 0] if asked else [])
-    assert (after.model.space is finer) == asked
-    assert (after is fit) != asked
+    assert [len(one.model.free) for one in tried] == [0, 0][: asked + taken]
+    assert (after.model.space is finer) == taken
+    assert (after is fit) != taken
     assert [name for _, name in after.model.free] == [name for _, name in fit.model.free]
 
 

@@ -7,6 +7,7 @@ import signal
 import time
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -23,6 +24,9 @@ from protocols import (
     Motor,
     PointDone,
     PointStarted,
+    ResistanceEstimate,
+    ResistanceEstimated,
+    ResistanceReading,
     RunEnded,
     RunStarted,
     SamplesCaptured,
@@ -97,6 +101,18 @@ def drawn(run: Path, messages: list[Message]) -> Path:
     return run / "view.rrd"
 
 
+def errors(file: Path) -> list[dict[str, Any]]:
+    """Rows of the error's lines that have a value."""
+    return [
+        row for row in rows(file, "/ladder/rms_mv") if any(k.endswith("Scalars:scalars") and v for k, v in row.items())
+    ]
+
+
+def gaps(file: Path, content: str) -> list[dict[str, Any]]:
+    """Rows that end the lines of an entity."""
+    return [row for row in rows(file, content) if any("Clear" in k and v is not None for k, v in row.items())]
+
+
 def scalars(file: Path, content: str) -> list[list[float]]:
     """The scalars of an entity, row by row; rows of style alone are passed over, wherever in the file they are."""
     found = [value for row in rows(file, content) for key, value in row.items() if key.endswith("Scalars:scalars")]
@@ -135,7 +151,7 @@ def test_a_diagnosis_keeps_the_commissioning_s_tabs_on_one_timeline(tmp_path: Pa
     assert {"What is it doing?", "What is the flux?", "How does R_s move?"} <= set(names)
     file = drawn(tmp_path / "run", [*a_commissioning(tmp_path), *a_diagnosis(pictures=False)])
     measured = max(row["experiment"] for row in rows(file, "/drive/current") if row.get("experiment") is not None)
-    steps = [row["experiment"] for row in rows(file, "/ladder/rms_mv") if row.get("experiment") is not None]
+    steps = [row["experiment"] for row in errors(file)]
     assert len(steps) == len(EFFECTS) + 1
     assert sorted(steps) == steps
     assert steps[0] > measured
@@ -143,8 +159,23 @@ def test_a_diagnosis_keeps_the_commissioning_s_tabs_on_one_timeline(tmp_path: Pa
 
 def test_a_second_round_goes_on_where_the_first_ended(tmp_path: Path) -> None:
     file = drawn(tmp_path / "run", [*a_diagnosis(), *a_diagnosis(pictures=False)])
-    steps = {row.get("effect_added") for row in rows(file, "/ladder/rms_mv")} - {None}
-    assert steps == set(range(2 * (len(EFFECTS) + 1)))
+    steps, (_, gap) = [row["effect_added"] for row in errors(file)], gaps(file, "/ladder/rms_mv")
+    first, second = steps[: len(EFFECTS) + 1], steps[len(EFFECTS) + 1 :]
+    assert first == list(range(len(EFFECTS) + 1))
+    assert second == [step + len(EFFECTS) + 2 for step in first]
+    assert first[-1] < gap["effect_added"] < second[0]
+
+
+def test_no_line_leads_from_one_estimate_of_the_resistance_to_the_next(tmp_path: Path) -> None:
+    file = drawn(tmp_path / "run", [*a_commissioning(tmp_path), an_estimate(4.25), an_estimate(4.31)])
+    (gap,) = gaps(file, "/resistance/estimate")
+    levels = [
+        (row["experiment"], next(v for k, v in row.items() if k.endswith("Scalars:scalars"))[0])
+        for row in rows(file, "/resistance/estimate")
+        if any(k.endswith("Scalars:scalars") and v for k, v in row.items())
+    ]
+    assert [level for time, level in levels if time < gap["experiment"]] == [4.25, 4.25]
+    assert [level for time, level in levels if time > gap["experiment"]] == [4.31, 4.31]
 
 
 def test_a_resumed_run_keeps_what_was_drawn_before(tmp_path: Path) -> None:
@@ -154,6 +185,20 @@ def test_a_resumed_run_keeps_what_was_drawn_before(tmp_path: Path) -> None:
     assert both["/drive/current"] == 50 * POINTS
     assert both["/log"] > first["/log"]
     assert sorted(p.name for p in file.parent.iterdir()) == ["view.rrd"]
+
+
+def an_estimate(value_ohm: float) -> ResistanceEstimated:
+    reading = ResistanceReading(value_ohm=value_ohm, std_ohm=0.01, start_s=0.5)
+    return ResistanceEstimated(
+        estimate=ResistanceEstimate(
+            value_ohm=value_ohm,
+            low=value_ohm - 0.1,
+            high=value_ohm + 0.1,
+            first_ohm=value_ohm,
+            last_ohm=value_ohm,
+            readings=(reading,),
+        )
+    )
 
 
 def draw_and_hang(run: Path, ready: Path) -> None:

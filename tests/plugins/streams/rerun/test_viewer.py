@@ -16,14 +16,16 @@ from rerun.experimental import ViewerClient
 
 from plugins.streams.rerun import make_view
 from plugins.streams.rerun._live import LiveFeed
+from plugins.streams.rerun._replay import replay
 from plugins.streams.rerun._shooting import headless_viewer, shoot
 from plugins.streams.rerun._tape import scalars
 from protocols import RecordingError
 from tests.plugins.streams.rerun.example_diagnosis import a_diagnosis
 from tests.plugins.streams.rerun.reading import entities
-from tests.plugins.streams.rerun.test_stream import a_commissioning, drawn
+from tests.plugins.streams.rerun.test_stream import a_commissioning, an_estimate, drawn
 from tests.support.tiny import run_tiny
 
+IMPORTED = Path(__file__).parents[3] / "data" / "pm400-reduced"
 DRIVERS = ("/etc/vulkan/icd.d", "/usr/share/vulkan/icd.d", "/usr/local/share/vulkan/icd.d")
 """Where Vulkan's loader looks for the manifests of drivers, if no variable names them."""
 
@@ -67,6 +69,15 @@ def test_every_view_of_a_commissioning_draws(tmp_path: Path, viewer: ViewerClien
 
 def test_every_view_of_a_diagnosis_draws(tmp_path: Path, viewer: ViewerClient) -> None:
     everything_draws(viewer, drawn(tmp_path / "run", a_diagnosis()), tabs=4)
+
+
+def test_every_view_of_an_imported_recording_and_two_diagnoses_draws(tmp_path: Path, viewer: ViewerClient) -> None:
+    messages = [*replay(IMPORTED), an_estimate(4.25), *a_diagnosis(), *a_diagnosis(pictures=False)]
+    shots = shoot(viewer, drawn(tmp_path / "run", messages))
+    assert [complaint for shot in shots for complaint in shot.complaints] == []
+    views = {view.name for shot in shots for view in shot.views}
+    assert "States" not in views  # nobody logged any
+    assert {"The error falling [mV]", "R_s over the experiment [Ω]"} <= views
 
 
 def test_a_run_and_its_diagnosis_are_in_one_layout_and_a_wrong_tab_is_told_the_names(

@@ -1,0 +1,110 @@
+"""Whether an effect that was added, or taken out, changes what the model predicts of stages that no fit has seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.ladder import held_out, mean_rms_v, noise_rms_v, training
+from orchestrator.diagnosis.weak_form.segments import SegmentSignals
+from orchestrator.presentation.names import parameter_words, plain
+from orchestrator.presentation.quantities import quantity
+from orchestrator.presentation.sentences import listed
+from protocols import FoundEffect, Remark
+
+
+def added_remark(name: str, before: Fit, after: Fit, found: FoundEffect | None) -> Remark:
+    """Whether an added effect helps: code ``helps`` or ``does_not_help``.
+
+    Parameters
+    ----------
+    before, after : Fit
+        The model without and with the effect.
+    found : FoundEffect or None
+        The effect with its intervals; None where it is a freedom of the map, which has none.
+    """
+    errors = _errors(before, after)
+    if _log_likelihood_gain(before, after) > _least_gain(after):
+        text = "{effect} helps: {of} {course}; noise alone leaves {noise}"
+        return _remark("helps", text, name, errors)
+    zero = [] if found is None else _amplitudes_that_hold_zero(after, found)
+    why = f", and the 95 % interval of its {listed(zero)} holds 0" if zero else ""
+    return _remark("does_not_help", "{effect} does not help: {of} {only}{course}" + why, name, errors)
+
+
+def removed_remark(name: str, before: Fit, after: Fit) -> Remark:
+    """Whether an effect that was taken out is needed: code ``needed`` or ``not_needed``.
+
+    Parameters
+    ----------
+    before, after : Fit
+        The model with and without the effect.
+    """
+    errors = _errors(before, after)
+    if _log_likelihood_gain(after, before) > _least_gain(before):
+        return _remark("needed", "{effect} is needed: without it {of} {course}", name, errors)
+    return _remark("not_needed", "{effect} is not needed: without it {of} {course}", name, errors)
+
+
+def _remark(code: str, text: str, name: str, errors: dict[str, float | str | None]) -> Remark:
+    told = Remark.of(code, text, effect=plain(name), **_in_words(errors))
+    return told.model_copy(update={"values": {"effect": name, **errors}})
+
+
+def _errors(before: Fit, after: Fit) -> dict[str, float | str | None]:
+    """rms errors of what was held out, or of what was fitted where nothing was [V]."""
+    use = _judged_on(before)
+    return {
+        "judged_on": "held_out" if use is held_out else "fitted",
+        "before_v": mean_rms_v(before, use),
+        "after_v": mean_rms_v(after, use),
+        "noise_v": noise_rms_v(after, use),
+    }
+
+
+def _in_words(errors: dict[str, float | str | None]) -> dict[str, str]:
+    first, last = (quantity(_number(errors[key]), "V") for key in ("before_v", "after_v"))
+    if first == last:
+        course = f"stays at {last}"
+    else:
+        falls = (_number(errors["after_v"]) or 0.0) < (_number(errors["before_v"]) or 0.0)
+        course = f"{'falls' if falls else 'rises'} from {first} to {last}"
+    of = "the held-out error" if errors["judged_on"] == "held_out" else "the error (nothing was held out)"
+    only = "only " if course.startswith("falls") else ""
+    return {"of": of, "only": only, "course": course, "noise": quantity(_number(errors["noise_v"]), "V")}
+
+
+def _number(value: float | str | None) -> float | None:
+    return value if isinstance(value, float) else None
+
+
+def _judged_on(fit: Fit) -> Callable[[SegmentSignals], bool]:
+    return held_out if any(map(held_out, fit.prepared.pieces)) else training
+
+
+def _log_likelihood_gain(worse: Fit, better: Fit) -> float:
+    """Log likelihood of the rows to judge by, of one model over another's [nat]; noise no less than is known."""
+    use = _judged_on(worse)
+    rows = sum(e.size for p, e in zip(worse.prepared.pieces, worse.residual, strict=True) if use(p))
+    first, last = worse.chi2_of(use) or 0.0, better.chi2_of(use) or 0.0
+    return 0.5 * rows * (first - last) / max(1.0, last)
+
+
+def _least_gain(fit: Fit) -> float:
+    """Gain from which on an effect helps: fitted rows gain by any freedom, rows that were held out do not [nat]."""
+    limits = fit.criteria.selection
+    return limits.tie if _judged_on(fit) is held_out else limits.log_evidence
+
+
+def _amplitudes_that_hold_zero(fit: Fit, found: FoundEffect) -> list[str]:
+    """Words for the amplitudes whose interval holds absence, where all do; else none."""
+    active = next(a for a in fit.model.active if a.name == found.name)
+    names = []
+    for name in active.candidate.amplitudes:
+        interval = found.parameters.get(name)
+        if interval is None or interval.low is None or interval.high is None:
+            continue
+        if not interval.low <= active.candidate.named(name).neutral <= interval.high:
+            return []
+        names.append(parameter_words(name))
+    return names

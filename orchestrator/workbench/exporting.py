@@ -1,0 +1,84 @@
+"""Maps for other tools, of whatever has one: a run, a recording, a map file or a model."""
+
+from __future__ import annotations
+
+from os import PathLike
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from protocols import InputError, Motor
+
+if TYPE_CHECKING:
+    from orchestrator.exporting import ExportReport
+
+
+def export(
+    place: str | PathLike[str],
+    *formats: str,
+    motor: Motor | str | PathLike[str] | None = None,
+    out: str | PathLike[str] | None = None,
+) -> ExportReport:
+    """Write flux map, torque and saliency for other tools.
+
+    Parameters
+    ----------
+    place : path
+        A run, a recording, a map file, or a model.json.
+    formats : str
+        Names of the formats; all by default.
+    motor : Motor or path, optional
+        The motor, or a YAML file with it, for a map file that does not say it.
+    out : path, optional
+        Folder to write to; by default ``export/`` beside what is exported.
+
+    Raises
+    ------
+    InputError
+        Where there is no map or no motor, or no format of such a name.
+    StorageError
+        Where a file cannot be written.
+    """
+    from orchestrator.exporting import export_map
+    from orchestrator.flux_maps import load_map
+
+    path = Path(place)
+    flux_map = load_map(path)
+    folder = Path(out) if out is not None else (path if path.is_dir() else path.parent) / "export"
+    return export_map(
+        flux_map, _motor_with_resistance(path, motor), folder, formats or None, recording=_recording(path)
+    )
+
+
+def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None) -> Motor:
+    """The motor with R_s as it was measured, where it was."""
+    from orchestrator.config import load_motor
+    from orchestrator.estimation import load_estimates
+    from orchestrator.plain_files import read_text
+    from orchestrator.recording import read_model
+    from orchestrator.runs import open_any
+
+    measured: float | None = None
+    found: Motor | None = None
+    if path.suffix == ".json":
+        model = read_model(path)
+        found, measured = model.motor, model.r_s_ohm
+    elif path.is_dir():
+        found = open_any(path).manifest.motor
+        resistance = load_estimates(path).resistance
+        measured = None if resistance is None else resistance.value_ohm
+    elif path.suffix in (".yaml", ".yml") and "motor:" in read_text(path):
+        found = load_motor(path)  # the mapping of a table says whose it is
+    if motor is not None:
+        found = motor if isinstance(motor, Motor) else load_motor(Path(motor))
+    if found is None:
+        raise InputError(str(path), "motor", "a map file does not say its motor: name one, or a YAML file that does")
+    return found if measured is None else found.model_copy(update={"stator_resistance_ohm": measured})
+
+
+def _recording(path: Path) -> str:
+    from orchestrator.recording import read_model
+    from orchestrator.runs import open_any
+
+    if path.suffix == ".json":
+        return read_model(path).recording
+    return open_any(path).manifest.name if path.is_dir() else path.name

@@ -1,0 +1,53 @@
+"""What to do now, in two lines: with the map, and about what the model misses."""
+
+from __future__ import annotations
+
+from orchestrator.presentation.names import plain
+from orchestrator.presentation.quantities import duration
+from orchestrator.presentation.sentences import listed, typographic
+from plugins.streams.report._collect import Material
+from plugins.streams.report._content import Line
+from protocols import DiagnosisReport
+
+
+def next_steps(material: Material) -> list[Line]:
+    """One line on the map, one on the diagnosis."""
+    return [Line("The map", _about_map(material)), Line("The model", _about_model(material))]
+
+
+def _about_map(material: Material) -> str:
+    found, run = material.estimates, material.directory
+    if found is None:
+        return f"none yet: fluxbench estimate {run} makes it."
+    if found.usable and "flux_map" in found.files:
+        return f"use results/{found.files['flux_map']}; fluxbench export {run} writes it for a drive or a simulation."
+    why = next((typographic(remark.text) for remark in found.remarks), "none could be made")
+    return f"do not rely on it: {why}."
+
+
+def _about_model(material: Material) -> str:
+    run = material.directory
+    if material.diagnosis is None:
+        return f"not diagnosed: fluxbench diagnose {run} names what it misses."
+    report = material.diagnosis.report
+    if report.convention is not None:
+        return f"{typographic(report.convention.correction.text)}; then diagnose again."
+    if report.next_experiment is not None:
+        proposed = report.next_experiment
+        first, second = map(plain, proposed.separates)
+        takes = duration(60.0 * proposed.minutes)
+        return f"fluxbench run --from {run} measures {takes} more, to tell {first} from {second}."
+    return _by_verdict(report, typographic(material.diagnosis.words.to_decide))
+
+
+def _by_verdict(report: DiagnosisReport, to_decide: str) -> str:
+    causes = listed([plain(effect.name) for effect in report.effects])
+    match report.verdict:
+        case "clean":
+            return "nothing is missing in it."
+        case "explained":
+            return (
+                f"nothing is left to measure; compensate {causes} in the drive, or use model.json, which includes that."
+            )
+        case _:
+            return f"{to_decide}."

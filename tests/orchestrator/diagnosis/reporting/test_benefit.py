@@ -1,0 +1,58 @@
+"""What is said of an effect that was added or taken out follows from stages that no fit has seen."""
+
+from __future__ import annotations
+
+import pytest
+
+from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.reporting.benefit import added_remark, removed_remark
+from orchestrator.diagnosis.reporting.findings import found_effects
+from plugins.effects.inverter import DeadTime, VoltageBias
+from protocols import Effect
+from tests.orchestrator.diagnosis.fitting.test_fit import ERROR_V, with_free
+from tests.orchestrator.diagnosis.pieces import fitter, free_model, plan, prepared, with_voltage
+
+
+def refitted(maker: Fitter, effect: Effect | None = None) -> tuple[Fit, Fit]:
+    before = maker.fit(free_model())
+    return before, maker.fit(with_free(before.model, maker, effect or VoltageBias()))
+
+
+@pytest.fixture(scope="module")
+def biased() -> tuple[Fit, Fit]:
+    return refitted(fitter(with_voltage(prepared(plan()), ERROR_V)))
+
+
+@pytest.fixture(scope="module")
+def clean() -> tuple[Fitter, Fit, Fit]:
+    maker = fitter(prepared(plan()))
+    return maker, *refitted(maker, DeadTime())
+
+
+def test_an_effect_that_is_there_helps_and_is_needed(biased: tuple[Fit, Fit]) -> None:
+    before, after = biased
+    told = added_remark("voltage_bias", before, after, None)
+    assert told.code == "helps"
+    assert told.text.startswith("voltage bias helps: the held-out error falls from ")
+    assert float(told.values["after_v"] or 0.0) < 0.5 * float(told.values["before_v"] or 0.0)
+    told = removed_remark("voltage_bias", after, before)
+    assert told.code == "needed"
+    assert "rises from" in told.text
+
+
+def test_an_effect_that_is_not_there_does_not_help_and_its_interval_holds_zero(clean: tuple[Fitter, Fit, Fit]) -> None:
+    maker, before, after = clean
+    (found,) = found_effects(maker, after, {}, {})
+    told = added_remark("dead_time", before, after, found)
+    assert told.code == "does_not_help"
+    assert told.text.endswith("and the 95 % interval of its voltage holds 0")
+    assert removed_remark("dead_time", after, before).code == "not_needed"
+
+
+def test_without_held_out_stages_the_fitted_error_judges() -> None:
+    before, after = refitted(fitter(with_voltage(prepared([p for p in plan() if not p.held_out]), ERROR_V)))
+    told = added_remark("voltage_bias", before, after, None)
+    assert told.values["judged_on"] == "fitted"
+    assert "the error (nothing was held out) falls from" in told.text
+    assert told.code == "helps"

@@ -1,0 +1,52 @@
+"""The page begins with what to do, and has the currents for a torque."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from plugins.streams.report._collect import Material, Paths
+from plugins.streams.report._motor_content import torque_rows
+from plugins.streams.report._next_steps import next_steps
+from protocols import EstimationReport, FluxMap, Motor
+
+
+def an_estimate(**change: object) -> EstimationReport:
+    given: dict[str, object] = {
+        "resistance": None, "method": "model", "crossings": None, "parity": None, "reciprocity_percent": None,
+        "classical_against_injection_percent": None, "usable": True, "reasons": [],
+        "files": {"flux_map": "flux_map.nc"},
+    }  # fmt: skip
+    return EstimationReport.model_validate({**given, **change})
+
+
+@pytest.mark.parametrize(
+    ("estimates", "told"),
+    [
+        (None, "none yet: fluxbench estimate run"),
+        (an_estimate(), "use results/flux_map.nc; fluxbench export run"),
+        (an_estimate(usable=False, reasons=["the rotor turned"]), "do not rely on it: the rotor turned."),
+    ],
+)
+def test_the_first_line_is_about_the_map(estimates: EstimationReport | None, told: str) -> None:
+    about_map, about_model = next_steps(Material(Path("run"), None, None, (), estimates, {}, Paths(), None, ()))
+    assert about_map.text.startswith(told)
+    assert about_model.text.startswith("not diagnosed: fluxbench diagnose run")
+
+
+def test_each_torque_has_its_shortest_current() -> None:
+    i_d, i_q = np.linspace(-4.0, 4.0, 33), np.linspace(-4.0, 4.0, 33)
+    d, q = np.meshgrid(i_d, i_q, indexing="ij")
+    none = np.full(d.shape, np.nan)
+    found = FluxMap(
+        method="ideal", i_d=i_d, i_q=i_q, psi_d=0.3 + 0.04 * d, psi_q=0.04 * q, l_dd=none, l_dq=none, l_qq=none,
+        psi_d_std=none, psi_q_std=none, l_dd_std=none, l_dq_std=none, l_qq_std=none,
+    )  # fmt: skip
+    motor = Motor(name="m", pole_pairs=2, pm_flux_wb=0.3)
+    rows = torque_rows(found, motor)
+    assert len(rows) == 5
+    assert all(abs(float(row[4].removesuffix("°").replace("−", "-")) - 90.0) < 2.0 for row in rows)  # no reluctance
+    assert rows[-1][0].endswith("Nm")
+    assert torque_rows(found, motor.model_copy(update={"pm_flux_wb": None})) == []
