@@ -17,44 +17,10 @@ class WeakFormCriteria(Strict):
 
     hat_s: float = _is(0.010, "s", "simulated")
     """Distance of the hats in trapezoids; a hat is twice as long. Short beside a trapezoid, long beside a sample."""
-    least_hats: int = _is(8, "1", "practice")
-    """Hats in a trapezoid: in one of ten milliseconds they are shorter."""
-    least_samples_per_hat: int = _is(8, "1", "theory")
-    """Samples between two hats of a trapezoid."""
-    hats_per_swing: float = _is(4.0, "1", "practice")
-    """Hats from one turn of a voltage step to the next: a lag shows in the first, R_s in the others."""
-    least_samples_per_step: float = _is(2.0, "1", "theory")
-    """Samples between two hats of steps: fewer, and neighbours share what they say."""
-    hats_per_turn: int = _is(8, "1", "theory")
-    """Hats in one turn of an injected direction: the flux along it turns twice, and each half turn needs two."""
-    least_periods_per_hat: int = _is(4, "1", "theory")
-    """Injection periods between two hats: fewer, and the Fourier modes of a period are not apart."""
-    least_samples_per_period: int = _is(4, "1", "theory")
-    """Samples in an injection period: below, its edges cannot be seen."""
-    most_bins: int = _is(40, "1", "budget")
-    """Bins of an injection period; modes up to the fifth need no more."""
-    least_samples: int = _is(17, "1", "practice")
-    """Readings of a segment below which it is not used: a hat takes eight on either side."""
-    first_readings: int = _is(5, "1", "practice")
-    """Readings whose mean is the current that had flowed until a segment began."""
-    held_out_every: int = _is(5, "1", "practice")
-    """Every so many-th injection point is kept out of all fits, to judge them by."""
     held_out_from: int = _is(10, "1", "practice")
     """Injection points below which none is kept out: the map needs them."""
-    diagonal_share: float = _is(0.5, "1", "theory")
-    """Swing of one axis over the other's from which on a sweep is of both: a sweep of one hardly moves the other."""
     most_samples: int = _is(2_400_000, "1", "budget")
     """Of injection that are read; longer recordings are thinned."""
-    thinned_turns: float = _is(1.25, "1", "theory")
-    """Turns of the injected direction that a thinned point keeps: one whole, whatever its windows lose at the ends."""
-    thinned_least_samples: int = _is(1000, "1", "practice")
-    """Samples that a thinned point keeps at least."""
-    coarse_points: int = _is(16, "1", "budget")
-    """Injection points in the part of a recording that is searched first."""
-    coarse_turn: float = _is(0.75, "1", "simulated")
-    """Part of a turn of each of them."""
-    coarse_least_samples: int = _is(100, "1", "practice")
-    """Samples below which a segment is not shortened for that part."""
     averaged_step: float = _is(0.002, "1", "simulated")
     """Largest step of the current from one averaged sample to the next, as a part of the segment's largest current."""
     averaged_noise: float = _is(0.2, "1", "theory")
@@ -63,30 +29,6 @@ class WeakFormCriteria(Strict):
     """Readings of a hold or with gates off in one averaged sample."""
     most_averaged_in_sweeps: int = _is(5, "1", "simulated")
     """The same of a sweep, whose plateaus and corners are short."""
-    least_averaged_samples: int = _is(200, "1", "practice")
-    """Averaged samples that a segment keeps at least."""
-    least_correlation: float = _is(0.08, "1", "simulated")
-    """Correlations of successive readings below this are within what a recording's length makes of white noise."""
-    line_least_hz: float = _is(40.0, "Hz", "practice")
-    """Lines of the spectrum below this are not looked for: current control answers to what is slow."""
-    line_stands_out: float = _is(30.0, "1", "theory")
-    """Height of a line over the median beside it, spectra averaged over all holds: chance does not reach it."""
-    line_least_size: float = _is(0.3, "1", "simulated")
-    """rms of a line that matters, in standard deviations of a reading, where it is strongest."""
-    line_steady: float = _is(0.35, "1", "simulated")
-    """Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
-    line_bins: tuple[int, int] = _is((4, 24), "1", "theory")
-    """Bins on either side of a line that are its own (a Hann window's), and that are compared with it."""
-    most_lines: int = _is(6, "1", "budget")
-    """Lines that are looked for."""
-    observer_time_constant_s: float = _is(0.005, "s", "simulated")
-    """With which the integrated flux is drawn to the map's: long beside a ripple's period, short beside its drift."""
-    settling_s: float = _is(1.0, "s", "practice")
-    """How long before a capture its first current is taken to have flowed, where nothing was captured."""
-    loss_step_s: float = _is(0.05, "s", "theory")
-    """Step of the history of losses: short beside a winding's thermal time constant."""
-    most_loss_steps: int = _is(2000, "1", "budget")
-    """Steps of that history in a long experiment, those at gaps aside."""
 
 
 class FittingCriteria(Strict):

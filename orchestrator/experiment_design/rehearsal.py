@@ -22,7 +22,12 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_mod
 from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import prepare
+from orchestrator.diagnosis.weak_form.segments import (
+    LEAST_PERIODS_PER_TEST_FUNCTION,
+    TEST_FUNCTIONS_PER_TURN,
+    THINNED_TURNS,
+    prepare,
+)
 from orchestrator.experiment_design.machine import Machine, current_of
 from orchestrator.numerics.frames import from_two_phases, to_ab
 from protocols import (
@@ -79,7 +84,7 @@ class RehearsedRecording:
             return min(samples, round(excitation.period_s * fs) + 1)
         if isinstance(excitation, Injection):
             turn_s = 1.0 / (excitation.rotation_hz or 1.0)
-            return min(samples, math.ceil(self.criteria.weak_form.thinned_turns * turn_s * fs))
+            return min(samples, math.ceil(THINNED_TURNS * turn_s * fs))
         return min(samples, round(self.criteria.rehearsal.rehearsed_hold_s * fs))
 
 
@@ -195,8 +200,7 @@ def _with_short_turns(excitation: Excitation, criteria: Criteria) -> Excitation:
     """An injection that turns as fast as its windows allow: in the same time it tells the same, turn by turn."""
     if not isinstance(excitation, Injection) or not excitation.rotation_hz:
         return excitation
-    cutting = criteria.weak_form
-    periods = cutting.hats_per_turn * cutting.least_periods_per_hat
+    periods = TEST_FUNCTIONS_PER_TURN * LEAST_PERIODS_PER_TEST_FUNCTION
     turn_s = max(criteria.design.planned_turn_s, periods / excitation.frequency_hz)
     return excitation.model_copy(update={"rotation_hz": max(excitation.rotation_hz, 1.0 / turn_s)})
 

@@ -34,6 +34,10 @@ from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, ModelNoise, SignalBatch, Signals
 
+OBSERVER_TIME_CONSTANT_S: float = 0.005
+"""Time constant that draws the integrated flux to the map's [s]: long beside a ripple's period, short beside its
+drift."""
+
 
 @dataclass(frozen=True)
 class BatchState:
@@ -250,7 +254,7 @@ class WeakFormEquations:
             self.pm_flux_wb,
             layout.starts,
             layout.interval_s,
-            self.criteria.weak_form.observer_time_constant_s,
+            OBSERVER_TIME_CONSTANT_S,
         )
         inductance = inductance_to_ab(local.inductance, theta)
         return dict(zip(FLUX, (psi_ab, smooth, i_smooth, inductance), strict=True))

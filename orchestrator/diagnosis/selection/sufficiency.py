@@ -11,7 +11,7 @@ import numpy as np
 
 from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import LEAST_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentSignals
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
 
@@ -34,7 +34,7 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     """
     limits, cutting = prepared.criteria.selection, prepared.criteria.weak_form
     fs = prepared.manifest.drive.sampling_frequency_hz
-    least_hz = cutting.least_samples_per_hat / cutting.hat_s
+    least_hz = LEAST_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
     if fs < least_hz:
         problem = f"{fs:g} Hz is too slow for a diagnosis; expected {least_hz:g} Hz at least"
         raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)
