@@ -29,6 +29,7 @@ from orchestrator.diagnosis.weak_form.segments import (
     prepare,
 )
 from orchestrator.experiment_design.machine import Machine, current_of
+from orchestrator.experiment_design.separation import PLANNED_TURN_S
 from orchestrator.numerics.frames import from_two_phases, to_ab
 from protocols import (
     Capabilities,
@@ -46,6 +47,11 @@ from protocols import (
     SegmentStage,
     Trapezoid,
 )
+
+NOISE_OF_RATED_CURRENT: float = 0.002
+"""Noise of a reading over the rated current, where it is not given: a step of a 12-bit converter of four times it."""
+REHEARSED_HOLD_S: float = 2.0
+"""Part of a hold that is rehearsed [s]; the rest of it is the same."""
 
 
 @dataclass(frozen=True)
@@ -85,7 +91,7 @@ class RehearsedRecording:
         if isinstance(excitation, Injection):
             turn_s = 1.0 / (excitation.rotation_hz or 1.0)
             return min(samples, math.ceil(THINNED_TURNS * turn_s * fs))
-        return min(samples, round(self.criteria.rehearsal.rehearsed_hold_s * fs))
+        return min(samples, round(REHEARSED_HOLD_S * fs))
 
 
 @dataclass(frozen=True)
@@ -140,7 +146,7 @@ def rehearse(
     recording = _recording(plan, drive, machine, criteria)
     prepared = replace(prepare(recording, criteria.model_copy(update={"weak_form": cutting})), remarks=())
     if noise_a is None:
-        noise_a = criteria.rehearsal.noise_share * (machine.motor.rated_current_a or max(prepared.current_range))
+        noise_a = NOISE_OF_RATED_CURRENT * (machine.motor.rated_current_a or max(prepared.current_range))
     # Two phases are read, each with its own noise; the third is computed.
     readings = from_two_phases([noise_a, 0.0], [0.0, noise_a])
     covariance = readings.T @ readings
@@ -201,7 +207,7 @@ def _with_short_turns(excitation: Excitation, criteria: Criteria) -> Excitation:
     if not isinstance(excitation, Injection) or not excitation.rotation_hz:
         return excitation
     periods = TEST_FUNCTIONS_PER_TURN * LEAST_PERIODS_PER_TEST_FUNCTION
-    turn_s = max(criteria.design.planned_turn_s, periods / excitation.frequency_hz)
+    turn_s = max(PLANNED_TURN_S, periods / excitation.frequency_hz)
     return excitation.model_copy(update={"rotation_hz": max(excitation.rotation_hz, 1.0 / turn_s)})
 
 
