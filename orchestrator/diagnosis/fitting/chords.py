@@ -62,7 +62,6 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
 
 def glanced(fitter: Fitter, model: Model, known: Fit) -> Fit:
     """Where the columns of an earlier fit lead a model much like that fit's: nothing is made anew that it has."""
-    limits = fitter.criteria
     best = fitter.evaluate(model, known.frame, known=known)
     return _stepped(fitter, best, MAX_CHORD_STEP, LEAST_GAIN, MAX_CHORD_STEP)[0]
 

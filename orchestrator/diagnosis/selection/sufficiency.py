@@ -46,7 +46,7 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     NotMeasuredError
         In one line that says what there is and what there would have to be.
     """
-    limits, cutting = prepared.criteria.selection, prepared.criteria.weak_form
+    cutting = prepared.criteria.weak_form
     fs = prepared.manifest.drive.sampling_frequency_hz
     least_hz = LEAST_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
     if fs < least_hz:
@@ -61,7 +61,8 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
         raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
     if (views := _views(prepared)) < LEAST_OPERATING_POINTS:
         used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
-        expected = f"{LEAST_OPERATING_POINTS} holds or injections at different currents, or {LEAST_OPERATING_POINTS // 2} sweeps"
+        sweeps = LEAST_OPERATING_POINTS // 2
+        expected = f"{LEAST_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
         problem = (
             f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {views} places of the current plane: "
             f"too little to tell a cause from; expected {expected}"
