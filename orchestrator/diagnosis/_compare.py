@@ -37,6 +37,9 @@ from protocols import (
     WorstSegment,
 )
 
+MAX_LISTED_SEGMENTS: int = 8
+"""Segments that a comparison lists."""
+
 
 @solvable
 def compare_recording(
@@ -127,7 +130,7 @@ def _worst(fit: Fit, pieces: Sequence[SegmentSignals]) -> tuple[WorstSegment, ..
         i_d, i_q = to_dq(piece.signals.i_ab, piece.segment.rotor_angle_rad).mean(axis=0)
         rms = mean_rms_v(fit, partial(is_, piece))
         rows.append(WorstSegment(segment=piece.segment.id, i_d_a=float(i_d), i_q_a=float(i_q), rms_v=rms))
-    return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[: fit.criteria.pictures.worst_segments])
+    return tuple(sorted(rows, key=lambda r: -(r.rms_v or 0.0))[:MAX_LISTED_SEGMENTS])
 
 
 def _rated_flux(setup: DiagnosisSetup, fit: Fit) -> float:

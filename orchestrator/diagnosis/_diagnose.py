@@ -37,7 +37,7 @@ from orchestrator.diagnosis.selection.expected import with_expected
 from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.interim import InterimRecorder, InterimResult
 from orchestrator.diagnosis.selection.joint_ranking import joint_fit, other_opinion
-from orchestrator.diagnosis.selection.joint_workflow import without_stand_ins
+from orchestrator.diagnosis.selection.joint_workflow import MAX_SHARE_OF_ERROR, without_stand_ins
 from orchestrator.diagnosis.selection.judge import judge
 from orchestrator.diagnosis.selection.measured import with_measured
 from orchestrator.diagnosis.selection.shares import (
@@ -84,6 +84,9 @@ from protocols import (
     Verdict,
 )
 from protocols.fleet_priors import FleetPriors
+
+LEAST_CHI2_OF_RANDOM_NOISE: float = 0.8
+"""chi2 per degree of freedom below which the readings' scatter is not the noise that it was taken for."""
 
 Proposer = Callable[[DiagnosisSetup, Fit, Sequence[Candidate], str, str], NextExperiment | None]
 """Chooses the experiment that separates two effects of the library, by the fit; None where no stage can."""
@@ -363,9 +366,7 @@ def _reported(
         reasons=(*([REASON_ENDED_EARLY] if searched.is_early else []), *judgement.reasons),
         verdict_record=record,
         effects=found,
-        minor=beyond_the_rest(
-            (e for e in active if e.name in search.minor), rest, last.criteria.selection.balanced_share
-        ),
+        minor=beyond_the_rest((e for e in active if e.name in search.minor), rest, MAX_SHARE_OF_ERROR),
         traces=tuple(dict.fromkeys([*search.minor, *doubtful, *spared, *search.traces])),
         joint=joint,
         ladder=ladder,
@@ -381,8 +382,8 @@ def _reported(
         reproduces_current_percent=None if error is None else 100.0 * error,
         map_error_percent=100.0 * map_error,
         materiality=Materiality(
-            flux_percent=100.0 * last.criteria.selection.material_flux,
-            voltage_percent=100.0 * last.criteria.selection.material_voltage,
+            flux_percent=100.0 * last.criteria.materiality.material_flux,
+            voltage_percent=100.0 * last.criteria.materiality.material_voltage,
         ),
         seconds=time.monotonic() - began,
         criteria=setup.prepared.criteria.model_dump(mode="json"),
@@ -420,7 +421,7 @@ def _remarks(
     setup: DiagnosisSetup, search: Search, verdict: Verdict, left: Unexplained, doubtful: Sequence[str]
 ) -> list[Remark]:
     """What is to be said beside the findings."""
-    limits, chi2 = search.fit.criteria.selection, search.fit.chi2_per_dof
+    limits, chi2 = search.fit.criteria.verdict, search.fit.chi2_per_dof
     remarks = list(setup.remarks)
     scatter = setup.fitter.noise.of_model
     if scatter.offset_scatter_a > 0.0:
@@ -445,10 +446,10 @@ def _remarks(
         remarks.append(Remark.of("voltage_scatter", text, **sizes))
     unsteady = "{effect} resembles a part of what is left, but not steadily"
     remarks += [Remark.of("unsteady", unsteady, effect=n) for n in doubtful]
-    if verdict in ("explained", "mostly_explained") and chi2 - 1.0 > limits.noise_known and left.shape:
+    if verdict in ("explained", "mostly_explained") and chi2 - 1.0 > limits.noise_accuracy_excess_chi2 and left.shape:
         text = "small beside what was found, but not noise: chi2 {chi2:.3g}, {shape}"
         remarks.append(Remark.of("not_noise", text, chi2=chi2, shape=left.shape[0].group))
-    if verdict == "clean" and chi2 > limits.detected_chi2:
+    if verdict == "clean" and chi2 > limits.noise_chi2:
         text = "chi2 {chi2:.3g} is more than noise, but immaterial: {left_percent:.2g} % of the voltage"
         remarks.append(Remark.of("immaterial", text, chi2=chi2, left_percent=100.0 * left_of_excitation(search.fit)))
     # What fits all together takes what it takes.
@@ -457,7 +458,7 @@ def _remarks(
     if (at_rest := unexplained_at_rest_v(search.fit)) > 0.0:
         text = "with the gates off the sensors read what the model denies: {reading_ma:.2g} mA rms"
         remarks.append(Remark.of("gates_off", text, reading_ma=1e3 * at_rest / search.fit.model.r_s))
-    if chi2 < limits.too_quiet_chi2:
+    if chi2 < LEAST_CHI2_OF_RANDOM_NOISE:
         text = "chi2 {chi2:.2g} is too small for random noise: the readings err from one to the next"
         remarks.append(Remark.of("too_quiet", text, chi2=chi2))
     return remarks

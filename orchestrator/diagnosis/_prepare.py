@@ -25,6 +25,12 @@ from orchestrator.recording_checks import check_recording
 from protocols import RecordingReader, Remark, Signals
 from protocols.fleet_priors import FleetPriors
 
+MAX_RATED_CURRENT_FACTOR: float = 2.0
+"""Factor of the largest current used up to which the rated current counts: the map is smooth on that current's
+scale."""
+LEAST_RIPPLE_NOISE_RATIO: float = 1.1
+"""Ratio of the readings' scatter under injection to that at rest from which a note says so."""
+
 
 def open_for_diagnosis(
     recording: RecordingReader,
@@ -97,7 +103,7 @@ def setup_of(
     low, high, q = prepared.current_range
     reach = max(-low, high, q)
     # The map is smooth on the scale of this current; where little of the plane was seen, that is not the rated one.
-    current = min(motor.rated_current_a or reach, criteria.fitting.widest_plane * reach)
+    current = min(motor.rated_current_a or reach, MAX_RATED_CURRENT_FACTOR * reach)
     l_d = motor.d_inductance_h or _rough_inductance(prepared)
     l_q = motor.q_inductance_h or l_d
     samples = sum(len(p.signals.v_dc) for p in prepared.pieces)
@@ -117,7 +123,7 @@ def _of_noise(noise: SensorNoise, criteria: SelectionCriteria) -> list[Remark]:
         text = "the current readings' noise is correlated, {correlation:.2f} from one to the next"
         remarks.append(Remark.of("noise_correlated", text, correlation=noise.correlation))
     ratio = math.sqrt(float(np.trace(noise.ripple)) / float(np.trace(noise.covariance)))
-    if ratio > criteria.noisier_ripple:
+    if ratio > LEAST_RIPPLE_NOISE_RATIO:
         text = "the current readings scatter {ratio:.1f} times as much under injection (jitter or PWM ripple)"
         remarks.append(Remark.of("noise_under_injection", text, ratio=ratio))
     for line in noise.lines:

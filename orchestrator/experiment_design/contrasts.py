@@ -8,9 +8,30 @@ from dataclasses import dataclass
 from typing import Any
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
+from orchestrator.diagnosis.selection.contrasts import DIRECTIONS, LONG_HOLD_S, SMALL_CURRENTS
 from orchestrator.experiment_design.criteria import DesignCriteria
 from orchestrator.stages import injection_voltage_v
 from protocols import Contrast, SegmentStage
+
+SETTLE_S: float = 0.5
+"""Settling before each point of a stage [s]: dozens of L/R."""
+HOLD_S: float = 0.5
+"""Length of each held current [s]: its mean is known to a hundredth of a reading's noise."""
+INJECTION_S: float = 1.0
+"""Injection at each point [s]: one turn of the injected direction."""
+GATES_OFF_S: float = 2.0
+"""Length of a reading with all gates off [s]."""
+ANCHOR_S: float = 5.0
+"""Length of a point that is measured once more [s]."""
+PWM_CURRENTS: tuple[float, ...] = (0.02, 0.05, 0.15, 1.0)
+"""Parts of the current that are held at two PWM frequencies: within the knee of an inverter's error, and beyond
+it."""
+FEW_POINTS: tuple[tuple[float, float], ...] = ((0, 0), (0.5, 0), (0, 0.5), (-0.5, 0))
+"""Points, in parts of the current, with a ripple of another amplitude or frequency: zero, and off it."""
+AXIS_POINTS: tuple[tuple[float, float], ...] = ((-1, 0), (-0.5, 0), (0.5, 0), (0, 0.5), (0, 1))
+"""Points, in parts of the current, that show the ripple along both axes."""
+SAMPLES_PER_PERIOD: float = 20.0
+"""Samples in a period of an injected wave, where there was none yet."""
 
 Stage = dict[str, Any]
 """Of a procedure, as it is written there."""
@@ -42,7 +63,7 @@ class Bench:
         """Of a recording."""
         prepared, design = setup.prepared, setup.prepared.criteria.design
         fs = prepared.manifest.drive.sampling_frequency_hz
-        frequency = fs / design.samples_per_period
+        frequency = fs / SAMPLES_PER_PERIOD
         volts = injection_voltage_v(setup.current_a, setup.l_d_h, frequency)
         for piece in (p for p in prepared.pieces if p.stage is SegmentStage.INJECTION):
             settings = piece.segment.settings
@@ -55,7 +76,7 @@ class Bench:
     def holds(self, points: Iterable[tuple[float, float]], **more: Any) -> Stage:
         """Direct currents held at points in parts of the current."""
         asked = {"kind": "resistance", "points_a": self._points(points)}
-        return {**asked, "settle_s": self.design.settle_s, "duration_s": self.design.hold_s, **more}
+        return {**asked, "settle_s": SETTLE_S, "duration_s": HOLD_S, **more}
 
     def injections(self, points: Iterable[tuple[float, float]], frequency: float, *amplitudes: float) -> Stage:
         """Ripple at points, a frequency and amplitudes in parts of the current and of the injection there was."""
@@ -64,8 +85,8 @@ class Bench:
             "points_a": self._points(points),
             "amplitudes_v": [tidy(amplitude * self.injection_v) for amplitude in amplitudes],
             "frequency_hz": frequency * self.injection_hz,
-            "settle_s": self.design.settle_s,
-            "duration_s": self.design.injection_s,
+            "settle_s": SETTLE_S,
+            "duration_s": INJECTION_S,
         }
 
     def _points(self, points: Iterable[tuple[float, float]]) -> list[list[float]]:
@@ -85,36 +106,36 @@ def tidy(value: float) -> float:
 
 
 def _small_holds(bench: Bench) -> list[Stage]:
-    return [bench.holds((side * share, 0.0) for share in bench.design.small_currents for side in (1, -1))]
+    return [bench.holds((side * share, 0.0) for share in SMALL_CURRENTS for side in (1, -1))]
 
 
 def _pwm_holds(bench: Bench) -> list[Stage]:
-    points = [(side * share, 0.0) for share in bench.design.pwm_currents for side in (1, -1)]
+    points = [(side * share, 0.0) for share in PWM_CURRENTS for side in (1, -1)]
     return [bench.holds(points, pwm_frequencies_hz=[bench.pwm_hz, 2.0 * bench.pwm_hz])]
 
 
 def _ring(bench: Bench) -> list[Stage]:
-    count = bench.design.directions
+    count = DIRECTIONS
     angles = (2.0 * math.pi * k / count for k in range(count))
     return [bench.holds((math.cos(angle), math.sin(angle)) for angle in angles)]
 
 
 def _other_frequencies(bench: Bench) -> list[Stage]:
     # Twice the frequency asks for twice the voltage to swing the flux as far, and for samples to see its edges.
-    few, faster = bench.design.few_points, 8.0 * bench.injection_hz <= bench.sampling_hz
+    few, faster = FEW_POINTS, 8.0 * bench.injection_hz <= bench.sampling_hz
     return [bench.injections(few, 0.5, 0.5), *([bench.injections(few, 2.0, 1.0)] if faster else [])]
 
 
 STAGES: Mapping[Contrast, Callable[[Bench], list[Stage]]] = {
-    Contrast.GATES_OFF: lambda bench: [{"kind": "gates_off", "duration_s": bench.design.gates_off_s}],
+    Contrast.GATES_OFF: lambda bench: [{"kind": "gates_off", "duration_s": GATES_OFF_S}],
     Contrast.SMALL_CURRENTS: _small_holds,
     Contrast.SECOND_PWM_FREQUENCY: _pwm_holds,
     Contrast.DIRECTIONS: _ring,
-    Contrast.ANCHOR: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=bench.design.anchor_s, anchor=True)],
-    Contrast.LONG_HOLD: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=bench.design.long_hold_s)],
-    Contrast.SECOND_INJECTION_AMPLITUDE: lambda bench: [bench.injections(bench.design.few_points, 1.0, 0.5, 0.25)],
+    Contrast.ANCHOR: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=ANCHOR_S, anchor=True)],
+    Contrast.LONG_HOLD: lambda bench: [bench.holds([(1.0, 0.0)], duration_s=LONG_HOLD_S)],
+    Contrast.SECOND_INJECTION_AMPLITUDE: lambda bench: [bench.injections(FEW_POINTS, 1.0, 0.5, 0.25)],
     Contrast.SECOND_INJECTION_FREQUENCY: _other_frequencies,
-    Contrast.OPERATING_POINTS: lambda bench: [bench.injections(bench.design.axis_points, 1.0, 1.0)],
+    Contrast.OPERATING_POINTS: lambda bench: [bench.injections(AXIS_POINTS, 1.0, 1.0)],
     Contrast.SECOND_ANGLE: lambda bench: [],
 }
 """Stages that measure each contrast, each by itself, those that take little time first; none where an operator has to

@@ -23,7 +23,7 @@ from orchestrator.experiment_design.machine import Machine
 from orchestrator.experiment_design.optimal import ApproximateDesign
 from orchestrator.experiment_design.proposal import catalogue
 from orchestrator.experiment_design.rehearsal import Rehearsal, rehearse
-from orchestrator.experiment_design.shortest import Offer, out_of_reach, shortest
+from orchestrator.experiment_design.shortest import MAX_REPEATS, Offer, out_of_reach, shortest
 from orchestrator.experiment_design.writing import stages_of
 from protocols import Capabilities, Effect, ProcedureError, SegmentStage, StageEntry
 
@@ -100,7 +100,7 @@ def design(
         if not told.beyond(size):
             return Designed(whole, stages, told, len(offer.points), found.approximate)
         at_least_s = 2.0 * max(found.seconds, sum(point.seconds * n for point, n in chosen))
-        if at_least_s > criteria.rehearsal.most_repeats * float(np.sum(offer.seconds)):
+        if at_least_s > MAX_REPEATS * float(np.sum(offer.seconds)):
             raise ProcedureError(name, "stages", f"no plan that does at {size:g} of the typical size was found")
 
 

@@ -23,6 +23,9 @@ from orchestrator.experiment_design.rehearsal import Rehearsal
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole
 
+ALTERNATIVE_SHAPES: tuple[float, ...] = (-2.0, -1.5, -1.0, -0.5, 0.5, 1.0, 1.5, 2.0)
+"""Other shapes in which an effect may be confounded with another one, in standard deviations of the prior."""
+
 Places = NDArray[np.int64]
 
 
@@ -132,7 +135,7 @@ def information(
     machine = 1 + model.space.directions.shape[1]
     end, effects = machine, dict[str, EffectColumns]()
     for candidate in library:
-        effects[candidate.name] = columns = EffectColumns.of(candidate, end, whole.prepared.criteria.rehearsal.shapes)
+        effects[candidate.name] = columns = EffectColumns.of(candidate, end, ALTERNATIVE_SHAPES)
         end += len(columns.all)
     frame = fitter.frame(model)
     made = {k: one for kept in frame.batches for k, one in batch_information(rehearsal, effects.values(), kept)}

@@ -19,6 +19,7 @@ from itertools import combinations
 import numpy as np
 
 from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE
 from orchestrator.experiment_design.information import Information
 from orchestrator.numerics.types import Array
 
@@ -83,13 +84,13 @@ def found_from(known: Information, normal: Array, name: str, others: Sequence[st
     x, limits = known.effects[name].typical, criteria.selection
     gain = float(x @ left @ np.linalg.solve(left + np.eye(len(x)), left @ x))
     asked = 2.0 * limits.log_evidence + float(np.linalg.slogdet(left + np.eye(len(x)))[1])
-    return max(limits.least_size, _size(asked, gain))
+    return max(LEAST_EFFECT_SIZE, _size(asked, gain))
 
 
 def told_from(known: Information, normal: Array, name: str, other: str, criteria: Criteria) -> float:
     """Size from which an effect is told from another one that stands in for it, in whatever shape does it best."""
     x, left = known.effects[name].typical, known.left(normal, name, known.effects[other].all)
-    return max(criteria.selection.least_size, _size(criteria.design.least_separation, float(x @ left @ x)))
+    return max(LEAST_EFFECT_SIZE, _size(criteria.design.least_separation, float(x @ left @ x)))
 
 
 def _size(asked: float, of_typical: float) -> float:

@@ -22,8 +22,14 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_mod
 from orchestrator.diagnosis.fitting.model import Model
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import prepare
+from orchestrator.diagnosis.weak_form.segments import (
+    LEAST_PERIODS_PER_TEST_FUNCTION,
+    TEST_FUNCTIONS_PER_TURN,
+    THINNED_TURNS,
+    prepare,
+)
 from orchestrator.experiment_design.machine import Machine, current_of
+from orchestrator.experiment_design.separation import PLANNED_TURN_S
 from orchestrator.numerics.frames import from_two_phases, to_ab
 from protocols import (
     Capabilities,
@@ -41,6 +47,11 @@ from protocols import (
     SegmentStage,
     Trapezoid,
 )
+
+NOISE_OF_RATED_CURRENT: float = 0.002
+"""Noise of a reading over the rated current, where it is not given: a step of a 12-bit converter of four times it."""
+REHEARSED_HOLD_S: float = 2.0
+"""Part of a hold that is rehearsed [s]; the rest of it is the same."""
 
 
 @dataclass(frozen=True)
@@ -79,8 +90,8 @@ class RehearsedRecording:
             return min(samples, round(excitation.period_s * fs) + 1)
         if isinstance(excitation, Injection):
             turn_s = 1.0 / (excitation.rotation_hz or 1.0)
-            return min(samples, math.ceil(self.criteria.weak_form.thinned_turns * turn_s * fs))
-        return min(samples, round(self.criteria.rehearsal.rehearsed_hold_s * fs))
+            return min(samples, math.ceil(THINNED_TURNS * turn_s * fs))
+        return min(samples, round(REHEARSED_HOLD_S * fs))
 
 
 @dataclass(frozen=True)
@@ -135,7 +146,7 @@ def rehearse(
     recording = _recording(plan, drive, machine, criteria)
     prepared = replace(prepare(recording, criteria.model_copy(update={"weak_form": cutting})), remarks=())
     if noise_a is None:
-        noise_a = criteria.rehearsal.noise_share * (machine.motor.rated_current_a or max(prepared.current_range))
+        noise_a = NOISE_OF_RATED_CURRENT * (machine.motor.rated_current_a or max(prepared.current_range))
     # Two phases are read, each with its own noise; the third is computed.
     readings = from_two_phases([noise_a, 0.0], [0.0, noise_a])
     covariance = readings.T @ readings
@@ -195,9 +206,8 @@ def _with_short_turns(excitation: Excitation, criteria: Criteria) -> Excitation:
     """An injection that turns as fast as its windows allow: in the same time it tells the same, turn by turn."""
     if not isinstance(excitation, Injection) or not excitation.rotation_hz:
         return excitation
-    cutting = criteria.weak_form
-    periods = cutting.hats_per_turn * cutting.least_periods_per_hat
-    turn_s = max(criteria.design.planned_turn_s, periods / excitation.frequency_hz)
+    periods = TEST_FUNCTIONS_PER_TURN * LEAST_PERIODS_PER_TEST_FUNCTION
+    turn_s = max(PLANNED_TURN_S, periods / excitation.frequency_hz)
     return excitation.model_copy(update={"rotation_hz": max(excitation.rotation_hz, 1.0 / turn_s)})
 
 

@@ -30,6 +30,13 @@ from orchestrator.numerics.frames import to_ab
 from orchestrator.numerics.types import Array
 from protocols import Injection, LossHistory, ParameterRole, Segment, SegmentStage, Signals
 
+MAX_SEGMENTS: int = 36
+"""Segments of the recording, evenly spread, that predict: present knowledge is not needed to the last digit."""
+PLANNED_HOLD_S: float = 0.2
+"""Length of a predicted hold [s]: a part stands for the whole of what stays the same."""
+PLANNED_TURN_S: float = 0.1
+"""Length of a predicted turn of an injected direction [s]."""
+
 
 @dataclass(frozen=True)
 class Rivals:
@@ -98,7 +105,7 @@ def separation(setup: DiagnosisSetup, pair: Rivals, stage: dict[str, Any]) -> fl
 
 def _part_of(setup: DiagnosisSetup) -> Fitter:
     pieces = setup.coarse_fitter.prepared.pieces
-    stride = max(1, math.ceil(len(pieces) / setup.prepared.criteria.design.most_segments))
+    stride = max(1, math.ceil(len(pieces) / MAX_SEGMENTS))
     prepared = replace(setup.coarse_fitter.prepared, pieces=pieces[::stride])
     return replace(setup.coarse_fitter, prepared=prepared)
 
@@ -146,11 +153,11 @@ def _left(normal: Array, coordinates: Array) -> float:
 def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -> list[tuple[SegmentSignals, float]]:
     """The segments that a stage would make, and how often each stands for its like."""
     kind, lasting = SegmentStage(stage["kind"]), float(stage["duration_s"])
-    fs, design = setup.prepared.manifest.drive.sampling_frequency_hz, setup.prepared.criteria.design
-    still = np.zeros((round(design.planned_hold_s * fs), 2))
+    fs = setup.prepared.manifest.drive.sampling_frequency_hz
+    still = np.zeros((round(PLANNED_HOLD_S * fs), 2))
     if kind is SegmentStage.GATES_OFF:
         off = _piece(setup, model, kind, {}, still, still, lasting)
-        return [] if off is None else [(off, lasting / design.planned_hold_s)]
+        return [] if off is None else [(off, lasting / PLANNED_HOLD_S)]
     planned: list[tuple[SegmentSignals | None, float]] = []
     machine = Machine(setup.prepared.manifest.motor, model.r_s, model.magnetics)
     for point in stage["points_a"]:
@@ -160,9 +167,9 @@ def planned_pieces(setup: DiagnosisSetup, model: Model, stage: dict[str, Any]) -
             for pwm in stage.get("pwm_frequencies_hz") or (None,):
                 settings = {} if pwm is None else {"pwm_frequency_hz": pwm}
                 piece = _piece(setup, model, kind, settings, current, model.r_s * current, lasting)
-                planned.append((piece, lasting / design.planned_hold_s))
+                planned.append((piece, lasting / PLANNED_HOLD_S))
         else:
-            f, turn_s = stage["frequency_hz"], design.planned_turn_s
+            f, turn_s = stage["frequency_hz"], PLANNED_TURN_S
             for volts in stage["amplitudes_v"]:
                 asked = Injection(
                     target_d_a=point[0],

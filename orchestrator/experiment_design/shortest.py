@@ -13,11 +13,25 @@ import numpy as np
 
 from orchestrator.config import PlannedPoint
 from orchestrator.diagnosis.criteria import Criteria
+from orchestrator.diagnosis.selection.contrasts import SAME_CURRENT
+from orchestrator.diagnosis.selection.sufficiency import OPERATING_POINTS_PER_SWEEP
 from orchestrator.experiment_design.information import Information, Places
 from orchestrator.experiment_design.isolability import answer, isolability
 from orchestrator.experiment_design.optimal import ApproximateDesign, optimal_weights
 from orchestrator.numerics.types import Array
 from protocols import Trapezoid
+
+LEAST_WEIGHT: float = 1e-3
+"""Part of the time below which a point of an approximate design is left out."""
+OPTIMALITY_TOLERANCE: float = 0.005
+"""Excess of the largest directional derivative over its bound up to which the weights count as optimal."""
+MAX_ITERATIONS: int = 20_000
+"""Steps of the multiplicative algorithm."""
+MAX_REPEATS: int = 100
+"""How often a point may be measured before what it cannot separate counts as out of reach."""
+SIZE_MARGIN: float = 1.2
+"""Factor by which a designed plan has to exceed the required size: its points run in another order than they were
+chosen in."""
 
 
 @dataclass(frozen=True)
@@ -49,8 +63,8 @@ class Offer:
         used = [point for point, n in zip(self.points, times, strict=True) if n > 0]
         sweeps = sum(isinstance(point.excitation, Trapezoid) for point in used)
         targets = np.array([point.target for point in used if point.target is not None]).reshape(-1, 2)
-        apart = limits.same_current * max(point.excitation.longest_current_a for point in self.points)
-        seen = len(np.unique(np.round(targets / apart), axis=0)) + limits.views_of_a_sweep * sweeps
+        apart = SAME_CURRENT * max(point.excitation.longest_current_a for point in self.points)
+        seen = len(np.unique(np.round(targets / apart), axis=0)) + OPERATING_POINTS_PER_SWEEP * sweeps
         return seen >= limits.few_views
 
 
@@ -74,7 +88,7 @@ class Shortest:
 
 def out_of_reach(offer: Offer, size: float, criteria: Criteria) -> list[tuple[str, ...]]:
     """Effects and pairs that are beyond a size when all that is offered is measured as often as is reasonable."""
-    often = np.full(len(offer.points), criteria.rehearsal.most_repeats)
+    often = np.full(len(offer.points), MAX_REPEATS)
     return isolability(offer.known, offer.normal(often), criteria).beyond(size)
 
 
@@ -86,7 +100,7 @@ def shortest(offer: Offer, size: float, criteria: Criteria, *, at_least_s: float
     at_least_s : float
         Of the approximate design, where a shorter one turned out not to do.
     """
-    limits, seconds = criteria.rehearsal, max(at_least_s, float(offer.seconds.min()))
+    seconds = max(at_least_s, float(offer.seconds.min()))
     columns, asked = _of_typical_shapes(offer.known)
     block = np.ix_(columns, columns)
     rates = np.stack([piece[block] for piece in offer.known.pieces]) / offer.seconds[:, None, None]
@@ -94,11 +108,11 @@ def shortest(offer: Offer, size: float, criteria: Criteria, *, at_least_s: float
     weights: Array | None = None
     while True:
         found = optimal_weights(
-            rates, prior, asked, seconds, within=limits.optimal_within, most=limits.most_weighings, start=weights
+            rates, prior, asked, seconds, within=OPTIMALITY_TOLERANCE, most=MAX_ITERATIONS, start=weights
         )
-        weights = np.maximum(found.weights, 1e-3 * limits.least_weight)
+        weights = np.maximum(found.weights, 1e-3 * LEAST_WEIGHT)
         weights /= weights.sum()
-        shares = np.where(found.weights > limits.least_weight, found.weights, 0.0)
+        shares = np.where(found.weights > LEAST_WEIGHT, found.weights, 0.0)
         if _does(offer, seconds * shares / offer.seconds, size, criteria):
             break
         seconds *= 2.0
@@ -135,4 +149,4 @@ def _without_spare(offer: Offer, times: Array, size: float, criteria: Criteria, 
 def _does(offer: Offer, times: Array, size: float, criteria: Criteria) -> bool:
     normal, names = offer.normal(times), list(offer.known.effects)
     questions = [*((a,) for a in names), *((a, b) for k, a in enumerate(names) for b in names[:k])]
-    return all(answer(offer.known, normal, q, criteria) <= size / criteria.rehearsal.margin for q in questions)
+    return all(answer(offer.known, normal, q, criteria) <= size / SIZE_MARGIN for q in questions)

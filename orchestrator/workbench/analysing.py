@@ -132,8 +132,8 @@ def diagnose(
     from orchestrator.experiment_design.proposal import next_experiment
 
     asked = {"material_flux": material_flux_percent, "material_voltage": material_voltage_percent}
-    selection = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
-    criteria = Criteria.model_validate({"selection": selection})
+    materiality = {name: 0.01 * percent for name, percent in asked.items() if percent is not None}
+    criteria = Criteria.model_validate({"materiality": materiality})
 
     recording = open_any(Path(place))
     return diagnose_and_keep(

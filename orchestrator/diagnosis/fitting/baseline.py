@@ -33,6 +33,39 @@ from protocols import (
     SegmentStage,
 )
 
+MAX_ROUGHNESS_STEP: float = 3.0
+"""How much rougher a finer map may be at each step, as a factor."""
+MAX_ROUGHNESS_FACTOR: float = 100.0
+"""How much rougher than usual a finer map may be in all, as a factor."""
+LEAST_RESIDUAL_SHARE_OF_FINE_MAP: float = 0.1
+"""Part of the residual that a finer map has to remove: most where the map is too coarse, little where an effect is
+missing."""
+LEAST_FINAL_SHARE_OF_FINE_MAP: float = 0.5
+"""Part of the residual that a fine map has to remove in the end, when all forms and the scatter are known."""
+GIVEN_MAP_INTERVALS: int = 28
+"""Spline intervals on each axis that are laid through a given map."""
+LEAST_AXIS_RANGE: float = 0.05
+"""Range of the map on an axis where no current flowed, as a part of the other axis' range."""
+MAX_OVERREACH: float = 0.005
+"""How far currents may leave the map, as a part of its range, before it is widened. Outside, the map continues
+linearly; the rotor's place is known only after the map was laid."""
+LEAST_CHI2_FOR_FINER_MAP: float = 1.03
+"""chi2 per degree of freedom above which a finer map is tried: noise alone stays within a few hundredths of one."""
+MAX_CHI2_FOR_FINER_MAP: float = 10.0
+"""chi2 per degree of freedom, on the whole recording, below which a finer map is tried: a larger misfit is not the
+map's detail."""
+LEAST_GAIN_PER_MAP_FREEDOM: float = 6.0
+"""Fall of the objective that each freedom of a finer map has to bring; chance brings one."""
+LEAST_GAIN_OF_FINER_MAP: float = 30.0
+"""Fall of the objective that a finer map has to bring beyond that of its freedoms."""
+KNOWN_MAGNET_STD: float = 0.05
+"""Standard deviation of a nameplate's magnet flux, as a part of it or of what the current makes."""
+UNKNOWN_MAGNET_STD: float = 10.0
+"""Standard deviation of the magnet flux where the nameplate has none, as a part of L I; machines have up to as
+much."""
+GIVEN_MAP_STD: float = 1e-4
+"""Standard deviation of a given map's fluxes for the spline that is laid through them, as a part of L I."""
+
 
 @dataclass(frozen=True)
 class DiagnosisSetup:
@@ -152,8 +185,8 @@ def _magnet_std_wb(setup: DiagnosisSetup) -> float:
     """How far the magnet's flux may be from the one that the effects take it for."""
     magnet, by_current = setup.fitter.pm_flux_wb, math.sqrt(setup.l_d_h * setup.l_q_h) * setup.current_a
     if magnet > 0.0 or setup.prepared.manifest.motor.pm_flux_wb is not None:
-        return setup.criteria.known_magnet * max(magnet, by_current)
-    return setup.criteria.unknown_magnet * by_current
+        return KNOWN_MAGNET_STD * max(magnet, by_current)
+    return UNKNOWN_MAGNET_STD * by_current
 
 
 def baseline_model(setup: DiagnosisSetup, baseline: Nameplate | Saturated) -> Model:
@@ -172,7 +205,7 @@ def freed_further(setup: DiagnosisSetup, model: Model, baseline: Nameplate) -> M
 
 def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
     """A user's own map, kept as it is: splines through its flux and inductances."""
-    intervals = setup.criteria.given_intervals
+    intervals = GIVEN_MAP_INTERVALS
     grid = _grid(setup, (intervals, intervals))
     i_d, i_q = np.meshgrid(np.asarray(flux_map.i_d, float), np.asarray(flux_map.i_q, float), indexing="ij")
     i_dq = np.stack([i_d.ravel(), i_q.ravel()], axis=1)
@@ -185,7 +218,7 @@ def given_model(setup: DiagnosisSetup, flux_map: FluxMap) -> Model:
     rows = _flux_rows(grid, i_dq[good])
     inductance_h = math.sqrt(setup.l_d_h * setup.l_q_h)
     prior = 1e-3 * smoothness_prior(grid, inductance_h, setup.current_a, setup.criteria.roughness)
-    scale = 1.0 / (setup.criteria.given_map_error * inductance_h * setup.current_a)
+    scale = 1.0 / (GIVEN_MAP_STD * inductance_h * setup.current_a)
     design = np.concatenate([rows * scale, prior])
     target = np.concatenate([psi[good].T.ravel() * scale, np.zeros(len(prior))])
     coefficients = np.linalg.lstsq(design, target, rcond=None)[0]
@@ -205,12 +238,12 @@ def fitted_baseline(setup: DiagnosisSetup) -> Fit:
     """The free map, fitted, with as many intervals as a part of the data asks for; more, if the whole does."""
     coarsest = setup.coarse_fitter.fit(baseline_model(setup, Saturated()), renewals=1)
     part = with_detail(setup, setup.coarse_fitter, coarsest)
-    if part.chi2_per_dof > setup.criteria.finer_below_chi2:
+    if part.chi2_per_dof > MAX_CHI2_FOR_FINER_MAP:
         # It is not detail that is missing, and a fine map is bent to what is.
         part = coarsest
     fit = setup.fitter.fit(part.model, renewals=0)
     # Where much is missing it is not the map's detail; that is looked at again when the rest is known.
-    worth_it = setup.criteria.finer_above_chi2 < fit.chi2_per_dof < setup.criteria.finer_below_chi2
+    worth_it = LEAST_CHI2_FOR_FINER_MAP < fit.chi2_per_dof < MAX_CHI2_FOR_FINER_MAP
     return with_detail(setup, setup.fitter, fit) if worth_it else fit
 
 
@@ -250,7 +283,7 @@ def _reaching(fit: Fit) -> EvenSpline:
     seen = fit.true_currents()
     low, high = min(float(i[:, 0].min()) for i in seen), max(float(i[:, 0].max()) for i in seen)
     q = max(float(np.abs(i[:, 1]).max()) for i in seen)
-    bearable = fit.criteria.fitting.beyond_map
+    bearable = MAX_OVERREACH
     inside = max(grid.low - low, high - grid.high) <= bearable * (grid.high - grid.low)
     if inside and q <= (1.0 + bearable) * grid.reach:
         return grid
@@ -259,8 +292,7 @@ def _reaching(fit: Fit) -> EvenSpline:
 
 def worth_its_freedom(trial: Fit, fit: Fit) -> bool:
     """Whether a fit on a finer map is that much better than one on a coarser."""
-    limits = fit.criteria.fitting
-    asked = limits.finer_gain_per_freedom * max(fit.dof - trial.dof, 1.0) + limits.finer_gain
+    asked = LEAST_GAIN_PER_MAP_FREEDOM * max(fit.dof - trial.dof, 1.0) + LEAST_GAIN_OF_FINER_MAP
     return fit.objective - trial.objective > asked * max(trial.chi2_per_dof, 1.0)
 
 
@@ -287,19 +319,18 @@ def _on_grid(setup: DiagnosisSetup, fit: Fit, grid: EvenSpline, roughness: float
 
 def earns_its_sharpness(sharp: Fit, usual: Fit) -> bool:
     """Whether a fit on a sharp map is that much better than one on a usual map, all else refitted on either."""
-    most = _left(sharp) <= (1.0 - sharp.criteria.fitting.sharp_takes) * _left(usual)
+    most = _left(sharp) <= (1.0 - LEAST_FINAL_SHARE_OF_FINE_MAP) * _left(usual)
     return most and worth_its_freedom(sharp, usual)
 
 
 def _takes_much(sharper: Fit, fit: Fit) -> bool:
     """Whether a sharper map takes away much of what is left."""
-    return _left(sharper) <= (1.0 - fit.criteria.fitting.sharper_share) * _left(fit)
+    return _left(sharper) <= (1.0 - LEAST_RESIDUAL_SHARE_OF_FINE_MAP) * _left(fit)
 
 
 def _sharper(setup: DiagnosisSetup, fitter: Fitter, fit: Fit) -> Fit:
     """The same on maps ever finer along one axis, or rougher, as long as one takes away much of what is left."""
-    limits = setup.criteria
-    while fit.chi2_per_dof > limits.finer_above_chi2:
+    while fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP:
         trials = [trial for cells, r in _sharpened(setup, fit) if (trial := finer_map(setup, fitter, fit, cells, r))]
         best = min(trials, key=_left, default=fit)
         if not _takes_much(best, fit):
@@ -316,7 +347,7 @@ def _sharpened(setup: DiagnosisSetup, fit: Fit) -> Iterator[tuple[tuple[int, int
     for cells in (finer[0], q), (d, finer[1]):
         if replace(space.grid, cells=cells).size <= limits.most_map_numbers:
             yield cells, space.roughness
-    yield (d, q), min(limits.rougher * space.roughness, limits.roughest)
+    yield (d, q), min(MAX_ROUGHNESS_STEP * space.roughness, MAX_ROUGHNESS_FACTOR)
 
 
 def _left(fit: Fit) -> float:
@@ -345,7 +376,7 @@ def finer_map(
 
 def _grid(setup: DiagnosisSetup, cells: tuple[int, int]) -> EvenSpline:
     low, high, q = setup.prepared.current_range
-    least = setup.criteria.least_range * max(-low, high, q)
+    least = LEAST_AXIS_RANGE * max(-low, high, q)
     return EvenSpline(min(low, -least), max(high, least), max(q, least), cells)
 
 

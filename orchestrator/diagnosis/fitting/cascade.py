@@ -18,6 +18,12 @@ from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effect, 
 from orchestrator.numerics.types import Array
 from protocols import ParameterRole, SignalBatch
 
+SECANT_STEP: float = 0.01
+"""Step of a secant, relative to the standardised value: far above rounding, where an effect is still nearly
+linear."""
+LEAST_SECANT_AMPLITUDE: float = 0.02
+"""Standardised value of an amplitude below which the secant's step does not shrink with it."""
+
 Change = dict[str, Array]
 """By how much arrays of the signals change, by name; what is not in it does not."""
 
@@ -117,11 +123,11 @@ def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
     if refines and p.other_form is not None and active.values[name] == p.neutral:
         return coordinate_of(p, p.other_form) - x
     if p.role is not ParameterRole.AMPLITUDE:
-        step = criteria.column_step * max(abs(x), 1.0)
+        step = SECANT_STEP * max(abs(x), 1.0)
     elif active.is_absent:
         step = typical_coordinate(p)
     else:
-        step = criteria.column_step * max(abs(x), criteria.least_amplitude)
+        step = SECANT_STEP * max(abs(x), LEAST_SECANT_AMPLITUDE)
     return max((_within(active, name, side) for side in (step, -step)), key=abs)
 
 

@@ -5,10 +5,22 @@ A column costs as much as the residual itself, and all effects together have doz
 
 from __future__ import annotations
 
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.fit import LEAST_GAIN, Fitter
 from orchestrator.diagnosis.fitting.gauss_newton import bounded_step, moved_by
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.presentation.quantities import number
+
+LEAST_JOINT_GAIN: float = 2.0
+"""Fall of the objective below which a round of all effects together is not worth its cost, that of a whole fit of
+one: one nat."""
+MAX_CHORD_STEP: float = 1.0
+"""How far a shape moves in one step along kept columns, in standard deviations of its prior."""
+GOOD_CHORD_REDUCTION_RATIO: float = 0.5
+"""Ratio of actual to predicted reduction from which the next step may use the same columns and be wider."""
+CHORD_STEP_FACTOR: float = 0.3
+"""Factor by which the next step is shorter after one below that ratio."""
+LEAST_CHORD_STEP: float = 0.01
+"""Step below which no further one is tried, in standard deviations of the prior."""
 
 
 def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: float, known: Fit | None = None) -> Fit:
@@ -23,15 +35,14 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
     tolerance : float
         Gain of a round, as a part of the excess chi2, below which the fit ends.
     """
-    limits = fitter.criteria
-    radius = widest = limits.widest_step
+    radius = widest = MAX_CHORD_STEP
     if known is not None and known.model.space is not model.space:
         known = None
     # Columns may be a little off; a frame that is older than its map leads away from where the fit was.
     best = fitter.renewed(model, known.frame if known else None, known=known)
     for _ in range(rounds if model.free else 0):
         fitter.under_way(f"{len(model.active)} effects together: chi2 {number(best.chi2_per_dof)}")
-        enough = limits.least_joint_gain + tolerance * max(best.chi2 - best.dof, 0.0)
+        enough = LEAST_JOINT_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
         trial, radius = _stepped(fitter, best, min(radius, widest), enough, widest)
         if trial is best:
             break
@@ -39,8 +50,8 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
         gain = best.objective - renewed.objective
         if gain < 0.0:
             # The frame does not follow as far; nor would it when the same steps were made again.
-            widest = limits.shorter_step * min(radius, widest)
-            if widest < limits.shortest_step:
+            widest = CHORD_STEP_FACTOR * min(radius, widest)
+            if widest < LEAST_CHORD_STEP:
                 break
             continue
         best = renewed
@@ -51,15 +62,13 @@ def fit_along_chords(fitter: Fitter, model: Model, *, rounds: int, tolerance: fl
 
 def glanced(fitter: Fitter, model: Model, known: Fit) -> Fit:
     """Where the columns of an earlier fit lead a model much like that fit's: nothing is made anew that it has."""
-    limits = fitter.criteria
     best = fitter.evaluate(model, known.frame, known=known)
-    return _stepped(fitter, best, limits.widest_step, limits.least_gain, limits.widest_step)[0]
+    return _stepped(fitter, best, MAX_CHORD_STEP, LEAST_GAIN, MAX_CHORD_STEP)[0]
 
 
 def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float, widest: float) -> tuple[Fit, float]:
     """As many steps along the columns as keep their promise, the last that gained at all, and the radius then."""
-    limits = fitter.criteria
-    while radius >= limits.shortest_step:
+    while radius >= LEAST_CHORD_STEP:
         move, promised = bounded_step(best, best.projected(), radius)
         if promised < enough:
             break
@@ -68,10 +77,10 @@ def _stepped(fitter: Fitter, best: Fit, radius: float, enough: float, widest: fl
         promised *= part * (2.0 - part)
         trial = fitter.evaluate(moved_by(best.model, part * move), best.frame, known=best, renew=False)
         kept = (best.objective - trial.objective) / promised
-        if kept > limits.good_step:
+        if kept > GOOD_CHORD_REDUCTION_RATIO:
             best, radius = trial, min(2.0 * radius, widest)
             continue
-        radius *= limits.shorter_step
+        radius *= CHORD_STEP_FACTOR
         if kept > 0.0:
             return trial, radius
     return best, radius

@@ -17,6 +17,16 @@ from orchestrator.diagnosis.fitting.model import Answers, ColumnName, Fit, Model
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
 
+PROBE_EVERY: int = 16
+"""Every so many-th segment of a stage shows which columns have changed, and which effects respond to which."""
+MAX_COLUMN_CHANGE: float = 0.02
+"""Relative change of a column below which it is not renewed on all segments: a step misses by as little."""
+LEAST_RESPONSE: float = 0.001
+"""Share of an inner effect's response in a column below which it is not computed. Where two effects nearly cancel,
+the rest of both columns is as small: at 0.005 a descent ended a thousand nats above its valley."""
+MAX_GROWTH_BEFORE_PROBE: float = 2.0
+"""Growth of an effect beyond which its response is probed again."""
+
 
 @dataclass(frozen=True)
 class ColumnProbe:
@@ -69,7 +79,7 @@ def probed_segments(pieces: Sequence[SegmentSignals], criteria: FittingCriteria)
     for k, piece in enumerate(pieces):
         if not piece.held_out:
             stages.setdefault(piece.stage, []).append(k)
-    every = criteria.probe_every
+    every = PROBE_EVERY
     return tuple(sorted(k for places in stages.values() for k in places[min(every, len(places)) // 2 :: every]))
 
 
@@ -77,7 +87,7 @@ def answers_so_far(model: Model, known: Fit | None, criteria: FittingCriteria) -
     """What an earlier fit has asked of these effects; nothing where they are others, or have grown since."""
     there = {a.name: a.relative_size for a in model.active if not a.is_absent}
     asked = Answers() if known is None else known.answers
-    if any(size > criteria.asked_again * asked.sizes.get(name, 0.0) for name, size in there.items()):
+    if any(size > MAX_GROWTH_BEFORE_PROBE * asked.sizes.get(name, 0.0) for name, size in there.items()):
         return Answers({}, there)
     return asked
 
@@ -107,7 +117,7 @@ def column_plan(
     for probe in probes.values():
         for key, value in probe.answers.items():
             answers[key] = answers.get(key, 0.0) + value
-    heard = {key for key, value in answers.items() if value > criteria.silent_answer**2 * power[key[0]]}
+    heard = {key for key, value in answers.items() if value > LEAST_RESPONSE**2 * power[key[0]]}
     answering = tuple(
         told[column] if column in told else frozenset(name for j, name in heard if j == k)
         for k, column in enumerate(names)
@@ -128,6 +138,6 @@ def _kept(
         if (j := places.get(name)) is None:
             continue
         moved = sum(float(np.sum((p.columns[:, k] - known.columns[at][:, j]) ** 2)) for at, p in probes.items())
-        if moved <= criteria.same_column**2 * power[k]:
+        if moved <= MAX_COLUMN_CHANGE**2 * power[k]:
             kept[k] = j
     return kept

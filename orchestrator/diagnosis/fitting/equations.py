@@ -34,6 +34,19 @@ from orchestrator.numerics.tensor_spline import EvenSpline
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, ModelNoise, SignalBatch, Signals
 
+FLUX_ITERATIONS: int = 2
+"""How often the flux that effects see is evaluated again at the rotor's angle and at the magnetising current. A twist
+of 0.03 rad leaves so much less of the torque each time. Once, where an earlier evaluation is at hand."""
+MAX_INDUCTANCE_CHANGE: float = 0.01
+"""Relative change of the mean inductance up to which the noise's covariance is kept."""
+MAX_INVERTER_CHANGE: float = 0.1
+"""Change of an inverter effect's standardised value, relative to one or to itself, up to which the covariance is
+kept."""
+
+OBSERVER_TIME_CONSTANT_S: float = 0.005
+"""Time constant that draws the integrated flux to the map's [s]: long beside a ripple's period, short beside its
+drift."""
+
 
 @dataclass(frozen=True)
 class BatchState:
@@ -187,15 +200,15 @@ class WeakFormEquations:
 
     def _same_noise(self, inductances: Array, carriers: dict[ColumnName, float], old: BatchFrame) -> list[bool]:
         """Of each segment, whether its noise's covariance bears what has moved since an earlier frame."""
-        limits, carried = self.criteria.fitting, dict[int, bool]()
+        carried = dict[int, bool]()
         before = np.stack([kept.mean_inductance for kept in old.pieces])
         moved = np.abs(inductances - before).max(axis=1)
-        bearable = limits.same_inductance * inductances[:, [0, 2]].min(axis=1)
+        bearable = MAX_INDUCTANCE_CHANGE * inductances[:, [0, 2]].min(axis=1)
         # Segments whose noise was told at once share what it was carried by.
         for kept in old.pieces:
             if id(kept.carried_by) not in carried:
                 carried[id(kept.carried_by)] = carriers.keys() == kept.carried_by.keys() and all(
-                    abs(x - kept.carried_by[k]) <= limits.same_inverter * max(abs(x), 1.0) for k, x in carriers.items()
+                    abs(x - kept.carried_by[k]) <= MAX_INVERTER_CHANGE * max(abs(x), 1.0) for k, x in carriers.items()
                 )
         return [
             bool(steady) and carried[id(kept.carried_by)]
@@ -223,7 +236,7 @@ class WeakFormEquations:
             return self._flux_read(batch, inner, local), local
         known = base.psi_ab is not None
         found = _flux_of(base) if known else self._flux_read(batch, inner, local)
-        for _ in range(1 if known else self.criteria.fitting.flux_turns):
+        for _ in range(1 if known else FLUX_ITERATIONS):
             moved = apply_effects(inner.replaced(found), moving)
             if not moved.changed & {"theta_rad", "i_m_ab"}:
                 return self._flux_read(batch, inner, local), local
@@ -250,7 +263,7 @@ class WeakFormEquations:
             self.pm_flux_wb,
             layout.starts,
             layout.interval_s,
-            self.criteria.weak_form.observer_time_constant_s,
+            OBSERVER_TIME_CONSTANT_S,
         )
         inductance = inductance_to_ab(local.inductance, theta)
         return dict(zip(FLUX, (psi_ab, smooth, i_smooth, inductance), strict=True))

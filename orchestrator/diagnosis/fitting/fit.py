@@ -24,7 +24,7 @@ from orchestrator.diagnosis.fitting.batch_evaluation import (
     evaluate_batch,
 )
 from orchestrator.diagnosis.fitting.candidates import Active, Candidate
-from orchestrator.diagnosis.fitting.columns import ColumnPlan, answers_so_far, column_plan
+from orchestrator.diagnosis.fitting.columns import PROBE_EVERY, ColumnPlan, answers_so_far, column_plan
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.equations import WeakFormEquations
 from orchestrator.diagnosis.fitting.gauss_newton import moved_by, newton_step
@@ -36,6 +36,29 @@ from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from protocols import ModelNoise
+
+LEAST_GAIN: float = 0.2
+"""Fall of the objective below which a step is not worth its evaluation: a tenth in log evidence."""
+OBJECTIVE_SLACK: float = 0.05
+"""Rise of the objective that is rounding and renewed noise, not failure."""
+LEAST_RELINEARISATION_CHANGE: float = 1e-3
+"""Relative change of chi2 below which a linearisation is not renewed again."""
+FIRST_DAMPING: float = 0.1
+"""Levenberg-Marquardt damping with which a failed step is tried again; it grows tenfold each time."""
+LEAST_DAMPING: float = 2e-3
+"""Damping falls to a tenth after each good step, and to none below this value."""
+MAX_DAMPING: float = 50.0
+"""Damping beyond which no further step is tried."""
+GOOD_REDUCTION_RATIO: float = 0.75
+"""Ratio of actual to predicted reduction of a damped step from which the next one may be damped less."""
+LEAST_PREDICTED_REDUCTION: float = 2.0
+"""Predicted reduction below which a failed step is not tried again: one in log evidence."""
+MAX_RETURNS: int = 5
+"""Steps after a failed one in which a fit may come back to a curved valley further on."""
+FEW_COLUMNS: int = 6
+"""Columns up to which all are renewed without a probe."""
+COLUMNS_PER_EVALUATION: int = 3
+"""Cost of an evaluation without effects, in columns."""
 
 
 @dataclass
@@ -125,15 +148,15 @@ class Fitter:
         for _ in range(renewals):
             old = best
             best = self._descend(self.renewed(best.model, best.frame), steps, tolerance)
-            if abs(best.chi2 - old.chi2) < self.criteria.renewal_change * best.chi2:
+            if abs(best.chi2 - old.chi2) < LEAST_RELINEARISATION_CHANGE * best.chi2:
                 break
         return best
 
     def _descend(self, best: Fit, steps: int, tolerance: float) -> Fit:
-        damping, limits = 0.0, self.criteria
+        damping = 0.0
         for _ in range(steps if best.model.free else 0):
             system = best.projected()
-            enough = limits.least_gain + tolerance * max(best.chi2 - best.dof, 0.0)
+            enough = LEAST_GAIN + tolerance * max(best.chi2 - best.dof, 0.0)
             promised = newton_step(best, system, 0.0)[1]
             if promised < enough:
                 break
@@ -141,18 +164,18 @@ class Fitter:
             while True:
                 move, kept = newton_step(best, system, damping)
                 trial = self._led_back(self.evaluate(moved_by(best.model, move), best.frame), best.objective)
-                missed = trial.objective >= best.objective + limits.slack
-                if not missed or damping > limits.most_damping or promised < limits.least_promise:
+                missed = trial.objective >= best.objective + OBJECTIVE_SLACK
+                if not missed or damping > MAX_DAMPING or promised < LEAST_PREDICTED_REDUCTION:
                     break
-                damping = 10.0 * damping or limits.first_damping
+                damping = 10.0 * damping or FIRST_DAMPING
             gain = best.objective - trial.objective
-            if gain > -limits.slack:
+            if gain > -OBJECTIVE_SLACK:
                 best = trial
             if gain < enough:
                 break
             # Where a step had to be damped more, the next one most likely has to be too.
-            if damping == begun and gain > limits.promise_kept * kept:
-                damping = 0.1 * damping if damping > limits.least_damping else 0.0
+            if damping == begun and gain > GOOD_REDUCTION_RATIO * kept:
+                damping = 0.1 * damping if damping > LEAST_DAMPING else 0.0
         return best
 
     def promise(self, fit: Fit) -> float:
@@ -167,7 +190,7 @@ class Fitter:
         linear; then steps of all, each from where the last has come to, while they promise to arrive.
         """
         sizes = np.array([name in active.candidate.amplitudes for active, name in trial.model.free])
-        for which in (sizes, *[None] * self.criteria.most_returns):
+        for which in (sizes, *[None] * MAX_RETURNS):
             if trial.objective < wanted:
                 break
             move, promised = newton_step(trial, trial.projected(), 0.0, which)
@@ -272,9 +295,9 @@ class Fitter:
     ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
         """Every batch's frame, every segment's equations with columns where it is not held out, and what answers."""
         samples = sum(len(p.signals.v_dc) for p in self.prepared.pieces)
-        self.effort.spend(samples * self.criteria.evaluation_columns)
+        self.effort.spend(samples * COLUMNS_PER_EVALUATION)
         ours = self._with_frames(frame)
-        if len(wanted) > self.criteria.few_columns:
+        if len(wanted) > FEW_COLUMNS:
             return self._rows_by_plan(model, ours, renew, wanted, known, samples)
         self.effort.spend(samples * len(wanted))
         results = self._evaluate(model, [BatchTask(batch, before, renew, wanted) for batch, before in ours])
@@ -300,7 +323,7 @@ class Fitter:
         probes = {k: p for result in probed for k, p in result.probes_by_place.items()}
         plan = column_plan(names, probes, known, self.criteria, before.of)
         moved, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
-        self.effort.spend(samples * (len(moved) + len(wanted) / self.criteria.probe_every))
+        self.effort.spend(samples * (len(moved) + len(wanted) / PROBE_EVERY))
         others = self._evaluate(model, [BatchTask(b, f, renew, moved, inner) for b, f in later])
         rows = {k: row for result in probed for k, row in result.rows_by_place.items()}
         for result in others:

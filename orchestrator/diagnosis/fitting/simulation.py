@@ -15,6 +15,9 @@ from orchestrator.numerics.tensor_spline import derivatives_at
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
+MAX_SIMULATED_S: float = 1.0
+"""How much of each segment is simulated [s]: many time constants, and both signs of a trapezoid."""
+
 STEP_OF_DECAY = 0.2
 """Largest step, in time constants of the winding: a mean of ten readings spans two of a small servo's."""
 
@@ -66,7 +69,7 @@ def current_rms(fit: Fit, use: Callable[[SegmentSignals], bool] = lambda _: True
     for index, piece in enumerate(fit.prepared.pieces):
         if piece.stage is SegmentStage.GATES_OFF or not use(piece):
             continue
-        longest = round(fit.criteria.pictures.simulated_s * piece.signals.sampling_frequency_hz)
+        longest = round(MAX_SIMULATED_S * piece.signals.sampling_frequency_hz)
         stage_share = 3 if piece.stage is SegmentStage.RESISTANCE else 1
         predicted, measured = simulated_current(fit, index, longest // stage_share)
         total += float(np.sum((predicted - measured) ** 2))

@@ -13,6 +13,7 @@ from orchestrator.diagnosis.reporting.findings import said_of_sizes
 from orchestrator.diagnosis.reporting.motor_model import flux_map_of, map_nodes
 from orchestrator.diagnosis.selection.shares import left_of_excitation
 from orchestrator.diagnosis.selection.verdict import most_strained
+from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS
 from orchestrator.diagnosis.uncertainty.map_band import MapUncertainty
 from protocols import Basis, FluxMap, MotorModel, Remark, ResistanceEstimate, SegmentStage, Verdict
 
@@ -83,7 +84,7 @@ def _map(uncertainty: MapUncertainty, kept: MotorModel) -> FluxMap:
 def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
     """R_s as the effects leave it: as warm as at the start, and what it was at both ends of the experiment."""
     fit = uncertainty.fit
-    value, half = fit.model.r_s, fit.criteria.uncertainty.interval * uncertainty.resistance_ohm
+    value, half = fit.model.r_s, INTERVAL_SIGMAS * uncertainty.resistance_ohm
     ends = [
         float(np.mean(fit.corrected(k).resistance_ohm))
         for k, piece in enumerate(fit.prepared.pieces)
@@ -103,16 +104,16 @@ def _resistance(uncertainty: MapUncertainty) -> ResistanceEstimate:
 
 def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved: Mapping[str, float]) -> list[Remark]:
     """What speaks against the use of a fit's map; parameters as of `delivery_of`."""
-    limits, against = fit.criteria.selection, []
+    limits, against = fit.criteria, []
     if verdict == "cannot_tell":
         text = "the recording does not tell whether the model is right: see the diagnosis"
         against.append(Remark.of("cannot_tell", text))
     left = left_of_excitation(fit)
-    if verdict not in ("clean", "explained") and left > limits.material_voltage:
+    if verdict not in ("clean", "explained") and left > limits.materiality.material_voltage:
         text = "the model leaves {left_percent:.2g} % of the voltage unexplained: see the diagnosis"
         against.append(Remark.of("unexplained", text, left_percent=100.0 * left))
     most = max(moved, key=lambda name: moved[name], default=None)
-    if verdict == "unknown_remains" and most is not None and 100.0 * moved[most] > limits.widest_band_percent:
+    if verdict == "unknown_remains" and most is not None and 100.0 * moved[most] > limits.verdict.widest_band_percent:
         text = "{effect} moves the model's map by {moved_percent:.2g} %, and may stand in for what is unknown"
         against.append(Remark.of("may_stand_in", text, effect=most, moved_percent=100.0 * moved[most]))
     if verdict not in ("clean", "explained") and (name := most_strained(fit)):
@@ -120,7 +121,7 @@ def objections_to(fit: Fit, verdict: Verdict | None, band_percent: float, moved:
         against.append(Remark.of("strained_form", text, effect=name))
     against += [_of_small_loops(name) for name in remembering_by_ripple_alone(fit, moved)]
     against += said_of_sizes(fit)
-    if band_percent > limits.widest_band_percent:
+    if band_percent > limits.verdict.widest_band_percent:
         text = "the model's map is uncertain by {band_percent:.2g} % of the rated flux"
         against.append(Remark.of("uncertain_map", text, band_percent=band_percent))
     return [one.by(METHOD) for one in against]
@@ -130,7 +131,7 @@ def remembering_by_ripple_alone(fit: Fit, moved: Mapping[str, float]) -> list[st
     """Effects that remember where a segment came from, move the map, and were seen by a ripple alone."""
     if any(piece.stage in _WIDE for piece in fit.prepared.pieces):
         return []
-    least = fit.criteria.selection.material_flux
+    least = fit.criteria.materiality.material_flux
     return [a.name for a in fit.model.active if has_random_directions(a) and moved.get(a.name, 0.0) > least]
 
 

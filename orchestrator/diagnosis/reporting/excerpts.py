@@ -14,17 +14,27 @@ import numpy as np
 from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
+from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
 from orchestrator.diagnosis.weak_form.equations import true_frame
 from orchestrator.diagnosis.weak_form.segments import AXES, Axis, SegmentSignals, swept_axis
 from orchestrator.numerics.frames import to_ab, to_dq
 from orchestrator.numerics.types import Array
 from protocols import CurrentExcerpt, FluxLoop, SegmentStage, SignalBatch
 
+MAX_POINTS: int = 400
+"""Points of one curve."""
+RIPPLE_PERIODS: int = 2
+"""Injection periods that are shown."""
+MAX_TRAPEZOID_S: float = 2.5
+"""Part of a sweep that is shown [s]."""
+SIMULATION_SETTLING_S: float = 0.1
+"""Simulated time before a ripple is shown [s]: the first current is a noisy sample."""
+
 
 def excerpts(fit: Fit) -> tuple[CurrentExcerpt, ...]:
     """Ripple at one injection point, at two amplitudes where there are two, and one period of a trapezoid."""
     pieces = fit.prepared.pieces
-    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces, fit.criteria.selection.amplitudes_apart))
+    ripples = (_ripple_excerpt(fit, k) for k in ripple_pair(pieces, LEAST_AMPLITUDE_RATIO))
     trapezoid = (_trapezoid_excerpt(fit, k) for k in _trapezoid(pieces))
     return tuple(e for e in itertools.chain(ripples, trapezoid) if e is not None)
 
@@ -75,11 +85,11 @@ def _amplitude(piece: SegmentSignals) -> float:
 def _ripple_excerpt(fit: Fit, index: int) -> CurrentExcerpt | None:
     """Some periods from where the voltage is injected along +d, so that two amplitudes lie over each other."""
     piece = fit.prepared.pieces[index]
-    limits, fs, n = fit.criteria.pictures, piece.signals.sampling_frequency_hz, len(piece.signals.v_dc)
+    fs, n = piece.signals.sampling_frequency_hz, len(piece.signals.v_dc)
     if piece.segment.settings.get("frequency_hz") is None or not (period := piece.windows.period):
         return None
-    shown = math.ceil(limits.ripple_periods * period) + 1
-    settled = round(limits.settled_s * fs)
+    shown = math.ceil(RIPPLE_PERIODS * period) + 1
+    settled = round(SIMULATION_SETTLING_S * fs)
     turn = round(fs / float(piece.segment.settings.get("rotation_hz") or 1.0))
     stop = min(n, settled + turn + shown)
     if stop < settled + 2 * shown:
@@ -107,10 +117,10 @@ def _trapezoid(pieces: Sequence[SegmentSignals]) -> Iterator[int]:
 def _trapezoid_excerpt(fit: Fit, index: int) -> CurrentExcerpt:
     """The second period where there is one: the first may begin elsewhere."""
     piece = fit.prepared.pieces[index]
-    shown = min(_period(piece), _samples(piece, fit.criteria.pictures.longest_trapezoid_s))
+    shown = min(_period(piece), _samples(piece, MAX_TRAPEZOID_S))
     first = shown - 1 if 2 * shown - 1 <= len(piece.signals.v_dc) else 0
     predicted, measured = _currents(fit, index, first + shown)
-    stride = math.ceil(shown / fit.criteria.pictures.most_points)
+    stride = math.ceil(shown / MAX_POINTS)
     return _excerpt(piece, measured[first:], predicted[first:], stride, None)
 
 
@@ -163,7 +173,7 @@ def _loop(fit: Fit, index: int, axis: Axis) -> FluxLoop:
     measured = _integral(corrected, fit.model.r_s / float(base.resistance_ohm[0]), last, ts)
     measured = to_dq(measured, piece.segment.rotor_angle_rad)
     i_dq = to_dq(piece.signals.i_ab[last], piece.segment.rotor_angle_rad)
-    stride = math.ceil(len(i_dq) / fit.criteria.pictures.most_points)
+    stride = math.ceil(len(i_dq) / MAX_POINTS)
     return FluxLoop(
         segment=piece.segment.id,
         swept_axis=axis,

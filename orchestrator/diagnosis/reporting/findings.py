@@ -15,7 +15,7 @@ from orchestrator.diagnosis.selection.joint_search import probabilities
 from orchestrator.diagnosis.selection.leftover import leftover_shape
 from orchestrator.diagnosis.selection.shares import Share, is_material
 from orchestrator.diagnosis.selection.verdict import left_fraction, rare_together
-from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
+from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, coordinate_spread
 from protocols import FoundEffect, ParameterRole, ParameterValue, PluginError, Remark, ShapeShare, Unexplained, hook_of
 
 
@@ -33,7 +33,7 @@ def found_effects(
     if not fit.model.active:
         return ()
     chances, sizes = probabilities(fit), sizes or {}
-    half = fit.criteria.uncertainty.interval * coordinate_spread(fitter, fit)
+    half = INTERVAL_SIGMAS * coordinate_spread(fitter, fit)
     shows = np.diag(fit.projected()[0]) > 0.0
     effects, k = [], 0
     for active in fit.model.active:
@@ -120,7 +120,7 @@ def map_effects(fit: Fit, evidence: Mapping[str, float]) -> tuple[FoundEffect, .
 
 
 def unexplained(setup: DiagnosisSetup, first_chi2: float, last: Fit) -> Unexplained:
-    detected = last.chi2_per_dof > last.criteria.selection.detected_chi2
+    detected = last.chi2_per_dof > last.criteria.verdict.noise_chi2
     shape = leftover_shape(setup.fitter, last, setup.current_a) if detected else []
     return Unexplained(
         fraction=left_fraction(first_chi2, last),

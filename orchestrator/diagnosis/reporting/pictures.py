@@ -24,6 +24,13 @@ from orchestrator.numerics.frames import to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import DiagnosisStep, ResistanceCourse, Rung, SegmentStage
 
+MAX_ROWS: int = 4000
+"""Rows of the residual that a step keeps."""
+MAX_DWELLS: int = 400
+"""Points of the resistance over time."""
+LEAST_DWELL_CURRENT: float = 0.2
+"""Part of the largest current below which a dwell shows too little of R_s: its error grows as the inverse."""
+
 _GOLDEN = 0.5 * (math.sqrt(5.0) - 1.0)
 
 
@@ -48,7 +55,7 @@ def diagnosis_step(index: int, step: Step, setup: DiagnosisSetup, *, known: Rung
     numbers = known or rung(step)
     rows = [_Rows(fit, k) for k in range(len(fit.prepared.pieces))]
     stages = [row.piece.stage.value for row in rows for _ in range(len(row.time_s))]
-    shown = kept_rows(stages, fit.criteria.pictures.most_rows)
+    shown = kept_rows(stages, MAX_ROWS)
     residual_ab = np.concatenate([row.residual_ab_v for row in rows])[shown]
     i_ab = np.concatenate([row.i_ab for row in rows])[shown]
     return DiagnosisStep(
@@ -158,7 +165,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
             continue
         current = row.i_dq.mean(axis=0)
         square = float(current @ current)
-        if square < (fit.criteria.pictures.least_dwell_current * largest) ** 2 or square == 0.0:
+        if square < (LEAST_DWELL_CURRENT * largest) ** 2 or square == 0.0:
             continue
         _, base = fit.frame.base_of(row.index)
         model = float(fit.corrected(row.index).resistance_ohm.mean()) * fit.model.r_s / float(base.resistance_ohm[0])
@@ -166,7 +173,7 @@ def _resistance_course(fit: Fit, rows: list[_Rows]) -> ResistanceCourse | None:
         dwells.append((float(row.time_s.mean()), float(base.heat_j.mean()), asked, model))
     if not dwells:
         return None
-    stride = math.ceil(len(dwells) / fit.criteria.pictures.most_dwells)
+    stride = math.ceil(len(dwells) / MAX_DWELLS)
     time_s, heat_j, measured, modelled = np.array(dwells[::stride]).T
     return ResistanceCourse(
         time_s=np.ascontiguousarray(time_s),

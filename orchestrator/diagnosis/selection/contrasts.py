@@ -13,6 +13,17 @@ from orchestrator.numerics.frames import to_dq
 from orchestrator.numerics.types import Array
 from protocols import Contrast, SegmentStage
 
+SAME_CURRENT: float = 0.02
+"""Currents nearer to each other than this part of the largest count as one."""
+LEAST_AMPLITUDE_RATIO: float = 1.3
+"""Ratio of two injected amplitudes that count as different."""
+LONG_HOLD_S: float = 30.0
+"""Length of a hold that warms the winding [s]: a part of its thermal time constant."""
+SMALL_CURRENTS: tuple[float, ...] = (0.01, 0.02, 0.05, 0.1, 0.2)
+"""Parts of the current, of both signs, at which the behaviour about zero current is measured."""
+DIRECTIONS: int = 12
+"""Directions of held currents all around: twice the axes of a three-phase winding."""
+
 
 @dataclass(frozen=True)
 class Recognition:
@@ -51,7 +62,7 @@ def _gates_off(prepared: PreparedRecording) -> bool:
 
 
 def _small_currents(prepared: PreparedRecording) -> bool:
-    shares = prepared.criteria.design.small_currents
+    shares = SMALL_CURRENTS
     sizes = np.hypot(*_currents(prepared, SegmentStage.RESISTANCE).T)
     return int(np.sum(sizes < 1.5 * max(shares))) >= len(shares)
 
@@ -62,9 +73,9 @@ def _two_pwm_frequencies(prepared: PreparedRecording) -> bool:
 
 def _all_around(prepared: PreparedRecording) -> bool:
     d, q = _currents(prepared, SegmentStage.RESISTANCE).T
-    step = 2.0 * math.pi / prepared.criteria.design.directions
+    step = 2.0 * math.pi / DIRECTIONS
     held = {round(float(angle / step)) for angle in np.arctan2(q, d)[np.hypot(d, q) > 0.5]}
-    return len(held) > prepared.criteria.design.directions / 2
+    return len(held) > DIRECTIONS / 2
 
 
 def _seconds(piece: SegmentSignals) -> float:
@@ -77,20 +88,20 @@ def _measured_again(prepared: PreparedRecording) -> bool:
         pieces, currents = _of(prepared, stage), _currents(prepared, stage)
         for k, piece in enumerate(pieces):
             later = [p.signals.start_s - piece.signals.start_s > 0.5 * end for p in pieces]
-            if np.any(np.hypot(*(currents - currents[k]).T)[later] < prepared.criteria.selection.same_current):
+            if np.any(np.hypot(*(currents - currents[k]).T)[later] < SAME_CURRENT):
                 return True
     return False
 
 
 def _long_hold(prepared: PreparedRecording) -> bool:
     pieces, currents = _of(prepared, SegmentStage.RESISTANCE), _currents(prepared, SegmentStage.RESISTANCE)
-    longest = prepared.criteria.design.long_hold_s
+    longest = LONG_HOLD_S
     return any(_seconds(p) > 0.5 * longest and np.hypot(*i) > 0.5 for p, i in zip(pieces, currents, strict=True))
 
 
 def _two_amplitudes(prepared: PreparedRecording) -> bool:
     swings = [float(np.linalg.norm(np.std(p.signals.v_ab, axis=0))) for p in _of(prepared, SegmentStage.INJECTION)]
-    return bool(swings) and max(swings) > prepared.criteria.selection.amplitudes_apart * min(swings)
+    return bool(swings) and max(swings) > LEAST_AMPLITUDE_RATIO * min(swings)
 
 
 def _two_ripple_frequencies(prepared: PreparedRecording) -> bool:

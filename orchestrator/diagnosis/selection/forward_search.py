@@ -16,6 +16,7 @@ from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, Active, Candida
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.identifiability import parted_by, separable
+from orchestrator.diagnosis.selection.joint_search import INDISTINGUISHABLE_SHARE
 from orchestrator.diagnosis.selection.refining import flexible, in_simple_form, polished, repolished, rigid_in
 from orchestrator.diagnosis.selection.scoring import (
     LinearView,
@@ -33,6 +34,22 @@ from orchestrator.diagnosis.selection.shares import Share
 from orchestrator.presentation.names import plain
 from orchestrator.presentation.quantities import number
 from protocols import ParameterRole
+
+MANY_MISSING_CHI2_RATIO: float = 3.0
+"""All effects are fitted together at once where they leave so many times less than the best single one, to first
+order. The ratio was 3.6 to 29 on six benches of many effects, and 1.0 to 1.1 on eight of one or two."""
+LEAST_SHARE_BEFORE_FORM: float = 0.5
+"""Part of the residual that an absent effect has to explain to be tried before a form: the larger part."""
+LEAST_EFFECT_SIZE: float = 0.02
+"""Effects smaller than this part of their typical size are not named."""
+LEAST_SHARE_OF_EXCESS: float = 0.2
+"""Part of the excess chi2 - 1 that an effect has to remove to be added; half of it in the linear estimate."""
+LEAST_RELATIVE_LINEAR_GAIN: float = 0.3
+"""Alternatives whose linear gain is at least this part of the best one's are refitted too."""
+MAX_EXCESS_RATIO_TO_BEST: float = 2.0
+"""Alternatives whose excess chi2 is within this factor of the best one's are fitted to the end."""
+SHAPE_STARTS: tuple[float, ...] = (-2.0, -1.0, 1.0)
+"""Shapes from which a refit may start beside the typical one, in standard deviations of the prior."""
 
 
 @dataclass(frozen=True)
@@ -128,7 +145,7 @@ def _many_are_missing(view: LinearView) -> bool:
     if not view.absent:
         return False
     least = max(fit.chi2 - gain_together(view), fit.dof)
-    return fit.chi2 - score(view)[0].gain > fit.criteria.selection.many_missing * least
+    return fit.chi2 - score(view)[0].gain > MANY_MISSING_CHI2_RATIO * least
 
 
 def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], rejected: set[str]) -> bool:
@@ -165,7 +182,7 @@ def _one_more(fitter: Fitter, search: Search, candidates: Sequence[Candidate], r
     if gain < limits.log_evidence:
         record("add", [name], after=trial, score=gain, taken=False)
         return False
-    if _size(trial, name) < limits.least_size or _share(fit, trial) < limits.least_share:
+    if _size(trial, name) < LEAST_EFFECT_SIZE or _share(fit, trial) < LEAST_SHARE_OF_EXCESS:
         note = "too small, or removes too little of the misfit"
         record("add", [name], after=trial, score=gain, taken=False, note=note)
         rejected.update(n for g, n, _ in ranked if g > limits.log_evidence)
@@ -218,7 +235,7 @@ def _stands_before_a_form(view: LinearView) -> bool:
     The form would be bent to what is missing beside it; it is asked again with that in the model.
     """
     scores, fit = score(view), view.fit
-    most = fit.criteria.selection.stands_before_form * (fit.chi2 - fit.dof)
+    most = LEAST_SHARE_BEFORE_FORM * (fit.chi2 - fit.dof)
     return bool(scores) and scores[0].gain > max(form_gain(view), most)
 
 
@@ -237,7 +254,7 @@ def _stands_in(before: Fit, best: Fit, other: Fit, name: str, rival: str) -> boo
     effects = {a.name: a.candidate.effect for t in (best, other) for a in t.model.active}
     if separable(before.prepared, effects[name], effects[rival]):
         return False
-    return before.chi2 - other.chi2 > before.criteria.selection.stand_in * (before.chi2 - best.chi2)
+    return before.chi2 - other.chi2 > INDISTINGUISHABLE_SHARE * (before.chi2 - best.chi2)
 
 
 def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
@@ -256,14 +273,14 @@ def _worth_trying(scores: Sequence[Score], fit: Fit) -> list[Score]:
     def alike(s: Score) -> bool:
         return bool(parted_by(s.candidate.effect, best.candidate.effect))
 
-    hopeful = [s for s in scores if s.gain > limits.hopeful * best.gain or alike(s)]
+    hopeful = [s for s in scores if s.gain > LEAST_RELATIVE_LINEAR_GAIN * best.gain or alike(s)]
     return [s for s in hopeful if s.gain > least(s)][: limits.most_trials]
 
 
 def _least_gain(best: Score, fit: Fit) -> float:
     """Fall of chi2 that the best effect has to promise; a refit with its shape free brings more, within limits."""
     inflation = max(1.0, (fit.chi2 - best.gain) / fit.dof)
-    share = 0.5 * fit.criteria.selection.least_share
+    share = 0.5 * LEAST_SHARE_OF_EXCESS
     return max(2.0 * asked(fit, best.candidate) * inflation, share * (fit.chi2 - fit.dof))
 
 
@@ -295,7 +312,7 @@ def _tried(fitter: Fitter, fit: Fit, hopeful: Sequence[Score]) -> list[tuple[str
     """Refits with each of some effects; those that stay far behind the best are not fitted to the end."""
     rough = [(s.candidate.name, _refit(fitter, fit, s)) for s in hopeful]
     best = min(t.chi2 for _, t in rough)
-    near = fit.criteria.selection.near_best * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
+    near = MAX_EXCESS_RATIO_TO_BEST * max(best - fit.dof, 0.1 * fit.dof) + fit.dof
     if sum(t.chi2 < near for _, t in rough) < 2:
         return rough
     return [(n, fitter.fit(t.model, t.frame, steps=5, renewals=0) if t.chi2 < near else t) for n, t in rough]
@@ -319,7 +336,7 @@ def _best_start(fitter: Fitter, fit: Fit, scored: Score) -> Active:
     candidate = scored.candidate
     best, gain, coordinates = candidate.absent(), scored.gain, scored.coordinates
     for shape in candidate.of_role(ParameterRole.SHAPE)[:1]:
-        variants = [candidate.absent().moved(shape, x) for x in fit.criteria.selection.shape_starts]
+        variants = [candidate.absent().moved(shape, x) for x in SHAPE_STARTS]
         columns = [(v, n) for v in variants for n in candidate.amplitudes]
         normal, right = fitter.evaluate(fit.model, fit.frame, columns, known=fit).projected()
         fitted, each = len(fit.model.free), len(candidate.amplitudes)

@@ -18,6 +18,15 @@ from orchestrator.diagnosis.selection.forward_search import Search
 from orchestrator.diagnosis.selection.scoring import LinearView, linear_view, score
 from protocols import FoundEffect, JointEntry, Remark
 
+MAX_CORRELATION: float = 0.995
+"""Correlation above which two effects are one in the joint fit; the priors separate those that are merely similar."""
+LEAST_SIZE_EXCESS: float = 1.5
+"""How much larger than all named effects the joint fit's first has to be to be reported, in typical sizes."""
+CERTAIN_SIGMAS: float = 4.0
+"""Standard deviations beyond which an effect is not due to chance."""
+MAX_CHI2_CHANGE: float = 0.01
+"""Relative change of chi2 beyond which effects have to be scored anew."""
+
 
 def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> tuple[JointEntry, ...]:
     """All effects at once, linearly around the model, under the priors; ranked by relative size."""
@@ -45,7 +54,7 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> t
         if known is None or abs(entry.z or 0.0) > abs(known.z or 0.0):
             entries[active.name] = entry
     # An effect that chance could have made is ranked below all that it could not, whatever its size.
-    certain = fit.criteria.selection.certain
+    certain = CERTAIN_SIGMAS
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < certain, -(e.relative_size or 0.0))))
 
 
@@ -58,7 +67,7 @@ def other_opinion(
     first, size, z = joint[0].name, joint[0].relative_size or 0.0, abs(joint[0].z or 0.0)
     largest = max(found, key=lambda e: e.relative_size or 0.0)
     named = largest.relative_size or 0.0
-    if z < criteria.certain or size < criteria.outweighs * named:
+    if z < CERTAIN_SIGMAS or size < LEAST_SIZE_EXCESS * named:
         return []
     text = (
         "with all effects fitted together {first} is the largest, {first_size:.2g} of its typical size; "
@@ -72,7 +81,7 @@ def _still_holds(view: LinearView, fit: Fit) -> bool:
     seen = view.fit
     same = seen.model.names == fit.model.names and seen.model.space is fit.model.space
     parameters = [n for _, n in seen.model.free] == [n for _, n in fit.model.free]
-    return same and parameters and abs(seen.chi2 - fit.chi2) < fit.criteria.selection.view_change * fit.chi2
+    return same and parameters and abs(seen.chi2 - fit.chi2) < MAX_CHI2_CHANGE * fit.chi2
 
 
 def _distinct(view: LinearView) -> list[int]:
@@ -85,6 +94,6 @@ def _distinct(view: LinearView) -> list[int]:
     taken = list(range(len(view.fit.model.free)))
     for scored in score(view):
         columns = [k for k, (a, _) in enumerate(view.columns) if a.name == scored.candidate.name]
-        if not taken or like[np.ix_(columns, taken)].max() < view.fit.criteria.selection.one_column:
+        if not taken or like[np.ix_(columns, taken)].max() < MAX_CORRELATION:
             taken += columns
     return taken

@@ -32,9 +32,24 @@ from orchestrator.diagnosis.selection.scoring import (
     score,
     worth_bending,
 )
-from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter
+from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter
 from orchestrator.numerics.types import Array
 from protocols import Effect, ParameterRole, SearchMove
+
+LEAST_GAIN_OF_SECOND_EFFECT: float = 0.3
+"""Part of the largest predicted gain of an absent effect from which another one is tried together with it."""
+MAX_JOINT_ROUNDS: tuple[int, int] = (6, 15)
+"""How often the columns of all effects together are renewed: with amplitudes alone, and with shapes."""
+JOINT_TOLERANCE: float = 1e-2
+"""Gain of a round of the joint fit, as a part of the excess chi2, below which it ends."""
+INDISTINGUISHABLE_SHARE: float = 0.8
+"""Alternatives that explain this part of what the best one does are indistinguishable from it."""
+MAX_EVIDENCE_DEFICIT: float = 0.1
+"""Part of an effect's log evidence that may be missing after one step with another in its place; beyond, the trial
+ends."""
+MAX_CHI2_RATIO_OF_SECOND_FORM: float = 10.0
+"""Factor of the first form's chi2 that the second may leave after one step; beyond, the trial ends. On switching
+benches it was 1.1 where the second form did better, and 90 where it did not."""
 
 
 def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
@@ -52,7 +67,7 @@ def together(fitter: Fitter, start: Model, library: Sequence[Candidate]) -> Fit:
         if other is None or fit.chi2_per_dof <= limits.detected_chi2:
             continue
         model = _with_form(fit.model, other)
-        if glanced(fitter, model, fit).chi2_per_dof <= limits.hopeless_form * fit.chi2_per_dof:
+        if glanced(fitter, model, fit).chi2_per_dof <= MAX_CHI2_RATIO_OF_SECOND_FORM * fit.chi2_per_dof:
             trial = briefly_refitted(fitter, model, fit)
             _record_form(fitter, other.name, fit, trial, taken=trial.objective < fit.objective)
             fit = trial if trial.objective < fit.objective else fit
@@ -118,14 +133,12 @@ def in_forms_still_asked_for(fitter: Fitter, fit: Fit) -> Fit:
 
 def refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model with many effects fitted to its end, as far as that is worth its time."""
-    limits = fitter.prepared.criteria.selection
-    return fit_along_chords(fitter, model, rounds=limits.joint_rounds[1], tolerance=limits.joint_tolerance, known=known)
+    return fit_along_chords(fitter, model, rounds=MAX_JOINT_ROUNDS[1], tolerance=JOINT_TOLERANCE, known=known)
 
 
 def briefly_refitted(fitter: Fitter, model: Model, known: Fit | None = None) -> Fit:
     """The model fitted in as few rounds as amplitudes need."""
-    limits = fitter.prepared.criteria.selection
-    return fit_along_chords(fitter, model, rounds=limits.joint_rounds[0], tolerance=limits.joint_tolerance, known=known)
+    return fit_along_chords(fitter, model, rounds=MAX_JOINT_ROUNDS[0], tolerance=JOINT_TOLERANCE, known=known)
 
 
 def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> Fit:
@@ -134,13 +147,13 @@ def with_overlooked(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> F
     An effect whose first step was to the wrong side stayed at nothing, and its column is a secant only there. Those
     that ask for much less than another may ask for what that one takes: they are asked when it is there.
     """
-    limits, noise = fit.criteria.selection, max(fit.chi2_per_dof, 1.0)
+    noise = max(fit.chi2_per_dof, 1.0)
     asking = [s for s in score(linear_view(fitter, fit, library)) if s.gain > 2.0 * asked(fit, s.candidate) * noise]
     if not asking:
         return fit
     most = max(s.gain for s in asking)
     overlooked = []
-    for one in (s for s in asking if s.gain > limits.overlooked_beside * most):
+    for one in (s for s in asking if s.gain > LEAST_GAIN_OF_SECOND_EFFECT * most):
         active = one.candidate.absent().freeing(*one.candidate.of_role(ParameterRole.SHAPE))
         for name, x in zip(one.candidate.amplitudes, one.coordinates, strict=True):
             active = active.moved(name, float(x))
@@ -205,7 +218,7 @@ def in_better_form(fitter: Fitter, fit: Fit, *, at_once: bool = False) -> Fit:
         models = [_with_form(fit.model, form) for form in one.other_forms() if at_once or one.bent_by]
         glances = [glanced(fitter, model, fit) for model in models]
         best = min(range(len(glances)), key=lambda k: glances[k].objective, default=None)
-        if best is None or glances[best].chi2_per_dof > limits.hopeless_form * fit.chi2_per_dof:
+        if best is None or glances[best].chi2_per_dof > MAX_CHI2_RATIO_OF_SECOND_FORM * fit.chi2_per_dof:
             continue
         if at_once and glances[best].objective >= fit.objective:
             continue
@@ -333,7 +346,7 @@ def exchanged(
         shapes = other.candidate.of_role(ParameterRole.SHAPE)
         replaced = fit.model.with_active([*others, other.freeing(*shapes)])
         trial = glanced(fitter, replaced, fit)
-        if _evidence_gain(trial, fit) < -limits.tie - limits.hopeless * log_bayes_factors(fit)[name]:
+        if _evidence_gain(trial, fit) < -limits.tie - MAX_EVIDENCE_DEFICIT * log_bayes_factors(fit)[name]:
             continue
         trial = briefly_refitted(fitter, replaced, trial)
         gain = _evidence_gain(trial, fit) + other.candidate.head_start - _candidate(fit, name).head_start
@@ -384,7 +397,7 @@ def _look_alikes(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> list
             order = [*stay, *place]
             columns_of = range(len(stay), len(order))
             gain, x = gain_with(c, normal[np.ix_(order, order)], pull[order], len(stay), columns_of)
-            if gain > fit.criteria.selection.stand_in * worth:
+            if gain > INDISTINGUISHABLE_SHARE * worth:
                 other = c.absent()
                 for n, value in zip(c.amplitudes, x, strict=True):
                     other = other.moved(n, float(value))
@@ -426,7 +439,7 @@ def _posterior(fit: Fit, *, doubting_blocks: bool = True) -> tuple[Array, Array,
     normal = fit.projected()[0][np.ix_(which, which)] / max(fit.chi2_per_dof, 1.0)
     covariance = np.asarray(np.linalg.inv(normal + np.eye(len(which))), dtype=np.float64)
     if doubting_blocks:
-        covariance += np.diag(block_scatter(fit)[which] ** 2 / fit.criteria.uncertainty.blocks)
+        covariance += np.diag(block_scatter(fit)[which] ** 2 / BLOCKS)
     return np.array([a.coordinate(n) for a, n in free]), covariance, [a.name for a, _ in free]
 
 

@@ -37,6 +37,7 @@ from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter_ratio
 from orchestrator.diagnosis.uncertainty.intervals import nothing_is_sure, perhaps_absent
 from orchestrator.diagnosis.uncertainty.model_error import with_model_error
 from orchestrator.diagnosis.uncertainty.scatter import (
+    MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH,
     as_much,
     beside_scatter,
     doubting_zeros,
@@ -45,6 +46,25 @@ from orchestrator.diagnosis.uncertainty.scatter import (
 from orchestrator.presentation.names import plain as plain_name
 from orchestrator.presentation.quantities import number
 from protocols import ModelNoise
+
+NAMED_OVER_RESIDUAL: float = 3.0
+"""Times the part of the error left in the end that a cause has to explain: a wrong form's error is taken by another
+effect."""
+MAX_CHI2_RATIO_TO_CONTINUE: float = 3.0
+"""Factor of chi2 with the scatter taken for noise up to which a descent without it continues where that one ended."""
+MAX_FORM_ROUNDS: int = 3
+"""How often all effects' forms and the scatter are estimated anew, each given the other."""
+MAX_MODEL_ERROR_ROUNDS: int = 2
+"""How often a large model error is estimated, and all is fitted again."""
+MAX_SHARE_OF_ERROR: float = 10.0
+"""Factor of the first model's whole error that an effect may remove while something unknown remains; an effect that
+removes more is balanced by another. Sound ones removed 1.7 times at most, a confounded one alone 3.6, balanced ones
+28 to 236."""
+MAX_SHARE_OF_ERROR_OF_PAIR: float = 2.0
+"""The same factor for two or more effects that remove as much each: these balance each other. Such pairs removed 2.0
+to 3.6 each."""
+MAX_RELATIVE_SCATTER: float = 0.2
+"""Largest scatter, relative to itself, of an effect that is named while something unknown remains."""
 
 LEFT_PER_EFFECT = {"together": 25.0, "forms": 23.0, "search": 17.0, "whole": 13.5, "ladder": 5.0}
 """Evaluations of the first model that take as long as the rest of a diagnosis from where its steps begin, per effect of
@@ -132,7 +152,7 @@ def without_needless_scatter(
         return setup, doubting, fit
     plain = setup.with_noise(ModelNoise()) if setup.fitter.noise.of_model.scatters else setup
     alone = in_own_forms(plain.coarse_fitter, plain.coarse_fitter.renewed(model or fit.model))
-    near = plain.prepared.criteria.selection.near_enough * fit.chi2_per_dof
+    near = MAX_CHI2_RATIO_TO_CONTINUE * fit.chi2_per_dof
     if alone.objective >= fit.objective and alone.chi2_per_dof < near:
         # From far off a descent may end on its way: its steps have become short.
         alone = in_own_forms(plain.coarse_fitter, alone)
@@ -235,7 +255,7 @@ def formed_together(
     fit : Fit
     """
     doubting, start = setup, setup
-    for turn in range(fit.criteria.selection.formings):
+    for turn in range(MAX_FORM_ROUNDS):
         before = doubting
         if _formless(fit) or before is not start:
             doubting = doubting_zeros(setup, likelihood_of(setup.coarse_fitter, fit, library))
@@ -254,7 +274,7 @@ def formed_together(
 
 def _formless(fit: Fit) -> bool:
     """Whether so much is left beside all effects that a form must be wrong."""
-    return fit.chi2_per_dof > 1.0 + fit.criteria.selection.formless_left
+    return fit.chi2_per_dof > 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 
 
 def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> tuple[DiagnosisSetup, Fit]:
@@ -276,7 +296,7 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
         fit = downwards(setup.coarse_fitter, refitted(setup.coarse_fitter, everything))
     if _formless(fit):
         model = everything if wider is None else fit.model
-        for _ in range(fit.criteria.selection.weighings):
+        for _ in range(MAX_MODEL_ERROR_ROUNDS):
             setup = setup.with_noise(with_model_error(setup.fitter.noise.of_model, fit))
             note = "the model's own error by stage and mode"
             setup.coarse_fitter.trace.record("noise", before=fit, taken=True, note=note)
@@ -310,7 +330,7 @@ def ladder_of(
     known = {active.name: active for active in whole.model.active}
     order = sorted(known, key=lambda name: -sizes[name].of_error)
     limits = whole.criteria.selection
-    least = max(limits.named_share, limits.clear_of_left * left_fraction(steps[0].fit.chi2_per_dof, judged))
+    least = max(limits.named_share, NAMED_OVER_RESIDUAL * left_fraction(steps[0].fit.chi2_per_dof, judged))
     # What nothing else could take away, in the same measure as what is left: less may be the form of another.
     rest = 0.5 * max(whole.chi2 - whole.dof, judged.chi2 - judged.dof, 0.0)
     clear = [n for n in order if factors[n] > rest]
@@ -357,13 +377,12 @@ def without_stand_ins(fitter: Fitter, search: Search) -> tuple[Search, list[str]
     if not search.shares or fitted_verdict(first, last) == "explained":
         return search, []
     drift, left = block_scatter_ratio(search.sized), left_fraction(first.chi2_per_dof, last)
-    limits = last.criteria.selection
-    steady = limits.least_constancy
+    steady = MAX_RELATIVE_SCATTER
     causes, absent = [n for n in last.model.names if n not in search.minor], perhaps_absent(fitter, search.sized)
     taken = {n: search.shares[n].of_error for n in causes}
     unsteady = [n for n in causes if drift[n] > steady and left > steady * min(taken[n], 1.0)]
-    several = sum(share.of_error > limits.balanced_pair for share in search.shares.values()) > 1
-    most = limits.balanced_pair if several else limits.balanced_share
+    several = sum(share.of_error > MAX_SHARE_OF_ERROR_OF_PAIR for share in search.shares.values()) > 1
+    most = MAX_SHARE_OF_ERROR_OF_PAIR if several else MAX_SHARE_OF_ERROR
     balanced = [n for n in causes if taken[n] > most]
     doubtful = [n for n in causes if n in unsteady or taken[n] < left or n in absent or n in balanced]
     for name in doubtful:

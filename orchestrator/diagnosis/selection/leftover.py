@@ -18,6 +18,11 @@ from orchestrator.numerics.frames import from_phases, to_ab, to_dq, to_phases
 from orchestrator.numerics.types import Array
 from protocols import Correction, EffectLayer, EffectParameters, ShapeGroup, Signals, amplitude
 
+LEAST_PATTERN_SHARE: float = 0.02
+"""Part of the residual below which a pattern is not reported."""
+LEAST_PATTERN_CHI2: float = 20.0
+"""chi2 that a residual's pattern has to explain: chance makes as much of a pattern's few signals once in 1e3."""
+
 Field = Callable[[Signals, float], Array]
 """Signals and the typical current [A] -> a signal of unit size."""
 
@@ -72,7 +77,7 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
     current_a : float
         A typical current, to give the shapes their width [A].
     """
-    limits, excess = fit.criteria.selection, fit.chi2 - fit.dof
+    excess = fit.chi2 - fit.dof
     if excess <= 0.0:
         return []
     shapes = _shapes(current_a, max(fit.model.r_s, 1e-3))
@@ -93,14 +98,14 @@ def leftover_shape(fitter: Fitter, fit: Fit, current_a: float) -> list[tuple[Sha
             for name, where in left.items()
         }
         name = max(gains, key=lambda n: gains[n])
-        if gains[name] < max(limits.leftover_share * excess, limits.leftover_chi2):
+        if gains[name] < max(LEAST_PATTERN_SHARE * excess, LEAST_PATTERN_CHI2):
             break
         chosen += [fitted + k for k in left.pop(name)]
         explained += gains[name]
         group: ShapeGroup = name  # type: ignore[assignment]  # `_shapes` has no other names
         shares.append((group, min(gains[name] / excess, 1.0)))
     rest = 1.0 - sum(share for _, share in shares)
-    if rest > limits.leftover_share:
+    if rest > LEAST_PATTERN_SHARE:
         shares.append(("other", rest))
     total = sum(share for _, share in shares)
     return [(group, share / total) for group, share in sorted(shares, key=lambda item: -item[1])]

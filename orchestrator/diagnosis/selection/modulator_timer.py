@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.candidates import Candidate
+from orchestrator.diagnosis.fitting.chords import LEAST_JOINT_GAIN
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.joint_search import briefly_refitted
 from orchestrator.diagnosis.uncertainty.command_traces import command_traces
@@ -87,6 +88,6 @@ def _told(doubting: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]) -> t
         timed = doubting.with_timer(timer)
         doubting = doubting_zeros(timed, likelihood_of(timed.coarse_fitter, fit, library))
         fit = briefly_refitted(doubting.coarse_fitter, fit.model, fit)
-        if as_much(doubting.fitter.noise.of_model, before) and gain < fit.criteria.fitting.least_joint_gain:
+        if as_much(doubting.fitter.noise.of_model, before) and gain < LEAST_JOINT_GAIN:
             break
     return doubting, fit, gains[0]

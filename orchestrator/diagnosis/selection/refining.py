@@ -20,6 +20,16 @@ from orchestrator.diagnosis.selection.scoring import (
 )
 from protocols import ParameterRole
 
+MAX_DEFERRED_FORM_GAIN: float = 0.3
+"""Part of a flexible form's gain, to first order, that is left to later. Few of its parameters bring most of it, and
+with these in place the others look different."""
+LEAST_SHARE_OF_FORM_DETAIL: float = 0.5
+"""Part of the residual that a form's details have to remove to be freed; a smaller part belongs to another effect."""
+MAX_FORM_EXTENSIONS: int = 8
+"""How often more of a flexible form is freed."""
+LEAST_CHI2_LOSS_OF_SIMPLE_FORM: float = 1000.0
+"""Loss of chi2, to first order, beyond which an effect's simple form does not suffice."""
+
 
 def polished(fitter: Fitter, fit: Fit, inflation: float) -> Fit:
     """The newest effect fitted to the end, in its flexible form where the evidence asks for it."""
@@ -85,7 +95,7 @@ def to_spare(fit: Fit, active: Active) -> list[str]:
 def _rigid(fitter: Fitter, fit: Fit, index: int, names: Sequence[str]) -> Fit | None:
     """The fit without some refinements of one effect; None where they are needed."""
     active, limits = fit.model.active[index], fit.criteria.selection
-    if loss_without(fit, active, names) > limits.flexible_form_needed:
+    if loss_without(fit, active, names) > LEAST_CHI2_LOSS_OF_SIMPLE_FORM:
         return None
     models = list(fit.model.active)
     models[index] = active.resting(*names)
@@ -155,7 +165,7 @@ def _bent(fitter: Fitter, fit: Fit, index: int, form: Active, best: Fit, inflati
     What brings most of what the form does is freed and fitted, then what the rest still brings beside it.
     """
     trial, reached = None, best.objective
-    for _ in range(fit.criteria.selection.most_bends):
+    for _ in range(MAX_FORM_EXTENSIONS):
         whole = fitter.evaluate(_with(fit if trial is None else trial, index, _freed(form)), fit.frame)
         if reached - whole.objective + fitter.promise(whole) < fit.criteria.selection.tie * inflation:
             break
@@ -185,13 +195,13 @@ def _with(fit: Fit, index: int, form: Active) -> Model:
 
 def _worth_bending(whole: Fit, form: Active, inflation: float) -> list[str]:
     """Refinements that bring most of what those do which are not free yet."""
-    free, limits = whole.model.free, whole.criteria.selection
+    free = whole.model.free
     asked = [k for k, (a, n) in enumerate(free) if a.name == form.name and n not in form.free]
     order = [*(k for k in range(len(free)) if k not in asked), *asked]
     normal, right = whole.projected()
     fitted = len(free) - len(asked)
     forms = in_order(whole, form, [free[k][1] for k in order], range(fitted, len(free)), inflation)
-    some = worth_bending((normal[np.ix_(order, order)], right[order]), fitted, forms, limits.bent_later)
+    some = worth_bending((normal[np.ix_(order, order)], right[order]), fitted, forms, MAX_DEFERRED_FORM_GAIN)
     return [free[order[k]][1] for k in some]
 
 
@@ -209,5 +219,5 @@ def in_order(
     least = 2.0 * limits.tie * inflation
     if fit.chi2_per_dof <= limits.detected_chi2:
         return [(first, least), (details, least)]
-    share = limits.detail_share if share is None else share
+    share = LEAST_SHARE_OF_FORM_DETAIL if share is None else share
     return [(first, least), (details, max(least, share * (fit.chi2 - fit.dof)))]

@@ -9,6 +9,10 @@ from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_mod
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from protocols import Saturated
 
+LEAST_RESISTIVE_RIPPLE: float = 0.02
+"""R_s over the inductance, times the carrier's period, from which R_s is included in the ripple within a period: its
+square over 24, 2e-5 of the voltage, is what the best recordings show."""
+
 
 def with_its_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
     """The setup as a bridge that switches has it, where that matters, unless the bare map says otherwise."""
@@ -22,7 +26,7 @@ def with_its_ripple(setup: DiagnosisSetup) -> DiagnosisSetup:
 def _matters(setup: DiagnosisSetup) -> bool:
     drive, ohm = setup.prepared.manifest.drive, setup.prepared.manifest.motor.stator_resistance_ohm or 0.0
     period_s = 1.0 / (drive.pwm_frequency_hz or drive.sampling_frequency_hz)
-    return ohm * period_s > setup.criteria.ripple_matters * min(setup.l_d_h, setup.l_q_h)
+    return ohm * period_s > LEAST_RESISTIVE_RIPPLE * min(setup.l_d_h, setup.l_q_h)
 
 
 def _fitted(setup: DiagnosisSetup, model: Model) -> Fit:

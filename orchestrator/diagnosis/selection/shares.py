@@ -60,7 +60,7 @@ def shares(setup: DiagnosisSetup, first: Fit, last: Fit) -> dict[str, Share]:
 
 def is_material(share: Share, fit: Fit) -> bool:
     """Whether an effect counts in an engineer's units, whatever the noise lets see."""
-    limits = fit.criteria.selection
+    limits = fit.criteria.materiality
     return share.of_flux > limits.material_flux or share.of_excitation > limits.material_voltage
 
 
@@ -117,10 +117,10 @@ def unexplained_at_rest_v(fit: Fit) -> float:
     Its few equations hardly count among thousands, so it is asked by itself: whether chance makes so much of it, and
     whether it is material beside the excitation, as an effect would be.
     """
-    error, limits = gates_off_error(fit), fit.criteria.selection
-    if error is None or error.least_excitation_v is None or error.probability >= limits.no_chance:
+    error, limits = gates_off_error(fit), fit.criteria
+    if error is None or error.least_excitation_v is None or error.probability >= limits.verdict.chance_probability:
         return 0.0
-    return error.rms_v if error.rms_v > limits.material_voltage * error.least_excitation_v else 0.0
+    return error.rms_v if error.rms_v > limits.materiality.material_voltage * error.least_excitation_v else 0.0
 
 
 def _without_current(piece: SegmentSignals) -> bool:

@@ -10,10 +10,24 @@ from typing import Concatenate, ParamSpec, TypeVar
 import numpy as np
 
 from orchestrator.diagnosis.criteria import SelectionCriteria
+from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO, SAME_CURRENT
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
-from orchestrator.diagnosis.weak_form.segments import PreparedRecording, SegmentSignals
+from orchestrator.diagnosis.weak_form.segments import LEAST_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentSignals
 from orchestrator.numerics.types import Array
 from protocols import NotMeasuredError, RecordingReader, Remark, SegmentStage
+
+LEAST_CURRENT: float = 0.02
+"""Part of the rated current that has to have flowed."""
+LEAST_CURRENT_SIGMAS: float = 5.0
+"""Standard deviations of a reading that the current has to have reached."""
+LEAST_HOLD_S: float = 0.01
+"""Length of a hold that carries information [s]."""
+LEAST_EQUATIONS: int = 10
+"""Equations of a sweep or an injection that carries information."""
+LEAST_OPERATING_POINTS: int = 6
+"""Places of the current plane below which no cause can be named: fewer than the unknowns of the simplest map."""
+OPERATING_POINTS_PER_SWEEP: int = 2
+"""Places that a sweep visits, both its sides; a hold and an injection visit one."""
 
 _Reader = TypeVar("_Reader", bound=RecordingReader)
 _More = ParamSpec("_More")
@@ -32,9 +46,9 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     NotMeasuredError
         In one line that says what there is and what there would have to be.
     """
-    limits, cutting = prepared.criteria.selection, prepared.criteria.weak_form
+    cutting = prepared.criteria.weak_form
     fs = prepared.manifest.drive.sampling_frequency_hz
-    least_hz = cutting.least_samples_per_hat / cutting.hat_s
+    least_hz = LEAST_SAMPLES_PER_TEST_FUNCTION / cutting.hat_s
     if fs < least_hz:
         problem = f"{fs:g} Hz is too slow for a diagnosis; expected {least_hz:g} Hz at least"
         raise NotMeasuredError(prepared.manifest.name, "drive.sampling_frequency_hz", problem)
@@ -42,14 +56,13 @@ def require_enough(prepared: PreparedRecording, noise: SensorNoise) -> None:
     reach = max(-low, high, q)
     spread = math.sqrt(float(np.trace(noise.covariance)))
     rated = prepared.manifest.motor.rated_current_a or 0.0
-    if reach < max(limits.least_current * rated, limits.least_current_to_noise * spread):
+    if reach < max(LEAST_CURRENT * rated, LEAST_CURRENT_SIGMAS * spread):
         problem = f"no excitation: currents stay below {reach:.3g} A"
         raise NotMeasuredError(prepared.manifest.name, "i_alpha, i_beta", problem)
-    if (views := _views(prepared)) < limits.least_views:
+    if (views := _views(prepared)) < LEAST_OPERATING_POINTS:
         used = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF]
-        expected = (
-            f"{limits.least_views} holds or injections at different currents, or {limits.least_views // 2} sweeps"
-        )
+        sweeps = LEAST_OPERATING_POINTS // 2
+        expected = f"{LEAST_OPERATING_POINTS} holds or injections at different currents, or {sweeps} sweeps"
         problem = (
             f"{len(used)} segments, {sum(map(_seconds, used)):.3g} s in all, show {views} places of the current plane: "
             f"too little to tell a cause from; expected {expected}"
@@ -82,9 +95,9 @@ def _views(prepared: PreparedRecording) -> int:
     """How many places of the current plane were looked at for long enough."""
     low, high, q = prepared.current_range
     limits = prepared.criteria.selection
-    apart = limits.same_current * max(-low, high, q)
+    apart = SAME_CURRENT * max(-low, high, q)
     telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart, limits)]
-    return sum(limits.views_of_a_sweep * _sweeps(p, apart) or 1 for p in _different(telling, apart))
+    return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, apart) or 1 for p in _different(telling, apart))
 
 
 def _sweeps(piece: SegmentSignals, apart_a: float) -> int:
@@ -103,11 +116,11 @@ def _seconds(piece: SegmentSignals) -> float:
 def _tells(piece: SegmentSignals, apart_a: float, limits: SelectionCriteria) -> bool:
     """Whether a segment is long enough, and a hold has settled too."""
     if piece.stage is not SegmentStage.RESISTANCE:
-        return piece.windows.rows >= limits.least_rows
+        return piece.windows.rows >= LEAST_EQUATIONS
     i = piece.signals.i_ab
     half, last = len(i) // 2, len(i) // 4
     moved = i[half:-last].mean(axis=0) - i[-last:].mean(axis=0)
-    return _seconds(piece) >= limits.least_hold_s and float(np.abs(moved).max()) < apart_a
+    return _seconds(piece) >= LEAST_HOLD_S and float(np.abs(moved).max()) < apart_a
 
 
 def _different(pieces: Sequence[SegmentSignals], apart_a: float) -> list[SegmentSignals]:
@@ -155,7 +168,7 @@ def what_is_missing(prepared: PreparedRecording) -> list[Remark]:
         pass  # the edges of steps show what a ripple would
     elif not amplitudes:
         say("no_injection", "no injection: effects of the ripple (delay, skin effect, eddy currents) cannot be seen")
-    elif max(amplitudes) < prepared.criteria.selection.amplitudes_apart * min(amplitudes):
+    elif max(amplitudes) < LEAST_AMPLITUDE_RATIO * min(amplitudes):
         say("one_amplitude", "one injection amplitude only: eddy currents and hysteresis are hard to tell apart")
     if prepared.manifest.motor.pm_flux_wb is None:
         say("no_magnet_flux", "no magnet flux on the nameplate: a yielding brake cannot be told from q-axis inductance")

@@ -7,36 +7,21 @@ from typing import Any
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import SelectionCriteria
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import is_sharp
 from orchestrator.diagnosis.fitting.candidates import Active
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.judge import fraction_left, jointly_implausible, judge
 from orchestrator.diagnosis.selection.shares import excitation_v, gates_off_error, left_of_excitation
+from orchestrator.diagnosis.uncertainty.scatter import MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
 from protocols import Verdict, VerdictLimits, VerdictRecord
 
 
-def verdict_limits(criteria: SelectionCriteria) -> VerdictLimits:
+def verdict_limits(criteria: Criteria) -> VerdictLimits:
     """The limits of a verdict among the criteria of a diagnosis."""
     return VerdictLimits(
-        noise_chi2=criteria.detected_chi2,
-        chance_sigmas=criteria.chance_sigmas,
-        explained_fraction=criteria.explained,
-        mostly_explained_fraction=criteria.mostly_explained,
-        explained_excess_chi2=criteria.explained_left,
-        mostly_explained_excess_chi2=criteria.mostly_left,
-        immaterial_excess_chi2=criteria.immaterial_left,
-        noise_accuracy_excess_chi2=criteria.noise_known,
-        clean_excess_chi2=criteria.formless_left,
-        material_voltage=criteria.material_voltage,
-        negligible_voltage=criteria.nothing_left,
-        shape_widths=criteria.strained,
-        large_effect_widths=criteria.rare_size,
-        large_effects=criteria.rare_count,
-        material_flux=criteria.material_flux,
-        noise_of_excitation=criteria.most_floor,
-        current_error=criteria.most_current_error,
-        chance_probability=criteria.no_chance,
+        **criteria.verdict.model_dump(exclude={"widest_band_percent"}),
+        **criteria.materiality.model_dump(),
     )
 
 
@@ -80,7 +65,7 @@ def verdict_record(
         excitation_v=excitation_v(after),
         current_error=current_error,
         map_error=map_error,
-        limits=verdict_limits(after.criteria.selection),
+        limits=verdict_limits(after.criteria),
     )
 
 
@@ -89,8 +74,8 @@ def fitted_verdict(before: Fit, after: Fit) -> Verdict:
 
     A search may take for explained what is not good enough for the report, so the limit of chi2 is wider here.
     """
-    criteria = after.criteria.selection
-    limits = verdict_limits(criteria).model_copy(update={"explained_excess_chi2": criteria.formless_left})
+    own = {"explained_excess_chi2": MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH}
+    limits = verdict_limits(after.criteria).model_copy(update=own)
     fields = _of_fitted_stages(before, after, len(after.model.active))
     return judge(VerdictRecord(**fields, limits=limits)).verdict
 
@@ -112,20 +97,20 @@ def _of_fitted_stages(before: Fit, after: Fit, effects: int) -> dict[str, Any]:
 
 def left_fraction(before_chi2: float, after: Fit) -> float:
     """u = sqrt((chi2_after - 1) / (chi2_before - 1)); 0 where the first model already fits."""
-    return fraction_left(before_chi2, after.chi2_per_dof, after.criteria.selection.detected_chi2)
+    return fraction_left(before_chi2, after.chi2_per_dof, after.criteria.verdict.noise_chi2)
 
 
 def most_strained(fit: Fit) -> str | None:
     """The effect whose form is furthest from where such effects have theirs; None where none is too far."""
     strains = {a.name: _widths(a, [n for n in a.free if n not in a.candidate.amplitudes]) for a in fit.model.active}
     most = max(strains, key=lambda name: strains[name], default=None)
-    return most if most is not None and strains[most] > fit.criteria.selection.strained else None
+    return most if most is not None and strains[most] > fit.criteria.verdict.shape_widths else None
 
 
 def rare_together(fit: Fit) -> list[str]:
     """Effects larger than most drives have them, the largest first, where they are so many that it is suspicious."""
     widths = {a.name: _widths(a, a.candidate.amplitudes) for a in fit.model.active}
-    return jointly_implausible(widths, verdict_limits(fit.criteria.selection))
+    return jointly_implausible(widths, verdict_limits(fit.criteria))
 
 
 def _widths(active: Active, names: Iterable[str]) -> float:

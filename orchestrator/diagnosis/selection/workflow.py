@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 from orchestrator.diagnosis.fitting.baseline import (
+    LEAST_CHI2_FOR_FINER_MAP,
     DiagnosisSetup,
     baseline_model,
     earns_its_sharpness,
@@ -20,7 +21,7 @@ from orchestrator.diagnosis.fitting.candidates import CROSS_SATURATION, SATURATI
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.reporting.motor_model import freed_by, held_baseline, restored
-from orchestrator.diagnosis.selection.forward_search import Search, Step, forward, refitted_steps
+from orchestrator.diagnosis.selection.forward_search import LEAST_EFFECT_SIZE, Search, Step, forward, refitted_steps
 from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_workflow import all_together
 from orchestrator.diagnosis.selection.map_detail import with_finer_map
@@ -30,6 +31,21 @@ from orchestrator.diagnosis.selection.scoring import asked_to_stay, log_evidence
 from orchestrator.diagnosis.uncertainty.block_scatter import certainty
 from orchestrator.diagnosis.uncertainty.scatter import explained_by_scatter, likelihood_of
 from protocols import Baseline, FluxMap, GivenMap, MotorModel, Nameplate, PluginError, Saturated
+
+NOTEWORTHY_CHI2: float = 1.5
+"""chi2 per degree of freedom without an effect above which the effect is no refinement of another's form."""
+FEW_EFFECTS: int = 2
+"""Effects that are searched one by one; where they do not explain the error, all are fitted together."""
+MINOR_EFFECT_SIZE: float = 0.15
+"""Effects smaller than this part of their typical size are tested for redundancy."""
+MAX_EXCESS_OF_REDUNDANT_EFFECTS: float = 0.03
+"""What minor effects may leave of chi2 - 1 when they go, over the root of its value before the first effect."""
+OBVIOUS_EFFECT_FACTOR: float = 10.0
+"""Factor of that excess which an effect has to be worth, to first order, not to be tested."""
+LEAST_UNDETECTED_SIZE: float = 0.03
+"""Relative size of an effect that is named though the model fits without it."""
+LEAST_CERTAINTY: float = 5.0
+"""Amplitude of a minor effect that is named, in standard deviations with the scatter between blocks."""
 
 ModelChoice = str | FluxMap | MotorModel
 """``saturated`` (the free energy map), ``linear`` (the nameplate), a map of one's own, or a whole model.
@@ -219,14 +235,14 @@ def _quick_search(setup: DiagnosisSetup, steps: Sequence[Step], library: Sequenc
     before = len(part.model.active)
     quick = forward(setup.coarse_fitter, [Step(None, part)], library, most=before + 1)
     quick = _with_last(quick, _detailed(setup, quick.fit))
-    most = before + part.criteria.selection.few_effects
+    most = before + FEW_EFFECTS
     quick = _gone_on(quick, setup.coarse_fitter, library, most)
     return _finer(quick, _detailed(setup, quick.fit), setup.coarse_fitter, library, most=most)
 
 
 def _detailed(setup: DiagnosisSetup, fit: Fit) -> Fit:
     """A part's fit on a finer map, where effects leave more than noise on its own."""
-    coarse_map = fit.chi2_per_dof > setup.criteria.finer_above_chi2 and fit.model.space.is_free
+    coarse_map = fit.chi2_per_dof > LEAST_CHI2_FOR_FINER_MAP and fit.model.space.is_free
     return with_finer_map(setup, setup.coarse_fitter, fit) if fit.model.active and coarse_map else fit
 
 
@@ -320,14 +336,15 @@ def pruned(setup: DiagnosisSetup, search: Search) -> tuple[Search, list[str]]:
 def _is_minor(first: Fit, full: Fit, active: Active) -> bool:
     """Whether an effect is small, and not one that obviously nothing else could stand in for."""
     lost = loss_without(full, active, active.candidate.amplitudes) / full.dof
-    limits = full.criteria.selection
-    return active.relative_size < limits.minor_size and lost < limits.obvious * _spare(first)
+    return active.relative_size < MINOR_EFFECT_SIZE and lost < OBVIOUS_EFFECT_FACTOR * _spare(first)
 
 
 def _spare(first: Fit) -> float:
     """What minor effects may leave of chi2 - 1 when they go."""
     limits = first.criteria.selection
-    return max(limits.detected_chi2 - 1.0, limits.spare * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0)))
+    return max(
+        limits.detected_chi2 - 1.0, MAX_EXCESS_OF_REDUNDANT_EFFECTS * math.sqrt(max(first.chi2_per_dof - 1.0, 0.0))
+    )
 
 
 def _evidence_lost(full: Fit, less: Fit) -> float:
@@ -342,14 +359,14 @@ def _can_be_spared(first: Fit, without: Fit, full: Fit, name: str) -> bool:
     gained = _evidence_lost(full, without)
     if active.candidate.is_expected:
         return gained < asked_to_stay(full, active.candidate)
-    if size < limits.least_size or certainty(full)[name] < limits.least_certainty:
+    if size < LEAST_EFFECT_SIZE or certainty(full)[name] < LEAST_CERTAINTY:
         return True
     if gained < asked_to_stay(full, active.candidate):
         return True
-    if without.chi2_per_dof < limits.detected_chi2 and size < limits.undetected_size:
+    if without.chi2_per_dof < limits.detected_chi2 and size < LEAST_UNDETECTED_SIZE:
         return True
     # Another effect's slightly wrong form leaves something; what takes all of it away is itself.
-    to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > limits.noteworthy_chi2
+    to_the_noise = full.chi2_per_dof <= limits.detected_chi2 and without.chi2_per_dof > NOTEWORTHY_CHI2
     if len(full.model.active) < 2 or to_the_noise:
         return False
     return without.chi2_per_dof - 1.0 < _spare(first)

@@ -9,6 +9,9 @@ import numpy as np
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.numerics.types import Array
 
+BLOCKS: int = 8
+"""Blocks of the recording between which amplitudes are compared."""
+
 
 def block_scatter_ratio(fit: Fit) -> dict[str, float]:
     """How much each active effect's amplitude scatters between blocks of the recording, relative to itself.
@@ -32,7 +35,7 @@ def block_scatter_ratio(fit: Fit) -> dict[str, float]:
 
 def certainty(fit: Fit) -> dict[str, float]:
     """Each active effect's largest amplitude in standard deviations, disagreement between blocks included."""
-    between = block_scatter(fit) ** 2 / fit.criteria.uncertainty.blocks
+    between = block_scatter(fit) ** 2 / BLOCKS
     spread = np.sqrt(np.diag(fit.covariance()) * max(fit.chi2_per_dof, 1.0) + between)
     sizes: dict[str, float] = {}
     for k, (active, name) in enumerate(fit.model.free):
@@ -56,7 +59,7 @@ def _scatter(fit: Fit, column: int) -> float:
     weight, pull = np.cumsum(weights), np.cumsum(pulls)
     if weight[-1] <= 0.0:
         return 0.0
-    blocks = fit.criteria.uncertainty.blocks
+    blocks = BLOCKS
     edges = np.searchsorted(weight, weight[-1] * (np.arange(1, blocks + 1) / blocks - 1e-12))
     at = np.unique(np.minimum(edges, len(weight) - 1))
     w = np.diff(np.concatenate([[0.0], weight[at]]))

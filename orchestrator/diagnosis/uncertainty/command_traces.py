@@ -20,6 +20,9 @@ from orchestrator.numerics.frames import rotation
 from orchestrator.numerics.types import Array
 from protocols import SegmentStage
 
+LEAST_TIMER_STEP_S: float = 2e-9
+"""The finest step of a timer that is searched [s]: half a gigahertz is finer than the control's jitter."""
+
 MOVING = (SegmentStage.CLASSICAL, SegmentStage.INJECTION, SegmentStage.STEPS)
 """Stages whose commands move on purpose. Those of a hold move with the readings' own noise."""
 LAGS = 30
@@ -70,7 +73,7 @@ def command_traces(
     resistance_ohm : float
         Roughly.
     """
-    bus_v, limits = prepared.manifest.drive.dc_bus_voltage_v, prepared.criteria.uncertainty
+    bus_v = prepared.manifest.drive.dc_bus_voltage_v
     fs = prepared.manifest.drive.sampling_frequency_hz
     blocks = [
         (piece, slice(start, start + BLOCK))
@@ -78,7 +81,7 @@ def command_traces(
         if piece.stage in MOVING and not piece.held_out
         for start in range(0, len(piece.command_ab) - LEAST_BLOCK, BLOCK)
         if _moves(piece.command_ab[start : start + BLOCK])
-        > leg_step_of(limits.least_timer_step_s, piece.signals.pwm_frequency_hz, bus_v)
+        > leg_step_of(LEAST_TIMER_STEP_S, piece.signals.pwm_frequency_hz, bus_v)
     ]
     decay = np.exp(-resistance_ohm / (np.array(inductance_h) * fs))
     stride = max(1.0, len(blocks) / MOST_BLOCKS)

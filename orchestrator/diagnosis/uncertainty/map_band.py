@@ -11,7 +11,7 @@ import numpy as np
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.intervals import following, form_doubt
+from orchestrator.diagnosis.uncertainty.intervals import INTERVAL_SIGMAS, following, form_doubt
 from orchestrator.diagnosis.weak_form.magnetics import Magnetics
 from orchestrator.numerics.types import Array
 
@@ -105,7 +105,7 @@ class MapUncertainty:
             return 0.0
         rows = flux_rows(self.fit, i_dq)
         spread = self.spread(np.column_stack([np.zeros(len(rows)), rows]))
-        return self.fit.criteria.uncertainty.interval * math.sqrt(float(np.mean(spread**2)))
+        return INTERVAL_SIGMAS * math.sqrt(float(np.mean(spread**2)))
 
     def of_map(self, i_dq: Array) -> Array:
         """Standard deviations of psi_d and psi_q beyond those at rest, L_dd, L_dq, L_qq at some currents, (n, 5)."""

@@ -27,10 +27,17 @@ from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.equations import scatter_sizes
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
+from orchestrator.diagnosis.uncertainty.timer_search import MAX_TIMER_STEP_S
 from orchestrator.diagnosis.weak_form.rests import TimerScatter, leg_step_v
 from orchestrator.diagnosis.weak_form.timer import own_leg_step_of
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise
+
+MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH: float = 1.0
+"""chi2 - 1 up to which a search takes its effects for complete, beyond which a form must be wrong."""
+MAX_OFFSET_SCATTER: float = 0.002
+"""Part of the rated current by which the readings' zero may wander from segment to segment (rms) and count as noise.
+A sound sensor's does, in warm-up and over minutes; a larger one is a fault and has to be found as one."""
 
 DECADES = tuple(range(-5, 1))
 """Of amperes and of volts: from far below a sensor's noise to as much as there is of either."""
@@ -217,7 +224,7 @@ class Likelihood:
 def explained_by_scatter(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSetup | None:
     """The setup with a scatter as noise, where that and effects to first order are all that a part's fit lacks."""
     scatter = _likeliest_of(likelihood)
-    enough = scatter.chi2 <= 1.0 + likelihood.criteria.selection.formless_left
+    enough = scatter.chi2 <= 1.0 + MAX_EXCESS_CHI2_OF_COMPLETE_SEARCH
     return setup.with_noise(scatter.noise) if enough and _is_noise(scatter, setup) else None
 
 
@@ -239,9 +246,8 @@ def doubting_zeros(setup: DiagnosisSetup, likelihood: Likelihood) -> DiagnosisSe
 
 def at_most_sound(setup: DiagnosisSetup, noise: ModelNoise) -> ModelNoise:
     """The scatter, or as much of it as a sound sensor and modulator have."""
-    limits = setup.prepared.criteria.uncertainty
-    most_a = limits.most_offset_scatter * setup.current_a
-    most_v = limits.most_timer_step_s / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
+    most_a = MAX_OFFSET_SCATTER * setup.current_a
+    most_v = MAX_TIMER_STEP_S / timer_step_s(ModelNoise(voltage_scatter_v=1.0), setup)
     sizes = {
         "offset_scatter_a": min(noise.offset_scatter_a, most_a),
         "voltage_scatter_v": min(noise.voltage_scatter_v, most_v),
@@ -259,8 +265,8 @@ def as_much(noise: ModelNoise, other: ModelNoise, *, within: float = 0.2) -> boo
 def _is_noise(scatter: Scatter, setup: DiagnosisSetup) -> bool:
     """Whether a scatter is there, alike at all PWM frequencies, and no larger than a sound sensor's and modulator's."""
     limits, noise = setup.prepared.criteria, scatter.noise
-    small = noise.offset_scatter_a <= limits.uncertainty.most_offset_scatter * setup.current_a
-    small = small and timer_step_s(noise, setup) <= limits.uncertainty.most_timer_step_s
+    small = noise.offset_scatter_a <= MAX_OFFSET_SCATTER * setup.current_a
+    small = small and timer_step_s(noise, setup) <= MAX_TIMER_STEP_S
     return small and noise.scatters and scatter.chance > limits.uncertainty.scatter_chance
 
 

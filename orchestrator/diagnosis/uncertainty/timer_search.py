@@ -21,11 +21,15 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
 from orchestrator.diagnosis.criteria import UncertaintyCriteria
-from orchestrator.diagnosis.uncertainty.command_traces import STRAIGHT, CommandTrace
+from orchestrator.diagnosis.uncertainty.command_traces import LEAST_TIMER_STEP_S, STRAIGHT, CommandTrace
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, legs_rounded_by
 from orchestrator.numerics.frames import to_phases
 from orchestrator.numerics.types import Array
 from protocols import ModulatorTimer, TimerPhases
+
+MAX_TIMER_STEP_S: float = 3.5e-8
+"""Step of a modulator's timer that scatters held voltages and counts as noise [s]: timers of drives run at 30 MHz and
+more."""
 
 APART = 0.1
 """Of a line's width, from one step that is tried to the next."""
@@ -201,7 +205,7 @@ def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float, limits: 
         volts_per_s = leg_step_of(1.0, pwm_hz, bus_v)
         widths_s = [legs_of(trace.command_ab, centred) / volts_per_s for trace in there]
         # To a quarter of the finest saw's last harmonic.
-        apart_s = limits.least_timer_step_s / (4.0 * HARMONICS)
+        apart_s = LEAST_TIMER_STEP_S / (4.0 * HARMONICS)
         place = np.round(np.concatenate(widths_s) / apart_s).astype(np.int64)
         count = FINER * 2 ** math.ceil(math.log2(2 * int(np.abs(place).max()) + 2))
         # Of the three legs' volts the machine feels the two-axis vector: the transpose of `from_phases`.
@@ -215,7 +219,7 @@ def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float, limits: 
 def _spectrum(combs: Sequence[_Comb], limits: UncertaintyCriteria) -> tuple[Array, Array]:
     """Frequencies of the steps that are tried, and what a line of each gains in log likelihood."""
     apart = APART / max(comb.reach_s for comb in combs)
-    frequency = np.arange(1.0 / limits.most_timer_step_s, 1.0 / limits.least_timer_step_s, apart)
+    frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / LEAST_TIMER_STEP_S, apart)
     gains = [comb.gains(frequency) for comb in combs]
     return frequency, np.sum(gains, axis=0)
 

@@ -12,6 +12,11 @@ from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.numerics.types import Array
 from protocols import LossHistory, RecordingReader, Segment, SegmentStage
 
+LOSS_STEP_S: float = 0.05
+"""Step of the history of losses [s]: short beside a winding's thermal time constant."""
+MAX_LOSS_STEPS: int = 2000
+"""Steps of the history of losses in a long experiment, without those at gaps."""
+
 _SILENT = (SegmentStage.ALIGNMENT, SegmentStage.LOCK_CHECK)
 
 
@@ -37,7 +42,7 @@ class SegmentHeat:
 
 def step_of(duration_s: float, criteria: WeakFormCriteria) -> float:
     """Time step of the history of an experiment that took so long [s]."""
-    return max(criteria.loss_step_s, duration_s / criteria.most_loss_steps)
+    return max(LOSS_STEP_S, duration_s / MAX_LOSS_STEPS)
 
 
 def segment_heat(square: Array, start_s: float, end_s: float, fs: float, step_s: float, before: float) -> SegmentHeat:

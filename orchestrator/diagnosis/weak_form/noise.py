@@ -30,6 +30,9 @@ from orchestrator.numerics.quieting import quieted
 from orchestrator.numerics.types import Array
 from protocols import ModelNoise, SegmentStage
 
+LEAST_CORRELATION: float = 0.08
+"""Correlation of successive readings below which a recording's length does not tell them from white noise."""
+
 _MOST_ALIKE = 0.98
 """Beyond this the readings' noise cannot be told from a current that moves."""
 
@@ -122,7 +125,7 @@ def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -
     steady = of[SegmentStage.RESISTANCE] + of[SegmentStage.GATES_OFF] or of[SegmentStage.CLASSICAL]
     steady = steady or _quietest([s for s in of[SegmentStage.STEPS] if np.isfinite(s.covariance).all()])
     repeated = [s for s in of[SegmentStage.INJECTION] if np.isfinite(s.covariance).all()]
-    rho = _correlation(steady, of[SegmentStage.GATES_OFF], criteria.least_correlation)
+    rho = _correlation(steady, of[SegmentStage.GATES_OFF], LEAST_CORRELATION)
     # Differences of three neighbours see 6 - 8 rho + 2 rho^2 of the variance, not 6.
     seen = (6.0 - 8.0 * rho + 2.0 * rho**2) / 6.0
     covariance = _typical(steady) / seen if steady else _typical(repeated) if repeated else 1e-12 * np.eye(2)

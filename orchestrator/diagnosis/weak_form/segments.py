@@ -14,6 +14,7 @@ from orchestrator.analysis import turns_of
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
 from orchestrator.diagnosis.weak_form.logged import since_the_start, what_is_logged
 from orchestrator.diagnosis.weak_form.loss_history import (
+    LOSS_STEP_S,
     SegmentHeat,
     heat_of_unread,
     loss_history,
@@ -44,6 +45,45 @@ from protocols import (
     Signals,
 )
 from protocols.fleet_priors import FleetPriors
+
+LEAST_TEST_FUNCTIONS_PER_TRAPEZOID: int = 8
+"""Test functions in a trapezoid of a sweep; in one shorter than ten milliseconds they are shortened."""
+LEAST_SAMPLES_PER_TEST_FUNCTION: int = 8
+"""Samples between the centres of two test functions of a trapezoid."""
+TEST_FUNCTIONS_PER_VOLTAGE_STEP: float = 4.0
+"""Test functions from one turn of a voltage step to the next: a lag shows in the first, R_s in the others."""
+LEAST_SAMPLES_PER_STEP_TEST_FUNCTION: float = 2.0
+"""Samples between two test functions of voltage steps; with fewer, neighbours carry the same information."""
+TEST_FUNCTIONS_PER_TURN: int = 8
+"""Test functions in a turn of an injected direction: the flux along it turns twice, and each half turn needs two."""
+LEAST_PERIODS_PER_TEST_FUNCTION: int = 4
+"""Injection periods between two test functions; with fewer, the Fourier modes of a period are not separable."""
+LEAST_SAMPLES_PER_PERIOD: int = 4
+"""Samples in an injection period; with fewer, its edges cannot be resolved."""
+MAX_BINS_PER_PERIOD: int = 40
+"""Bins of an injection period; modes up to the fifth need no more."""
+LEAST_SEGMENT_SAMPLES: int = 17
+"""Readings below which a segment is not used: a test function takes eight on either side."""
+INITIAL_READINGS: int = 5
+"""Readings whose mean is the current that flowed until a segment began."""
+HELD_OUT_EVERY: int = 5
+"""Every so many-th injection point is kept out of all fits and used to validate them."""
+LEAST_SWING_RATIO_OF_DIAGONAL: float = 0.5
+"""Swing of one axis over the other's from which a sweep is of both axes; a sweep of one hardly moves the other."""
+THINNED_TURNS: float = 1.25
+"""Turns of the injected direction that a thinned point keeps: a whole one, whatever its windows lose at the ends."""
+LEAST_THINNED_SAMPLES: int = 1000
+"""Samples that a thinned point keeps at least."""
+COARSE_POINTS: int = 16
+"""Injection points in the part of a recording that is searched first."""
+COARSE_TURNS: float = 0.75
+"""Part of a turn of each injection point that the first search uses."""
+LEAST_COARSE_SAMPLES: int = 100
+"""Samples below which a segment is not shortened for the first search."""
+LEAST_AVERAGED_SAMPLES: int = 200
+"""Averaged samples that a segment keeps at least."""
+ASSUMED_SETTLING_S: float = 1.0
+"""How long before a capture its first current is assumed to have flowed, where nothing was captured [s]."""
 
 Axis = Literal["d", "q", "dq"]
 AXES: tuple[Axis, ...] = ("d", "q", "dq")
@@ -159,7 +199,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     segments, wanted = _thinned(segments, manifest.drive.sampling_frequency_hz, cutting, remarks)
     injections = [s.id for s in segments if s.stage is SegmentStage.INJECTION]
     # Not of a grid's first row or column, where the map would have to extrapolate.
-    held_out = set(injections[2 :: cutting.held_out_every]) if len(injections) >= cutting.held_out_from else set()
+    held_out = set(injections[2::HELD_OUT_EVERY]) if len(injections) >= cutting.held_out_from else set()
     pieces: list[SegmentSignals] = []
     short: list[Segment] = []
     for segment in segments:
@@ -177,7 +217,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     pieces = _knowing_how_far_turned(_knowing_their_way(pieces))
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
-    unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], cutting.loss_step_s)
+    unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], LOSS_STEP_S)
     return PreparedRecording(manifest, _with_heat(pieces, unread, manifest, cutting), tuple(remarks), criteria)
 
 
@@ -188,7 +228,7 @@ def coarse(prepared: PreparedRecording) -> PreparedRecording:
     """
     cutting = prepared.criteria.weak_form
     points = [p.segment.id for p in prepared.pieces if p.stage is SegmentStage.INJECTION]
-    most = min(cutting.coarse_points, len(points))
+    most = min(COARSE_POINTS, len(points))
     spread = {points[round(k)] for k in np.linspace(0, len(points) - 1, most)}
     pieces = (p for p in prepared.pieces if p.stage is not SegmentStage.INJECTION or p.segment.id in spread)
     return replace(prepared, pieces=tuple(_part(p, cutting) for p in pieces if not p.held_out), remarks=())
@@ -214,9 +254,9 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     if piece.stage is SegmentStage.CLASSICAL and settings.get("period_s"):
         count = round(float(settings["period_s"]) * fs)
     elif piece.stage is SegmentStage.INJECTION and settings.get("rotation_hz"):
-        count = round(criteria.coarse_turn * fs / float(settings["rotation_hz"]))
+        count = round(COARSE_TURNS * fs / float(settings["rotation_hz"]))
     stop = count + 1
-    if stop >= n or count < criteria.coarse_least_samples:
+    if stop >= n or count < LEAST_COARSE_SAMPLES:
         return piece
     cut = {name: getattr(s, name)[:stop] for name in _SAMPLED if getattr(s, name) is not None}
     signals = replace(s, **{**cut, "i_m_ab": cut["i_ab"]})
@@ -230,7 +270,7 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
 
 def _nothing_long_enough(short: Sequence[Segment], criteria: Criteria) -> str:
     kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
-    least = criteria.weak_form.least_samples
+    least = LEAST_SEGMENT_SAMPLES
     needed = f"a segment needs {least} samples, and several periods where one is injected"
     return f"nothing with current in it that is long enough to be used ({kinds}): {needed}"
 
@@ -253,8 +293,8 @@ def _thinned(
     wanted = {s.id: s.samples for s in points}
     if sum(wanted.values()) <= criteria.most_samples:
         return list(segments), wanted
-    turns = {s.id: criteria.thinned_turns * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
-    wanted = {s.id: min(s.samples, max(round(turns[s.id]), criteria.thinned_least_samples)) for s in points}
+    turns = {s.id: THINNED_TURNS * fs / float(s.settings.get("rotation_hz") or 1.0) for s in points}
+    wanted = {s.id: min(s.samples, max(round(turns[s.id]), LEAST_THINNED_SAMPLES)) for s in points}
     stride = max(1.0, sum(wanted.values()) / criteria.most_samples)
     spread = {points[int(k * stride)].id for k in range(int(len(points) / stride))}
     text = "{used} of {points} injection points are used, evenly spread, and one turn of each"
@@ -273,12 +313,12 @@ def _piece(
     delay = drive.voltage_delay_samples or 0.0
     v_ab = delayed(command_ab, delay)
     v_dc = np.asarray(capture.v_dc[:samples], dtype=np.float64)
-    if len(i_ab) < criteria.least_samples:
+    if len(i_ab) < LEAST_SEGMENT_SAMPLES:
         return None
     ripple = segment.stage is SegmentStage.INJECTION
     scatter = _scatter(segment, fs, i_ab, v_ab, criteria)
     # An injected ripple moves the current at once; its mean is what the drive had settled to.
-    before, start = (i_ab if ripple else i_ab[: criteria.first_readings]).mean(axis=0), segment.start_s
+    before, start = (i_ab if ripple else i_ab[:INITIAL_READINGS]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
     if width > 1:
         i_ab, v_dc = block_means(i_ab, width), block_means(v_dc[:, None], width)[:, 0]
@@ -327,7 +367,7 @@ def _width(stage: SegmentStage, i_ab: Array, noise_a: float, criteria: WeakFormC
     """How many readings of a slow stage may be averaged: so few that the current hardly moves from mean to mean."""
     slow = stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE)
     most = criteria.most_averaged_at_rest if slow else criteria.most_averaged_in_sweeps
-    most = min(most, len(i_ab) // criteria.least_averaged_samples)
+    most = min(most, len(i_ab) // LEAST_AVERAGED_SAMPLES)
     if most < 2 or stage in (SegmentStage.INJECTION, SegmentStage.STEPS):
         return 1
     # Means of 32 readings, so that noise is not taken for movement; a jump at the start of a capture is let pass.
@@ -366,7 +406,7 @@ def swept_axis(segment: Segment, i_ab: RealArray, criteria: WeakFormCriteria) ->
         if said == axis:
             return axis
     swing_d, swing_q = np.ptp(to_dq(i_ab, segment.rotor_angle_rad), axis=0)
-    if min(swing_d, swing_q) > criteria.diagonal_share * max(swing_d, swing_q):
+    if min(swing_d, swing_q) > LEAST_SWING_RATIO_OF_DIAGONAL * max(swing_d, swing_q):
         return "dq"
     return "d" if swing_d > swing_q else "q"
 
@@ -394,20 +434,22 @@ def windows_of(
         return plain_windows(intervals, intervals / 2)
     if segment.stage is SegmentStage.STEPS:
         swing = intervals / (turns_of(np.asarray(v_ab, dtype=np.float64)) + 1)
-        return plain_windows(intervals, max(swing / criteria.hats_per_swing, criteria.least_samples_per_step))
+        return plain_windows(
+            intervals, max(swing / TEST_FUNCTIONS_PER_VOLTAGE_STEP, LEAST_SAMPLES_PER_STEP_TEST_FUNCTION)
+        )
     period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
     if period is None:
-        shorter = max(intervals / criteria.least_hats, criteria.least_samples_per_hat)
+        shorter = max(intervals / LEAST_TEST_FUNCTIONS_PER_TRAPEZOID, LEAST_SAMPLES_PER_TEST_FUNCTION)
         return plain_windows(intervals, min(criteria.hat_s * fs, shorter))
     turn_s = 1.0 / float(segment.settings.get("rotation_hz") or 1.0)
-    step = min(turn_s / criteria.hats_per_turn * fs, intervals / 4)
-    return periodic_windows(intervals, max(step, criteria.least_periods_per_hat * period), period, criteria.most_bins)
+    step = min(turn_s / TEST_FUNCTIONS_PER_TURN * fs, intervals / 4)
+    return periodic_windows(intervals, max(step, LEAST_PERIODS_PER_TEST_FUNCTION * period), period, MAX_BINS_PER_PERIOD)
 
 
 def injection_period(segment: Segment, fs: float, v_ab: RealArray, criteria: WeakFormCriteria) -> float | None:
     """Samples in an injection period: as asked for, else half the distance of the voltage's strongest lines."""
     asked = segment.settings.get("frequency_hz")
-    highest = fs / criteria.least_samples_per_period
+    highest = fs / LEAST_SAMPLES_PER_PERIOD
     if isinstance(asked, int | float) and 0 < asked < highest:
         return fs / float(asked)
     n = len(v_ab)
@@ -481,7 +523,7 @@ def _with_heat(
     last = pieces[-1].signals
     step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz, criteria)
     items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
-    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, criteria.settling_s)
+    losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, ASSUMED_SETTLING_S)
     energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])
     return tuple(
         replace(p, signals=replace(p.signals, heat_j=_heat_of(p, losses, energy), losses=losses)) for p in pieces

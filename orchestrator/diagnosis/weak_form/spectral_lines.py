@@ -16,6 +16,19 @@ import numpy as np
 from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.numerics.types import Array
 
+LEAST_LINE_FREQUENCY_HZ: float = 40.0
+"""Lines of the spectrum below this are not searched: current control responds to slow disturbances."""
+LEAST_LINE_HEIGHT: float = 30.0
+"""Height of a line over the median beside it, in spectra averaged over all holds; chance does not reach it."""
+LEAST_LINE_RMS: float = 0.3
+"""rms of a line that matters, in standard deviations of a reading, where the line is strongest."""
+MAX_RIPPLE_AMPLITUDE_SPREAD: float = 0.35
+"""Largest spread of a switching ripple's amplitude from hold to hold, relative to its mean."""
+LINE_BINS: tuple[int, int] = (4, 24)
+"""Bins on either side of a line that belong to it (Hann window), and bins that it is compared with."""
+MAX_LINES: int = 6
+"""Lines that are searched."""
+
 
 @dataclass(frozen=True)
 class SpectralLine:
@@ -56,7 +69,7 @@ def find_lines(
     holds, off : sequence of array
         `spectrum_of` holds, and of readings with the bridge off.
     """
-    near, far = criteria.line_bins
+    near, far = LINE_BINS
     length = max((len(s) for s in holds), default=0)
     alike = np.array([s for s in holds if len(s) == length])
     if len(alike) < 4 or length < 8 * far:
@@ -67,22 +80,22 @@ def find_lines(
     # A line is higher than both its neighbours; the tail of a current that is still settling only falls.
     beside = np.pad(mean, 1, constant_values=0.0)
     left, lines = np.where((mean >= beside[:-2]) & (mean >= beside[2:]), mean, 0.0), []
-    for _ in range(criteria.most_lines):
-        left[: max(2, math.ceil(criteria.line_least_hz / step_hz))] = 0.0
+    for _ in range(MAX_LINES):
+        left[: max(2, math.ceil(LEAST_LINE_FREQUENCY_HZ / step_hz))] = 0.0
         at = int(np.argmax(left))
         low, high = max(at - far, 1), min(at + far + 1, length)
         around = np.concatenate([mean[low : max(at - near, low)], mean[min(at + near + 1, high) : high]])
-        if left[at] < criteria.line_stands_out * float(np.median(around)):
+        if left[at] < LEAST_LINE_HEIGHT * float(np.median(around)):
             break
         bins = slice(max(at - near, 0), min(at + near + 1, length))
         left[bins] = 0.0
         # A Hann window spreads a line over bins that add up to its power times n / 2 (twice at the very end).
         each = alike[:, bins].sum(axis=1) / ((length - 1) * (1.0 if at < length - 2 else 2.0))
         size = np.sqrt(np.maximum(each, 0.0))
-        if size.max() < criteria.line_least_size * math.sqrt(noise):
+        if size.max() < LEAST_LINE_RMS * math.sqrt(noise):
             continue
-        quiet = all(_height(s, at * step_hz, fs) < criteria.line_stands_out for s in off)
-        steady = float(np.std(size)) < criteria.line_steady * float(np.mean(size))
+        quiet = all(_height(s, at * step_hz, fs) < LEAST_LINE_HEIGHT for s in off)
+        steady = float(np.std(size)) < MAX_RIPPLE_AMPLITUDE_SPREAD * float(np.mean(size))
         switching = bool(off) and quiet and steady and at < length - 2
         lines.append(SpectralLine(at * step_hz, float(each.mean()), switching))
     return tuple(lines)

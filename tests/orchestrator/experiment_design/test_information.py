@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis import Criteria
 from orchestrator.diagnosis.fitting.candidates import scaled_library
-from orchestrator.experiment_design.information import Information, information
+from orchestrator.experiment_design.information import ALTERNATIVE_SHAPES, Information, information
 from orchestrator.experiment_design.rehearsal import rehearse
 from tests.orchestrator.experiment_design.plans import (
     DRIVE,
@@ -36,7 +35,7 @@ def test_stages_add_up_to_the_whole(known: Information) -> None:
 
 def test_every_effect_has_columns_for_its_amplitudes_in_every_shape(known: Information) -> None:
     dead_time, bias = known.effects["dead_time"], known.effects["voltage_bias"]
-    shapes = len(Criteria().rehearsal.shapes)
+    shapes = len(ALTERNATIVE_SHAPES)
     bends, edges = (len(effects(name)[0].Parameters.declared()) for name in ("dead_time", "voltage_bias"))
     assert [len(dead_time.amplitudes), len(dead_time.forms), len(dead_time.others)] == [1, bends - 1, shapes]
     assert [len(bias.amplitudes), len(bias.forms), len(bias.others)] == [2, edges - 2, 0]

@@ -13,7 +13,7 @@ from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.experiment_design.information import information
 from orchestrator.experiment_design.isolability import isolability
 from orchestrator.experiment_design.rehearsal import rehearse
-from orchestrator.experiment_design.shortest import Offer, out_of_reach, shortest
+from orchestrator.experiment_design.shortest import OPTIMALITY_TOLERANCE, SIZE_MARGIN, Offer, out_of_reach, shortest
 from tests.orchestrator.experiment_design.plans import (
     DRIVE,
     GATES_OFF,
@@ -44,11 +44,11 @@ def test_it_does_what_was_asked_and_less_of_it_would_not(whole: Offer) -> None:
     found = shortest(whole, 0.3, CRITERIA)
     told = isolability(whole.known, whole.normal(found.times), CRITERIA)
     assert told.beyond(0.3) == []
-    assert found.approximate.excess <= CRITERIA.rehearsal.optimal_within
+    assert found.approximate.excess <= OPTIMALITY_TOLERANCE
     for k in np.flatnonzero(found.times):
         fewer = found.times.copy()
         fewer[k] -= 1.0
-        size = 0.3 / CRITERIA.rehearsal.margin
+        size = 0.3 / SIZE_MARGIN
         does = not isolability(whole.known, whole.normal(fewer), CRITERIA).beyond(size)
         assert not (does and whole.shows(fewer, CRITERIA))
 

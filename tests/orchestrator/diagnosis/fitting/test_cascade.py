@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
-from orchestrator.diagnosis.fitting.cascade import Cascade, step_of
+from orchestrator.diagnosis.fitting.cascade import SECANT_STEP, Cascade, step_of
 from orchestrator.diagnosis.fitting.corrections import apply_effects
 from plugins.effects.frame import RotorMisalignment
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -107,4 +107,4 @@ def test_a_secant_is_over_the_step_that_was_taken(switched: float) -> None:
     one = replace(dead_time, values={**dead_time.values, "switched": switched})
     x, step = one.coordinate("switched"), step_of(one, "switched", CRITERIA.fitting)
     assert one.moved("switched", x + step).coordinate("switched") - x == pytest.approx(step, rel=1e-6)
-    assert abs(step) >= CRITERIA.fitting.column_step
+    assert abs(step) >= SECANT_STEP

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
-from orchestrator.diagnosis.fitting.columns import ColumnProbe, answers_so_far, column_plan, probed_segments
+from orchestrator.diagnosis.fitting.columns import (
+    LEAST_RESPONSE,
+    MAX_COLUMN_CHANGE,
+    MAX_GROWTH_BEFORE_PROBE,
+    ColumnProbe,
+    answers_so_far,
+    column_plan,
+    probed_segments,
+)
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.types import Array
@@ -59,7 +67,7 @@ def test_columns_through_effects_that_answer_are_the_whole_ones(maker: Fitter) -
     model = all_effects(maker)
     fit = maker.evaluate(model, maker.frame(model))
     assert fit.parameters == tuple((a.name, n) for a, n in model.free)
-    assert distance(training(maker, fit), whole(maker, model, fit)).max() < len(ACTIVE) * LIMITS.silent_answer
+    assert distance(training(maker, fit), whole(maker, model, fit)).max() < len(ACTIVE) * LEAST_RESPONSE
 
 
 def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> None:
@@ -68,7 +76,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     model = all_effects(maker, 1.05)
     kept = maker.evaluate(model, known.frame, known=known)
     far = distance(training(maker, kept), whole(maker, model, kept))
-    assert far.max() < 2.0 * LIMITS.same_column + len(ACTIVE) * LIMITS.silent_answer
+    assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
     last = next(k for k in reversed(range(len(kept.columns))) if not maker.prepared.pieces[k].held_out)
     assert last not in probed_segments(maker.prepared.pieces, LIMITS)
     same = [np.array_equal(a, b) for a, b in zip(kept.columns[last].T, known.columns[last].T, strict=True)]
@@ -80,7 +88,7 @@ def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_gr
     known = maker.evaluate(first, maker.frame(first))
     assert set(known.answers.of) == set(known.parameters)
     assert answers_so_far(all_effects(maker, 1.05), known, LIMITS) is known.answers
-    grown = answers_so_far(all_effects(maker, 1.1 * LIMITS.asked_again), known, LIMITS)
+    grown = answers_so_far(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known, LIMITS)
     assert not grown.of
     assert set(grown.sizes) == {candidate.name for candidate in scaled_library(EFFECTS, maker.prepared.manifest)}
     assert not answers_so_far(first, None, LIMITS).of
@@ -93,7 +101,7 @@ def test_a_wholly_different_model_keeps_no_column_that_moved(maker: Fitter) -> N
     model = all_effects(maker, 3.0)
     fit = maker.evaluate(model, maker.frame(model), known=known)
     far = distance(training(maker, fit), whole(maker, model, fit))
-    assert far.max() < 2.0 * LIMITS.same_column + len(ACTIVE) * LIMITS.silent_answer
+    assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
 
 
 def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fitter) -> None:
@@ -107,9 +115,9 @@ def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fit
 def test_an_answer_counts_by_its_share_of_the_column() -> None:
     columns = np.array([[3.0, 0.0], [4.0, 1.0]])
     answers = {
-        (0, "loud"): (2.0 * LIMITS.silent_answer * 5.0) ** 2,
-        (0, "silent"): (0.5 * LIMITS.silent_answer * 5.0) ** 2,
-        (1, "silent"): (0.5 * LIMITS.silent_answer) ** 2,
+        (0, "loud"): (2.0 * LEAST_RESPONSE * 5.0) ** 2,
+        (0, "silent"): (0.5 * LEAST_RESPONSE * 5.0) ** 2,
+        (1, "silent"): (0.5 * LEAST_RESPONSE) ** 2,
     }
     plan = column_plan([("one", "x"), ("two", "y")], {0: ColumnProbe(columns, answers)}, None, LIMITS)
     assert plan.answering == (frozenset({"loud"}), frozenset())

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.fit import COLUMNS_PER_EVALUATION, OBJECTIVE_SLACK, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.numerics.frames import from_two_phases, to_phases
 from plugins.effects.inverter import DeadTime, VoltageBias
@@ -101,8 +101,8 @@ def test_a_step_that_left_a_curved_valley_is_led_back_to_it() -> None:
     # What no step promises is not tried again and again.
     spent = maker.effort.spent
     hopeless = maker._led_back(fit, fit.objective - 1e6)
-    assert hopeless.objective <= fit.objective + maker.criteria.slack
-    once = (len(fit.model.free) + maker.criteria.evaluation_columns) * _samples(maker)
+    assert hopeless.objective <= fit.objective + OBJECTIVE_SLACK
+    once = (len(fit.model.free) + COLUMNS_PER_EVALUATION) * _samples(maker)
     assert maker.effort.spent - spent <= once
 
 
@@ -125,8 +125,8 @@ def test_more_steps_never_raise_the_objective(biased: Fitter, steps: int) -> Non
     start = biased.evaluate(model, frame).objective
     one = biased.fit(model, frame, steps=steps, renewals=0).objective
     more = biased.fit(model, frame, steps=steps + 1, renewals=0).objective
-    assert one <= start + biased.criteria.slack
-    assert more <= one + biased.criteria.slack
+    assert one <= start + OBJECTIVE_SLACK
+    assert more <= one + OBJECTIVE_SLACK
 
 
 def test_effort_counts_samples_and_columns_and_what_poll_raises_ends_the_fit() -> None:
@@ -134,7 +134,7 @@ def test_effort_counts_samples_and_columns_and_what_poll_raises_ends_the_fit() -
     samples = sum(len(p.signals.v_dc) for p in made.pieces)
     maker = fitter(made)
     maker.evaluate(model := free_model(), maker.frame(model))
-    assert maker.effort.spent == samples * maker.criteria.evaluation_columns
+    assert maker.effort.spent == samples * COLUMNS_PER_EVALUATION
 
     def stop() -> None:
         raise KeyboardInterrupt

@@ -17,7 +17,7 @@ from orchestrator.diagnosis.fitting.batch_evaluation import RecordingBatches
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.fitting.chords import fit_along_chords
 from orchestrator.diagnosis.fitting.columns import probed_segments
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS, Fitter
 from orchestrator.diagnosis.fitting.model import Fit, Model
 from orchestrator.diagnosis.fitting.workers import MAX_WORKERS, Executor, executor_of, workers_here
 from orchestrator.diagnosis.weak_form.batches import in_batches
@@ -216,7 +216,7 @@ def test_a_fit_by_two_threads_is_the_fit_by_one(alone: Fitter, joined: Fitter) -
 
 def test_so_is_one_of_all_effects_whose_columns_are_kept_and_probed(alone: Fitter, joined: Fitter) -> None:
     model = with_all(alone)
-    assert len(model.free) > alone.criteria.few_columns
+    assert len(model.free) > FEW_COLUMNS
     fits = [fit_along_chords(maker, model, rounds=2, tolerance=1e-4) for maker in (joined, alone)]
     assert_same(*fits)
     assert_same(joined.hold(fits[0].model), alone.hold(fits[1].model))

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.reporting.excerpts import excerpts, flux_loops, ripple_pair
+from orchestrator.diagnosis.reporting.excerpts import MAX_POINTS, excerpts, flux_loops, ripple_pair
 from protocols import SegmentStage
 from tests.orchestrator.diagnosis.pieces import NOISE_A, Plan, fitter, free_model, piece, plan, prepared, ripple
 
@@ -35,7 +35,7 @@ def test_predicted_current_is_the_measured_one_but_for_its_noise(fit: Fit) -> No
         left = np.asarray(excerpt.predicted_a) - np.asarray(excerpt.measured_a)
         assert float(np.sqrt(np.mean(left**2))) < 2.0 * NOISE_A
         assert np.diff(excerpt.time_s).min() > 0.0
-        assert len(excerpt.time_s) <= fit.criteria.pictures.most_points + 1
+        assert len(excerpt.time_s) <= MAX_POINTS + 1
 
 
 def test_a_trapezoid_that_was_held_out_is_shown_first(fit: Fit) -> None:

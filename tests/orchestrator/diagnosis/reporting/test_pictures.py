@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis._prepare import open_for_diagnosis
-from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup, baseline_model
 from orchestrator.diagnosis.fitting.candidates import scaled_library
 from orchestrator.diagnosis.reporting.excerpts import ripple_pair
 from orchestrator.diagnosis.reporting.ladder import rung
 from orchestrator.diagnosis.reporting.pictures import diagnosis_step, kept_rows
+from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
 from orchestrator.diagnosis.selection.forward_search import Step, with_effect
 from orchestrator.recording import Recording
 from plugins.effects.inverter import DeadTime
@@ -23,7 +23,7 @@ from tests.support.close import assert_close
 
 Ladder = tuple[tuple[Step, ...], DiagnosisSetup, tuple[DiagnosisStep, ...]]
 
-RATIO = Criteria().selection.amplitudes_apart
+RATIO = LEAST_AMPLITUDE_RATIO
 
 
 @pytest.fixture(scope="module")

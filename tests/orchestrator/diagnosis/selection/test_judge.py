@@ -10,12 +10,12 @@ from typing import Any
 import pytest
 
 from orchestrator.diagnosis import judge, save_diagnosis
-from orchestrator.diagnosis.criteria import SelectionCriteria
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.selection.verdict import verdict_limits
 from protocols import DiagnosisReport, VerdictRecord
 from tests.plugins.streams.report.example_diagnosis import WORDS, a_diagnosis
 
-LIMITS = verdict_limits(SelectionCriteria())
+LIMITS = verdict_limits(Criteria())
 SOUND = {
     "chi2_before": 900.0, "chi2_after": 1.01, "degrees_of_freedom": 4000.0, "held_out_chi2": 1.05, "effects": 1,
     "left_of_excitation": 0.001, "gates_off_v": 1e-4, "gates_off_probability": 0.5, "least_excitation_v": 5.0,

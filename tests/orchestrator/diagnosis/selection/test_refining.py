@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from orchestrator.diagnosis.fitting.candidates import Active, scaled_library
-from orchestrator.diagnosis.fitting.fit import Fitter
+from orchestrator.diagnosis.fitting.fit import OBJECTIVE_SLACK, Fitter
 from orchestrator.diagnosis.selection.refining import _other_forms, polished, settled, to_spare
 from plugins.effects.inverter import DeadTime, DeviceDrop
 from plugins.effects.iron import Hysteresis
@@ -47,7 +47,7 @@ def test_the_flexible_form_is_freed_where_the_simple_one_will_not_do(flexible: f
     assert bool(refinements & set(better.model.active[0].free)) is freed
     end = settled(maker, better)
     assert end.chi2_per_dof < 1.3
-    assert end.objective <= better.objective + maker.criteria.slack
+    assert end.objective <= better.objective + OBJECTIVE_SLACK
 
 
 def test_what_a_form_needs_stays_and_what_it_does_not_goes() -> None:

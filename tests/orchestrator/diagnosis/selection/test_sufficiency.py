@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria, WeakFormCriteria
+from orchestrator.diagnosis.selection import sufficiency
 from orchestrator.diagnosis.selection.sufficiency import require_enough, what_is_missing
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
@@ -38,12 +38,12 @@ def test_the_same_place_again_is_no_other() -> None:
         require_enough(again, NOISE)
 
 
-def test_a_sweep_is_worth_what_the_criteria_say() -> None:
+def test_a_sweep_counts_as_two_operating_points(monkeypatch: pytest.MonkeyPatch) -> None:
     sweeps = _only(SegmentStage.CLASSICAL)
     require_enough(sweeps, NOISE)
-    strict = Criteria(selection=SelectionCriteria(views_of_a_sweep=1))
+    monkeypatch.setattr(sufficiency, "OPERATING_POINTS_PER_SWEEP", 1)
     with pytest.raises(NotMeasuredError, match="show 3 places"):
-        require_enough(replace(sweeps, criteria=strict), NOISE)
+        require_enough(sweeps, NOISE)
 
 
 def test_currents_within_the_noise_are_no_excitation() -> None:
@@ -52,10 +52,10 @@ def test_currents_within_the_noise_are_no_excitation() -> None:
         require_enough(still, NOISE)
 
 
-def test_a_rate_with_too_few_samples_between_windows_is_refused() -> None:
-    slow = Criteria(weak_form=WeakFormCriteria(least_samples_per_hat=1000))
+def test_a_rate_with_too_few_samples_between_windows_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sufficiency, "LEAST_SAMPLES_PER_TEST_FUNCTION", 1000)
     with pytest.raises(NotMeasuredError, match="too slow"):
-        require_enough(replace(ENOUGH, criteria=slow), NOISE)
+        require_enough(ENOUGH, NOISE)
 
 
 @pytest.mark.parametrize(

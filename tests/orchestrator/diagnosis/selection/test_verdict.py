@@ -70,7 +70,7 @@ def _leaving(fit: Fit, chi2: float, part: float) -> Fit:
         volts=tuple(np.ones_like(e) for e in fit.volts),
         residual=tuple(np.full_like(e, np.sqrt(chi2)) for e in fit.residual),
     )
-    volt = part * fit.criteria.selection.material_voltage / left_of_excitation(left)
+    volt = part * fit.criteria.materiality.material_voltage / left_of_excitation(left)
     return replace(left, volts=tuple(volt * e for e in left.volts))
 
 
@@ -120,7 +120,7 @@ def test_what_only_the_held_out_part_shows_is_not_explained(fit: Fit) -> None:
     worse = replace(_with_chi2(fit, 1.0), residual=tuple(off))
     held_out = verdict_record(worse, worse, 1).held_out_chi2
     assert held_out is not None
-    assert held_out - 1.0 > worse.criteria.selection.mostly_left
+    assert held_out - 1.0 > worse.criteria.verdict.mostly_explained_excess_chi2
     assert verdict_of(_with_chi2(fit, 900.0), _with_chi2(fit, 1.0), 1) == "explained"
     assert verdict_of(_with_chi2(fit, 900.0), worse, 1) != "explained"
     assert fitted_verdict(_with_chi2(fit, 900.0), worse) == "explained"  # and decides on no name
@@ -130,7 +130,7 @@ def _denied(fit: Fit, sigmas: float, of_material: float) -> Fit:
     """A fit of which the reading without current leaves so much, in its noise and in what would be material."""
     off = [p.stage is SegmentStage.GATES_OFF for p in fit.prepared.pieces]
     assert any(off)
-    volts = of_material * fit.criteria.selection.material_voltage * excitation_v(fit)
+    volts = of_material * fit.criteria.materiality.material_voltage * excitation_v(fit)
     return replace(
         _with_chi2(fit, 1.0),
         residual=tuple(np.full_like(e, sigmas) if o else e for o, e in zip(off, fit.residual, strict=True)),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from orchestrator.diagnosis.fitting.model import Fit
-from orchestrator.diagnosis.uncertainty.block_scatter import block_scatter, block_scatter_ratio, certainty
+from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter, block_scatter_ratio, certainty
 from orchestrator.diagnosis.uncertainty.intervals import coordinate_spread
 from plugins.effects.inverter import VoltageBias
 from tests.orchestrator.diagnosis.fitting.test_fit import with_free
@@ -26,7 +26,7 @@ def test_an_effect_that_is_the_same_all_through_does_not_scatter_and_one_that_gr
         sizes.append(block_scatter_ratio(fit)["voltage_bias"])
         spread = coordinate_spread(maker, fit)
         assert (spread >= np.sqrt(np.diag(fit.covariance()))).all()
-        assert certainty(fit)["voltage_bias"] > DOUBT.blocks
+        assert certainty(fit)["voltage_bias"] > BLOCKS
     assert sizes[0] < 0.05
     assert sizes[1] > 0.2
 
@@ -42,4 +42,4 @@ def test_what_the_blocks_want_of_noise_alone_is_nothing() -> None:
 
 def scatter_beyond_noise(fit: Fit) -> float:
     """Scatter between blocks over what noise makes of a block's own estimate."""
-    return float(np.max(block_scatter(fit) / np.sqrt(DOUBT.blocks * np.diag(fit.covariance()))))
+    return float(np.max(block_scatter(fit) / np.sqrt(BLOCKS * np.diag(fit.covariance()))))

@@ -15,6 +15,8 @@ from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.selection.forward_search import with_effect
 from orchestrator.diagnosis.uncertainty.intervals import (
+    FORM_STD,
+    RIPPLE_FORM_STD,
     coordinate_spread,
     following,
     nothing_is_sure,
@@ -80,8 +82,8 @@ def test_what_only_the_ripple_shows_is_believed_to_a_few_percent(delayed: tuple[
     fitter, fit = delayed
     x = fit.model.active[0].coordinate("delay_s")
     (spread,) = coordinate_spread(fitter, fit)
-    assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * DOUBT.ripple_doubt * abs(x)
-    assert 0.98 * DOUBT.ripple_doubt * abs(x) < spread < 2.0 * DOUBT.ripple_doubt * abs(x)
+    assert float(np.sqrt(fit.covariance()[0, 0] * fit.chi2_per_dof)) < 0.5 * RIPPLE_FORM_STD * abs(x)
+    assert 0.98 * RIPPLE_FORM_STD * abs(x) < spread < 2.0 * RIPPLE_FORM_STD * abs(x)
 
 
 def test_what_is_there_is_surely_there_and_what_is_not_may_be_absent(delayed: tuple[Fitter, Fit]) -> None:
@@ -116,5 +118,5 @@ def test_what_currents_at_rest_show_is_believed_to_its_noise(with_dead_time: Rec
     active, name = fit.model.free[0]
     assert name == "voltage_v"
     spread = float(coordinate_spread(fitter, fit)[0])
-    assert DOUBT.form_doubt * active.coordinate(name) < spread < 0.2 * DOUBT.ripple_doubt * active.coordinate(name)
+    assert FORM_STD * active.coordinate(name) < spread < 0.2 * RIPPLE_FORM_STD * active.coordinate(name)
     assert float(np.sqrt(fit.covariance()[0, 0])) < spread

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from orchestrator.diagnosis.fitting.candidates import scaled_library
+from orchestrator.diagnosis.fitting.fit import FEW_COLUMNS
 from orchestrator.diagnosis.uncertainty.scatter import scatter_of
 from orchestrator.diagnosis.weak_form.rests import leg_step_v
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording, coarse
@@ -63,7 +64,7 @@ def test_a_part_is_asked_around_a_fit_of_the_whole() -> None:
         [CurrentOffset(), VoltageBias(), CurrentGainMismatch(), VoltageDelay(), SkinEffect()], made.manifest
     )
     fit = whole.fit(free_model().with_active([one.absent() for one in effects]))
-    assert len(fit.parameters) > whole.criteria.few_columns
+    assert len(fit.parameters) > FEW_COLUMNS
     assert sum(map(len, part.renewed(fit.model).residual)) < sum(map(len, fit.residual))
     around, anew = scatter_of(part, fit, effects), scatter_of(part, part.renewed(fit.model), effects)
     # R_s and the map, around which all is linear, are the whole's or the part's.

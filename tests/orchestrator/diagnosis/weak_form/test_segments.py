@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
 
 from orchestrator.diagnosis.criteria import Criteria, WeakFormCriteria
+from orchestrator.diagnosis.weak_form import segments
 from orchestrator.diagnosis.weak_form.segments import (
     block_means,
     coarse,
@@ -71,20 +71,22 @@ def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out_where_other
     assert not any(p.held_out for p in prepare(clean, few).pieces if p.stage is SegmentStage.INJECTION)
 
 
-def test_what_is_too_short_is_said_once_a_stage(clean: Recording) -> None:
+def test_what_is_too_short_is_said_once_a_stage(clean: Recording, monkeypatch: pytest.MonkeyPatch) -> None:
     holds = clean.segments(SegmentStage.RESISTANCE)
     longest = max(segment.samples for segment in holds)
-    made = prepare(clean, Criteria(weak_form=WeakFormCriteria(least_samples=longest + 1)))
+    monkeypatch.setattr(segments, "LEAST_SEGMENT_SAMPLES", longest + 1)
+    made = prepare(clean, Criteria())
     said = [remark.text for remark in made.remarks if remark.code == "too_short"]
     assert f"{holds[0].id} to {holds[-1].id} ({len(holds)}): too short to be used" in said
     assert not any(holds[1].id in text for text in said)
     assert len(said) < 4
 
 
-def test_a_part_to_search_in_keeps_points_evenly_spread_and_their_beginnings() -> None:
+def test_a_part_to_search_in_keeps_points_evenly_spread_and_their_beginnings(monkeypatch: pytest.MonkeyPatch) -> None:
     made = prepared(plan())
-    cutting = WeakFormCriteria(coarse_points=2, coarse_turn=0.5)
-    part = coarse(replace(made, criteria=Criteria(weak_form=cutting)))
+    monkeypatch.setattr(segments, "COARSE_POINTS", 2)
+    monkeypatch.setattr(segments, "COARSE_TURNS", 0.5)
+    part = coarse(made)
     injections = [p.segment.id for p in made.pieces if p.stage is SegmentStage.INJECTION]
     kept = [p for p in part.pieces if p.stage is SegmentStage.INJECTION]
     assert [p.segment.id for p in kept] == [injections[0], injections[-1]]
