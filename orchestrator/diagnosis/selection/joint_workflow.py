@@ -19,7 +19,6 @@ from orchestrator.diagnosis.selection.interim import InterimRecorder
 from orchestrator.diagnosis.selection.joint_search import (
     downwards,
     exchanged,
-    in_better_form,
     in_own_forms,
     joint_search,
     log_bayes_factors,
@@ -289,7 +288,7 @@ def with_its_noise(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     if fit.frame.noise is not setup.coarse_fitter.noise:
         if wider is None:
             # What scattered is none that a sound sensor or modulator has: it is a form's error, which it hid.
-            fit = in_better_form(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
+            fit = in_own_forms(setup.coarse_fitter, setup.coarse_fitter.renewed(everything))
             # And that form had a say in the timer's phases.
             setup, fit = with_timer_without_scatter(setup, fit, library)
             everything = with_everything(fit.model, library)
