@@ -377,7 +377,7 @@ def _reported(
             *_remarks(setup, search, verdict, left, doubtful),
             *said_by_effects(sized, {effect.name for effect in found}),
             *said_of_sizes(last),
-            *other_opinion(joint, active, last.criteria.selection),
+            *other_opinion(joint, active),
         ),
         reproduces_current_percent=None if error is None else 100.0 * error,
         map_error_percent=100.0 * map_error,

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import Criteria, SelectionCriteria
+from orchestrator.diagnosis.criteria import Criteria
 from orchestrator.diagnosis.fitting.baseline import DiagnosisSetup
 from orchestrator.diagnosis.fitting.effort import Effort
 from orchestrator.diagnosis.fitting.fit import Fitter
@@ -61,13 +61,13 @@ def open_for_diagnosis(
     watched = SoundRecording(recording)
     prepared = prepare(watched, criteria)
     watched.conclude()
-    noise = sensor_noise(prepared.pieces, criteria.weak_form)
+    noise = sensor_noise(prepared.pieces)
     prepared = replace(prepared, pieces=tuple(noise.taken_out_of(piece) for piece in prepared.pieces), fleet=fleet)
     require_enough(prepared, noise)
     remarks = [
         *prepared.remarks,
         *what_is_missing(prepared),
-        *_of_noise(noise, criteria.selection),
+        *_of_noise(noise),
         *of_rounding(prepared.pieces, noise),
         *_of_gains([p.signals for p in prepared.pieces]),
     ]
@@ -116,7 +116,7 @@ def setup_of(
     return DiagnosisSetup(prepared, fitter, search, l_d, l_q, current, tuple(remarks))
 
 
-def _of_noise(noise: SensorNoise, criteria: SelectionCriteria) -> list[Remark]:
+def _of_noise(noise: SensorNoise) -> list[Remark]:
     """What is unusual about the current readings' noise; all of it is allowed for."""
     remarks = []
     if noise.correlation != 0.0:

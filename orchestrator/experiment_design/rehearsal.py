@@ -181,7 +181,7 @@ def _recording(plan: Plan, drive: Capabilities, machine: Machine, criteria: Crit
         if point.spare:
             continue
         now += point.excitation.settling_s
-        excitations[point.id] = excitation = _with_short_turns(point.excitation, criteria)
+        excitations[point.id] = excitation = _with_short_turns(point.excitation)
         segments.append(_segment(point, excitation, now, drive.sampling_frequency_hz))
         now += point.captured_s
     record = DriveRecord(
@@ -202,7 +202,7 @@ def _recording(plan: Plan, drive: Capabilities, machine: Machine, criteria: Crit
     return RehearsedRecording(manifest, machine, excitations, criteria)
 
 
-def _with_short_turns(excitation: Excitation, criteria: Criteria) -> Excitation:
+def _with_short_turns(excitation: Excitation) -> Excitation:
     """An injection that turns as fast as its windows allow: in the same time it tells the same, turn by turn."""
     if not isinstance(excitation, Injection) or not excitation.rotation_hz:
         return excitation

@@ -36,7 +36,7 @@ class RecordingBatches:
     @classmethod
     def of(cls, prepared: PreparedRecording) -> RecordingBatches:
         """All segments of a recording."""
-        probes = probed_segments(prepared.pieces, prepared.criteria.fitting)
+        probes = probed_segments(prepared.pieces)
         return cls(prepared.pieces, *in_batches(prepared.pieces, probes))
 
     @property

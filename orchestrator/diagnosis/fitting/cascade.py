@@ -12,7 +12,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.candidates import Active, coordinate_of, typical_coordinate
 from orchestrator.diagnosis.fitting.corrections import Corrected, apply_effect, random_directions_of
 from orchestrator.numerics.types import Array
@@ -111,7 +110,7 @@ class Cascade:
         return change, answers
 
 
-def step_of(active: Active, name: str, criteria: FittingCriteria) -> float:
+def step_of(active: Active, name: str) -> float:
     """The step of one parameter's coordinate that its secant is taken over.
 
     To typical size where its effect is absent; from the first form to the second, for no descent leads there. Where a

@@ -12,7 +12,6 @@ from types import MappingProxyType
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import FittingCriteria
 from orchestrator.diagnosis.fitting.model import Answers, ColumnName, Fit, Model
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.numerics.types import Array
@@ -73,7 +72,7 @@ class ColumnPlan:
         return columns
 
 
-def probed_segments(pieces: Sequence[SegmentSignals], criteria: FittingCriteria) -> tuple[int, ...]:
+def probed_segments(pieces: Sequence[SegmentSignals]) -> tuple[int, ...]:
     """The segments that columns are probed on: a few of each stage, spread evenly; none that is held out."""
     stages: dict[object, list[int]] = {}
     for k, piece in enumerate(pieces):
@@ -83,7 +82,7 @@ def probed_segments(pieces: Sequence[SegmentSignals], criteria: FittingCriteria)
     return tuple(sorted(k for places in stages.values() for k in places[min(every, len(places)) // 2 :: every]))
 
 
-def answers_so_far(model: Model, known: Fit | None, criteria: FittingCriteria) -> Answers:
+def answers_so_far(model: Model, known: Fit | None) -> Answers:
     """What an earlier fit has asked of these effects; nothing where they are others, or have grown since."""
     there = {a.name: a.relative_size for a in model.active if not a.is_absent}
     asked = Answers() if known is None else known.answers
@@ -96,7 +95,6 @@ def column_plan(
     names: Sequence[ColumnName],
     probes: Mapping[int, ColumnProbe],
     known: Fit | None,
-    criteria: FittingCriteria,
     told: Mapping[ColumnName, frozenset[str]] = MappingProxyType({}),
 ) -> ColumnPlan:
     """What the probes say of columns on all other segments.
@@ -122,7 +120,7 @@ def column_plan(
         told[column] if column in told else frozenset(name for j, name in heard if j == k)
         for k, column in enumerate(names)
     )
-    return ColumnPlan({} if known is None else _kept(names, probes, power, known, criteria), answering)
+    return ColumnPlan({} if known is None else _kept(names, probes, power, known), answering)
 
 
 def _kept(
@@ -130,7 +128,6 @@ def _kept(
     probes: Mapping[int, ColumnProbe],
     power: Array,
     known: Fit,
-    criteria: FittingCriteria,
 ) -> dict[int, int]:
     places = {name: j for j, name in enumerate(known.parameters)}
     kept = {}

@@ -344,7 +344,7 @@ class WeakFormEquations:
         self, at: BatchState, active: Active, name: str, out: Array, answering: frozenset[str] | None = None
     ) -> dict[str, Array]:
         """Derivative of y by one parameter's coordinate into `out` (rows,), and what inner effects had in it."""
-        step = step_of(active, name, self.criteria.fitting)
+        step = step_of(active, name)
         change, answers = at.cascade.change_by(active.moved(name, active.coordinate(name) + step), answering)
         self._difference(at, change, step, out)
         corrected = at.cascade.corrected

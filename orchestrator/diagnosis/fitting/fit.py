@@ -316,12 +316,12 @@ class Fitter:
     ) -> tuple[list[BatchFrame], list[SegmentRows], Answers]:
         """The same; columns that have not moved on a few segments, which are evaluated first, are the known fit's."""
         names = [(a.name, n) for a, n in wanted]
-        before = answers_so_far(model, known, self.criteria)
+        before = answers_so_far(model, known)
         answering = [before.of.get(n) for n in names]
         first, later = ours[: len(self.batches.probes)], ours[len(self.batches.probes) :]
         probed = self._evaluate(model, [BatchTask(b, f, renew, wanted, answering, probing=True) for b, f in first])
         probes = {k: p for result in probed for k, p in result.probes_by_place.items()}
-        plan = column_plan(names, probes, known, self.criteria, before.of)
+        plan = column_plan(names, probes, known, before.of)
         moved, inner = [wanted[k] for k in plan.anew], [plan.answering[k] for k in plan.anew]
         self.effort.spend(samples * (len(moved) + len(wanted) / PROBE_EVERY))
         others = self._evaluate(model, [BatchTask(b, f, renew, moved, inner) for b, f in later])

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.fitting.model import Fit
 from orchestrator.diagnosis.fitting.simulation import simulated_current
 from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO
@@ -45,7 +44,7 @@ def flux_loops(fit: Fit) -> tuple[FluxLoop, ...]:
     for k, piece in enumerate(fit.prepared.pieces):
         if piece.stage is not SegmentStage.CLASSICAL:
             continue
-        axis, held = _swept(piece, fit.criteria.weak_form)
+        axis, held = _swept(piece)
         if axis not in best or held < best[axis][0]:
             best[axis] = (held, k)
     return tuple(_loop(fit, best[axis][1], axis) for axis in AXES if axis in best)
@@ -196,9 +195,9 @@ def _integral(signals: SignalBatch, factor: float, part: slice, ts: float) -> Ar
     return np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
 
 
-def _swept(piece: SegmentSignals, criteria: WeakFormCriteria) -> tuple[Axis, float]:
+def _swept(piece: SegmentSignals) -> tuple[Axis, float]:
     """The axis that a sweep moves, and the size of the current that it holds on the other."""
-    axis = swept_axis(piece.segment, piece.signals.i_ab, criteria)
+    axis = swept_axis(piece.segment, piece.signals.i_ab)
     i_d, i_q = np.abs(_mean_current(piece))
     return axis, {"d": float(i_q), "q": float(i_d), "dq": 0.0}[axis]
 

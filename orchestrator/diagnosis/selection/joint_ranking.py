@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.fitting.candidates import Candidate
 from orchestrator.diagnosis.fitting.fit import Fitter
 from orchestrator.diagnosis.fitting.model import Fit
@@ -58,9 +57,7 @@ def joint_fit(fitter: Fitter, search: Search, library: Sequence[Candidate]) -> t
     return tuple(sorted(entries.values(), key=lambda e: (abs(e.z or 0.0) < certain, -(e.relative_size or 0.0))))
 
 
-def other_opinion(
-    joint: Sequence[JointEntry], found: Sequence[FoundEffect], criteria: SelectionCriteria
-) -> list[Remark]:
+def other_opinion(joint: Sequence[JointEntry], found: Sequence[FoundEffect]) -> list[Remark]:
     """What the joint fit says where it disagrees: the search takes what errs most first, be it ever so small."""
     if not joint or not found or joint[0].name in {name for e in found for name in (e.name, *e.twins)}:
         return []

@@ -29,8 +29,8 @@ def with_its_timer(setup: DiagnosisSetup, fit: Fit, library: Sequence[Candidate]
     setup.fitter.tell("is a command rounded? A modulator's timer")
     resistance_ohm = prepared.manifest.motor.stator_resistance_ohm or 1.0
     traces = command_traces(prepared, (setup.l_d_h, setup.l_q_h), resistance_ohm)
-    limits, bus_v = prepared.criteria, prepared.manifest.drive.dc_bus_voltage_v
-    timers = timers_in(traces, bus_v, limits.uncertainty, limits.selection.log_evidence)
+    bus_v = prepared.manifest.drive.dc_bus_voltage_v
+    timers = timers_in(traces, bus_v, prepared.criteria.selection.log_evidence)
     if not timers:
         return setup
     likelihood = likelihood_of(setup.coarse_fitter, fit, library)

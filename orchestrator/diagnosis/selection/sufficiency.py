@@ -9,7 +9,6 @@ from typing import Concatenate, ParamSpec, TypeVar
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import SelectionCriteria
 from orchestrator.diagnosis.selection.contrasts import LEAST_AMPLITUDE_RATIO, SAME_CURRENT
 from orchestrator.diagnosis.weak_form.noise import SensorNoise
 from orchestrator.diagnosis.weak_form.segments import LEAST_SAMPLES_PER_TEST_FUNCTION, PreparedRecording, SegmentSignals
@@ -94,9 +93,8 @@ def solvable(work: Callable[Concatenate[_Reader, _More], _Result]) -> Callable[C
 def _views(prepared: PreparedRecording) -> int:
     """How many places of the current plane were looked at for long enough."""
     low, high, q = prepared.current_range
-    limits = prepared.criteria.selection
     apart = SAME_CURRENT * max(-low, high, q)
-    telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart, limits)]
+    telling = [p for p in prepared.pieces if p.stage is not SegmentStage.GATES_OFF and _tells(p, apart)]
     return sum(OPERATING_POINTS_PER_SWEEP * _sweeps(p, apart) or 1 for p in _different(telling, apart))
 
 
@@ -113,7 +111,7 @@ def _seconds(piece: SegmentSignals) -> float:
     return len(piece.signals.v_dc) / piece.signals.sampling_frequency_hz
 
 
-def _tells(piece: SegmentSignals, apart_a: float, limits: SelectionCriteria) -> bool:
+def _tells(piece: SegmentSignals, apart_a: float) -> bool:
     """Whether a segment is long enough, and a hold has settled too."""
     if piece.stage is not SegmentStage.RESISTANCE:
         return piece.windows.rows >= LEAST_EQUATIONS

@@ -20,7 +20,6 @@ from typing import Any
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from orchestrator.diagnosis.criteria import UncertaintyCriteria
 from orchestrator.diagnosis.uncertainty.command_traces import LEAST_TIMER_STEP_S, STRAIGHT, CommandTrace
 from orchestrator.diagnosis.weak_form.timer import BorneTimer, leg_step_of, legs_of, legs_rounded_by
 from orchestrator.numerics.frames import to_phases
@@ -56,9 +55,7 @@ WITNESS = 300
 """Readings that are one witness: longer than a machine remembers a command."""
 
 
-def timers_in(
-    traces: Sequence[CommandTrace], bus_v: float, limits: UncertaintyCriteria, least: float
-) -> tuple[BorneTimer, ...]:
+def timers_in(traces: Sequence[CommandTrace], bus_v: float, least: float) -> tuple[BorneTimer, ...]:
     """The timer that readings bear, and those that round much like it, the likeliest first; none where they bear none.
 
     Parameters
@@ -66,8 +63,6 @@ def timers_in(
     traces : sequence of CommandTrace
     bus_v : float
         The nominal bus voltage that pulses are made for [V].
-    limits : UncertaintyCriteria
-        The steps that are looked for.
     least : float
         Evidence that is asked for one step, by the line and by those who witness it; that of all steps that are tried
         comes on top for the line [nat].
@@ -76,8 +71,8 @@ def timers_in(
         return ()
     found = list[tuple[float, BorneTimer]]()
     for centred in (True, False):
-        combs = _combs(traces, centred, bus_v, limits)
-        frequency, gain = _spectrum(combs, limits)
+        combs = _combs(traces, centred, bus_v)
+        frequency, gain = _spectrum(combs)
         chance = np.maximum(_background(gain, len(combs)), 1.0)
         asked = least + math.log(2 * len(frequency))
         for k in _highest(gain / chance):
@@ -198,7 +193,7 @@ class _Comb:
         return told, float(towards[rise, fall]), float(size[rise, fall])
 
 
-def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float, limits: UncertaintyCriteria) -> list[_Comb]:
+def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float) -> list[_Comb]:
     combs = []
     for pwm_hz in sorted({trace.pwm_hz for trace in traces}):
         there = [trace for trace in traces if trace.pwm_hz == pwm_hz]
@@ -216,7 +211,7 @@ def _combs(traces: Sequence[CommandTrace], centred: bool, bus_v: float, limits: 
     return combs
 
 
-def _spectrum(combs: Sequence[_Comb], limits: UncertaintyCriteria) -> tuple[Array, Array]:
+def _spectrum(combs: Sequence[_Comb]) -> tuple[Array, Array]:
     """Frequencies of the steps that are tried, and what a line of each gains in log likelihood."""
     apart = APART / max(comb.reach_s for comb in combs)
     frequency = np.arange(1.0 / MAX_TIMER_STEP_S, 1.0 / LEAST_TIMER_STEP_S, apart)

@@ -8,7 +8,6 @@ from itertools import accumulate
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.numerics.types import Array
 from protocols import LossHistory, RecordingReader, Segment, SegmentStage
 
@@ -40,7 +39,7 @@ class SegmentHeat:
     before: float
 
 
-def step_of(duration_s: float, criteria: WeakFormCriteria) -> float:
+def step_of(duration_s: float) -> float:
     """Time step of the history of an experiment that took so long [s]."""
     return max(LOSS_STEP_S, duration_s / MAX_LOSS_STEPS)
 

@@ -19,7 +19,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.equations import LocalMap
 from orchestrator.diagnosis.weak_form.segments import SegmentSignals
 from orchestrator.diagnosis.weak_form.sensor_scatter import Scatter
@@ -116,7 +115,7 @@ def kind_of(piece: SegmentSignals) -> str:
     return piece.stage.value if modes == 1 else f"{piece.stage.value} in {modes} modes"
 
 
-def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -> SensorNoise:
+def sensor_noise(pieces: Sequence[SegmentSignals]) -> SensorNoise:
     """Noise of the current readings: medians over segments, so that a disturbance of some is not taken for noise.
 
     From holds and gates-off readings; where there are none, from trapezoids, then from steps or the injection itself.
@@ -132,7 +131,7 @@ def sensor_noise(pieces: Sequence[SegmentSignals], criteria: WeakFormCriteria) -
     holds = [p for p in pieces if p.stage is SegmentStage.RESISTANCE]
     rate = holds[0].signals.sampling_frequency_hz * holds[0].averaged if holds else 0.0
     off = [x.spectrum for x in of[SegmentStage.GATES_OFF]]
-    lines = find_lines([p.scatter.spectrum for p in holds], off, rate, criteria)
+    lines = find_lines([p.scatter.spectrum for p in holds], off, rate)
     return SensorNoise(covariance, _typical(repeated) if repeated else covariance, rho, lines)
 
 

@@ -210,7 +210,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
             pieces.append(piece)
     remarks += _too_short(short)
     if not any(p.stage is not SegmentStage.GATES_OFF for p in pieces):
-        raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short, criteria))
+        raise NotMeasuredError(manifest.name, "segments", _nothing_long_enough(short))
     pieces = _held_out_within_reach(pieces)
     pieces.sort(key=lambda p: p.segment.start_s)
     pieces = [replace(p, signals=s) for p, s in zip(pieces, since_the_start([p.signals for p in pieces]), strict=True)]
@@ -218,7 +218,7 @@ def prepare(recording: RecordingReader, criteria: Criteria) -> PreparedRecording
     read = {p.segment.id for p in pieces}
     # What tells nothing of the motor warms it all the same: alignment, lock check, points left out.
     unread = heat_of_unread(recording, [s for s in recording.segments() if s.id not in read], LOSS_STEP_S)
-    return PreparedRecording(manifest, _with_heat(pieces, unread, manifest, cutting), tuple(remarks), criteria)
+    return PreparedRecording(manifest, _with_heat(pieces, unread, manifest), tuple(remarks), criteria)
 
 
 def coarse(prepared: PreparedRecording) -> PreparedRecording:
@@ -268,7 +268,7 @@ def _part(piece: SegmentSignals, criteria: WeakFormCriteria) -> SegmentSignals:
     return replace(piece, signals=signals, windows=windows, **read)
 
 
-def _nothing_long_enough(short: Sequence[Segment], criteria: Criteria) -> str:
+def _nothing_long_enough(short: Sequence[Segment]) -> str:
     kinds = ", ".join(dict.fromkeys(segment.stage.value for segment in short)) or "none but readings without current"
     least = LEAST_SEGMENT_SAMPLES
     needed = f"a segment needs {least} samples, and several periods where one is injected"
@@ -316,7 +316,7 @@ def _piece(
     if len(i_ab) < LEAST_SEGMENT_SAMPLES:
         return None
     ripple = segment.stage is SegmentStage.INJECTION
-    scatter = _scatter(segment, fs, i_ab, v_ab, criteria)
+    scatter = _scatter(segment, fs, i_ab, v_ab)
     # An injected ripple moves the current at once; its mean is what the drive had settled to.
     before, start = (i_ab if ripple else i_ab[:INITIAL_READINGS]).mean(axis=0), segment.start_s
     width = _width(segment.stage, i_ab, 0.0 if ripple else math.sqrt(float(np.trace(scatter.covariance))), criteria)
@@ -347,17 +347,17 @@ def _piece(
         bridge_on=segment.stage is not SegmentStage.GATES_OFF,
         **what_is_logged(capture, n, width),
     )
-    diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab, criteria) == "dq"
+    diagonal = segment.stage is SegmentStage.CLASSICAL and swept_axis(segment, i_ab) == "dq"
     return SegmentSignals(
         segment, held_out or diagonal, signals, windows, scatter, width, before, current_ab, command_ab, delay
     )
 
 
-def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array, criteria: WeakFormCriteria) -> Scatter:
+def _scatter(segment: Segment, fs: float, i_ab: Array, v_ab: Array) -> Scatter:
     """Scatter of a segment's readings, by differences that its voltage does not cause."""
     if segment.stage is SegmentStage.STEPS:
         return scatter_between(i_ab, v_ab)
-    period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
+    period = injection_period(segment, fs, v_ab) if segment.stage is SegmentStage.INJECTION else None
     if period is not None and not repeats(v_ab, period):
         return scatter_beside_answer(i_ab, v_ab)
     return scatter_of(i_ab, period, rests=segment.stage in (SegmentStage.GATES_OFF, SegmentStage.RESISTANCE))
@@ -399,7 +399,7 @@ def block_means(x: Array, width: int) -> Array:
     return np.asarray(x[: blocks * width].reshape(blocks, width, -1).mean(axis=1), dtype=np.float64)
 
 
-def swept_axis(segment: Segment, i_ab: RealArray, criteria: WeakFormCriteria) -> Axis:
+def swept_axis(segment: Segment, i_ab: RealArray) -> Axis:
     """The axis along which a sweep moves the current: as it says itself, else by what moved."""
     said = segment.settings.get("swept_axis")
     for axis in AXES:
@@ -437,7 +437,7 @@ def windows_of(
         return plain_windows(
             intervals, max(swing / TEST_FUNCTIONS_PER_VOLTAGE_STEP, LEAST_SAMPLES_PER_STEP_TEST_FUNCTION)
         )
-    period = injection_period(segment, fs, v_ab, criteria) if segment.stage is SegmentStage.INJECTION else None
+    period = injection_period(segment, fs, v_ab) if segment.stage is SegmentStage.INJECTION else None
     if period is None:
         shorter = max(intervals / LEAST_TEST_FUNCTIONS_PER_TRAPEZOID, LEAST_SAMPLES_PER_TEST_FUNCTION)
         return plain_windows(intervals, min(criteria.hat_s * fs, shorter))
@@ -446,7 +446,7 @@ def windows_of(
     return periodic_windows(intervals, max(step, LEAST_PERIODS_PER_TEST_FUNCTION * period), period, MAX_BINS_PER_PERIOD)
 
 
-def injection_period(segment: Segment, fs: float, v_ab: RealArray, criteria: WeakFormCriteria) -> float | None:
+def injection_period(segment: Segment, fs: float, v_ab: RealArray) -> float | None:
     """Samples in an injection period: as asked for, else half the distance of the voltage's strongest lines."""
     asked = segment.settings.get("frequency_hz")
     highest = fs / LEAST_SAMPLES_PER_PERIOD
@@ -517,11 +517,11 @@ def _way_of(piece: SegmentSignals) -> Array:
 
 
 def _with_heat(
-    pieces: Sequence[SegmentSignals], unread: Sequence[SegmentHeat], manifest: Manifest, criteria: WeakFormCriteria
+    pieces: Sequence[SegmentSignals], unread: Sequence[SegmentHeat], manifest: Manifest
 ) -> tuple[SegmentSignals, ...]:
     """The pieces with the copper loss since the start of the experiment, by the nameplate's resistance."""
     last = pieces[-1].signals
-    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz, criteria)
+    step_s = step_of(last.start_s + len(last.v_dc) / last.sampling_frequency_hz)
     items = [*unread, *(_heated(p, step_s, manifest.drive.sampling_frequency_hz) for p in pieces)]
     losses = loss_history(items, manifest.motor.stator_resistance_ohm or 1.0, ASSUMED_SETTLING_S)
     energy = np.concatenate([np.zeros(1), np.cumsum(losses.power_w[:-1] * np.diff(losses.time_s))])

@@ -13,7 +13,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.numerics.types import Array
 
 LEAST_LINE_FREQUENCY_HZ: float = 40.0
@@ -59,9 +58,7 @@ def spectrum_of(i_ab: Array) -> Array:
     return np.asarray(power.mean(axis=1) / float(window @ window))
 
 
-def find_lines(
-    holds: Sequence[Array], off: Sequence[Array], fs: float, criteria: WeakFormCriteria
-) -> tuple[SpectralLine, ...]:
+def find_lines(holds: Sequence[Array], off: Sequence[Array], fs: float) -> tuple[SpectralLine, ...]:
     """The lines that matter, strongest first.
 
     Parameters

@@ -156,7 +156,7 @@ def piece(asked: Plan, *, start_s: float = 0.0, angle: float = 0.0, noise: Array
     cutting = CRITERIA.weak_form
     windows = windows_of(segment, FS, i_ab, v_ab, cutting)
     assert windows is not None
-    period = injection_period(segment, FS, v_ab, cutting) if asked.stage is SegmentStage.INJECTION else None
+    period = injection_period(segment, FS, v_ab) if asked.stage is SegmentStage.INJECTION else None
     return SegmentSignals(
         segment, asked.held_out, signals, windows, scatter_of(i_ab, period), 1, i_ab[0], i_ab, v_ab, 0.0
     )
@@ -227,7 +227,7 @@ def felt_through(modulator: ModulatorTimer, plans: Sequence[Plan], *, noise_a: f
 
 
 def fitter(made: PreparedRecording) -> Fitter:
-    return Fitter(made, sensor_noise(made.pieces, CRITERIA.weak_form), PM_WB)
+    return Fitter(made, sensor_noise(made.pieces), PM_WB)
 
 
 def setup_of(maker: Fitter) -> DiagnosisSetup:

@@ -119,7 +119,7 @@ def test_a_search_that_is_over_has_its_own_report(with_dead_time: Recording, tmp
 
 def test_effects_that_were_fitted_together_to_a_part_have_a_ladder_of_the_whole() -> None:
     made = prepared(plan(sparse=True))
-    maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
+    maker = setup_of(made, sensor_noise(made.pieces)).fitter
     hidden = with_free(free_model(), maker, VoltageBias(), bias_a_v=0.2).active
     setup = setup_of(made_of.with_effects(made, list(hidden)), maker.noise)
     absent = [c.absent() for c in scaled_library([VoltageBias(), VoltageDelay()], made.manifest)]

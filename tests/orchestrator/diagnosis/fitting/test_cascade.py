@@ -17,7 +17,7 @@ from plugins.effects.iron import SlotHarmonics
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentGainMismatch, CurrentOffset
 from protocols import SignalBatch
-from tests.orchestrator.diagnosis.pieces import CRITERIA, plan, prepared
+from tests.orchestrator.diagnosis.pieces import plan, prepared
 
 PREPARED = prepared(plan())
 SIZES = {
@@ -53,7 +53,7 @@ def signals() -> SignalBatch:
 def test_a_change_is_that_of_all_effects_applied_anew(place: int) -> None:
     one = ACTIVE[place]
     name = one.free[0]
-    moved = one.moved(name, one.coordinate(name) + step_of(one, name, CRITERIA.fitting))
+    moved = one.moved(name, one.coordinate(name) + step_of(one, name))
     cascade = Cascade.of(signals(), ACTIVE)
     change, _ = cascade.change_by(moved)
     anew = apply_effects(signals(), [*ACTIVE[:place], moved, *ACTIVE[place + 1 :]]).signals
@@ -105,6 +105,6 @@ def test_what_effects_answer_is_all_that_passing_unasked_leaves_out() -> None:
 def test_a_secant_is_over_the_step_that_was_taken(switched: float) -> None:
     dead_time = next(a for a in ACTIVE if a.name == "dead_time")
     one = replace(dead_time, values={**dead_time.values, "switched": switched})
-    x, step = one.coordinate("switched"), step_of(one, "switched", CRITERIA.fitting)
+    x, step = one.coordinate("switched"), step_of(one, "switched")
     assert one.moved("switched", x + step).coordinate("switched") - x == pytest.approx(step, rel=1e-6)
     assert abs(step) >= SECANT_STEP

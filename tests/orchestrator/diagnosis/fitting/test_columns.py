@@ -78,7 +78,7 @@ def test_columns_that_moved_are_made_anew_and_others_are_not(maker: Fitter) -> N
     far = distance(training(maker, kept), whole(maker, model, kept))
     assert far.max() < 2.0 * MAX_COLUMN_CHANGE + len(ACTIVE) * LEAST_RESPONSE
     last = next(k for k in reversed(range(len(kept.columns))) if not maker.prepared.pieces[k].held_out)
-    assert last not in probed_segments(maker.prepared.pieces, LIMITS)
+    assert last not in probed_segments(maker.prepared.pieces)
     same = [np.array_equal(a, b) for a, b in zip(kept.columns[last].T, known.columns[last].T, strict=True)]
     assert any(same)
 
@@ -87,11 +87,11 @@ def test_effects_are_asked_once_whether_they_answer_and_again_where_they_have_gr
     first = all_effects(maker)
     known = maker.evaluate(first, maker.frame(first))
     assert set(known.answers.of) == set(known.parameters)
-    assert answers_so_far(all_effects(maker, 1.05), known, LIMITS) is known.answers
-    grown = answers_so_far(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known, LIMITS)
+    assert answers_so_far(all_effects(maker, 1.05), known) is known.answers
+    grown = answers_so_far(all_effects(maker, 1.1 * MAX_GROWTH_BEFORE_PROBE), known)
     assert not grown.of
     assert set(grown.sizes) == {candidate.name for candidate in scaled_library(EFFECTS, maker.prepared.manifest)}
-    assert not answers_so_far(first, None, LIMITS).of
+    assert not answers_so_far(first, None).of
 
 
 @pytest.mark.slow
@@ -106,7 +106,7 @@ def test_a_wholly_different_model_keeps_no_column_that_moved(maker: Fitter) -> N
 
 def test_segments_of_every_stage_are_probed_and_none_that_is_held_out(maker: Fitter) -> None:
     pieces = maker.prepared.pieces
-    probed = probed_segments(pieces, LIMITS)
+    probed = probed_segments(pieces)
     assert {pieces[k].stage for k in probed} == {p.stage for p in pieces}
     assert not any(pieces[k].held_out for k in probed)
     assert len(probed) < len(pieces) / 2
@@ -119,7 +119,7 @@ def test_an_answer_counts_by_its_share_of_the_column() -> None:
         (0, "silent"): (0.5 * LEAST_RESPONSE * 5.0) ** 2,
         (1, "silent"): (0.5 * LEAST_RESPONSE) ** 2,
     }
-    plan = column_plan([("one", "x"), ("two", "y")], {0: ColumnProbe(columns, answers)}, None, LIMITS)
+    plan = column_plan([("one", "x"), ("two", "y")], {0: ColumnProbe(columns, answers)}, None)
     assert plan.answering == (frozenset({"loud"}), frozenset())
     assert plan.anew == [0, 1]
     assert not plan.kept

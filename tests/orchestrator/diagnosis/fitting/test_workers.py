@@ -171,7 +171,7 @@ def test_there_are_no_more_workers_than_cores_and_no_more_than_gain_anything(mon
 def alone() -> Fitter:
     """In batches so small that there are some for each thread."""
     made = with_voltage(prepared(plan()), np.array([0.3, -0.2]))
-    first = probed_segments(made.pieces, made.criteria.fitting)
+    first = probed_segments(made.pieces)
     batches = RecordingBatches(made.pieces, *in_batches(made.pieces, first, 2500))
     assert len(batches.all) > 6
     return replace(fitter(made), batches=batches)

@@ -19,15 +19,15 @@ def entry(name: str, size: float, z: float = 20.0) -> JointEntry:
 
 def test_a_larger_effect_that_was_not_named_is_spoken_of() -> None:
     joint = [entry("voltage_delay", 0.21), entry("dead_time", 0.05)]
-    remarks = other_opinion(joint, [found("dead_time", 0.05)], CRITERIA)
+    remarks = other_opinion(joint, [found("dead_time", 0.05)])
     assert len(remarks) == 1
     assert "voltage_delay is the largest, 0.21 of its typical size" in remarks[0].text
 
 
 def test_agreement_chance_and_small_differences_are_not_spoken_of() -> None:
     named = [found("dead_time", 0.05, "device_drop")]
-    assert other_opinion([entry("dead_time", 0.05)], named, CRITERIA) == []
-    assert other_opinion([entry("device_drop", 0.3)], named, CRITERIA) == []
-    assert other_opinion([entry("bus_sag", 0.3, z=3.0)], named, CRITERIA) == []
-    assert other_opinion([entry("bus_sag", 0.06)], named, CRITERIA) == []
-    assert other_opinion([entry("bus_sag", 0.3)], [], CRITERIA) == []
+    assert other_opinion([entry("dead_time", 0.05)], named) == []
+    assert other_opinion([entry("device_drop", 0.3)], named) == []
+    assert other_opinion([entry("bus_sag", 0.3, z=3.0)], named) == []
+    assert other_opinion([entry("bus_sag", 0.06)], named) == []
+    assert other_opinion([entry("bus_sag", 0.3)], []) == []

@@ -30,7 +30,7 @@ from tests.orchestrator.diagnosis.pieces import felt_through, free_model, plan, 
 
 def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkeypatch: pytest.MonkeyPatch) -> None:
     made = prepared(plan(sparse=True))
-    setup = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form))
+    setup = setup_of(made, sensor_noise(made.pieces))
     library = scaled_library([VoltageDelay()], made.manifest)
     bare = setup.fitter.fit(free_model())
     of_a_part = setup.coarse_fitter.fit(free_model().with_active([library[0].absent()]))
@@ -42,7 +42,7 @@ def test_effects_that_the_whole_recording_does_not_ask_for_make_no_ladder(monkey
 def _fitted(bias_v: float, looked_for: Sequence[Effect]) -> tuple[DiagnosisSetup, Fit, Fit]:
     """A biased voltage and unequal gains, and fits without effects and with those that are looked for."""
     made = prepared(plan(sparse=True))
-    maker = setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form)).fitter
+    maker = setup_of(made, sensor_noise(made.pieces)).fitter
     given = ((VoltageBias(), {"bias_a_v": bias_v}), (CurrentGainMismatch(), {"gain_a_minus_b": 0.005}))
     hidden = [with_free(free_model(), maker, effect, **values).active[0] for effect, values in given]
     setup = setup_of(made_of.with_effects(made, hidden), maker.noise)

@@ -32,7 +32,7 @@ class Wrong(Sure):
 
 def _setup(bias_v: float) -> DiagnosisSetup:
     made = with_voltage(prepared(plan(sparse=True)), np.array([bias_v, 0.0]))
-    return setup_of(made, sensor_noise(made.pieces, made.criteria.weak_form))
+    return setup_of(made, sensor_noise(made.pieces))
 
 
 def _steps(bias_v: float, effect: Effect) -> list[Step]:

@@ -48,7 +48,7 @@ def _recording(step_s: float, centred: bool) -> PreparedRecording:
 
 def _found(made: PreparedRecording) -> tuple[BorneTimer, ...]:
     traces = command_traces(made, (L_D, L_Q), R_S)
-    return timers_in(traces, 540.0, CRITERIA.uncertainty, CRITERIA.selection.log_evidence)
+    return timers_in(traces, 540.0, CRITERIA.selection.log_evidence)
 
 
 @pytest.mark.parametrize(("step_s", "centred"), [(21.7e-9, True), pytest.param(13.3e-9, False, marks=pytest.mark.slow)])

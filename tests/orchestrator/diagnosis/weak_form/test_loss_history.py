@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.loss_history import LOSS_STEP_S, loss_history, segment_heat, step_of
 
 FS = 10_000.0
@@ -43,6 +42,5 @@ def test_means_of_a_history_keep_the_energy_of_the_samples() -> None:
 
 
 def test_a_long_experiment_has_no_more_steps_than_a_picture_needs() -> None:
-    criteria = WeakFormCriteria()
-    assert step_of(10.0, criteria) == LOSS_STEP_S
-    assert step_of(36_000.0, criteria) == pytest.approx(18.0)
+    assert step_of(10.0) == LOSS_STEP_S
+    assert step_of(36_000.0) == pytest.approx(18.0)

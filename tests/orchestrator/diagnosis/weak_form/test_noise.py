@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from scipy.linalg import cholesky_banded
 
-from orchestrator.diagnosis.criteria import WeakFormCriteria
 from orchestrator.diagnosis.weak_form.batches import SegmentBatch
 from orchestrator.diagnosis.weak_form.equations import LocalMap, flux_terms, local_map, voltage_and_resistance
 from orchestrator.diagnosis.weak_form.noise import (
@@ -138,7 +137,7 @@ def test_covariance_and_correlation_of_the_readings_are_found(correlation: float
         for k in range(1, len(noise)):
             noise[k] = correlation * noise[k - 1] + np.sqrt(1.0 - correlation**2) * noise[k]
         holds.append(piece(HOLD, noise=noise))
-    found = sensor_noise(holds, WeakFormCriteria())
+    found = sensor_noise(holds)
     assert found.correlation == pytest.approx(correlation, abs=0.05)
     np.testing.assert_allclose(found.covariance, COVARIANCE, rtol=0.12)
 
@@ -157,7 +156,7 @@ def test_with_the_gates_off_readings_tell_what_current_control_does_and_chance_i
 def test_ripple_does_not_pass_for_noise() -> None:
     rng = np.random.default_rng(3)
     pieces = [piece(plan, noise=rng.normal(0.0, NOISE_A, plan.v_dq.shape)) for plan in (HOLD, RIPPLE)]
-    found = sensor_noise(pieces, WeakFormCriteria())
+    found = sensor_noise(pieces)
     assert np.trace(found.ripple) == pytest.approx(2.0 * NOISE_A**2, rel=0.15)
 
 

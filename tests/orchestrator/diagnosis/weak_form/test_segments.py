@@ -45,16 +45,16 @@ def test_a_late_voltage_is_a_part_of_each_of_two_commands() -> None:
 @pytest.mark.parametrize(("axis", "number"), [("d", 0), ("q", 1)])
 def test_a_sweep_says_which_axis_it_moves(axis: str, number: int) -> None:
     one = piece(Plan(SegmentStage.CLASSICAL, sweep(number, 2.0, 1.0)), angle=0.4)
-    assert swept_axis(one.segment, one.signals.i_ab, CUTTING) == axis
+    assert swept_axis(one.segment, one.signals.i_ab) == axis
     both = piece(Plan(SegmentStage.CLASSICAL, sweep(0, 1.5, 0.0) + sweep(1, 1.5, 0.0)))
-    assert swept_axis(both.segment, both.signals.i_ab, CUTTING) == "dq"
+    assert swept_axis(both.segment, both.signals.i_ab) == "dq"
     said = both.segment.model_copy(update={"settings": {"swept_axis": axis}})
-    assert swept_axis(said, both.signals.i_ab, CUTTING) == axis
+    assert swept_axis(said, both.signals.i_ab) == axis
 
 
 def test_an_injection_that_does_not_say_its_frequency_is_asked_for_it() -> None:
     silent = piece(Plan(SegmentStage.INJECTION, ripple(0.0, 0.0, 40.0)))
-    assert injection_period(silent.segment, FS, silent.signals.v_ab, CUTTING) == pytest.approx(20.0, rel=0.01)
+    assert injection_period(silent.segment, FS, silent.signals.v_ab) == pytest.approx(20.0, rel=0.01)
 
 
 def test_every_so_many_th_injection_and_diagonal_sweeps_are_held_out_where_others_surround_them(

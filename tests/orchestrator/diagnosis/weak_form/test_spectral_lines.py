@@ -26,7 +26,7 @@ def _holds(ripple_a: Array, frequency_hz: float, seed: int = 1) -> list[Array]:
 
 
 def test_noise_has_no_lines() -> None:
-    assert find_lines(_holds(np.zeros(20), 300.0), _holds(np.zeros(1), 300.0), FS, CRITERIA) == ()
+    assert find_lines(_holds(np.zeros(20), 300.0), _holds(np.zeros(1), 300.0), FS) == ()
 
 
 def test_a_current_that_is_still_settling_is_no_line() -> None:
@@ -34,11 +34,11 @@ def test_a_current_that_is_still_settling_is_no_line() -> None:
     tail = 0.5 * np.exp(-t / 0.015)[:, None] * np.stack([np.cos(60.0 * t), np.sin(60.0 * t)], axis=1)
     rng = np.random.default_rng(1)
     settling = [spectrum_of(tail + rng.normal(0.0, NOISE_A, (len(t), 2))) for _ in range(20)]
-    assert find_lines(settling, [], FS, CRITERIA) == ()
+    assert find_lines(settling, [], FS) == ()
 
 
 def test_ripple_alike_in_every_hold_and_absent_with_the_bridge_off_is_switching_ripple() -> None:
-    (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS, CRITERIA)
+    (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS)
     assert line.switching
     assert line.frequency_hz == pytest.approx(131.7, abs=4.0)
     assert line.power == pytest.approx(0.5 * 0.01**2, rel=0.1)
@@ -46,7 +46,7 @@ def test_ripple_alike_in_every_hold_and_absent_with_the_bridge_off_is_switching_
 
 @pytest.mark.parametrize(("ripple_a", "off_a"), [(np.linspace(0.0, 0.02, 20), 0.0), (np.full(20, 0.01), 0.01)])
 def test_ripple_that_grows_or_stays_with_the_bridge_off_is_not(ripple_a: Array, off_a: float) -> None:
-    (line,) = find_lines(_holds(ripple_a, 300.0), _holds(np.array([off_a]), 300.0, seed=2), FS, CRITERIA)
+    (line,) = find_lines(_holds(ripple_a, 300.0), _holds(np.array([off_a]), 300.0, seed=2), FS)
     assert not line.switching
 
 
@@ -54,13 +54,13 @@ def test_readings_that_alternate_are_a_line_at_half_the_sampling_frequency() -> 
     rng = np.random.default_rng(3)
     odd = 0.003 * (-1.0) ** np.arange(2500)
     holds = [spectrum_of(rng.normal(0.0, NOISE_A, (2500, 2)) + odd[:, None]) for _ in range(12)]
-    (line,) = find_lines(holds, [], FS, CRITERIA)
+    (line,) = find_lines(holds, [], FS)
     assert line.frequency_hz == pytest.approx(FS / 2.0)
     assert not line.switching
 
 
 def test_noise_that_a_line_adds_is_what_it_does_to_the_equation() -> None:
-    (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS, CRITERIA)
+    (line,) = find_lines(_holds(np.full(20, 0.01), 131.7), _holds(np.zeros(1), 131.7, seed=2), FS)
     step, ohm, henry = 100, 4.0, 0.05
     w = np.concatenate([[0.0], 1.0 - np.abs(np.arange(-step, step + 1)) / step, [0.0]])
     weight = ohm / FS * 0.5 * (w[1:] + w[:-1]) + henry * np.diff(w)
