@@ -429,6 +429,10 @@ class EstimatorsReport(Lenient):
         """The remarks' sentences."""
         return tuple(remark.text for remark in self.remarks)
 
+    def with_resistance(self, resistance: ResistanceEstimate | None) -> Self:
+        """The same with another R_s."""
+        return self.model_copy(update={"resistance": resistance})
+
     def checked(self, checks: Sequence[UsabilityCheck]) -> Self:
         """The same with further checks; what stands in the way of using the map comes before all other remarks."""
         against = tuple(check.remark for check in checks if not check.is_met)

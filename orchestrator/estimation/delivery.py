@@ -117,7 +117,6 @@ def _recommended(
         kept = {name: getattr(own.resistance, name) for name in ("readings", "inverter", "temperature_rise_k")}
         resistance = resistance.model_copy(update=kept)
     fields = {
-        "resistance": resistance,
         "method": found.method,
         "parity": None,
         "reciprocity_percent": None,
@@ -125,7 +124,7 @@ def _recommended(
         "remarks": (*resistance.remarks, *rest),
         "maps": {found.method: map_report, **own.maps},
     }
-    report = own.model_copy(update=fields)
+    report = own.model_copy(update=fields).with_resistance(resistance)
     explains = Remark.of("model", "the model explains the recording: the diagnosis has no objection to its map")
     return report.checked(
         [

@@ -213,11 +213,11 @@ def _energy(evidence: MapEvidence) -> UsabilityCheck:
     off = [one for one in each if one is not None]
     if not off:
         text = "the energy and the maps that it was fitted to have no currents in common"
-        return _missing("energy", text, required=True)
+        return _missing("energy_agreement", text, required=True)
     text = "the energy differs from the nearest measured map by {apart_percent:.2g} % of the rated flux (rms)"
     limit = evidence.criteria.accuracy_percent
-    remark = Remark.of("energy_differs" if min(off) > limit else "energy", text, apart_percent=min(off))
-    return _within("energy", min(off), limit, remark)
+    remark = Remark.of("energy_differs" if min(off) > limit else "energy_agreement", text, apart_percent=min(off))
+    return _within("energy_agreement", min(off), limit, remark)
 
 
 def flux_band(flux_map: FluxMap, reference_wb: float | None, criteria: MapCriteria) -> UsabilityCheck:

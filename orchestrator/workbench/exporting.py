@@ -71,7 +71,7 @@ def _motor_with_resistance(path: Path, motor: Motor | str | PathLike[str] | None
     if motor is not None:
         found = motor if isinstance(motor, Motor) else load_motor(Path(motor))
     if found is None:
-        raise InputError(str(path), "motor", "a map file does not say its motor: name one, or a YAML file that does")
+        raise InputError(str(path), "motor", "a map file does not say its motor: name it or its YAML file (--motor)")
     return found if measured is None else found.model_copy(update={"stator_resistance_ohm": measured})
 
 

@@ -16,7 +16,7 @@ def next_steps(material: Material) -> list[Line]:
 
 
 def _about_map(material: Material) -> str:
-    found, run = material.estimates, material.directory
+    found, run = material.estimates, material.directory.resolve().name
     if found is None:
         return f"none yet: fluxbench estimate {run} makes it."
     if found.usable and "flux_map" in found.files:
@@ -26,7 +26,7 @@ def _about_map(material: Material) -> str:
 
 
 def _about_model(material: Material) -> str:
-    run = material.directory
+    run = material.directory.resolve().name
     if material.diagnosis is None:
         return f"not diagnosed: fluxbench diagnose {run} names what it misses."
     report = material.diagnosis.report
