@@ -91,7 +91,7 @@ def estimate_recording(
         if on_estimate is not None:
             on_estimate(estimate)
     if not made:
-        problem = "; ".join(remark.text for remark in (*against, *missing)) or "no estimator was asked"
+        problem = "; ".join(remark.text for remark in missing) or "no estimator was asked"
         raise NotMeasuredError(recording.manifest.name, "", f"nothing can be estimated: {problem}")
     made.sort(key=lambda pair: -pair[0].rank)
     maps = {estimate.map.method: estimate for _, estimate in made if isinstance(estimate, FluxMapEstimate)}
@@ -124,6 +124,9 @@ def _conventions(recording: RecordingReader) -> list[Remark]:
         if named is None:
             raise
         raise _refused(recording, named) from error
+    if named is not None and named.kind == "dead_channel":
+        # What the other sensor reads is no motor's current vector.
+        raise _refused(recording, named)
     return [] if named is None else [convention_remark(named)]
 
 

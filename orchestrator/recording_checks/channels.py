@@ -14,7 +14,7 @@ from orchestrator.recording_checks.criteria import ConventionCriteria
 from orchestrator.recording_checks.responses import shares
 from orchestrator.recording_checks.survey import Sighting, Survey, Vectors, parts
 from orchestrator.recording_checks.vector_maps import AXES, PHASES
-from protocols import Convention, ManifestCorrection, NotMeasuredError
+from protocols import Convention, ManifestCorrection, NotMeasuredError, SegmentStage
 
 _CHANNELS = ("alpha", "beta", *PHASES)
 
@@ -99,8 +99,12 @@ def dead_channel(survey: Survey) -> Convention | None:
 
 
 def _moves_both_ways(seen: Sequence[Sighting], limits: ConventionCriteria) -> bool:
-    """Whether the voltage goes in both directions, so that a motor's current does."""
-    line = _line(np.concatenate([s.ripple_v for s in seen]))
+    """Whether the voltage goes in both directions, so that a motor's current does.
+
+    Of a hold the mean counts: what its voltage does beside that is a controller's answer to noise.
+    """
+    holds = SegmentStage.RESISTANCE
+    line = _line(np.concatenate([np.array([s.mean_v]) if s.segment.stage is holds else s.ripple_v for s in seen]))
     return line is not None and line[0] > limits.speaking
 
 
