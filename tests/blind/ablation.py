@@ -85,6 +85,7 @@ RULES = (
     Rule("selection.joint_search", "in_forms_still_asked_for", _given("fit")),
     Rule("selection.joint_search", "with_overlooked", _given("fit")),
     Rule("selection.joint_search", "exchanged", _given_and(dict, "fit")),
+    Rule("selection.joint_search", "without_doubles", _given_and(dict, "fit")),
     Rule("selection.joint_workflow", "without_needless_scatter", _given("setup", "doubting", "fit")),
     Rule("selection.joint_workflow", "on_a_sharper_map", _given("fit")),
     Rule("selection.joint_workflow", "no_sharper_than_asked", _given("fit")),

@@ -11,10 +11,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import combinations
 
 import numpy as np
 
-from orchestrator.diagnosis.fitting.candidates import Active, Candidate
+from orchestrator.diagnosis.fitting.candidates import Active, Candidate, coordinate_of
 from orchestrator.diagnosis.fitting.chords import fit_along_chords, glanced
 from orchestrator.diagnosis.fitting.fit import Fitter, absent_columns
 from orchestrator.diagnosis.fitting.model import Fit, Model
@@ -115,8 +116,9 @@ def joint_search(fitter: Fitter, fit: Fit, library: Sequence[Candidate]) -> tupl
     """
     fit = in_simpler_forms(fitter, in_better_form(fitter, fit))
     fit, rivals = exchanged(fitter, downwards(fitter, fit), library)
-    fit = downwards(fitter, with_overlooked(fitter, fit, library))
-    return in_forms_still_asked_for(fitter, in_better_form(fitter, fit, at_once=True)), rivals
+    fit, doubles = without_doubles(fitter, downwards(fitter, with_overlooked(fitter, fit, library)))
+    fit = in_forms_still_asked_for(fitter, in_better_form(fitter, fit, at_once=True))
+    return fit, {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
 
 
 def in_forms_still_asked_for(fitter: Fitter, fit: Fit) -> Fit:
@@ -361,6 +363,65 @@ def exchanged(
         elif tied:
             rivals.setdefault(name, []).append(other.name)
     return fit, rivals
+
+
+def without_doubles(fitter: Fitter, fit: Fit) -> tuple[Fit, dict[str, list[str]]]:
+    """The fit with one of each two effects that the recording cannot part, where it does as well, and what went."""
+    gone: dict[str, list[str]] = {}
+    limits = fit.criteria.selection
+    for one, other in combinations(fit.model.names, 2):
+        if not {one, other} <= set(fit.model.names) or separable(fit.prepared, _effect(fit, one), _effect(fit, other)):
+            continue
+        factors = log_bayes_factors(fit)
+        lesser, stays = sorted((one, other), key=lambda name: factors[name] + _candidate(fit, name).head_start)
+        if (alone := _better_alone(fitter, fit, lesser, stays)) is not None:
+            given, (keeps, fit) = fit, alone
+            pair, gain = [keeps, stays if keeps == lesser else lesser], _evidence_gain(fit, given)
+            _record_evidence(fitter, "merge", pair, (given, fit), gain, -limits.log_evidence, taken=True)
+            gone.setdefault(keeps, []).append(stays if keeps == lesser else lesser)
+    return fit, gone
+
+
+def _better_alone(fitter: Fitter, fit: Fit, lesser: str, stays: str) -> tuple[str, Fit] | None:
+    """Which of two effects does as well alone as both, and the fit so; None where neither does.
+
+    Of two sizes of one kind the lesser is asked too where the other does not, or is bent for it: it may be the one that
+    has the form.
+    """
+    able: list[tuple[str, Fit]] = []
+    one_kind = bool(_shared_sizes(fit, lesser, stays))
+    for goes, keeps in ((lesser, stays), (stays, lesser))[: 2 if one_kind else 1]:
+        trial = _with_one_of(fitter, fit, goes, keeps)
+        if _evidence_gain(fit, trial) < asked_to_stay(fit, _candidate(fit, goes)):
+            able.append((keeps, trial))
+            if not _bent_more(fit, keeps, trial):
+                break
+    return max(able, key=lambda one: _evidence_gain(one[1], fit) + _candidate(fit, one[0]).head_start, default=None)
+
+
+def _shared_sizes(fit: Fit, one: str, other: str) -> set[str]:
+    """Amplitudes of the same name: of a dead time and a drop their volts."""
+    return set(_candidate(fit, one).amplitudes) & set(_candidate(fit, other).amplitudes)
+
+
+def _bent_more(fit: Fit, name: str, trial: Fit) -> bool:
+    """Whether an effect is bent by more in a trial than in the fit."""
+    before, after = (next(a for a in f.model.active if a.name == name) for f in (fit, trial))
+    return len(after.bent_by) > len(before.bent_by)
+
+
+def _with_one_of(fitter: Fitter, fit: Fit, goes: str, keeps: str) -> Fit:
+    """The fit without one of two effects, refitted from where the other has taken over what was its."""
+    went, stayed = (next(a for a in fit.model.active if a.name == name) for name in (goes, keeps))
+    shared = _shared_sizes(fit, goes, keeps)
+    for name in shared:
+        whole = stayed.values[name] + went.values[name]
+        stayed = stayed.moved(name, coordinate_of(stayed.candidate.named(name), whole))
+    active = [stayed if a.name == keeps else a for a in fit.model.active if a is not went]
+    trial = refitted(fitter, fit.model.with_active(active), fit)
+    # What two of one kind make good may be the form of either.
+    trial = refitted(fitter, with_flexible_forms(fitter, trial), trial)
+    return in_forms_still_asked_for(fitter, trial) if shared else trial
 
 
 def _evidence_gain(trial: Fit, fit: Fit) -> float:

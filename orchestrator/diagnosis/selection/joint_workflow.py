@@ -26,6 +26,7 @@ from orchestrator.diagnosis.selection.joint_search import (
     together,
     with_everything,
     with_overlooked,
+    without_doubles,
 )
 from orchestrator.diagnosis.selection.map_detail import with_finer_map
 from orchestrator.diagnosis.selection.modulator_timer import with_sharper_timer, with_timer_of_fit
@@ -132,6 +133,9 @@ def all_together(
         whole = downwards(setup.fitter, whole)
         rivals = {**rivals, **others}
     whole = no_sharper_than_asked(setup, whole)
+    # All that scatters, and the map, were told since doubles were asked last.
+    whole, doubles = without_doubles(setup.fitter, whole)
+    rivals = {name: [*rivals.get(name, []), *doubles.get(name, [])] for name in {**rivals, **doubles}}
     if not whole.model.active:
         return None
     if setup.fitter.noise.of_model != before or setup.prepared.timer is not None:

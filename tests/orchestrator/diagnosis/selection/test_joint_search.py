@@ -26,13 +26,14 @@ from orchestrator.diagnosis.selection.joint_search import (
     refitted,
     together,
     with_overlooked,
+    without_doubles,
     without_effect,
 )
 from orchestrator.diagnosis.selection.scoring import LinearView, Score, log_evidence, score
 from orchestrator.diagnosis.uncertainty.block_scatter import BLOCKS, block_scatter
 from orchestrator.diagnosis.weak_form.segments import PreparedRecording
 from plugins.effects.frame import RotorMisalignment
-from plugins.effects.inverter import DeadTime, VoltageBias
+from plugins.effects.inverter import DeadTime, DeviceDrop, VoltageBias
 from plugins.effects.resistance import PhaseResistanceImbalance
 from plugins.effects.sensors import CurrentOffset
 from protocols import Effect, ParameterRole
@@ -229,3 +230,39 @@ def test_what_its_first_form_explains_is_not_begun_at_another(fit: Fit, maker: F
     library = scaled_library([DeadTime(), VoltageBias()], maker.prepared.manifest)
     both = together(maker, free_model(), library)
     assert both.model.active[0].values["threshold_a"] == library[0].named("threshold_a").typical
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("softness", [0.15, 0.75])
+def test_two_effects_of_one_kind_are_no_more_than_one_of_another_form(softness: float) -> None:
+    made = prepared(plan(), noise_a=0.002)
+    library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)
+    true = DeadTime.Parameters(voltage_v=0.8, threshold_a=0.1, softness=softness)
+    lost = _lost_to(true, made)
+    maker = fitter(with_voltage(made, lost))
+    # One PWM frequency: only their forms tell them apart.
+    both = [
+        c.absent().moved(c.amplitudes[0], x).freeing("threshold_a") for c, x in zip(library, (-0.1, 0.6), strict=True)
+    ]
+    fit, gone = without_doubles(maker, refitted(maker, free_model().with_active(both)))
+    assert len(fit.model.active) == 1
+    assert gone == {fit.model.names[0]: [next(c.name for c in library if c.name != fit.model.names[0])]}
+    assert fit.chi2_per_dof == pytest.approx(1.0, abs=5.0 * math.sqrt(2.0 / fit.dof))
+
+
+def test_of_two_effects_of_one_kind_the_lesser_stays_where_it_alone_has_the_form() -> None:
+    """A dead time that charges capacitances all along, told as much of a drop and a little of itself."""
+    made = prepared(plan(), noise_a=5e-4)
+    library = scaled_library([DeadTime(), DeviceDrop()], made.manifest)
+    true = DeadTime.Parameters(voltage_v=4.8, threshold_a=0.3, charged=1.0)
+    maker = fitter(with_voltage(made, _lost_to(true, made)))
+    both = [
+        c.absent().moved(c.amplitudes[0], x).freeing("threshold_a") for c, x in zip(library, (0.1, 2.0), strict=True)
+    ]
+    start = refitted(maker, free_model().with_active(both))
+    alone = joint_search_module._better_alone(maker, start, "dead_time", "device_drop")
+    assert alone is not None
+    assert alone[0] == "dead_time"
+    (kept,) = alone[1].model.active
+    assert kept.values["voltage_v"] == pytest.approx(4.8, rel=5e-3)
+    assert kept.values["charged"] == pytest.approx(1.0, abs=0.05)
