@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -80,6 +81,11 @@ def _executed(drive: SimulatedDrive, point: PlannedPoint, heat: list[tuple[float
         heat.append((drive._plant.time_s, float(drive._plant.memory.state[HEAT])))
         if len(block):
             blocks.append(block)
+    return joined(blocks)
+
+
+def joined(blocks: Sequence[Capture]) -> Capture:
+    """Blocks that follow one another, as one capture."""
     return Capture(
         start_s=blocks[0].start_s,
         sampling_frequency_hz=blocks[0].sampling_frequency_hz,

@@ -6,7 +6,6 @@ import math
 from collections import Counter
 from typing import Any
 
-import numpy as np
 import pytest
 
 from orchestrator.analysis import judge_lock
@@ -14,6 +13,7 @@ from orchestrator.config import PlannedPoint, make_plan
 from orchestrator.stages import stiffest_hold_a
 from plugins.drives.simulated import SimulatedDrive, SimulatedOptions
 from protocols import Capture, DriveSetup, LockChecked, Procedure, Segment, SegmentStage
+from tests.support.simulated import joined
 
 TOLERANCE_RAD = 0.02
 MOVED_DEG = 2.0
@@ -114,14 +114,7 @@ def check_lock(
 
 
 def execute(device: SimulatedDrive, point: PlannedPoint) -> Capture:
-    blocks = [block for block in device.execute(point.excitation) if len(block)]
-    return Capture(
-        start_s=blocks[0].start_s,
-        sampling_frequency_hz=blocks[0].sampling_frequency_hz,
-        i_ab=np.concatenate([block.i_ab for block in blocks]),
-        v_ab=np.concatenate([block.v_ab for block in blocks]),
-        v_dc=np.concatenate([block.v_dc for block in blocks]),
-    )
+    return joined([block for block in device.execute(point.excitation) if len(block)])
 
 
 def segment_of(point: PlannedPoint, capture: Capture) -> Segment:
