@@ -237,7 +237,8 @@ def test_scattered_points_are_interpolated(machine: Machine, seed: int) -> None:
     flux = machine.psi(i)
     found = read(AXES, ID=i[:, 0], IQ=i[:, 1], FD=flux[:, 0], FQ=flux[:, 1])
     assert error_of(machine, found.flux_map) < INTERPOLATED
-    assert 0.0 <= float(found.remarks[0].values["error_percent"] or 0.0) < 100.0 * INTERPOLATED
+    # Predicted from four fifths of the points, also at the rim, where no neighbour stands beyond.
+    assert 0.0 <= float(found.remarks[0].values["error_percent"] or 0.0) < 100.0 * COARSE
 
 
 @given(machine=machines(), seed=st.integers(0, 1000))
