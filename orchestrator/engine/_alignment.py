@@ -1,6 +1,6 @@
 """Do a run's rows belong together? Judged where it shows first: in the square ripple of the first injections.
 
-A voltage that stands in another row than the drive says is refused, not put right (decision 31): by it every flux of
+A voltage that stands in another row than the drive says is refused, not put right (decision 3): by it every flux of
 the run would be wrong, and it is the drive's own number to say. Delays of a part of a row are left to the diagnosis.
 """
 

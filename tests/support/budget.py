@@ -1,7 +1,7 @@
 """What the rooms of the suite cost in CPU seconds, beside what they may cost: a table at its end, which gates nothing.
 
 A test's seconds are its process's and those of the programs that ended within it, with what pytest does around it.
-Why there is a budget, and how tests are divided into fast and slow ones: docs/decisions/0041.
+Why there is a budget, and how tests are divided into fast and slow ones: docs/decisions/0035.
 """
 
 from __future__ import annotations
