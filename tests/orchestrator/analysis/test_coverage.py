@@ -34,7 +34,7 @@ def test_intervals_hold_the_truth_and_are_not_vacuous(found: dict[str, Coverage]
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="99.1 %: errors that are smaller than stated are not believed, docs/decisions/0014")
+@pytest.mark.xfail(strict=True, reason="99.1 %: errors that are smaller than stated are not believed, decision 14")
 def test_intervals_of_the_d_axis_flux_are_no_wider_than_need_be(found: dict[str, Coverage]) -> None:
     assert together(found.values()).share[PSI_D] < 0.99
 
