@@ -1,4 +1,4 @@
-"""Files from beside docs/ that are pages of the site too: the README as its front page, CONTRIBUTING, LICENSE, CITATION."""
+"""Files beside docs/ that belong to the site: the README as its front page, CONTRIBUTING, LICENSE and CITATION.cff."""
 
 from pathlib import Path
 from typing import Any

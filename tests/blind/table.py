@@ -57,20 +57,24 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
         "",
         f"    python -m tests.blind --seed {seed} --write docs/blind-suite.md",
         "",
-        "The command writes this page. It makes recordings with hidden effects and diagnoses them. The plant shares no code",
-        "with the diagnosis nor with the simulated drive (`tests/blind`). Sizes are drawn log-uniformly from the catalogue's",
-        f"ranges. The catalogue has {len(CATALOGUE)} effects; {len(FOREIGN)} more are foreign, that is in no catalogue, and",
-        f"{len(NUISANCES)} are nuisances. An effect that the report declares indistinguishable from the hidden one counts.",
+        "The command writes this page. It makes recordings with hidden effects and diagnoses them. The plant",
+        "shares no code with the diagnosis nor with the simulated drive (`tests/blind`). Sizes are drawn",
+        f"log-uniformly from the catalogue's ranges. The catalogue has {len(CATALOGUE)} effects.",
+        f"Another {len(FOREIGN)} are foreign, which no catalogue has, and {len(NUISANCES)} are nuisances. An effect",
+        "that the report declares indistinguishable from the hidden one counts.",
         "",
-        '- **Left out**: the hidden effect is not in the library, and has to be flagged as unknown. One injection frequency',
-        "  cannot separate voltage_delay from current_filter, so of these two the name of the other counts.",
-        "- **Clutter**: every effect at 0.05 of its typical size, and one larger. No name of the catalogue is false there.",
-        "- **Ordinary**: every effect log-uniformly from 0.01 to 1 of its typical size. No name is false there either.",
-        "- **Switched**: an ordinary bench behind a bridge, computed edge by edge. It has most effects and those that such a",
-        "  bridge causes. Any other name is false.",
+        "- **Left out**: the hidden effect is not in the library, and has to be flagged as unknown. One injection",
+        "  frequency cannot separate voltage_delay from current_filter, so of these two the name of the other",
+        "  counts.",
+        "- **Clutter**: every effect at 0.05 of its typical size, and one larger. No name of the catalogue is",
+        "  false there.",
+        "- **Ordinary**: every effect log-uniformly from 0.01 to 1 of its typical size. No name is false there",
+        "  either.",
+        "- **Switched**: an ordinary bench behind a bridge, computed edge by edge. It has most effects and those",
+        "  that such a bridge causes. Any other name is false.",
         "",
-        "The plant itself decides which effect of clutter is the first and which are material: it runs without noise, with",
-        "and without each (`tests/blind/removal.py`). A map is delivered where something was fitted.",
+        "The plant itself decides which effect of clutter is the first and which are material: it runs without",
+        "noise, with and without each (`tests/blind/removal.py`). A map is delivered where something was fitted.",
         "",
         f"Date {date}, seed {seed}, {len(ordered)} recordings of the {usual} that it makes: {counts}.",
         "",
@@ -141,8 +145,8 @@ def _amounts(judgements: Sequence[Judgement]) -> list[str]:
         lines.append(f"Held-out error closed: {100 * float(np.median(closed)):.1f} % at the median (aim 98 %).")
     lines.append(
         f"A diagnosis of {np.median(samples) / 1e6:.2f} M samples takes {np.median(seconds):.1f} s at the median, "
-        f"{seconds.max():.1f} s at most, on a machine that does other work too. It takes {np.median(cpu):.1f} s of one core "
-        f"at the median, {cpu.max():.1f} s at most, and {peak:.0f} MB at most."
+        f"{seconds.max():.1f} s at most, on a machine that does other work too. It takes {np.median(cpu):.1f} s of one "
+        f"core at the median, {cpu.max():.1f} s at most, and {peak:.0f} MB at most."
     )
     return [*lines, *_maps(judgements), *_beside(judgements)]
 
@@ -162,8 +166,8 @@ def _probabilities(judgements: Sequence[Judgement]) -> list[str]:
         )
     largest = [j.of_largest for j in judgements if j.of_largest is not None]
     about = (
-        "Stated probabilities, of causes and of smaller effects, and how many of these are present (aim: within 0.05 in "
-        "each tenth). Recordings with a hidden effect outside the library are left out:"
+        "Stated probabilities, of causes and of smaller effects, and how many of these are present (aim: within 0.05 "
+        "in each tenth). Recordings with a hidden effect outside the library are left out:"
     )
     mean = f"The largest hidden effect of one, two, or clutter has {np.mean(largest):.3f} at the mean (aim 0.95)."
     head = ["| stated | effects | mean | there |", "| --- | --- | --- | --- |"]
