@@ -1,4 +1,4 @@
-# fluxbench: everything a newcomer needs is `make demo` and `make test`.
+# fluxbench: everything a newcomer needs is `make demo` and `make test`; `make help` lists the rest.
 PYTHON ?= python3.11
 VENV := .venv
 BIN := $(VENV)/bin
@@ -22,54 +22,57 @@ INSTALL := $(BIN)/pip install --quiet --disable-pip-version-check --no-compile -
 KERNELS = $(shell grep -rlE "njit|_numba" --include=*.py orchestrator plugins)
 COMPILED := $(VENV)/.compiled
 
-.PHONY: demo test suite test-all test-socketcan test-firmware bench torture blind pictures motor-time docs lint lock release audit clean
+.PHONY: help demo test suite test-all test-socketcan test-firmware bench torture blind pictures motor-time docs lint lock release audit clean
 
-demo: $(RUNS)
+demo: $(RUNS)  ## install what runs, commission a simulated motor, diagnose it
 	$(BIN)/fluxbench run demo
 
 # Lint beside the tests: it has one core, and the workers wait now and then.
-test: $(STAMP)
+test: $(STAMP)  ## install what tests need, run lint and the fast tests
 	$(MAKE) --no-print-directory -j 2 lint suite
 
-suite: $(COMPILED)
+help:  ## this list
+	@sed -nE 's/^([a-z][a-z-]*):[^#]*## (.*)/\1\t\2/p' $(firstword $(MAKEFILE_LIST)) | sort | awk -F '\t' '{printf "%-16s %s\n", $$1, $$2}'
+
+suite: $(COMPILED)  ## the fast tests alone
 	$(PYTEST)
 
-test-all: $(STAMP) lint
+test-all: $(STAMP) lint  ## lint and all tests, slow ones included
 	$(PYTEST) -m "slow or not slow"
 
 # Real SocketCAN in a virtual machine: qemu-system-x86, busybox-static and a Debian kernel (docs/robustness.md).
-test-socketcan: $(STAMP)
+test-socketcan: $(STAMP)  ## the CAN tests on a Linux kernel in a virtual machine
 	$(BIN)/python -m tests.socketcan
 
 # The reference firmware on the host and on QEMU's Cortex-M4: kits, runs, kills, fuzzing. What lacks its tool is skipped.
-test-firmware: $(STAMP)
+test-firmware: $(STAMP)  ## the reference firmware on the host and on an emulated Cortex-M4
 	$(BIN)/pytest -q -m "slow or not slow" tests/plugins/wire/firmware
 
-bench: $(STAMP)
+bench: $(STAMP)  ## benchmarks
 	$(BIN)/python -m tests.benchmarks
 
 # The attacks of tests/torture, from where the last call ended; the table in docs/robustness.md.
 MINUTES ?= 300
-torture: $(COMPILED)
+torture: $(COMPILED)  ## attacks for MINUTES=300 minutes, table into docs/robustness.md
 	$(BIN)/python -m tests.torture --minutes $(MINUTES) --write docs/robustness.md
 
 # The diagnosis, examined with a plant that it does not know: some hours for the aims' full counts.
 SEED ?= $(shell date +%s)
-blind: $(STAMP)
+blind: $(STAMP)  ## examine the diagnosis with SEED=..., table into docs/blind-suite.md
 	$(BIN)/python -m tests.blind --seed $(SEED) --jobs 2 --write docs/blind-suite.md
 
 # Needs Chromium, and mesa-vulkan-drivers for the viewer.
-pictures: $(STAMP)
+pictures: $(STAMP)  ## draw the pictures of the documentation anew
 	rm -rf runs/pictures runs/pictures.sealed
 	$(BIN)/fluxbench run demo --out runs/pictures
 	$(BIN)/python -m tests.pictures runs/pictures
 
 # The map's error over motor time (docs/adaptive.md): twenty minutes, from where the last call ended.
-motor-time: $(STAMP)
+motor-time: $(STAMP)  ## map error over motor time, for docs/adaptive.md
 	$(BIN)/python -m tests.motor_time runs/motor-time
 
 # The documentation as a site in site/, strictly: a page that the navigation lacks or a link into nothing fails.
-docs: $(VENV)/.docs
+docs: $(VENV)/.docs  ## build the documentation as a site in site/
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build
 
 $(VENV)/.docs: $(STAMP)
@@ -81,18 +84,18 @@ $(COMPILED): $(STAMP) $(KERNELS)
 	$(BIN)/python -m tests.support.kernels
 	touch $@
 
-lint: $(STAMP)
+lint: $(STAMP)  ## ruff, import-linter and mypy
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/lint-imports
 	$(BIN)/mypy
 
 # Written anew only on purpose: the versions that the tests are known to pass with.
-lock: $(STAMP)
+lock: $(STAMP)  ## write constraints.txt anew from the environment
 	$(BIN)/pip freeze --exclude-editable --exclude fluxbench > constraints.txt
 
 # The wheel, the same bytes from the same sources, and what an installation of it consists of (CycloneDX).
-release: $(STAMP)
+release: $(STAMP)  ## wheel, requirements and SBOM in dist/
 	rm -rf dist
 	$(BIN)/python -m hatchling build -d dist
 	$(PYTHON) -m venv dist/.installed
@@ -105,13 +108,13 @@ release: $(STAMP)
 	rm -rf dist/.installed dist/.tools
 
 # What is known to be unsafe of the versions that are pinned. Advisories are PyPI's: where they cannot be reached, this fails.
-audit:
+audit:  ## known vulnerabilities of the pinned versions
 	$(PYTHON) -m venv dist/.audit
 	dist/.audit/bin/pip install --quiet --disable-pip-version-check "pip-audit>=2.9"
 	dist/.audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip --strict
 	rm -rf dist/.audit
 
-clean:
+clean:  ## remove the environment, runs, builds and caches
 	rm -rf $(VENV) dist runs site .mypy_cache .ruff_cache .hypothesis .import_linter_cache
 
 $(RUNS): pyproject.toml constraints.txt

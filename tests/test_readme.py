@@ -17,8 +17,8 @@ ROOT = Path(__file__).parents[1]
 MYSTERY = re.compile(r"\bmystery\b|mystery-4")
 """Its commands fit a model again and again: a minute or two."""
 DEMO = re.compile(r"^fluxbench run demo\b")
-LONG = re.compile(r"--isolability\b|^fluxbench estimate\b")
-"""A prediction that looks at all effects at once, and the run's estimates once more: seconds each."""
+LONG = re.compile(r"^fluxbench estimate\b")
+"""The run's estimates once more: seconds."""
 OTHERS = all_effects_but("dead_time", "winding_heating")
 SHORT = (
     " --set stages.7.held_a=[0] --set stages.8.step_a=2.5 --set stages.11.rounds=0"

@@ -18,7 +18,8 @@ import yaml
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SITE: dict[str, Any] = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
-FROM_THE_README = "index.md"
+GENERATED = ("index.md", "contributing.md")
+"""From the README and CONTRIBUTING, by docs/front_page.py."""
 
 
 def pages_of(entries: Any) -> Iterator[str]:
@@ -33,7 +34,7 @@ def pages_of(entries: Any) -> Iterator[str]:
 def test_the_navigation_names_every_page_once() -> None:
     named = sorted(pages_of(SITE["nav"]))
     pages = [str(page.relative_to(DOCS)) for page in DOCS.rglob("*.md")]
-    assert named == sorted([*pages, FROM_THE_README])
+    assert named == sorted([*pages, *GENERATED])
 
 
 def test_the_site_is_built_strictly_and_asks_no_other_machine_for_anything() -> None:

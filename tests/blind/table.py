@@ -53,19 +53,28 @@ def page(judgements: Sequence[Judgement], seed: int, date: str, usual: int) -> s
     lines = [
         "# The blind suite",
         "",
-        "Recordings with hidden effects, of a plant that shares no code with the diagnosis nor with the simulated",
-        "drive (`tests/blind`), and what `fluxbench diagnose` says of them. A declared twin counts. Sizes are drawn",
-        f"log-uniformly from the catalogue's ranges; there are {len(CATALOGUE)} effects in it, {len(FOREIGN)} that no",
-        f'catalogue has, and {len(NUISANCES)} nuisances. "Left out" takes the hidden effect out of the library:',
-        "it has to be flagged as unknown (of voltage_delay and current_filter, which one injection frequency cannot",
-        "part, the name of the other counts). Clutter is every effect at 0.05 of typical and one larger, an ordinary",
-        "bench every effect log-uniformly from 0.01 to 1 of typical: no name of the catalogue is false there. Switched",
-        "is an ordinary bench behind a bridge, edge by edge: it has most effects and what such a bridge brings along;",
-        "a name that is of none of these is false. Which effect of clutter is the first, and which are material, is",
-        "asked of the plant: without noise, with and without each (`tests/blind/removal.py`). A map is delivered where",
-        "something was fitted. This page is written by a command:",
+        "This page tells you how often `fluxbench diagnose` is right. To examine it anew (some hours):",
         "",
         f"    python -m tests.blind --seed {seed} --write docs/blind-suite.md",
+        "",
+        "The command writes this page. It makes recordings with hidden effects and diagnoses them. The plant",
+        "shares no code with the diagnosis nor with the simulated drive (`tests/blind`). Sizes are drawn",
+        f"log-uniformly from the catalogue's ranges. The catalogue has {len(CATALOGUE)} effects.",
+        f"Another {len(FOREIGN)} are foreign, which no catalogue has, and {len(NUISANCES)} are nuisances. An effect",
+        "that the report declares indistinguishable from the hidden one counts.",
+        "",
+        "- **Left out**: the hidden effect is not in the library, and has to be flagged as unknown. One injection",
+        "  frequency cannot separate voltage_delay from current_filter, so of these two the name of the other",
+        "  counts.",
+        "- **Clutter**: every effect at 0.05 of its typical size, and one larger. No name of the catalogue is",
+        "  false there.",
+        "- **Ordinary**: every effect log-uniformly from 0.01 to 1 of its typical size. No name is false there",
+        "  either.",
+        "- **Switched**: an ordinary bench behind a bridge, computed edge by edge. It has most effects and those",
+        "  that such a bridge causes. Any other name is false.",
+        "",
+        "The plant itself decides which effect of clutter is the first and which are material: it runs without",
+        "noise, with and without each (`tests/blind/removal.py`). A map is delivered where something was fitted.",
         "",
         f"Date {date}, seed {seed}, {len(ordered)} recordings of the {usual} that it makes: {counts}.",
         "",
@@ -135,10 +144,9 @@ def _amounts(judgements: Sequence[Judgement]) -> list[str]:
     if closed:
         lines.append(f"Held-out error closed: {100 * float(np.median(closed)):.1f} % at the median (aim 98 %).")
     lines.append(
-        f"A diagnosis takes {np.median(seconds):.1f} s at the median, {seconds.max():.1f} s at most "
-        f"({np.median(cpu):.1f} s of one core at the median, {cpu.max():.1f} s at most) "
-        f"for {np.median(samples) / 1e6:.2f} M samples, "
-        f"beside whatever else the machine does; {peak:.0f} MB at most."
+        f"A diagnosis of {np.median(samples) / 1e6:.2f} M samples takes {np.median(seconds):.1f} s at the median, "
+        f"{seconds.max():.1f} s at most, on a machine that does other work too. It takes {np.median(cpu):.1f} s of one "
+        f"core at the median, {cpu.max():.1f} s at most, and {peak:.0f} MB at most."
     )
     return [*lines, *_maps(judgements), *_beside(judgements)]
 
@@ -158,8 +166,8 @@ def _probabilities(judgements: Sequence[Judgement]) -> list[str]:
         )
     largest = [j.of_largest for j in judgements if j.of_largest is not None]
     about = (
-        "Probabilities that are stated where all that is hidden is in the library, of causes and of smaller ones, and "
-        "how many of these are there (aim: within 0.05 in each tenth):"
+        "Stated probabilities, of causes and of smaller effects, and how many of these are present (aim: within 0.05 "
+        "in each tenth). Recordings with a hidden effect outside the library are left out:"
     )
     mean = f"The largest hidden effect of one, two, or clutter has {np.mean(largest):.3f} at the mean (aim 0.95)."
     head = ["| stated | effects | mean | there |", "| --- | --- | --- | --- |"]
@@ -179,7 +187,8 @@ def _beside(judgements: Sequence[Judgement]) -> list[str]:
             false += sum(wrong for _, wrong in told)
         rows.append(f"| {method} | {' | '.join(cells)} | {false / len(answers):.2f} |")
     about = (
-        "Exactly the hidden effects, also by linear searches over the library's columns (`tests/blind/baselines.py`):"
+        "Recordings with exactly the hidden effects named, beside linear searches over the library's columns "
+        "(`tests/blind/baselines.py`):"
     )
     head = "| method | clean | single | double | false names a recording |"
     return ["", about, "", head, "| --- | --- | --- | --- | --- |", *rows] if rows else []
@@ -200,7 +209,7 @@ def _maps(judgements: Sequence[Judgement]) -> list[str]:
                 f"| {100 * np.median(inside):.0f} | {np.median(ohm):.3f} |"
             )
     head = "| class | maps | usable | rms error, % of rated flux: median | at most | in their 95 %, % | R_s error, % |"
-    about = "The maps that are delivered, effects taken out, against the plant's own:"
+    about = "The delivered maps, with the effects removed, against the plant's own:"
     return ["", about, "", head, "| --- | --- | --- | --- | --- | --- | --- |", *rows] if rows else []
 
 

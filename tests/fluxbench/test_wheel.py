@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-SOURCES = ("pyproject.toml", "README.md", "protocols", "orchestrator", "plugins", "fluxbench")
+SOURCES = ("pyproject.toml", "README.md", "LICENSE", "protocols", "orchestrator", "plugins", "fluxbench")
 
 
 def built(folder: Path, *, mode: int, mtime_s: float) -> Path:
@@ -41,7 +41,15 @@ def test_two_checkouts_make_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
 
 
 def test_a_wheel_holds_every_file_of_its_packages_and_nothing_else(wheel: Path) -> None:
-    tracked = subprocess.run(["git", "ls-files", *SOURCES[2:]], cwd=ROOT, check=True, capture_output=True, text=True)
+    tracked = subprocess.run(["git", "ls-files", *SOURCES[3:]], cwd=ROOT, check=True, capture_output=True, text=True)
     with zipfile.ZipFile(wheel) as content:
         packed = {name for name in content.namelist() if ".dist-info/" not in name}
     assert packed == set(tracked.stdout.split())
+
+
+def test_a_wheel_carries_its_licence(wheel: Path) -> None:
+    with zipfile.ZipFile(wheel) as content:
+        (licence,) = [name for name in content.namelist() if name.endswith(".dist-info/licenses/LICENSE")]
+        (metadata,) = [name for name in content.namelist() if name.endswith(".dist-info/METADATA")]
+        assert content.read(licence) == (ROOT / "LICENSE").read_bytes()
+        assert b"License-Expression: Apache-2.0" in content.read(metadata)

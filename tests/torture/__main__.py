@@ -93,9 +93,9 @@ def section(kept: Sequence[Kept], seed: int) -> str:
 
     make torture
 
-makes the attacks of `tests/torture` from a seed, goes on where it was ended (`runs/torture.jsonl`), and stops after
+makes the attacks of `tests/torture` from a seed, continues where it ended (`runs/torture.jsonl`), and stops after
 `MINUTES` minutes, 300 by default; all of it takes longer. Each attempt is drawn from the seed and its own number, so
-that it can be made again. A small part is in `make test`.
+that it can be repeated. A small part is in `make test`.
 
 {day}, seed {seed}, commit {commit.stdout.strip()}, beside other work on {os.cpu_count()} cores:
 
