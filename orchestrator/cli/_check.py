@@ -89,9 +89,9 @@ class RehearsalOptions:
 
     def machine(self, plan: Plan, drive: Capabilities) -> Machine:
         """The machine that it is rehearsed on."""
+        from orchestrator.api import chosen_model
         from orchestrator.experiment_design.machine import Machine
         from orchestrator.experiment_design.rehearsal import as_measured
-        from orchestrator.workbench import chosen_model
 
         nameplate = Machine.of(plan.procedure.motor, plan.procedure.name)
         model = chosen_model(self.model)
@@ -99,8 +99,8 @@ class RehearsalOptions:
 
     def outlook(self, plan: Plan, drive: Capabilities) -> IsolabilityReport:
         """What the plan would tell."""
+        from orchestrator.api import chosen_effects
         from orchestrator.experiment_design.outlook import outlook
-        from orchestrator.workbench import chosen_effects
 
         effects = chosen_effects(self.effects or ())
         return outlook(plan, drive, self.machine(plan, drive), effects, noise_a=self.noise_a)

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from orchestrator.api import as_overrides, run_directory
 from orchestrator.cli._output import complain, give_up_broken_output, say_document, say_notes
 from orchestrator.config import read_procedure
 from orchestrator.engine import (
@@ -25,7 +26,6 @@ from orchestrator.engine import (
     resume_run,
     start_run,
 )
-from orchestrator.workbench import as_overrides, run_directory
 from protocols import FluxbenchError
 
 

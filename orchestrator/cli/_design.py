@@ -9,6 +9,7 @@ from typing import Any
 
 import yaml
 
+from orchestrator.api import chosen_effects
 from orchestrator.cli._check import RehearsalOptions
 from orchestrator.cli._output import say, say_document
 from orchestrator.config import LoadedProcedure, check_plan, make_plan, read_procedure
@@ -18,7 +19,6 @@ from orchestrator.experiment_design.design import Designed, design, kept
 from orchestrator.presentation.quantities import duration, number, percent, plural
 from orchestrator.presentation.sentences import columns, listed
 from orchestrator.stages import parse_stages
-from orchestrator.workbench import chosen_effects
 from protocols import InputError, PluginError
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 def compare(path: Path, model: str | None, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Hold the model against the measurements."""
     with prompt_interrupt():
-        report = workbench.compare(path, model=model, effects=effects or (), out=out)
+        report = api.compare(path, model=model, effects=effects or (), out=out)
     if as_json:
         say_document(report.model_dump_json(indent=2))
     else:
@@ -56,7 +56,7 @@ def diagnose(
         waiting.keep(found.sentence)
 
     with prompt_interrupt(interruption):
-        kept = workbench.diagnose(
+        kept = api.diagnose(
             path,
             model=model or "saturated",
             effects=effects or (),
@@ -86,7 +86,7 @@ def add(
     """Refit with these effects."""
     with prompt_interrupt():
         tell = _waiting(as_json).keep
-        report = workbench.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
+        report = api.add(path, *names, model=model, effects=effects or (), out=out, tell=tell)
         refresh_report(path, out)
     _say_refit(report, path, as_json)
     return 0
@@ -95,7 +95,7 @@ def add(
 def remove(path: Path, name: str, effects: Path | None, out: Path | None, as_json: bool) -> int:
     """Refit without this effect."""
     with prompt_interrupt():
-        report = workbench.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
+        report = api.remove(path, name, effects=effects or (), out=out, tell=_waiting(as_json).keep)
         refresh_report(path, out)
     _say_refit(report, path, as_json)
     return 0

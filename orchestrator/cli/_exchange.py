@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.config import load_motor
 from orchestrator.importing import ImportReport, import_files, merge_recordings
@@ -17,7 +17,7 @@ from protocols import InputError
 
 def export(path: Path, formats: Sequence[str], motor: Path | None, out: Path | None, as_json: bool) -> int:
     """Write the flux map of a run, recording or map file for other tools."""
-    report = workbench.export(path, *formats, motor=motor, out=out)
+    report = api.export(path, *formats, motor=motor, out=out)
     if as_json:
         say_document(report.model_dump_json(indent=2))
         return 0

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_wide_table
 from orchestrator.presentation.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
 from orchestrator.presentation.names import VERDICTS, plain
@@ -13,7 +13,7 @@ from protocols import Explanation
 
 def explain(path: Path, as_json: bool) -> int:
     """Print the reasons of the verdict, the search, and what each named effect rests on."""
-    found = workbench.explain(path)
+    found = api.explain(path)
     if as_json:
         say_document(found.model_dump_json(indent=2))
     else:

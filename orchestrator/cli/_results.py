@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.cli._refreshing import has_report, refresh_report
 from orchestrator.presentation.names import PAPER_CROSSINGS
@@ -22,7 +22,7 @@ from protocols import EstimationReport
 
 def estimate(path: Path, out: Path | None, names: Sequence[str], as_json: bool) -> int:
     """Run the estimators; results go into the recording's own results/, or below `out`."""
-    report = workbench.estimate(path, estimators=names, out=out)
+    report = api.estimate(path, estimators=names, out=out)
     refresh_report(path, out)
     if as_json:
         say_document(report.model_dump_json(indent=2))

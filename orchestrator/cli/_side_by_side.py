@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from pathlib import Path
 
-from orchestrator import workbench
+from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.presentation.sentences import text_table
 from orchestrator.side_by_side import change_rows, run_rows
@@ -13,7 +13,7 @@ from orchestrator.side_by_side import change_rows, run_rows
 
 def compare_runs(paths: Sequence[Path], as_json: bool) -> int:
     """Print what the runs said, and what changed."""
-    found = workbench.compare_runs(*paths).comparison
+    found = api.compare_runs(*paths).comparison
     if as_json:
         say_document(found.model_dump_json(indent=2))
         return 0

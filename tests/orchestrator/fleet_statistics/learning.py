@@ -17,10 +17,10 @@ from pathlib import Path
 
 import numpy as np
 
+from orchestrator.api import chosen_effects
 from orchestrator.config import load_procedure
 from orchestrator.diagnosis import diagnose_recording
 from orchestrator.fleet_statistics import fleet_of, priors_of
-from orchestrator.workbench import chosen_effects
 from protocols import DiagnosisReport, FoundEffect, Procedure, RecordingReader, Segment, SegmentStage
 from protocols.fleet import FleetEffect, FleetRow
 from protocols.fleet_priors import FleetPriors

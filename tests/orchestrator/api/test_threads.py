@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from orchestrator.workbench import one_thread
+from orchestrator.api import one_thread
 
 
 def threads() -> set[int]:

@@ -3,7 +3,7 @@
 Whatever is named may be a path, a run or recording that is open, or the thing itself.
 """
 
-from orchestrator.workbench.analysing import (
+from orchestrator.api.analysing import (
     add,
     chosen_effects,
     chosen_model,
@@ -15,10 +15,10 @@ from orchestrator.workbench.analysing import (
     map_of,
     remove,
 )
-from orchestrator.workbench.exporting import export
-from orchestrator.workbench.measurements import Measurements, open
-from orchestrator.workbench.running import as_overrides, run, run_directory
-from orchestrator.workbench.threads import one_thread
+from orchestrator.api.exporting import export
+from orchestrator.api.measurements import Measurements, open
+from orchestrator.api.running import as_overrides, run, run_directory
+from orchestrator.api.threads import one_thread
 
 __all__ = [
     "Measurements",

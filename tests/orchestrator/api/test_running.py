@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 import yaml
 
+from orchestrator.api import Measurements, as_overrides, run, run_directory
 from orchestrator.config import load_procedure
-from orchestrator.workbench import Measurements, as_overrides, run, run_directory
 from protocols import DriveFault, InputError, ProcedureError
 from tests.support.tiny import STAGES, tiny_document
 

@@ -8,10 +8,10 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.api.threads import one_thread
 from orchestrator.recording import read_model
 from orchestrator.registry import PluginKind, load_effects_file, make_plugins
 from orchestrator.runs import open_any, refuse_file
-from orchestrator.workbench.threads import one_thread
 from protocols import (
     AddReport,
     CompareReport,

@@ -11,9 +11,9 @@ from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from orchestrator.api.measurements import Measurements, open
+from orchestrator.api.threads import one_thread
 from orchestrator.runs import refuse_file
-from orchestrator.workbench.measurements import Measurements, open
-from orchestrator.workbench.threads import one_thread
 from protocols import InputError, Procedure
 
 if TYPE_CHECKING:

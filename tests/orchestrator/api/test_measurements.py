@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from orchestrator.workbench import Measurements, open
+from orchestrator.api import Measurements, open
 from protocols import InputError, RecordingError
 
 DATA = Path(__file__).parents[2] / "data" / "pm400-reduced"

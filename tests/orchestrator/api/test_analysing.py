@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from orchestrator.api import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
 from orchestrator.experiment_design.proposal import next_experiment
-from orchestrator.workbench import add, chosen_effects, chosen_model, compare, diagnose, estimate, map_of, remove
 from plugins.effects.inverter import DeadTime, VoltageBias
 from protocols import FluxMap, InputError, MotorModel, PluginError, RecordingError
 
