@@ -27,8 +27,8 @@ from protocols import (
 if TYPE_CHECKING:
     import xarray as xr
 
+    from orchestrator.comparison import SideBySide
     from orchestrator.diagnosis import InterimResult, ModelChoice, SavedDiagnosis
-    from orchestrator.side_by_side import SideBySide
     from protocols.fleet_priors import FleetPriors
 
 Place = str | PathLike[str]
@@ -84,8 +84,8 @@ def compare(
 
 @one_thread()
 def compare_runs(*places: Place) -> SideBySide:
-    """Runs side by side, and what changed beyond noise; see `orchestrator.side_by_side.compare_runs`."""
-    from orchestrator.side_by_side import compare_runs as of_paths
+    """Runs side by side, and what changed beyond noise; see `orchestrator.comparison.compare_runs`."""
+    from orchestrator.comparison import compare_runs as of_paths
 
     return of_paths([Path(place) for place in places])
 

@@ -329,7 +329,7 @@ def compare_command(
     for recording in recordings:
         announce(recording, as_json)
     if len(recordings) > 1:
-        from orchestrator.cli._side_by_side import compare_runs
+        from orchestrator.cli._comparison import compare_runs
 
         return compare_runs(recordings, as_json)
     from orchestrator.cli._diagnosis import compare

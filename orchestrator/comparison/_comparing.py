@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from orchestrator.comparison._said import RunSaid, spread_of
 from orchestrator.numerics.types import Array
 from orchestrator.presentation.names import parameter_words, plain
-from orchestrator.side_by_side._said import RunSaid, spread_of
 from protocols import InputError, Interval, Number, Remark, Strict
 
 COPPER_PER_K = 0.00393

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from orchestrator.comparison._comparing import MapChange, Quantity, RunsComparison
 from orchestrator.presentation.quantities import UNKNOWN, measured, percent, quantity, vector
-from orchestrator.side_by_side._comparing import MapChange, Quantity, RunsComparison
 
 _WORDS = {None: UNKNOWN, True: "changed", False: "same"}
 

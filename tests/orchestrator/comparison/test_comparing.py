@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from orchestrator.comparison import RunsComparison, compare_runs
 from orchestrator.diagnosis.reporting.diagnosis_file import save_diagnosis
 from orchestrator.estimation.results import write_results
-from orchestrator.side_by_side import RunsComparison, compare_runs
 from protocols import (
     DiagnosisWords,
     EstimationReport,

@@ -1,14 +1,14 @@
 """Runs against each other: before and after, motor A and B, cold and hot. Fits nothing: it reads what each run said."""
 
-from orchestrator.side_by_side._comparing import (
+from orchestrator.comparison._comparing import (
     MapChange,
     Quantity,
     RunsComparison,
     SideBySide,
     compare_runs,
 )
-from orchestrator.side_by_side._rows import change_rows, run_rows
-from orchestrator.side_by_side._said import RunSaid
+from orchestrator.comparison._rows import change_rows, run_rows
+from orchestrator.comparison._said import RunSaid
 
 __all__ = [
     "MapChange",
