@@ -18,8 +18,8 @@ from orchestrator.api import as_overrides
 from orchestrator.config import check_plan, load_procedure, make_plan
 from orchestrator.engine import connected_drive
 from orchestrator.fleet import Plan
+from orchestrator.formatting.names import plain
 from orchestrator.plain_files import read_text
-from orchestrator.presentation.names import plain
 from protocols import DriveChoice, InputError, Procedure, Strict
 from protocols.fleet import FleetStep, HiddenEffect
 

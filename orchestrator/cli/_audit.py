@@ -21,9 +21,9 @@ from orchestrator.flux_maps import (
     repair_map,
     suggest_mapping,
 )
+from orchestrator.formatting.quantities import UNKNOWN, number, percent, plural, quantity
+from orchestrator.formatting.sentences import columns
 from orchestrator.plain_files import read_text
-from orchestrator.presentation.quantities import UNKNOWN, number, percent, plural, quantity
-from orchestrator.presentation.sentences import columns
 from orchestrator.recording import read_model
 from orchestrator.runs import open_any
 from protocols import InputError, Motor

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.config import Plan, PlanSummary, StageRow, check_plan, make_plan, read_procedure
 from orchestrator.engine import UsedPlugins, connected_drive, host_gap
-from orchestrator.presentation.quantities import duration, number, quantity
+from orchestrator.formatting.quantities import duration, number, quantity
 from orchestrator.stages import parse_stages
 from orchestrator.time_constants import plan_notes
 from protocols import Capabilities, Drive

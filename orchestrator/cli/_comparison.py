@@ -8,7 +8,7 @@ from pathlib import Path
 from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.comparison import change_rows, run_rows
-from orchestrator.presentation.sentences import text_table
+from orchestrator.formatting.sentences import text_table
 
 
 def compare_runs(paths: Sequence[Path], as_json: bool) -> int:

@@ -16,8 +16,8 @@ from orchestrator.config import LoadedProcedure, check_plan, make_plan, read_pro
 from orchestrator.diagnosis.fitting.candidates import MAP_RUNGS, require_known
 from orchestrator.engine import UsedPlugins, connected_drive
 from orchestrator.experiment_design.design import Designed, design, kept
-from orchestrator.presentation.quantities import duration, number, percent, plural
-from orchestrator.presentation.sentences import columns, listed
+from orchestrator.formatting.quantities import duration, number, percent, plural
+from orchestrator.formatting.sentences import columns, listed
 from orchestrator.stages import parse_stages
 from protocols import InputError, PluginError
 

@@ -11,13 +11,13 @@ from orchestrator import api
 from orchestrator.cli._interrupting import Interruption, prompt_interrupt
 from orchestrator.cli._output import say, say_document, say_notes, say_table, stage_as_yaml
 from orchestrator.cli._refreshing import refresh_report
-from orchestrator.presentation.benefits import BENEFITS, benefit_line
-from orchestrator.presentation.explaining import accuracy_sentences
-from orchestrator.presentation.names import plain, slots
-from orchestrator.presentation.quantities import number, quantity
-from orchestrator.presentation.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
-from orchestrator.presentation.sentences import columns, text_table
-from orchestrator.presentation.waiting import Waiting
+from orchestrator.formatting.benefits import BENEFITS, benefit_line
+from orchestrator.formatting.explaining import accuracy_sentences
+from orchestrator.formatting.names import plain, slots
+from orchestrator.formatting.quantities import number, quantity
+from orchestrator.formatting.results import ladder_rows, parameter_rows, resistance, share_notes, share_rows
+from orchestrator.formatting.sentences import columns, text_table
+from orchestrator.formatting.waiting import Waiting
 from protocols import AddReport, CompareReport, DiagnosisReport, DiagnosisWords, EstimationReport
 
 if TYPE_CHECKING:

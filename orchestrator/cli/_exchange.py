@@ -9,9 +9,9 @@ from pathlib import Path
 from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_notes
 from orchestrator.config import load_motor
+from orchestrator.formatting.quantities import percent
 from orchestrator.importing import ImportReport, import_files, merge_recordings
 from orchestrator.importing.guessing import guess_mapping
-from orchestrator.presentation.quantities import percent
 from protocols import InputError
 
 

@@ -6,8 +6,8 @@ from pathlib import Path
 
 from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_wide_table
-from orchestrator.presentation.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
-from orchestrator.presentation.names import VERDICTS, plain
+from orchestrator.formatting.explaining import BASIS_HEAD, SEARCH_HEAD, basis_rows, search_rows
+from orchestrator.formatting.names import VERDICTS, plain
 from protocols import Explanation
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from orchestrator.cli._output import say_document, stage_as_yaml
 from orchestrator.diagnosis import diagnose_recording, load_diagnosis
 from orchestrator.experiment_design.proposal import next_experiment
-from orchestrator.presentation.names import plain
+from orchestrator.formatting.names import plain
 from orchestrator.registry import PluginKind, make_plugins
 from orchestrator.runs import RunDirectory, is_run, open_any
 from orchestrator.stages import parse_stages, proposing_stage

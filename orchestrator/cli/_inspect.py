@@ -84,7 +84,7 @@ def schema(name: str, plugin: str | None, as_table: bool) -> int:
         raise InputError("schema", name, "expected a drive's name after `drive`, and nothing after the others")
     model = _model(name) if plugin is None else load_plugin(PluginKind.DRIVES, plugin).Options
     if as_table:
-        from orchestrator.presentation.options import options_table
+        from orchestrator.formatting.options import options_table
 
         say_document(options_table(model))
     else:

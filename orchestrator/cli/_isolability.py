@@ -6,8 +6,8 @@ from textwrap import wrap
 
 from orchestrator.cli._output import say, say_table, stage_as_yaml
 from orchestrator.experiment_design.outlook import IsolabilityReport
-from orchestrator.presentation.quantities import quantity
-from orchestrator.presentation.sentences import columns, listed
+from orchestrator.formatting.quantities import quantity
+from orchestrator.formatting.sentences import columns, listed
 
 _TOO_LARGE = 0.995
 """Sizes that print as 100 % and more are dashes: such an effect is not found, or not told apart, at a typical size."""

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from orchestrator.presentation.sentences import can_print, cut, for_output, text_table, visible
+from orchestrator.formatting.sentences import can_print, cut, for_output, text_table, visible
 
 _FILE_WIDTH = 180
 """Characters of a line of a table that goes to a file or another program."""

@@ -8,9 +8,9 @@ from pathlib import Path
 from orchestrator import api
 from orchestrator.cli._output import say, say_document, say_notes, say_table
 from orchestrator.cli._refreshing import has_report, refresh_report
-from orchestrator.presentation.names import PAPER_CROSSINGS
-from orchestrator.presentation.quantities import UNKNOWN, axes_percent
-from orchestrator.presentation.results import (
+from orchestrator.formatting.names import PAPER_CROSSINGS
+from orchestrator.formatting.quantities import UNKNOWN, axes_percent
+from orchestrator.formatting.results import (
     check_rows,
     coefficient_rows,
     resistance,

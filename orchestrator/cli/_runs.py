@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from orchestrator.cli._output import complain, say, say_document
-from orchestrator.presentation.sentences import text_table
+from orchestrator.formatting.sentences import text_table
 from orchestrator.runs import run_rows
 from protocols import InputError
 

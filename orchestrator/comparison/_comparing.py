@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from orchestrator.comparison._said import RunSaid, spread_of
+from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.numerics.types import Array
-from orchestrator.presentation.names import parameter_words, plain
 from protocols import InputError, Interval, Number, Remark, Strict
 
 COPPER_PER_K = 0.00393

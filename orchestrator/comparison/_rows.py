@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.comparison._comparing import MapChange, Quantity, RunsComparison
-from orchestrator.presentation.quantities import UNKNOWN, measured, percent, quantity, vector
+from orchestrator.formatting.quantities import UNKNOWN, measured, percent, quantity, vector
 
 _WORDS = {None: UNKNOWN, True: "changed", False: "same"}
 

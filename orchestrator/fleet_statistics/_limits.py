@@ -11,9 +11,9 @@ from pydantic import ValidationError
 from orchestrator._document import parse_document
 from orchestrator._validation import first_problem, nearest, suggestion
 from orchestrator.fleet_statistics._table import Column, FleetTable
+from orchestrator.formatting.quantities import measured, quantity
 from orchestrator.numerics.process_control import capability, share_beyond
 from orchestrator.plain_files import read_text
-from orchestrator.presentation.quantities import measured, quantity
 from protocols import InputError
 from protocols.fleet_report import (
     CapabilityIndex,

@@ -9,10 +9,10 @@ import numpy as np
 from orchestrator.fleet_statistics._rows import name_of
 from orchestrator.fleet_statistics._settings import FleetCriteria
 from orchestrator.fleet_statistics._table import Column, FleetTable
+from orchestrator.formatting.quantities import plural, quantity
 from orchestrator.numerics.robust import spread
 from orchestrator.numerics.robust_scatter import Scatter, robust_scatter
 from orchestrator.numerics.types import Array, Mask
-from orchestrator.presentation.quantities import plural, quantity
 from protocols.fleet_report import DistancePoint, Distances, FleetOutlier, FleetRecording, OutlierReason
 
 

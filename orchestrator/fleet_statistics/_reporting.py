@@ -14,9 +14,9 @@ from orchestrator.fleet_statistics._outliers import outliers
 from orchestrator.fleet_statistics._pairs import pairs
 from orchestrator.fleet_statistics._settings import FleetCriteria
 from orchestrator.fleet_statistics._table import Column, FleetTable
+from orchestrator.formatting.quantities import measured, number, plural
 from orchestrator.numerics.robust import spread
 from orchestrator.numerics.types import Array
-from orchestrator.presentation.quantities import measured, number, plural
 from protocols import InputError, Remark
 from protocols.fleet_report import (
     CountOf,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from orchestrator.presentation.names import parameter_words, plain
-from orchestrator.presentation.quantities import UNKNOWN, number, percent, quantity, value_and_error, value_and_interval
+from orchestrator.formatting.names import parameter_words, plain
+from orchestrator.formatting.quantities import UNKNOWN, number, percent, quantity, value_and_error, value_and_interval
 from protocols.fleet_priors import FleetPriors
 from protocols.fleet_report import FleetJudgement, FleetPairs, FleetQuantity, FleetRecording, FleetReport
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from orchestrator.fleet_statistics._types import as_written
+from orchestrator.formatting.names import parameter_words, plain
 from orchestrator.numerics.types import Array, Mask
-from orchestrator.presentation.names import parameter_words, plain
 from protocols import InputError
 from protocols.fleet import arrow_schema
 from protocols.fleet_report import FleetRecording

@@ -20,7 +20,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from orchestrator.presentation.sentences import text_table
+from orchestrator.formatting.sentences import text_table
 
 HERE = Path(__file__).parents[2]
 REFERENCE = "b8678b8"

@@ -33,7 +33,7 @@ def report(
     """Distributions, outliers, drift, batches, control limits, pass and fail, pairs: one page, and its JSON."""
     from orchestrator.api import one_thread
     from orchestrator.fleet_statistics import WITHIN, outlier_rows, read_fleet, read_limits, report_of
-    from orchestrator.presentation.sentences import shown, text_table, visible
+    from orchestrator.formatting.sentences import shown, text_table, visible
     from plugins.streams.report import write_fleet_report
 
     with one_thread():

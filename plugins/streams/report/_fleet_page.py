@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from orchestrator.fleet_statistics import SECTIONS, change_rows, count_rows, date, judgement_rows, pair_rows
-from orchestrator.presentation.quantities import plural
-from orchestrator.presentation.sentences import typographic
+from orchestrator.formatting.quantities import plural
+from orchestrator.formatting.sentences import typographic
 from orchestrator.recording import replace_file, storage_error
 from plugins.streams.report._fleet_figures import distance_figure, quantity_figure
 from plugins.streams.report._page import filled

@@ -10,7 +10,7 @@ import rerun as rr
 
 from orchestrator.api import compare_runs
 from orchestrator.comparison import SideBySide, change_rows, run_rows
-from orchestrator.presentation.sentences import markdown_table, shown
+from orchestrator.formatting.sentences import markdown_table, shown
 from plugins.streams.rerun._blueprints import side_by_side
 from plugins.streams.rerun._maps import over_plane
 from plugins.streams.rerun._tape import Entry, Tape, When, blueprint, entry, titled

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from orchestrator.presentation.sentences import LONGEST_LINE, visible
+from orchestrator.formatting.sentences import LONGEST_LINE, visible
 from orchestrator.runs import Journal
 from plugins.commands.mystery._command import _print_verdict
 from plugins.commands.mystery._guessing import Verdict

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import TextIO
 
-from orchestrator.presentation.sentences import cut, for_output
+from orchestrator.formatting.sentences import cut, for_output
 
 
 class Waiting:

@@ -11,7 +11,7 @@ import io
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from orchestrator.presentation.sentences import visible
+from orchestrator.formatting.sentences import visible
 from protocols import Basis
 
 if TYPE_CHECKING:

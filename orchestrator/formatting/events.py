@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from orchestrator.presentation.names import OUTCOME_MOODS, VERDICTS, plain
-from orchestrator.presentation.quantities import duration, number, plural, quantity
-from orchestrator.presentation.results import resistance
-from orchestrator.presentation.sentences import typographic
+from orchestrator.formatting.names import OUTCOME_MOODS, VERDICTS, plain
+from orchestrator.formatting.quantities import duration, number, plural, quantity
+from orchestrator.formatting.results import resistance
+from orchestrator.formatting.sentences import typographic
 from protocols import (
     Compared,
     CompareReport,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.presentation.benefits import benefit_line
+from orchestrator.formatting.benefits import benefit_line
 from protocols import Remark
 
 

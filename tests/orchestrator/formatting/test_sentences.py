@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from orchestrator.presentation.sentences import (
+from orchestrator.formatting.sentences import (
     can_print,
     columns,
     cut,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 
-from orchestrator.presentation.names import parameter_words, plain, rung_name, symbol_of
-from orchestrator.presentation.quantities import (
+from orchestrator.formatting.names import parameter_words, plain, rung_name, symbol_of
+from orchestrator.formatting.quantities import (
     UNKNOWN,
     Scale,
     axes_percent,
@@ -17,7 +17,7 @@ from orchestrator.presentation.quantities import (
     value_and_error,
     value_and_interval,
 )
-from orchestrator.presentation.sentences import listed
+from orchestrator.formatting.sentences import listed
 from protocols import (
     Basis,
     CheckOutcome,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from orchestrator.presentation.sentences import typographic
+from orchestrator.formatting.sentences import typographic
 from protocols import Remark
 
 UNDONE_BY = {"helps": None, "does_not_help": "remove", "needed": "add", "not_needed": None}

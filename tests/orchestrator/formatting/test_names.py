@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from orchestrator.presentation.names import VERDICTS, parameter_words, rung_name, slots
+from orchestrator.formatting.names import VERDICTS, parameter_words, rung_name, slots
 from protocols import DiagnosisReport, DiagnosisWords
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
 
-from orchestrator.presentation.quantities import (
+from orchestrator.formatting.quantities import (
     Scale,
     axes_percent,
     borne,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from orchestrator.diagnosis.search_recorder import SearchRecorder
-from orchestrator.presentation.explaining import accuracy_sentences, search_lines, search_rows
+from orchestrator.formatting.explaining import accuracy_sentences, search_lines, search_rows
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 
 

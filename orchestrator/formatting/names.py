@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from orchestrator.presentation.sentences import typographic
+from orchestrator.formatting.sentences import typographic
 from protocols import AxisPercent, DiagnosisWords
 
 PAPER_CROSSINGS = AxisPercent(d_percent=1.3, q_percent=2.9)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from io import StringIO
 
-from orchestrator.presentation.waiting import Waiting
+from orchestrator.formatting.waiting import Waiting
 
 
 class Terminal(StringIO):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from orchestrator.presentation.names import plain
-from orchestrator.presentation.quantities import UNKNOWN, number, percent
-from orchestrator.presentation.sentences import listed
+from orchestrator.formatting.names import plain
+from orchestrator.formatting.quantities import UNKNOWN, number, percent
+from orchestrator.formatting.sentences import listed
 from protocols import DiagnosisReport, EffectBasis, SearchEvent, SearchMeasure
 
 SEARCH_HEAD = ("step", "move", "effects", "gain", "threshold", "chi2", "decision")

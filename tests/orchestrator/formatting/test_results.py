@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from orchestrator.presentation.results import parameter_rows, share_notes
+from orchestrator.formatting.results import parameter_rows, share_notes
 from protocols import FoundEffect, Materiality, ParameterValue
 from tests.plugins.streams.report.example_diagnosis import a_diagnosis
 

@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from typing import TextIO
 
-from orchestrator.presentation.quantities import number
+from orchestrator.formatting.quantities import number
 
 LONGEST_LINE = 4000
 """Letters of a line for people; what is longer did not come from here."""

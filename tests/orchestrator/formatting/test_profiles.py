@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from orchestrator.presentation.profiles import flux_at_zero, profile
+from orchestrator.formatting.profiles import flux_at_zero, profile
 from tests.plugins.streams.example_run import a_map
 
 
