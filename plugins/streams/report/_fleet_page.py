@@ -19,7 +19,7 @@ _ABOUT = {
     "Distributions": "Spread: 1.4826 times the median distance from the median. The last column: what the recordings "
     "say of their own error.",
     "Limits": "Cpk by the whole sample’s standard deviation, interval by Bissell; share by Clopper and Pearson.",
-    "Unlike the others": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
+    "Outliers": "By robust distance (minimum covariance determinant), as no recording of a clean fleet is, "
     "95 times of 100; by one quantity alone where it is not in the distance.",
     "Batches": "By the median of all differences (Hodges and Lehmann). Shifted: beside all batches and quantities that "
     "were asked.",

@@ -1,4 +1,4 @@
-"""What moves over time or from batch to batch: slopes, shifts and control charts of each quantity."""
+"""Changes over time or between batches: slopes, shifts and control charts of each quantity."""
 
 from __future__ import annotations
 
@@ -19,16 +19,16 @@ DAY_S = 86400.0
 
 def drifts(table: FleetTable, columns: Sequence[Column], criteria: FleetCriteria) -> dict[str, Drift]:
     """The slope of each quantity whose recordings have times."""
-    found: dict[str, Estimate] = {}
+    estimates: dict[str, Estimate] = {}
     for column in columns:
-        there = column.known & np.isfinite(table.seconds)
-        days = table.seconds[there] / DAY_S
-        if there.sum() >= criteria.least_values and np.ptp(days) > 0.0 and np.ptp(column.values[there]) > 0.0:
-            found[column.name] = slope(days - days.min(), column.values[there])
-    weighed = holm(np.array([one.chance for one in found.values()]))
+        timed = column.known & np.isfinite(table.seconds)
+        days = table.seconds[timed] / DAY_S
+        if timed.sum() >= criteria.min_values and np.ptp(days) > 0.0 and np.ptp(column.values[timed]) > 0.0:
+            estimates[column.name] = slope(days - days.min(), column.values[timed])
+    adjusted = holm(np.array([estimate.chance for estimate in estimates.values()]))
     return {
-        name: Drift(per_day=one.value, low=one.low, high=one.high, chance=one.chance, drifts=bool(p < criteria.chance))
-        for (name, one), p in zip(found.items(), weighed, strict=True)
+        name: Drift(per_day=e.value, low=e.low, high=e.high, chance=e.chance, drifts=bool(p < criteria.max_false_alarm))
+        for (name, e), p in zip(estimates.items(), adjusted, strict=True)
     }
 
 
@@ -37,48 +37,48 @@ def batch_shifts(
 ) -> dict[str, tuple[BatchShift, ...]]:
     """Each batch of each quantity against all others."""
     batches = np.array([recording.batch or "" for recording in table.recordings], dtype=object)
-    found: list[tuple[str, str, Array, Estimate]] = []
+    estimates: list[tuple[str, str, Array, Estimate]] = []
     for column in columns:
         for batch in sorted({name for name in batches if name}):
             here, others = column.known & (batches == batch), column.known & (batches != batch)
-            if min(here.sum(), others.sum()) >= criteria.least_values:
+            if min(here.sum(), others.sum()) >= criteria.min_values:
                 values = column.values[here]
-                found.append((column.name, batch, values, shift(values, column.values[others])))
-    weighed = holm(np.array([one.chance for *_, one in found]))
+                estimates.append((column.name, batch, values, shift(values, column.values[others])))
+    adjusted = holm(np.array([estimate.chance for *_, estimate in estimates]))
     out: dict[str, tuple[BatchShift, ...]] = {}
-    for (name, batch, values, one), p in zip(found, weighed, strict=True):
-        told = BatchShift(
+    for (name, batch, values, estimate), p in zip(estimates, adjusted, strict=True):
+        batch_shift = BatchShift(
             batch=batch,
             count=len(values),
             middle=float(np.median(values)),
-            shift=one.value,
-            low=one.low,
-            high=one.high,
-            chance=one.chance,
-            shifted=bool(p < criteria.chance),
+            shift=estimate.value,
+            low=estimate.low,
+            high=estimate.high,
+            chance=estimate.chance,
+            shifted=bool(p < criteria.max_false_alarm),
         )
-        out[name] = (*out.get(name, ()), told)
+        out[name] = (*out.get(name, ()), batch_shift)
     return out
 
 
 def control_chart(
     table: FleetTable, column: Column, criteria: FleetCriteria, settings: EwmaSettings | None = None
 ) -> ControlChart | None:
-    """The chart of one quantity about its own median; None of too few recordings with times."""
+    """The control chart of one quantity about its own median; None where too few recordings have times."""
     settings = settings or EwmaSettings()
-    there = np.flatnonzero(column.known & np.isfinite(table.seconds))
-    there = there[np.argsort(table.seconds[there], kind="stable")]
-    values = column.values[there]
+    rows = np.flatnonzero(column.known & np.isfinite(table.seconds))
+    rows = rows[np.argsort(table.seconds[rows], kind="stable")]
+    values = column.values[rows]
     deviation = deviation_between_neighbours(values)
-    timed = len(values) >= criteria.least_values and np.ptp(table.seconds[there]) > 0.0
-    if not timed or not deviation > 0.0 or not column.scatters(criteria.least_relative_spread):
+    timed = len(values) >= criteria.min_values and np.ptp(table.seconds[rows]) > 0.0
+    if not timed or not deviation > 0.0 or not column.scatters(criteria.min_relative_spread):
         return None
     target = float(np.median(values))
     chart = ewma(values, target, deviation, settings)
-    times = [datetime.fromtimestamp(s, UTC) for s in table.seconds[there]]
+    times = [datetime.fromtimestamp(s, UTC) for s in table.seconds[rows]]
     first = int(np.argmax(chart.beyond)) if chart.beyond.any() else None
     points = []
-    for group in np.array_split(np.arange(len(values)), min(len(values), criteria.most_points)):
+    for group in np.array_split(np.arange(len(values)), min(len(values), criteria.max_points)):
         k = int(group[np.argmax(np.abs(chart.average[group] - target))])
         points.append(
             ChartPoint(

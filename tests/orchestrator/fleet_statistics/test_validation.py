@@ -1,4 +1,4 @@
-"""Tables that somebody else made or changed: read, or refused in one line."""
+"""Tables that other programs made or changed: read, or refused in one line."""
 
 from __future__ import annotations
 
@@ -44,9 +44,9 @@ def refusal_of(table: pa.Table) -> str:
 def test_any_column_of_another_type_is_read_or_refused_in_one_line(table: pa.Table, value: Any) -> None:
     for name in arrow_schema().names:
         changed = with_column(table, name, pa.array([value] * table.num_rows))
-        told = refusal_of(changed)
-        assert not told or told.startswith(f"table: {name}: expected ")
-        assert "\n" not in told
+        problem = refusal_of(changed)
+        assert not problem or problem.startswith(f"table: {name}: expected ")
+        assert "\n" not in problem
 
 
 def test_what_is_missing_is_null_but_what_tells_a_fleet_s_table(table: pa.Table) -> None:
@@ -76,13 +76,13 @@ def test_a_table_without_rows_is_refused_and_so_is_one_where_all_failed(table: p
 def test_texts_as_other_writers_keep_them_and_numbers_of_other_lengths_are_the_same(table: pa.Table) -> None:
     other = with_column(table, "serial", table.column("serial").cast(pa.large_string()).dictionary_encode())
     other = with_column(other, "R_s_ohm", table.column("R_s_ohm").cast(pa.float32()))
-    found, read = fleet_of(table, "table"), fleet_of(other, "table")
-    assert [one.serial for one in read.recordings] == [one.serial for one in found.recordings]
-    np.testing.assert_allclose(read.columns["R_s_ohm"].values, found.columns["R_s_ohm"].values, rtol=1e-6)
+    original, read = fleet_of(table, "table"), fleet_of(other, "table")
+    assert [one.serial for one in read.recordings] == [one.serial for one in original.recordings]
+    np.testing.assert_allclose(read.columns["R_s_ohm"].values, original.columns["R_s_ohm"].values, rtol=1e-6)
 
 
 def test_an_infinite_value_is_not_known(table: pa.Table) -> None:
     values = table.column("L_d_h").to_numpy().copy()
     values[3] = np.inf
-    found = fleet_of(with_column(table, "L_d_h", pa.array(values)), "table").columns["L_d_h"]
-    assert np.flatnonzero(~found.known).tolist() == [3]
+    original = fleet_of(with_column(table, "L_d_h", pa.array(values)), "table").columns["L_d_h"]
+    assert np.flatnonzero(~original.known).tolist() == [3]

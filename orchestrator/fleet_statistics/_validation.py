@@ -1,4 +1,4 @@
-"""A fleet's table that anybody may have made or copied: its columns have the types of `FleetRow`, or it is refused."""
+"""Validation of a fleet's table from any source: its columns have the types of `FleetRow`, or it is refused."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ _MARKS = ("source", "serial", "R_s_ohm", "effects", "failed")
 """Columns by which a fleet's table is known; others that are missing are null."""
 
 
-def as_written(table: pa.Table, place: str) -> pa.Table:
-    """The table's columns as `FleetRow` has them, whatever reader or writer they came through.
+def validate_types(table: pa.Table, place: str) -> pa.Table:
+    """The table's columns in the types of `FleetRow`, whatever reader or writer they came through.
 
     Raises
     ------
     InputError
-        Where a column is missing, is there twice, or holds something else.
+        Where a column is missing, is present twice, or has another type.
     """
     import pyarrow as pa
 
@@ -50,24 +50,24 @@ def _as(field: pa.Field, column: Any, place: str) -> Any:
     """A column in the field's type; numbers become neither texts nor booleans, nor the other way round."""
     import pyarrow as pa
 
-    told = f"expected {field.type}, got {column.type}"[:160]
+    problem = f"expected {field.type}, got {column.type}"[:160]
     if not pa.types.is_null(column.type) and _kind(column.type) != _kind(field.type):
-        raise InputError(place, field.name, told)
+        raise InputError(place, field.name, problem)
     try:
-        found = column.cast(field.type)
-        found.validate(full=True)
+        values = column.cast(field.type)
+        values.validate(full=True)
         if pa.types.is_timestamp(field.type):
-            found.to_pylist()  # of years that a calendar has
+            values.to_pylist()  # raises for years outside the calendar
     except (pa.ArrowException, ValueError, OverflowError, TypeError):
-        raise InputError(place, field.name, told) from None
-    if field.name == "source" and found.null_count:
-        raise InputError(place, field.name, f"{found.null_count} rows have none")
-    _require_named(field, found, place)
-    return found
+        raise InputError(place, field.name, problem) from None
+    if field.name == "source" and values.null_count:
+        raise InputError(place, field.name, f"{values.null_count} rows have none")
+    _require_named(field, values, place)
+    return values
 
 
 def _require_named(field: pa.Field, column: Any, place: str) -> None:
-    """Raise `InputError` where an item of a list lacks a text that says what it is."""
+    """Raise `InputError` where an item of a list lacks its name or unit."""
     import pyarrow as pa
 
     if not pa.types.is_list(field.type) or not pa.types.is_struct(field.type.value_type):
