@@ -91,11 +91,11 @@ class RehearsalOptions:
         """The machine that it is rehearsed on."""
         from orchestrator.api import chosen_model
         from orchestrator.experiment_design.machine import Machine
-        from orchestrator.experiment_design.rehearsal import as_measured
+        from orchestrator.experiment_design.rehearsal import machine_of
 
         nameplate = Machine.of(plan.procedure.motor, plan.procedure.name)
         model = chosen_model(self.model)
-        return nameplate if model is None else as_measured(nameplate, plan, drive, model)
+        return nameplate if model is None else machine_of(nameplate, plan, drive, model)
 
     def outlook(self, plan: Plan, drive: Capabilities) -> IsolabilityReport:
         """What the plan would tell."""
