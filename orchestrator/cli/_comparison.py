@@ -1,4 +1,4 @@
-"""`fluxbench compare RUN RUN...`: runs side by side, and what changed beyond noise."""
+"""`fluxbench compare RUN RUN...`: a comparison of runs, and their changes beyond noise."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from orchestrator.formatting.sentences import text_table
 
 
 def compare_runs(paths: Sequence[Path], as_json: bool) -> int:
-    """Print what the runs said, and what changed."""
-    found = api.compare_runs(*paths).comparison
+    """Print the runs' results, and their changes."""
+    comparison = api.compare_runs(*paths).comparison
     if as_json:
-        say_document(found.model_dump_json(indent=2))
+        say_document(comparison.model_dump_json(indent=2))
         return 0
-    for rows in (run_rows(found), change_rows(found)):
+    for rows in (run_rows(comparison), change_rows(comparison)):
         say(text_table(rows[0], rows[1:], numbers=False), "")
-    say_notes(remark.text for remark in found.remarks)
+    say_notes(remark.text for remark in comparison.remarks)
     return 0

@@ -1,4 +1,4 @@
-"""`fluxbench estimate`: maps and resistance out of any recording."""
+"""`fluxbench estimate`: maps and resistance from a recording."""
 
 from __future__ import annotations
 
@@ -37,14 +37,14 @@ def _print_report(report: EstimationReport, folder: Path) -> None:
     if report.resistance is not None:
         say(f"R_s {resistance(report.resistance)}; {resistance_course(report.resistance)}")
     if report.method is not None:
-        say(f"flux map by {report.method}: {'usable' if report.usable else 'NOT TO BE RELIED ON'}")
+        say(f"flux map by {report.method}: {'usable' if report.usable else 'NOT RELIABLE'}")
     papers = {"crossings": axes_percent(PAPER_CROSSINGS)}
     say_table(("check", "here", "in the paper"), [(*row, papers.get(row[0], UNKNOWN)) for row in check_rows(report)])
     if report.checks:
         say_table(("usable only if", "here", "limit", "outcome"), usability_rows(report))
-    for method, made in report.maps.items():
-        if made.form is not None:
-            say(f"{method}: {made.form.formula}")
-            say_table(("coefficient", "value", "standard deviation"), coefficient_rows(made.form))
+    for method, map_report in report.maps.items():
+        if map_report.form is not None:
+            say(f"{method}: {map_report.form.formula}")
+            say_table(("coefficient", "value", "standard deviation"), coefficient_rows(map_report.form))
     say_notes(report.reasons)
     say(*(f"{name}: {folder / file}" for name, file in report.files.items()))

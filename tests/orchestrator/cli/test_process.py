@@ -19,9 +19,9 @@ def test_a_damaged_map_is_one_line(tmp_path: Path) -> None:
     file = tmp_path / "map.nc"
     save_flux_map(file, FluxMap(method="x", basis=None, i_d=i, i_q=i, **grids))
     file.write_bytes(file.read_bytes()[:3000])  # h5netcdf's destructor then complains in eight lines of its own
-    _, told = start_fluxbench("check", "demo", "--model", str(file), "--isolability").communicate(timeout=30)
-    assert told.count("\n") == 1, told
-    assert "map.nc: not a readable NetCDF file" in told
+    _, message = start_fluxbench("check", "demo", "--model", str(file), "--isolability").communicate(timeout=30)
+    assert message.count("\n") == 1, message
+    assert "map.nc: not a readable NetCDF file" in message
 
 
 def test_memory_that_is_not_there_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
